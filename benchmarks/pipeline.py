@@ -1,6 +1,7 @@
 """Projects that never lie: changes, damages, kills, hard edges, a cluster, and the cost of having nothing to do.
 
-python -m benchmarks pipeline [changes N | damages N | kills N | edges 1 | cluster N | diagnosis 1 | idle N ...]
+python -m benchmarks pipeline [changes N | damages N | kills N | edges 1 | cluster N | overhead N | diagnosis 1 |
+    idle N | campaign N ...]
 """
 
 from __future__ import annotations
@@ -12,13 +13,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from benchmarks.projects.hard_ends import edges, kills
-from benchmarks.projects.many_jobs import idle
-from benchmarks.projects.on_cluster import cluster_runs, diagnosis_on_cluster
+from benchmarks.projects.many_jobs import idle, idle_campaign
+from benchmarks.projects.on_cluster import cluster_runs, diagnosis_on_cluster, overhead
 from benchmarks.projects.six_jobs import changes, damages
 
 FULL = (
-    ("changes", 1000), ("damages", 2000), ("kills", 200), ("edges", 1), ("cluster", 200), ("diagnosis", 1),
-    ("idle", 50), ("idle", 1000), ("idle", 10_000),
+    ("changes", 1000), ("damages", 2000), ("kills", 200), ("edges", 1), ("cluster", 200), ("overhead", 200),
+    ("diagnosis", 1), ("idle", 50), ("idle", 1000), ("idle", 10_000), ("campaign", 10_000),
 )  # fmt: skip
 Line = tuple[str, bool]
 """What to print, and whether anything lied"""
@@ -63,6 +64,14 @@ def of_cluster(count: int) -> Iterator[Line]:
         yield f"cluster, {name}: {wrong or 'the same results as here'}", bool(wrong)
 
 
+def of_overhead(count: int) -> Iterator[Line]:
+    """Yield the line of what a cluster costs beside the jobs."""
+    here, there, begun_here, begun_there = overhead(count)
+    text = f"{count} jobs, CPU of all processes: {here:.1f} ms each here, {there:.1f} ms each on two workers"
+    text += f" ({there / here - 1:+.1%}); {begun_here:.0f} and {begun_there:.0f} ms beside the jobs"
+    yield text, there > 1.05 * here
+
+
 def of_diagnosis(_: int) -> Iterator[Line]:
     """Yield a line for each diagnosis whose folds go to a cluster."""
     for name, wrong in diagnosis_on_cluster():
@@ -71,9 +80,16 @@ def of_diagnosis(_: int) -> Iterator[Line]:
 
 def of_idle(count: int) -> Iterator[Line]:
     """Yield the line of the runs with nothing to do."""
-    found = idle(count)
-    times = ", ".join(f"{name} {one if isinstance(one, str) else f'{one:.0f} ms'}" for name, one in found.items())
-    yield f"{count} jobs, nothing to do, CPU: {times}", False
+    yield f"{count} jobs, nothing to do, CPU: {_times(idle(count))}", False
+
+
+def of_campaign(count: int) -> Iterator[Line]:
+    """Yield the line of the runs of a campaign with nothing to do."""
+    yield f"{count} parts of one job, nothing to do, CPU: {_times(idle_campaign(count))}", False
+
+
+def _times(found: dict[str, float | str]) -> str:
+    return ", ".join(f"{name} {one if isinstance(one, str) else f'{one:.0f} ms'}" for name, one in found.items())
 
 
 CAMPAIGNS: dict[str, Callable[[int], Iterator[Line]]] = {
@@ -82,8 +98,10 @@ CAMPAIGNS: dict[str, Callable[[int], Iterator[Line]]] = {
     "kills": of_kills,
     "edges": of_edges,
     "cluster": of_cluster,
+    "overhead": of_overhead,
     "diagnosis": of_diagnosis,
     "idle": of_idle,
+    "campaign": of_campaign,
 }
 
 

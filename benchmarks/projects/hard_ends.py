@@ -33,47 +33,92 @@ class Kills:
     lost: int = 0
     """A result that was reported or written was gone, or was made again"""
     left: int = 0
-    """The next run failed, left a file behind or gave other results than a run that nobody killed"""
+    """A process went on; or the next run failed, left a file behind or gave other results than a run nobody killed"""
     within: int = 0
     """The kill came between the first result and the last"""
 
 
 def kills(count: int, seed: int = 0) -> Iterator[Kills]:
-    """Yield what was found so far after each SIGKILL at a random moment; every other run has four workers."""
+    """Yield what was found so far after each SIGKILL at a random moment; every other run has four workers.
+
+    Of three kills one comes at any moment from the start on, and two after the first result. Every other pair of kills
+    hits all processes of the run, as a job scheduler does; the others hit only the one that was asked.
+    """
     chance = random.Random(seed)
-    write(JOBS, trials=400_000)  # so that most of a run lies between its first and its last result
+    write(JOBS, trials=2_000_000)  # so that a run is long beside its start, and each job has chunks that are kept
     commands = [[*RUN, "--jobs", str(jobs)] for jobs in (1, 4)]
-    lasts = [_seconds(command) for command in commands]
+    spans = [min(_times(command) for _ in range(2)) for command in commands]
     wanted = [hdf5.read_label(path).content for path in _results()]
     found = Kills()
     for number in range(count):
-        shutil.rmtree("results", ignore_errors=True)
-        Path(".metrocli-seen").unlink(missing_ok=True)
-        command = commands[number % 2]
+        _remove_results()
+        command, (first, last) = commands[number % 2], spans[number % 2]
         process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True, env=environment()
         )
-        time.sleep(chance.uniform(0.3, 1.05) * lasts[number % 2])
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
+        if number % 3:
+            _await_result(process)
+            time.sleep(chance.uniform(0, 1.05) * (last - first))
+        else:
+            time.sleep(chance.uniform(0, 1.05) * last)
+        if number % 4 < 2:
+            process.kill()
+        else:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
         finished = [line.rpartition(" -> ")[2] for line in process.communicate()[0].decode().splitlines()]
         written = {path: path.stat().st_mtime_ns for path in Path().glob("results/*.h5")}
         found.tried += 1
         found.within += 0 < len(written) < JOBS
         found.unreadable += any(not _sound(path) for path in written)
         gone = any(not Path(path).exists() for path in finished)
+        orphans = _lives_on(process.pid)
         after = subprocess.run(command, capture_output=True, check=False, env=environment())
         well = after.returncode == 0 and not _unexpected() and all(_sound(path) for path in _results())
-        found.left += not well or wanted != [hdf5.read_label(path).content for path in _results()]
+        found.left += orphans or not well or wanted != [hdf5.read_label(path).content for path in _results()]
         found.lost += gone or any(path.stat().st_mtime_ns != time_ns for path, time_ns in written.items())
         yield found
 
 
-def _seconds(command: list[str]) -> float:
-    shutil.rmtree("results", ignore_errors=True)
+def _lives_on(group: int) -> bool:
+    """Return whether a process of a group is still at work after 2 s."""
+    end = time.monotonic() + 2
+    while time.monotonic() < end:
+        if group not in _groups():
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def _groups() -> set[int]:
+    """Return the groups of all processes that have not ended."""
+    groups = set()
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, group = file.read_text().rpartition(")")[2].split()[:3]
+            groups |= {int(group)} if state != "Z" else set()
+    return groups
+
+
+def _times(command: list[str]) -> tuple[float, float]:
+    """Return the times from the start of a run to its first and to its last result [s]."""
+    _remove_results()
     begun = time.monotonic()
-    subprocess.run(command, check=True, capture_output=True, env=environment())
-    return time.monotonic() - begun
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=environment())
+    _await_result(process)
+    first = time.monotonic() - begun
+    process.wait()
+    return first, time.monotonic() - begun
+
+
+def _await_result(process: subprocess.Popen[bytes]) -> None:
+    while process.poll() is None and not next(Path().glob("results/*.h5"), None):
+        time.sleep(0.005)
+
+
+def _remove_results() -> None:
+    shutil.rmtree("results", ignore_errors=True)
+    Path(".metrocli-seen").unlink(missing_ok=True)
 
 
 def _results() -> list[Path]:

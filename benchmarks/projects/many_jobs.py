@@ -34,20 +34,41 @@ def write(count: int, trials: int = 1000) -> None:
     Path("metrocli.yaml").write_text("jobs:\n" + "".join(f"- jobs/j{n}.yaml\n" for n in range(count)))
 
 
+def write_campaign(count: int) -> None:
+    """Write a project of one job for each row of a list into the working folder."""
+    Path("jobs").mkdir()
+    Path("parts.csv").write_text("part,length\n" + "".join(f"p{n},{n}\n" for n in range(count)))
+    Path("jobs/part.yaml").write_text(
+        "metrocli: 1\njob: report-uncertainty\nfor: {part: ../parts.csv}\n"
+        "quantities: {a: {value: '{length} mm', std: 1 um}}\nmeasurands: {l: {model: 2*a, unit: mm}}\n"
+        "monte_carlo: {trials: 1000}\noutput: '../results/{part}.h5'\n"
+    )
+    Path("metrocli.yaml").write_text("jobs: [jobs/part.yaml]\n")
+
+
+def idle_campaign(count: int) -> dict[str, float | str]:
+    """Return the CPU time [ms] of the first and of a later run of a campaign with nothing to do."""
+    write_campaign(count)
+    return _own_idle()
+
+
 def idle(count: int) -> dict[str, float | str]:
     """Return the CPU time [ms] of the first and of a later run with nothing to do, and of the other programs.
 
     For a program that is not there or takes too long, that is returned in words.
     """
     write(count)
+    return _own_idle() | {name: _by_another(name, count) for name in OTHERS}
+
+
+def _own_idle() -> dict[str, float | str]:
     jobs = [step.job for step in load_project(Path())]
     result, record = runner.compute(jobs[0])
     for job in jobs:
         hdf5.write(job.output, result, replace(record, job_text=job.text, meaning=meaning.of_job(job)))
     compileall.compile_dir(str(ROOT / "metrocli"), quiet=1)  # as pip does
     time.sleep(3)  # younger files are not remembered
-    found: dict[str, float | str] = {name: cpu_of([*RUN, "--quiet"]) for name in ("looked at", "remembered")}
-    return found | {name: _by_another(name, count) for name in OTHERS}
+    return {name: cpu_of([*RUN, "--quiet"]) for name in ("looked at", "remembered")}
 
 
 OTHERS = ("make", "doit", "snakemake", "dvc")

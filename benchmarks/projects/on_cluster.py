@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from benchmarks.diagnosis_speed import measurements
-from benchmarks.projects.many_jobs import RUN, environment, write
+from benchmarks.projects.many_jobs import RUN, cpu_of, environment, write
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.verdict import as_data
@@ -23,6 +23,7 @@ from metrocli.formats import hdf5
 from metrocli.uncertainty.workers import ordered_on
 
 TRIALS = 100_000
+LONG_TRIALS = 1_000_000
 SCHEDULER = ["-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
 WORKER = ["-m", "distributed.cli.dask_worker", "--nthreads", "1", "--no-dashboard", "--no-nanny"]
 
@@ -64,6 +65,31 @@ def cluster_runs(count: int) -> Iterator[tuple[str, str]]:
         yield f"one worker killed in the middle, {seconds:.1f} s", wrong
     with cluster() as (file, processes):
         yield "the scheduler killed in the middle", _without_scheduler(file, wanted, processes[0])
+
+
+def overhead(count: int) -> tuple[float, float, float, float]:
+    """Return the CPU time of a job here with --jobs 2 and on a cluster [ms], and what a run needs beside its jobs [ms].
+
+    All processes count: on the cluster the scheduler, the workers and the run that asks. Two projects of different size
+    separate what is the same for any number of jobs, above all imports. The least of three times counts.
+    """
+    few, sizes = max(count // 10, 1), {}
+    for jobs in (few, count + few):
+        Path(str(jobs)).mkdir()
+        with contextlib.chdir(str(jobs)):
+            write(jobs, LONG_TRIALS)
+        sizes[jobs] = [float("inf"), float("inf")]
+    with cluster() as (file, processes):
+        for _ in range(3):
+            for jobs, least in sizes.items():
+                for place, how in enumerate((["--jobs", "2"], ["--scheduler", file])):
+                    before = sum(map(_cpu, processes))
+                    shutil.rmtree(f"{jobs}/results", ignore_errors=True)
+                    asking = cpu_of([*RUN, str(jobs), *how])
+                    least[place] = min(least[place], asking + 1e3 * (sum(map(_cpu, processes)) - before))
+    (here, there), (all_here, all_there) = sizes.values()
+    own, sent = (all_here - here) / count, (all_there - there) / count
+    return own, sent, here - few * own, there - few * sent
 
 
 def diagnosis_on_cluster() -> Iterator[tuple[str, str]]:

@@ -19,13 +19,15 @@ def main() -> None:
         sys.stdout.write(help_text())
     elif arguments == ["--version"]:
         sys.stdout.write(version_text() + "\n")
-    elif not nothing_to_do(arguments):
-        # Threads within one matrix product wait for each other where other programs run. numpy reads this on import.
-        os.environ.setdefault("OMP_NUM_THREADS", "1")
+    else:
         import signal
 
-        # while Python loads the commands, and while it ends, Ctrl-C ends it without a traceback
+        # while Python loads modules, and while it ends, Ctrl-C ends it without a traceback
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+        if nothing_to_do(arguments):
+            return
+        # Threads within one matrix product wait for each other where other programs run. numpy reads this on import.
+        os.environ.setdefault("OMP_NUM_THREADS", "1")
         from metrocli.cli.commands import run
 
         sys.exit(run(arguments))

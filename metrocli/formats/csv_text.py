@@ -13,6 +13,8 @@ from metrocli.formats.csv_plain import plain_cells
 from metrocli.formats.file_bytes import FileBytes, read_bytes
 
 MOST_FAULTS = 20
+MOST_COLUMNS = 5000
+"""A wider table is no measurement, and to compare all its names would take minutes"""
 LONGEST_TEXT = 200
 _WHOLE_LIMIT = 1 << 62
 
@@ -79,6 +81,10 @@ def taken_apart(text: str, file: str) -> Raw:
         )
     separator = max(",;\t", key=lines[at].count)
     header = tuple(cell.strip() for cell in next(csv.reader([lines[at]], delimiter=separator)))
+    if len(header) > MOST_COLUMNS:
+        hint = "keep the columns that a job reads; is it a table with rows and columns exchanged?"
+        message = f"the header has {len(header)} columns, more than {MOST_COLUMNS}"
+        raise InputError([Fault(message, file, at + 1, hint=hint)])
     raw = Raw(file, lines, separator, at + 1, header, (), ())
     plain = plain_cells(lines, at + 1, separator, len(header))
     if plain is not None and not _nameless(header):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import h5py
@@ -24,11 +25,23 @@ _PARTS = ("laboratory", "customer", "item", "references")
 _MOST_OBJECTS, _MOST_TEXTS, _DEEPEST = 100_000, 100_000, 8
 
 
+class _Held(dict[str, Any]):
+    """Objects of a file by name; a missing one that is asked for is a fault of the file, which others may have made."""
+
+    def __init__(self, what: str, shown: str) -> None:
+        super().__init__()
+        self.what, self.shown = what, shown
+
+    def __missing__(self, name: str) -> Any:
+        hint = "run its job again with this version"
+        raise InputError([Fault(f"the result file has no {self.what}{name}", self.shown, hint=hint)])
+
+
 def content_of(label: Label, body: bytes, shown: str) -> tuple[Result, Record]:
     """Return result and record; raise InputError if the file has anything that metrocli does not write."""
     try:
         with _opened(body) as file:
-            result = _read_result(file)
+            result = _read_result(file, shown)
             record = _read_record(file, label)
     except InputError:
         raise
@@ -89,7 +102,7 @@ def _refuse_unusual(data: h5py.Dataset) -> None:
         raise ValueError(f"{data.name} holds more texts than a result has")
 
 
-def _read_result(file: h5py.File) -> Result:
+def _read_result(file: h5py.File, shown: str) -> Result:
     columns = _read_table(file["parameters"]).columns
     count = len(columns["name"])
     dimensions = map(str, file["parameters"].attrs.get("dimensions", [""] * count))
@@ -98,8 +111,7 @@ def _read_result(file: h5py.File) -> Result:
     unknown = {one.dimension for one in estimates} - {"", SCALE, *units.DIMENSIONS}
     if unknown:
         raise ValueError(f"unknown dimensions of estimates: {', '.join(sorted(unknown))}")
-    tables: dict[str, Table] = {}
-    arrays: dict[str, Any] = {}
+    tables, arrays = _Held("table ", shown), _Held("array ", shown)
     file.visititems(lambda name, item: _sort_in(name, item, tables, arrays))
     return Result(
         kind=_text(file, "kind"),
@@ -128,11 +140,14 @@ def _shown_of(text: str) -> ShownTable:
     return ShownTable(name, tuple(column.strip() for column in columns.split(",")) if columns else ())
 
 
-def _sort_in(name: str, item: Any, tables: dict[str, Table], arrays: dict[str, Any]) -> None:
+def _sort_in(name: str, item: Any, tables: _Held, arrays: _Held) -> None:
     if name in _OWN or name.startswith("plot/") or not isinstance(item, h5py.Dataset):
         return
     if item.dtype.names:
-        tables[name] = _read_table(item)
+        table = _read_table(item)
+        columns = _Held(f"column {name}/", tables.shown)
+        columns.update(table.columns)
+        tables[name] = replace(table, columns=columns)
     else:
         if item.ndim == 0 or item.dtype.kind not in "biuf":
             raise ValueError(f"{name} is no array of numbers")

@@ -19,7 +19,7 @@ from metrocli.project.campaign import Part, bound, parts_of
 from metrocli.project.heading import Heading
 from metrocli.project.named_files import Input, inputs_of, missing
 from metrocli.project.overrides import effect_node, overridden
-from metrocli.project.own_effects import Own, own_effects
+from metrocli.project.own_effects import Own, Package, own_effects
 from metrocli.project.ranges import ranges_of, within
 from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import BAD, Schema, read_sections, sections_schema, settings_of
@@ -49,6 +49,12 @@ class JobFile:
     def files(self) -> tuple[Path, ...]:
         """All files that it reads beside its own text: inputs, and effects of one's own."""
         return (*(path for item in self.inputs for path in item.paths), *self.own.files)
+
+    @property
+    def packages(self) -> tuple[Package, ...]:
+        """The packages whose effects it uses."""
+        used = {one.name for one in self.effects}
+        return tuple({one.state: one for name, one in sorted(self.own.packages.items()) if name in used}.values())
 
     @property
     def accept_doubtful(self) -> bool:

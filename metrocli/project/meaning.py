@@ -30,14 +30,16 @@ _FOR_MESSAGES = ("node", "source", "file")
 def of_job(job: JobFile) -> str:
     """Return the digest of a job as meant: its settings in internal units, effects, criteria and output.
 
-    The content of the inputs is not part of it, but their names are: of images the pattern.
+    Packages whose effects it uses count as they are installed. The content of the inputs is not part of it, but their
+    names are: of images the pattern.
     """
     apart = ("effects", "effects_from", "output", "parts")
     heading = {name: value for name, value in _named(job.heading) if name not in apart and value is not None}
     effects = [(one.name, [form.by for form in one.forms], one.where, one.values, one.std) for one in job.effects]
     output = os.path.relpath(job.output, job.folder)
     images = [item.node for item in job.inputs if isinstance(item.value, tuple)]
-    return digest([heading, job.settings, images, effects, output], job.folder)
+    packages = [one.state for one in job.packages]
+    return digest([heading, job.settings, images, effects, output, *packages], job.folder)
 
 
 def of_table(table: Table) -> str:

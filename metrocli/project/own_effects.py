@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from metrocli import tasks
 from metrocli.effects.effect import Effect
 from metrocli.effects.own.define import read
 from metrocli.errors import Fault, InputError
+from metrocli.formats.file_bytes import read_bytes
 from metrocli.nodes import Node
 from metrocli.project import PROJECT_FILE, yaml_text
 from metrocli.project.heading import Heading
@@ -18,19 +21,34 @@ from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import path_beside
 from metrocli.words import suggestion
 
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
 ENTRY_POINTS = "metrocli.effects"
 """Group of the entry points of packages: each is a function that returns effects for the name of a kind"""
 _KEY = "define"
 
 
 @dataclass(frozen=True)
+class Package:
+    """A package that offers effects, as it is installed."""
+
+    state: str
+    """Its name and version, and the digest of the module that offers them"""
+    file: Path | None
+    """That module, where it is a file"""
+
+
+@dataclass(frozen=True)
 class Own:
-    """Effects of one's own, and the files that define them."""
+    """Effects of one's own, and the files and packages that define them."""
 
     effects: tuple[Effect, ...] = ()
     files: tuple[Path, ...] = ()
     project: Path | None = None
     """The project file, if it names one of the files"""
+    packages: Mapping[str, Package] = field(default_factory=dict)
+    """By the name of the effect, for those of packages"""
 
 
 def own_effects(kind: str, heading: Heading, job: Path, read_before: YamlFiles, faults: list[Fault]) -> Own:
@@ -42,7 +60,9 @@ def own_effects(kind: str, heading: Heading, job: Path, read_before: YamlFiles, 
     taken = {effect.name for effect in task.effects}
     found: list[Effect] = []
     files: list[Path] = []
-    for effect in of_packages(kind):
+    packages: dict[str, Package] = {}
+    for effect, package in with_packages(kind):
+        packages[effect.name] = package
         if effect.name in taken:
             faults.append(Fault(f"a package offers an effect '{effect.name}', which exists already"))
         taken.add(effect.name)
@@ -58,7 +78,7 @@ def own_effects(kind: str, heading: Heading, job: Path, read_before: YamlFiles, 
         found += effects
     found += read(heading.define, task.places, taken, faults)
     project = None if by_project is None else by_project.source.folder / PROJECT_FILE
-    return Own(tuple(found), tuple(files), project)
+    return Own(tuple(found), tuple(files), project, packages)
 
 
 def of_project(folder: Path, read_before: YamlFiles) -> Node | None:
@@ -117,7 +137,7 @@ def _fits_another(kind: str, node: Node) -> bool:
 
 
 @cache
-def _offered() -> tuple[tuple[str, object], ...]:
+def _offered() -> tuple[tuple[str, EntryPoint], ...]:
     from importlib.metadata import entry_points
 
     return tuple((point.name, point) for point in entry_points(group=ENTRY_POINTS))
@@ -125,9 +145,26 @@ def _offered() -> tuple[tuple[str, object], ...]:
 
 def of_packages(kind: str) -> Iterator[Effect]:
     """Yield the effects that installed packages offer for a kind; raises InputError if one cannot be loaded."""
+    return (effect for effect, _ in with_packages(kind))
+
+
+def with_packages(kind: str) -> Iterator[tuple[Effect, Package]]:
+    """Yield the effects of packages as `of_packages`, each with its package."""
     for name, point in _offered():
         try:
-            yield from point.load()(kind)  # type: ignore[attr-defined]
+            offered = point.load()
+            package = _package(point)
+            yield from ((effect, package) for effect in offered(kind))
         except Exception as error:
             text = f"the effects of the package entry '{name}' cannot be loaded: {error}"
             raise InputError([Fault(text, ENTRY_POINTS, hint="uninstall the package, or correct it")]) from error
+
+
+@cache
+def _package(point: EntryPoint) -> Package:
+    """Return the package of an entry point that is loaded."""
+    # a package that is installed to be edited keeps its version, hence the text of the module, too
+    place = getattr(sys.modules[point.module], "__file__", None)
+    version = f"{point.dist.name} {point.dist.version}" if point.dist is not None else point.value
+    file = Path(place) if place is not None and Path(place).is_file() else None
+    return Package(f"{version} {read_bytes(file).sha256 if file is not None else ''}", file)

@@ -87,7 +87,7 @@ def _difference(job: JobFile, label: Label, running: Collection[Path]) -> str:
     if not meaning.same_version(label.metrocli_version):
         return f"the result was made by metrocli {label.metrocli_version}; this is metrocli {__version__}"
     if label.meaning != meaning.of_job(job):
-        changed = _changed_settings(job) or ["the job file changed"]
+        changed = _changed_settings(job) or [_unseen(job)]
     else:
         known = [one for one in label.inputs if absolute(job.folder / one.path) not in running]
         found = [one for one in input_files(job) if absolute(job.folder / one.path) not in running]
@@ -99,6 +99,12 @@ def _changed_settings(job: JobFile) -> list[str]:
     _, record = hdf5.read_record(job.output)
     before = yaml_text.parse(record.job_text, "the job of the result", job.folder)
     return meaning.changed_settings(before, yaml_text.parse(job.text, str(job.file), job.folder))
+
+
+def _unseen(job: JobFile) -> str:
+    """Return what changed where the text of a job states all values as before."""
+    names = [one.state.split()[0] for one in job.packages]
+    return f"the package {names[0]}, whose effects the job uses, changed" if names else "the job file changed"
 
 
 def refuse_lost(steps: Sequence[Step]) -> None:

@@ -45,6 +45,25 @@ def ellipses(picture: Picture, polarity: str) -> list[Ellipse]:
     return _distinct(found)
 
 
+def clearest(picture: Picture, found: list[Ellipse], most: int) -> list[Ellipse]:
+    """Return at most so many of the ellipses, in their order: those with the largest product of contrast and size.
+
+    Contrast is that of the centre pixel against eight pixels around the ellipse.
+    """
+    if len(found) <= most:
+        return found
+    height, width = picture.shape
+    angle = np.arange(8) * (np.pi / 4)
+    u, v, long, short = np.array([(one.u, one.v, one.long, one.short) for one in found]).T
+    away = 1.5 * long[:, None] + 1
+    around_u = np.clip(np.rint(u[:, None] + away * np.cos(angle)), 0, width - 1).astype(int)
+    around_v = np.clip(np.rint(v[:, None] + away * np.sin(angle)), 0, height - 1).astype(int)
+    inner = picture[np.rint(v).astype(int), np.rint(u).astype(int)].astype(float)
+    contrast = np.abs(inner - picture[around_v, around_u].mean(axis=1))
+    kept = np.sort(np.argsort(-contrast * short, kind="stable")[:most])
+    return [found[row] for row in kept]
+
+
 def _masks(grey: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.uint8]]:
     """Return masks of the bright pixels: brighter than Otsu's threshold, than wide and than narrow surroundings."""
     spread = int(np.percentile(grey[::4, ::4], 99.9)) - int(grey.min())

@@ -169,6 +169,13 @@ def test_very_many_faults_are_counted(tmp_path: Path) -> None:
     assert "and 80 more faults from here on" in told
 
 
+def test_a_header_of_very_many_columns_is_refused_at_once(tmp_path: Path) -> None:
+    wide = ",".join(f"c{n}_mm" for n in range(csv_text.MOST_COLUMNS + 1))
+    text = faults(tmp_path, f"# a comment\n{wide}\n{wide}\n")
+    assert text.startswith("obs.csv:2: error: the header has 5001 columns, more than 5000")
+    assert len(text) < 400, "the header itself is not shown"
+
+
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         csv.read(tmp_path / "none.csv", COLUMNS)

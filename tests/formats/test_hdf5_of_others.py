@@ -61,6 +61,19 @@ def test_an_edited_file_is_refused(tmp_path: Path) -> None:
         hdf5.read(path)
 
 
+def test_a_missing_object_is_a_fault_of_the_file(tmp_path: Path) -> None:
+    result, _ = hdf5.read(written(tmp_path))
+    asked: list[tuple[str, Callable[[], object]]] = [
+        ("table tables/EYZ", lambda: result.tables["tables/EYZ"]),
+        ("array owed", lambda: result.arrays["owed"]),
+        ("column residuals/sigma", lambda: result.tables["residuals"].numbers("sigma")),
+    ]
+    for name, ask in asked:
+        with pytest.raises(InputError, match=rf"r\.h5: error: the result file has no {name}"):
+            ask()
+    assert result.tables["residuals"].numbers("sigma", 1.0).tolist() == [1.0, 1.0]
+
+
 def test_a_pipe_and_a_device_are_refused_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.h5")
     for path in (tmp_path / "pipe.h5", Path("/dev/zero")):

@@ -6,11 +6,13 @@ import json
 import os
 import time
 from collections.abc import Callable
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from metrocli.project import own_effects
 from metrocli.project.job import load
 from metrocli.project.running.cluster import carry_out, pack
 from metrocli.project.running.memo import remember, unmoved_jobs
@@ -55,6 +57,33 @@ def test_a_run_with_nothing_to_do_looks_at_the_file(shop: Path, metrocli: Metroc
     lab.write_text(lab.read_text().replace("adds: pull*azimuth", "adds: 3*pull*azimuth"))
     assert unmoved_jobs(str(shop / "metrocli.yaml")) is None
     assert metrocli("run").code == 0 and result.read_bytes() != before
+
+
+def test_another_state_of_a_package_whose_effect_is_used_runs_the_job(
+    job: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = Path("lab_package.py")
+    module.write_text(
+        "from metrocli.effects.effect import Effect, Parameter\n"
+        "def offer(kind):\n    return [Effect('bow', 'the line is bent', (Parameter('size', 'length'),))]\n"
+    )
+    monkeypatch.syspath_prepend(str(module.parent.absolute()))
+    point = EntryPoint("lab", "lab_package:offer", own_effects.ENTRY_POINTS)
+    monkeypatch.setattr(own_effects, "_offered", lambda: (("lab", point),))
+    job.write_text(job.read_text() + "effects: [{name: bow, size: 5 um}]\n")
+    Path("other.yaml").write_text("metrocli: 1\njob: straight-line\ninputs: {readings: readings.csv}\nnoise: 1 mm\n")
+    Path("metrocli.yaml").write_text("jobs: [line.yaml, other.yaml]\n")
+    assert metrocli("run").code == 0
+    remember(Path("metrocli.yaml").absolute(), load_project(Path()), time.time_ns() + 10**10)
+    assert unmoved_jobs("metrocli.yaml") is not None
+    module.write_text(module.read_text() + "# a better formula\n")
+    own_effects._package.cache_clear()
+    assert unmoved_jobs("metrocli.yaml") is None, "a run with nothing to do looks at the package"
+    found = json.loads(metrocli("status", "--json").out)["jobs"]
+    assert [one["up_to_date"] for one in found] == [False, True], "a job that uses no effect of it stays"
+    assert "lab_package" in found[0]["reason"]
+    assert metrocli("run").out.count(": ran") == 1
+    assert metrocli("run").out.count(": ran") == 0
 
 
 def test_make_knows_the_file(shop: Path, metrocli: Metrocli) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -17,7 +18,9 @@ import pytest
 from metrocli.errors import InputError
 from metrocli.formats import hdf5
 from metrocli.project.running import memo
+from metrocli.project.running.crew import processes
 from metrocli.project.running.lock import locked
+from metrocli.project.steps import load_project
 
 JOB = """\
 metrocli: 1
@@ -137,7 +140,9 @@ def test_results_keep_their_time_when_nothing_changed(project: Path, metrocli: C
 HOLD = """
 import sys, time
 from pathlib import Path
+from metrocli.project.running.crew import processes
 from metrocli.project.running.lock import locked
+from metrocli.project.steps import load_project
 with locked(Path("metrocli.yaml"), False):
     print("held", flush=True)
     time.sleep(60)
@@ -233,6 +238,58 @@ def test_an_output_that_is_a_broken_link_is_refused_in_words(project: Path, metr
     Path("results/a.h5").symlink_to("../nowhere/victim.h5")
     ran_ = metrocli("run", "--only", "jobs/a.yaml")
     assert (ran_.code, "a link to a file that does not exist" in ran_.err) == (3, True), ran_.err
+
+
+def test_a_process_that_dies_costs_only_that_its_jobs_are_computed_again(project: Path) -> None:
+    with processes(2) as crew:
+        for step in load_project(project):
+            if not step.needs:
+                crew.begin(step.name, step.job, False)
+        next(iter(crew._pool._processes.values())).kill()
+        found: dict[str, Any] = {}
+        while len(found) < 2:
+            found |= dict(crew.finished())
+    assert {name: one.exit_code for name, one in found.items()} == {"jobs/a.yaml": 0, "jobs/c.yaml": 0}, found
+
+
+def test_a_job_that_ends_its_process_fails_alone(
+    project: Path, metrocli: Callable[..., Any], straight_line: str
+) -> None:
+    Path("points.csv").write_text("point,x_mm,y_um\na,0,1000\nb,1000,2000\nc,2000,3100\n")
+    ends = f"job: {straight_line}\ninputs: {{readings: ../points.csv}}\nnoise: 1 um\nlabels: {{fail: exit}}\n"
+    Path("jobs/b.yaml").write_text(f"metrocli: 1\n{ends}")
+    ran_ = metrocli("run", "--jobs", 2, "--json")
+    actions = {Path(one["job"]).stem: one["action"] for one in json.loads(ran_.out)["jobs"]}
+    assert (ran_.code, actions) == (1, {"a": "ran", "b": "failed", "c": "ran", "d": "ran"})
+    assert "its process was ended" in ran_.err and "Traceback" not in ran_.err
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="processes are listed in /proc")
+def test_no_process_outlives_a_run_that_is_killed_alone(project: Path) -> None:
+    for name in ("a", "c"):
+        text = JOB.format(name=name, value=10).replace("1000", "200000000")
+        Path(f"jobs/{name}.yaml").write_text(text)
+    command = [sys.executable, "-m", "metrocli", "run", "--jobs", "2"]
+    run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    while not list(Path().glob("results/*.chunks/*.npz")):
+        assert run.poll() is None
+        time.sleep(0.05)
+    run.kill()
+    run.wait()
+    end = time.monotonic() + 20
+    while (left := _at_work(run.pid)) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not left
+
+
+def _at_work(group: int) -> list[str]:
+    """Return the processes of a group that have not ended."""
+    found = []
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, of_process = file.read_text().rpartition(")")[2].split()[:3]
+            found += [file.parent.name] if int(of_process) == group and state != "Z" else []
+    return found
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

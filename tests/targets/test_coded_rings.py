@@ -8,8 +8,10 @@ import pytest
 from places import SHARED
 from targets.camera_for_tests import Camera, about_z, tilted
 
+from metrocli.targets import blobs, ellipses
 from metrocli.targets.codes import BITS, arcs, canonical, codes
 from metrocli.targets.drawings import Chessboard, CodedRing, Dot
+from metrocli.targets.ellipses import fit
 from metrocli.targets.find import find
 from metrocli.targets.pattern import Pattern
 from metrocli.targets.render import RETRO_REFLECTIVE, Look, Placed, render
@@ -128,6 +130,21 @@ def test_no_code_in_noise_or_chessboards_or_dots() -> None:
 def test_no_code_in_real_images() -> None:
     for path in sorted(DATA.glob("*/*.jpg"))[::3]:
         assert len(find(RINGS, cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))) == 0, path
+
+
+def test_a_dot_among_thousands_of_specks_is_found_and_few_of_them_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+    sheet = np.full((600, 800), 100.0)
+    sheet[rng.integers(0, 600, 4000), rng.integers(0, 800, 4000)] += 250
+    u, v = np.meshgrid(np.arange(800), np.arange(600))
+    sheet = np.where(np.hypot(u - 300.25, v - 400.5) < 16, 100.0, sheet)
+    sheet += 60 * np.clip(10.5 - np.hypot(u - 300.25, v - 400.5), 0, 1)
+    picture = cv2.GaussianBlur(sheet, (0, 0), 1.0).round().astype(np.uint8)
+    fitted = []
+    monkeypatch.setattr(ellipses, "fit", lambda *what: fitted.append(what) or fit(*what))
+    found = find(Pattern("dot", polarity="bright"), picture)
+    assert len(blobs.ellipses(picture, "bright")) > 5 * len(fitted)
+    assert found.uv[0] == pytest.approx([300.25, 400.5], abs=0.05)
 
 
 def test_dots_that_cannot_be_told_apart() -> None:

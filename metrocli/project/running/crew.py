@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import traceback
 from collections.abc import Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from pathlib import Path
 from typing import Any, Protocol
 
 from metrocli import tasks
@@ -73,48 +76,108 @@ class Alone:
         self._done.clear()
 
 
-class Processes:
-    """Processes with one thread each; a job is loaded again where it is computed."""
+@dataclass(frozen=True)
+class _Begun:
+    """A job that is in work in another process."""
 
-    def __init__(self, pool: ProcessPoolExecutor, places: int) -> None:
+    name: str
+    call: tuple[Path, Wishes, bool]
+    """Arguments of `_loaded_and_attempted`"""
+
+
+class Processes:
+    """Processes with one thread each; a job is loaded again where it is computed.
+
+    If a process dies, all others end with it. What they had in work is then computed again, one job after the other, so
+    that a job whose process dies again is known.
+    """
+
+    def __init__(self, places: int) -> None:
         self.places = places
-        self._pool = pool
-        self._running: dict[Future[Outcome], str] = {}
+        self._pool = _new_pool(places)
+        self._running: dict[Future[Outcome], _Begun] = {}
 
     def begin(self, name: str, job: JobFile, strict: bool) -> None:
-        submitted = self._pool.submit(_loaded_and_attempted, job.file, job.wishes.elsewhere(), strict)
-        self._running[submitted] = name
+        begun = _Begun(name, (job.file, job.wishes.elsewhere(), strict))
+        try:
+            submitted = self._pool.submit(_loaded_and_attempted, *begun.call)
+        except BrokenProcessPool as error:  # a process died since the last look
+            submitted = Future()
+            submitted.set_exception(error)
+        self._running[submitted] = begun
 
     def finished(self) -> Iterator[tuple[str, Outcome]]:
-        for one in wait(self._running, return_when=FIRST_COMPLETED).done:
-            name = self._running.pop(one)
-            try:
-                yield name, one.result()
-            except Exception as error:
-                yield name, Outcome(exit_code=MetrocliError.exit_code, error=f"error: its process ended: {error}")
+        done = wait(self._running, return_when=FIRST_COMPLETED).done
+        if any(isinstance(one.exception(), BrokenProcessPool) for one in done):
+            done = wait(self._running).done
+        lost = []
+        for one in done:
+            begun = self._running.pop(one)
+            if isinstance(one.exception(), BrokenProcessPool):
+                lost.append(begun)
+            else:
+                yield begun.name, _outcome(one)
+        if lost:
+            self.end()
+            for begun in lost:
+                self._pool = _new_pool(1)
+                yield begun.name, _outcome(self._pool.submit(_loaded_and_attempted, *begun.call))
+                self.end()
+            self._pool = _new_pool(self.places)
+
+    def kill(self) -> None:
+        """End all processes at once, whatever they do."""
+        for process in list((self._pool._processes or {}).values()):
+            process.kill()
+
+    def end(self) -> None:
+        """Wait for the processes to end, which begin nothing more."""
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _outcome(future: Future[Outcome]) -> Outcome:
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        text = "error: its process was ended twice, by the system (too little memory?) or by a defect"
+        return Outcome(exit_code=MetrocliError.exit_code, error=text)
+    except Exception as error:
+        return Outcome(exit_code=MetrocliError.exit_code, error=f"error: its process ended: {error}")
 
 
 @contextmanager
 def processes(count: int) -> Iterator[Processes]:
     """Yield a crew of processes; they end when the block ends, however it does."""
-    pool = ProcessPoolExecutor(count, get_context("spawn"), _prepare, (dict(tasks.KINDS),))
-    crew = Processes(pool, count)
+    crew = Processes(count)
     try:
         yield crew
     except BaseException:
-        for process in list((pool._processes or {}).values()):
-            process.kill()
+        crew.kill()
         raise
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        crew.end()
+
+
+def _new_pool(count: int) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(count, get_context("spawn"), _prepare, (dict(tasks.KINDS),))
 
 
 def _prepare(kinds: Mapping[str, Any]) -> None:
     """Prepare a process: the kinds of job of the one that started it, and no answer to Ctrl-C of its own."""
     import signal
+    from threading import Thread
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_parent, daemon=True).start()
     tasks.KINDS.update(kinds)
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that started it has ended; a killed one cannot end its processes itself."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(MetrocliError.exit_code)
 
 
 def _loaded_and_attempted(file: Any, wishes: Wishes, strict: bool) -> Outcome:

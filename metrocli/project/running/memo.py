@@ -111,6 +111,7 @@ def _looked_at(project_file: Path, steps: Iterable[Step]) -> Iterable[Path]:
             yield step.job.wishes.part.file
         yield step.job.output
         yield from step.job.own.files
+        yield from (one.file for one in step.job.packages if one.file is not None)
         if step.job.own.project is not None:
             yield step.job.own.project
         for item in step.job.inputs:

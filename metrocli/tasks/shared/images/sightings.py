@@ -142,14 +142,32 @@ def _eccentric(settings: ImageSettings, sighted: Sighted, measured: bool) -> boo
     return known and (settings.eccentricity == "correct" or automatic)
 
 
-@lru_cache(maxsize=1)
 def sight(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]:
     """Find the targets of a pattern in images; return them as a table of observations, with warnings.
 
-    A single dot has another place in each image, so it is named after the image (file name without its ending). The
-    last table is kept: other readings of the tables beside the images are tried on the same images many times.
-    Raises InputError if no image shows a target.
+    A single dot has another place in each image, so it is named after the image (file name without its ending). Raises
+    InputError if no image shows a target, or one cannot be read.
     """
+    found = _sought(images, pattern)
+    if isinstance(found, InputError):
+        raise InputError(found.faults)
+    return found
+
+
+@lru_cache(maxsize=1)
+def _sought(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]] | InputError:
+    """Return what `sight` returns or raises.
+
+    The last one is kept, whatever it is: other readings of the tables beside the images are tried on the same images
+    many times.
+    """
+    try:
+        return _in_all(images, pattern)
+    except InputError as error:
+        return error
+
+
+def _in_all(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]:
     names: list[str] = []
     targets: list[str] = []
     parts: list[Array] = []

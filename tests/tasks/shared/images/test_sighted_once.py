@@ -36,3 +36,17 @@ def test_the_same_images_are_searched_once_and_changed_ones_again(tmp_path: Path
     path.unlink()
     with pytest.raises(InputError):
         sight(images, DOT)
+
+
+def test_images_that_cannot_be_read_are_searched_once(tmp_path: Path) -> None:
+    whole, damaged = dot(tmp_path / "a.png", 30, 25), dot(tmp_path / "b.png", 31, 25)
+    data = bytearray(damaged.read_bytes())
+    at = data.index(b"IDAT") + 4
+    data[at : at + 8] = bytes(8)
+    damaged.write_bytes(data)
+    images = read_images([whole, damaged])
+    with pytest.raises(InputError, match=r"b\.png: error: the image cannot be decoded"):
+        sight(images, DOT)
+    whole.unlink()
+    with pytest.raises(InputError, match=r"b\.png: error: the image cannot be decoded"):
+        sight(images, DOT)
