@@ -197,28 +197,31 @@ class _Scored:
         bends = np.zeros(len(logs))
         if len(logs) == 1:
             return np.exp(logs), 0.0
-        number = np.repeat(np.arange(len(logs)), knots)
+        inverse = np.linalg.inv(self.gram + np.exp(-common) * np.eye(len(self.gram)))
         for copy in list(range(len(logs))) * _SWEEPS:
-            own, others = number == copy, number != copy
-            held = self.gram[np.ix_(others, others)] + np.diag(np.exp(-logs[number[others]]))
-            both = np.column_stack([self.gram[np.ix_(others, own)], self.along[others]])
-            inner = both.T @ np.linalg.solve(held, both)
-            rest = replace(self.base, squares=self.base.squares - float(inner[-1, -1]))
-            left = self.gram[np.ix_(own, own)] - inner[:-1, :-1]
-            beside = RestrictedLikelihood.of(rest, left, self.along[own] - inner[:-1, -1])
-            logs[copy], bends[copy] = beside.best_near(float(np.delete(logs, copy).mean()), _APART)
+            # the Gram matrix beside the others is the inverse of the copy's block of (G + 1/g)^-1, less its own 1/g
+            own = slice(copy * knots, (copy + 1) * knots)
+            block, sizes = inverse[own, own], inverse @ self.along
+            beside = np.linalg.inv(block)
+            right = beside @ sizes[own]
+            explained = float(self.along @ sizes - sizes[own] @ right)
+            rest = replace(self.base, squares=self.base.squares - explained)
+            left = RestrictedLikelihood.of(rest, beside - np.exp(-logs[copy]) * np.eye(knots), right)
+            before = logs[copy]
+            logs[copy], bends[copy] = left.best_near(float(np.delete(logs, copy).mean()), _APART)
+            grown = float(np.exp(-logs[copy]) - np.exp(-before))
+            gain = np.linalg.solve(np.eye(knots) + grown * block, grown * inverse[own])
+            inverse = inverse - inverse[:, own] @ gain
         return np.exp(logs), float(np.log1p(_APART**2 * np.maximum(bends, 0.0)).sum()) / 2
 
     def gain(self, ratios: Array) -> float:
         """Return by how much ratios of each unit raise the log-likelihood, with that of their differences."""
         size = np.sqrt(np.repeat(ratios, len(self.root)))
-        values, vectors = np.linalg.eigh(self.gram * size[:, None] * size)
-        values = np.maximum(values, 0.0)
-        along = (vectors.T @ (self.along * size)) ** 2
-        squares = self.base.squares - float((along / (1 + values)).sum())
-        apart = ((np.log(ratios) - np.log(ratios).mean()) ** 2).sum() / (2 * _APART**2)
-        grown = self.base.dof * np.log(self.base.squares / squares) - np.log1p(values).sum()
-        return float(grown / 2 - apart)
+        lower = np.linalg.cholesky(self.gram * size[:, None] * size + np.eye(len(size)))
+        along = np.linalg.solve(lower, self.along * size)
+        squares = self.base.squares - float(along @ along)
+        grown = self.base.dof * np.log(self.base.squares / squares) / 2 - np.log(np.diag(lower)).sum()
+        return float(grown - ((np.log(ratios) - np.log(ratios).mean()) ** 2).sum() / (2 * _APART**2))
 
 
 @dataclass(frozen=True)
