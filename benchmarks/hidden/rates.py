@@ -107,7 +107,10 @@ def _named(one: Found) -> bool:
 
 
 def _detected(one: Found) -> bool:
-    return one.diagnosis.verdict != "clean"
+    """Whether the verdict is not `clean`, or what is hidden stands beside a wrong reading as an explanation of it."""
+    hidden = {(each.name, *each.where.values()) for each in one.case.hidden}
+    beside = {(other.effect.name, *other.instance) for wrong in one.diagnosis.outliers for other in wrong.effects}
+    return one.diagnosis.verdict != "clean" or bool(hidden & beside)
 
 
 def each_in_sets(one: Found) -> bool:

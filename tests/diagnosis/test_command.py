@@ -276,7 +276,7 @@ def test_a_report_says_how_far_the_shape_of_an_effect_was_checked() -> None:
     assert 0.8 / 30 < found.findings[0].other_shape_from < 2.5 / 30
     for share, words in (
         (0.034, "would show if its signature differed by more than 3.4 %"),
-        (1.2, "too small for its shape"),
+        (1.2, "the effect is too small for its shape"),
     ):
         told = replace(found, findings=(replace(found.findings[0], other_shape_from=share),))
         assert words in " ".join(diagnosis_report.of_diagnosis(told, None).split())
