@@ -100,8 +100,7 @@ def _shown(sample: str, place: Path, shown: set[str], files: Files, config: MkDo
 
 def _diagnose(place: Path, kind: str, name: str) -> None:
     """Diagnose a job of a sample and run the extended job, for the figures that need both."""
-    found = _metrocli("diagnose", place / "jobs" / f"{name}.yaml", "--json")
-    (place / "results" / f"{name}.diagnosis.json").write_text(found, encoding="utf-8")
+    _metrocli("diagnose", place / "jobs" / f"{name}.yaml", "--quiet")
     _metrocli(kind, place / "jobs" / f"{name}.extended.yaml", "--quiet")
 
 

@@ -30,11 +30,12 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
     from metrocli.cli.summary import as_json as json_text
     from metrocli.errors import Fault, InputError, UsageError
     from metrocli.formats.hdf5 import refuse_foreign
+    from metrocli.project import PROJECT_FILE
     from metrocli.project.job import Wishes, load_parts
     from metrocli.project.runner import verify
-    from metrocli.project.steps import FILE, load_project
+    from metrocli.project.steps import load_project
 
-    if place.is_dir() or place.name == FILE:
+    if place.is_dir() or place.name == PROJECT_FILE:
         if overrides:
             raise UsageError("--set changes one job, and this is a project: name the job file instead")
         jobs: list[JobFile] = [step.job for step in load_project(place, accept_doubtful)]
@@ -50,7 +51,7 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
     if faults:
         raise InputError(faults)
     root = place if place.is_dir() else place.parent
-    outside = {job.file: _outside(job, root) for job in jobs} if (root / FILE).is_file() else {}
+    outside = {job.file: _outside(job, root) for job in jobs} if (root / PROJECT_FILE).is_file() else {}
     if as_json:
         rows = [{"job": str(job.file), "outside": outside.get(job.file, [])} for job in jobs]
         echo(json_text({"status": "no faults", "jobs": rows}))

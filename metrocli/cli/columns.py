@@ -11,8 +11,10 @@ from metrocli import units
 from metrocli.table import Table
 
 MOST_ROWS = 40
-_UNIT = "unit"
+UNIT = "unit"
 """Column that holds the unit of each row"""
+_ALONE = "uncertainty"
+"""Column of uncertainties that belong to no other column"""
 _EXACT = 1e-3
 """A standard uncertainty below this share of their median, such as that of a given point, sets no digits"""
 
@@ -31,7 +33,7 @@ def columns_text(rows: Sequence[Sequence[str]]) -> str:
     """Return rows of text in aligned columns, numbers to the right."""
     count = max(len(row) for row in rows)
     filled = [[*row, *[""] * (count - len(row))] for row in rows]
-    columns = [_aligned([row[k] for row in filled]) for k in range(count)]
+    columns = [_aligned([row[k] for row in filled], name=k == 0) for k in range(count)]
     return "\n".join("  ".join(cells).rstrip() for cells in zip(*columns, strict=True))
 
 
@@ -41,23 +43,29 @@ def worst_rows(rows: Sequence[Sequence[str]], most: int = 12) -> list[str]:
     return [*lines, f"... {more} more, with smaller E_n (--json has all)"] if more > 0 else lines
 
 
-def _aligned(cells: Sequence[str]) -> list[str]:
+def _aligned(cells: Sequence[str], name: bool) -> list[str]:
+    """Return cells of equal width: numbers, also with units, to the right; names such as "1.x" to the left."""
     width = max(len(cell) for cell in cells)
-    numeric = any(cell[:1] in "-+0123456789" for cell in cells[1:] or cells if cell)
+    begins = any(cell[:1] in "-+0123456789" for cell in cells[1:] or cells if cell)
+    numeric = begins and not (name and any(cell.strip("-+.0123456789e") for cell in cells[1:]))
     return [cell.rjust(width) if numeric else cell.ljust(width) for cell in cells]
+
+
+def in_unit_of_row(table: Table) -> list[str]:
+    """Return the columns whose numbers have the unit of their row."""
+    return [name for name, values in table.columns.items() if values.dtype.kind == "f" and name not in table.units]
 
 
 def _by_unit(table: Table) -> Iterator[Table]:
     """Yield the rows of each unit as a table of its own, whose numbers have that unit."""
-    if _UNIT not in table or not len(table):
+    if UNIT not in table or not len(table):
         yield table
         return
-    each = table.texts(_UNIT)
+    each = table.texts(UNIT)
     for unit in dict.fromkeys(each):
         rows = [row for row, one in enumerate(each) if one == unit]
-        columns = {name: values[rows] for name, values in table.columns.items() if name != _UNIT}
-        plain = [name for name, values in columns.items() if values.dtype.kind == "f" and name not in table.units]
-        yield Table(columns, {**table.units, **dict.fromkeys(plain, unit)})
+        columns = {name: values[rows] for name, values in table.columns.items() if name != UNIT}
+        yield Table(columns, {**table.units, **dict.fromkeys(in_unit_of_row(table), unit)})
 
 
 def _text(table: Table) -> str:
@@ -68,7 +76,7 @@ def _text(table: Table) -> str:
 def _column(table: Table, name: str) -> tuple[str, list[str]]:
     """Return the head of a column, with its unit, and its cells."""
     unit, values = table.units.get(name, ""), table.columns[name].tolist()
-    stds = set(filter(None, (_std_of(table, one) for one in table)))
+    stds = {*filter(None, (_std_of(table, one) for one in table)), *({_ALONE} & set(table))}
     if name in stds:
         # all uncertainties of one kind in one unit: sx, sy, sz
         alike = [one for one in stds if table.units.get(one, "") == unit]
@@ -85,8 +93,8 @@ def _column(table: Table, name: str) -> tuple[str, list[str]]:
 
 
 def _std_of(table: Table, name: str) -> str | None:
-    """Return the column with the standard uncertainties of a column `x`: `sx`, `s_x` or `x_std`."""
-    return next((one for one in (f"s{name}", f"s_{name}", f"{name}_std") if one in table), None)
+    """Return the column with the uncertainties of a column `x`: `sx`, `s_x`, `x_std`, or `U_x` with k = 2."""
+    return next((one for one in (f"s{name}", f"s_{name}", f"{name}_std", f"U_{name}") if one in table), None)
 
 
 def _least(stds: Sequence[float]) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -12,11 +13,25 @@ import click
 
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 """Characters by which a text could take over a terminal: all control characters but the tab and the end of a line"""
+_FIRST_S, _EVERY_S = 2.0, 0.5
+"""Time before a line of progress appears, and between two of them [s]"""
 
 
-def echo(text: str, err: bool = False, nl: bool = True) -> None:
-    """Print a text to stdout or stderr; control characters, which files of others may contain, are replaced."""
-    click.echo(printable(text), err=err, nl=nl)
+def echo(text: str, err: bool = False, nl: bool = True, as_is: bool = False) -> None:
+    """Print a text to stdout or stderr; control characters, which files of others may contain, are replaced.
+
+    On a terminal its lines fit the width, unless it is JSON or is to be printed `as_is`, and its deciding words have
+    colours, unless NO_COLOR is set.
+    """
+    text = printable(text)
+    stream = sys.stderr if err else sys.stdout
+    if stream is not None and not stream.closed and stream.isatty() and not as_is and not text.startswith(("{", "[")):
+        from metrocli.cli.shell.fitted import coloured, fitted, terminal_size
+
+        text = fitted(text, terminal_size(stream.fileno())[0])
+        if not os.environ.get("NO_COLOR") and os.environ.get("TERM", "dumb") != "dumb":
+            text = coloured(text)
+    click.echo(text, err=err, nl=nl)
 
 
 def printable(text: str) -> str:
@@ -25,14 +40,17 @@ def printable(text: str) -> str:
 
 
 def progress_text(done: int, of: int | None, elapsed: float) -> str:
-    """Return how many parts are done and, where their number is known, how long the others take at that rate [s]."""
+    """Return how many parts are done and, where their number is known, how long the others take at that rate [s].
+
+    Without parts, or after the last, return the time since the begin.
+    """
     if not of:
-        return f"{done} parts"
+        return f"{done} parts" if done else f"{elapsed:.0f} s"
     if not done:
         return f"0 of {of} parts"
-    left = elapsed * (of - done) / done
-    # spaces at the end clear what a longer line left
-    return f"{done} of {of} parts, about {left:.0f} s left   "
+    if done >= of:
+        return f"{done} of {of} parts, {elapsed:.0f} s"
+    return f"{done} of {of} parts, about {elapsed * (of - done) / done:.0f} s left"
 
 
 @dataclass(frozen=True)
@@ -64,23 +82,37 @@ class Console:
 
     @contextmanager
     def part_counter(self) -> Iterator[Callable[[int, int | None], None]]:
-        """Yield a function that shows on a terminal how many parts of a long computation are done.
+        """Yield a function that takes how many parts of a long computation are done.
 
-        Nothing is shown in the first two seconds.
+        A line on the terminal shows them, or the time while there are none, from the third second to the end.
         """
+        import threading
         import time
 
-        begun, shown = time.monotonic(), False
-        watched = not self.quiet and sys.stderr.isatty()
+        begun, length = time.monotonic(), 0
+        told: tuple[int, int | None] = (0, None)
+        over = threading.Event()
 
-        def show(done: int, of: int | None) -> None:
-            nonlocal shown
-            if watched and time.monotonic() - begun > 2:
-                click.echo(f"\r{progress_text(done, of, time.monotonic() - begun)}", err=True, nl=False)
-                shown = True
+        def tell(done: int, of: int | None) -> None:
+            nonlocal told
+            told = (done, of)
 
+        def draw() -> None:
+            nonlocal length
+            pause = _FIRST_S
+            while not over.wait(pause):
+                text = progress_text(*told, time.monotonic() - begun)
+                click.echo(f"\r{text:{length}}", err=True, nl=False)
+                length, pause = len(text), _EVERY_S
+
+        if self.quiet or not sys.stderr.isatty():
+            yield tell
+            return
+        thread = threading.Thread(target=draw, daemon=True)
+        thread.start()
         try:
-            yield show
+            yield tell
         finally:
-            if shown:
-                click.echo(err=True)
+            over.set()
+            thread.join()
+            click.echo(f"\r{'':{length}}\r" if length else "", err=True, nl=False)

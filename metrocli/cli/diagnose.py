@@ -12,6 +12,7 @@ from metrocli.cli import options
 from metrocli.cli.console import Console, echo
 
 if TYPE_CHECKING:
+    from metrocli.diagnosis.findings import Diagnosis
     from metrocli.project.job import JobFile
 
 CLEAN = "clean"
@@ -52,7 +53,6 @@ def command(
     from metrocli.diagnosis.next_readings.choice import as_data, next_readings
     from metrocli.errors import InputError, UsageError
     from metrocli.project import diagnosed
-    from metrocli.project.inputs import input_files
     from metrocli.project.job import Wishes, kind_of_job, load
     from metrocli.record import NOT_MET
     from metrocli.tasks import KINDS
@@ -87,20 +87,45 @@ def command(
             raise
         echo(f"warning: no extended job was written: {error}", err=True)
     proposed = None if following is None else next_readings(diagnosis, following)
+    data = _data(loaded, diagnosis, extended)
     if as_json:
-        of = diagnosed.identity(loaded.text, input_files(loaded))
-        more = {"extended_job": extended and str(extended), "of": of}
-        echo(summary.as_json(verdict.as_data(diagnosis) | more | (as_data(proposed) if proposed else {})))
+        echo(summary.as_json(data | (as_data(proposed) if proposed else {})))
     console.print(findings.of_diagnosis(diagnosis, extended))
     if proposed is not None:
         console.print("\n".join(["", *next_lines(proposed)]))
+    if not as_json:
+        _keep(loaded, data, force, console)
     return NOT_MET if wanted["require"] not in (None, diagnosis.verdict) else 0
+
+
+def _data(job: JobFile, diagnosis: Diagnosis, extended: Path | None) -> dict[str, Any]:
+    from metrocli.diagnosis import verdict
+    from metrocli.project import diagnosed
+    from metrocli.project.inputs import input_files
+
+    of = diagnosed.identity(job.text, input_files(job))
+    return verdict.as_data(diagnosis) | {"extended_job": extended and str(extended), "of": of}
+
+
+def _keep(job: JobFile, data: dict[str, Any], force: bool, console: Console) -> None:
+    """Write a diagnosis beside the result of its job, for figures and pages; what prevents it is a warning."""
+    from metrocli.cli import summary
+    from metrocli.errors import InputError
+    from metrocli.formats.own_files import write_all
+    from metrocli.project import DIAGNOSIS
+
+    try:
+        for path in write_all({job.output.with_suffix(DIAGNOSIS): f"{summary.as_json(data)}\n".encode()}, force):
+            console.print(f"\ndiagnosis: {path}, shown by metrocli report {job.output}")
+    except InputError as error:
+        echo(f"warning: the diagnosis was not kept: {error}", err=True)
 
 
 def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> int:
     """Print the steps of the loop until a job is clean."""
     from metrocli.cli import summary
     from metrocli.cli.diagnosis_report.loop import loop_data, of_loop
+    from metrocli.project.job import Wishes, load
     from metrocli.project.until_clean import until_clean
     from metrocli.record import NOT_MET
     from metrocli.uncertainty.workers import ordered_on
@@ -112,6 +137,12 @@ def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> i
     if as_json:
         echo(summary.as_json(loop_data(loop)))
     console.print(of_loop(loop))
+    if not as_json:
+        steps = [one.job for one in loop.extensions]
+        _keep(job, _data(job, loop.first, steps[0] if steps else None), force, console)
+        if steps:
+            last = load(steps[-1], Wishes(accept_doubtful=job.accept_doubtful))
+            _keep(last, _data(last, loop.last, None), force, console)
     return NOT_MET if wanted["require"] not in (None, loop.last.verdict) else 0
 
 

@@ -45,35 +45,46 @@ ROOMS = {
 MODULES = {"import": "imports"}
 """The module of a command whose name is a word of Python; the others have the name of their command"""
 
+_GEAR = "gear-m3d3"
 EXAMPLES = {
-    "init": "metrocli init gear --sample gear-m3d3",
-    "run": "metrocli run gear",
-    "status": "metrocli status gear",
-    "check": "metrocli check jobs/tip4.yaml",
-    "diagnose": "metrocli diagnose jobs/tip4.yaml",
-    "simulate": "metrocli simulate jobs/tip4.yaml --out simulated",
-    "plan": "metrocli plan jobs/tip4.yaml",
-    "effects": "metrocli effects multilaterate",
-    "gather": "metrocli gather PROJECT --out parts.csv",
-    "lineage": "metrocli lineage results/tip4.h5",
-    "diff": "metrocli diff results/tip3.h5 results/tip4.h5",
-    "rerun": "metrocli rerun results/tip4.h5",
-    "show": "metrocli show results/tip4.h5 --table points",
-    "compare": "metrocli compare results/tip3.h5 results/tip4.h5",
-    "verify": 'metrocli verify results/feed-2500.h5 data/check.csv --require "max_en < 1"',
-    "plot": "metrocli plot results/tip4.h5 residuals --save residuals.svg",
-    "report": "metrocli report results/tip4.h5",
-    "export": "metrocli export results/tip4.h5 --to csv",
-    "import": "metrocli import LT1.txt --from columns --map map.yaml --out data",
-    "schema": "metrocli schema multilaterate",
-    "completion": 'eval "$(metrocli completion bash)"',
+    "calibrate-camera": ("board-camera", "metrocli calibrate-camera jobs/calibrate.yaml"),
+    "align-part": ("spindle-camera", "metrocli align-part jobs/align.yaml"),
+    "multilaterate": (_GEAR, "metrocli multilaterate jobs/tip4.yaml"),
+    "locate-launch-unit": ("xm60-launch-unit", "metrocli locate-launch-unit jobs/errors.yaml"),
+    "selfcal-grid": ("ball-cube", "metrocli selfcal-grid jobs/views.yaml"),
+    "calibrate-machine": ("otf-tracker", "metrocli calibrate-machine jobs/feed-2500.yaml"),
+    "fit-part": ("raw-part", "metrocli fit-part jobs/fit.yaml"),
+    "report-uncertainty": ("gauge-block", "metrocli report-uncertainty jobs/gum.yaml"),
+    "init": ("", "metrocli init gear --sample gear-m3d3"),
+    "run": (_GEAR, "metrocli run"),
+    "status": (_GEAR, "metrocli status"),
+    "check": (_GEAR, "metrocli check jobs/tip4.yaml"),
+    "diagnose": (_GEAR, "metrocli diagnose jobs/tip4.yaml"),
+    "simulate": (_GEAR, "metrocli simulate jobs/tip4.yaml --out simulated"),
+    "plan": (_GEAR, "metrocli plan jobs/tip3.yaml --out plan"),
+    "effects": ("", "metrocli effects multilaterate"),
+    "gather": (_GEAR, "metrocli gather . --out parts.csv"),
+    "lineage": (_GEAR, "metrocli lineage results/tip4.h5"),
+    "diff": (_GEAR, "metrocli diff results/tip3.h5 results/tip4.h5"),
+    "rerun": (_GEAR, "metrocli rerun results/tip4.h5"),
+    "show": (_GEAR, "metrocli show results/tip4.h5 --table points"),
+    "compare": (_GEAR, "metrocli compare results/tip3.h5 results/tip4.h5"),
+    "verify": ("otf-tracker", 'metrocli verify results/feed-2500.h5 data/check.csv --require "inside >= 0.9"'),
+    "plot": (_GEAR, "metrocli plot results/tip4.h5 residuals --save residuals.svg"),
+    "report": (_GEAR, "metrocli report results/tip4.h5"),
+    "export": (_GEAR, "metrocli export results/tip4.h5 --to csv --out tables"),
+    "import": (_GEAR, "metrocli import data/tip5_export.txt --from columns --map data/tip5_map.yaml --out new"),
+    "schema": ("", "metrocli schema multilaterate"),
+    "completion": ("", 'eval "$(metrocli completion bash)"'),
 }
-"""An example of each command, which its help ends with"""
+"""An example of each command, which its help ends with, and the sample in which it can be typed; "" anywhere"""
 
 
 def example_of(command: str) -> str:
-    """Return the example at the end of the help of a command."""
-    return f"Example: {EXAMPLES.get(command, f'metrocli {command} jobs/NAME.yaml')}"
+    """Return the end of the help of a command: an example that works as it stands, on a line of its own."""
+    sample, typed = EXAMPLES.get(command, ("", f"metrocli {command} JOB.yaml"))
+    where = f", in a copy of the sample {sample} after metrocli run" if sample else ""
+    return f"\b\nExample{where}:\n  {typed}"
 
 
 def help_text() -> str:

@@ -8,11 +8,25 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import echo
+from metrocli.cli.shell.choices import offering
+from metrocli.project import PROJECT_FILE
+
+
+def samples_folder() -> Path:
+    """Return the folder of the samples: in the installed package, or beside the package in a source checkout."""
+    package = Path(__file__).parents[1]
+    installed = package / "sample_projects"
+    return installed if installed.is_dir() else package.parent / "sample_projects"
+
+
+def all_samples() -> dict[str, Path]:
+    """Return the folders of all samples by their names."""
+    return {path.name: path for path in sorted(samples_folder().iterdir()) if (path / PROJECT_FILE).is_file()}
 
 
 @click.command("init", help="Copy a sample project into DIR; without --sample, list the samples.")
 @click.argument("folder", required=False, type=click.Path(path_type=Path), metavar="DIR")
-@click.option("--sample", metavar="NAME", help="The sample to copy.")
+@click.option("--sample", metavar="NAME", help="The sample to copy.", shell_complete=offering(all_samples))
 @options.JSON
 def command(folder: Path | None, sample: str | None, as_json: bool) -> int:
     """Copy a sample, or list all samples."""
@@ -22,7 +36,7 @@ def command(folder: Path | None, sample: str | None, as_json: bool) -> int:
     from metrocli.errors import Fault, InputError, UsageError
     from metrocli.words import suggestion
 
-    samples = {path.name: path for path in sorted(samples_folder().iterdir()) if (path / "metrocli.yaml").is_file()}
+    samples = all_samples()
     if sample is None and as_json:
         echo(json_text({"samples": {name: _title(path) for name, path in samples.items()}}))
         return 0
@@ -46,13 +60,6 @@ def command(folder: Path | None, sample: str | None, as_json: bool) -> int:
         return 0
     echo(f"{folder}: sample {sample} copied. Next: metrocli run {folder}")
     return 0
-
-
-def samples_folder() -> Path:
-    """Return the folder of the samples: in the installed package, or beside the package in a source checkout."""
-    package = Path(__file__).parents[1]
-    installed = package / "sample_projects"
-    return installed if installed.is_dir() else package.parent / "sample_projects"
 
 
 def _title(path: Path) -> str:

@@ -28,6 +28,7 @@ ACCEPT = click.option(
 STRICT = click.option("--strict", is_flag=True, help="Every warning makes the result doubtful (exit code 6).")
 VERBOSE = click.option("--verbose", "-v", is_flag=True, help="Print to stderr what is being done.")
 
+UNITS = click.option("--units", type=click.Choice(["mm", "inch"]), default="mm", help="Unit of lengths; default mm.")
 WORKERS = click.option(
     "--workers", type=click.IntRange(0), metavar="N", default=0, help="Number of threads (default: all cores)."
 )

@@ -43,10 +43,11 @@ if TYPE_CHECKING:
 @options.VERBOSE
 def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: bool, **how: Any) -> int:
     """Run the jobs and print one line for each; return the worst of their exit codes."""
+    from metrocli.project import PROJECT_FILE
     from metrocli.project.running import memo
 
     console = Console(quiet or as_json, verbose)
-    place = project / "metrocli.yaml" if project.is_dir() else project
+    place = project / PROJECT_FILE if project.is_dir() else project
     plain = not any(how[option] for option in ("only", "start", "force", "depfile", "strict", "accept_doubtful"))
     begun = memo.now_ns()
     unmoved = memo.unmoved_jobs(str(place)) if plain else None

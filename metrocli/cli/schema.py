@@ -5,10 +5,11 @@ from __future__ import annotations
 import click
 
 from metrocli.cli.console import echo
+from metrocli.cli.shell.choices import kinds, offering
 
 
 @click.command("schema", help="Print the JSON schema (2020-12) of a job of one kind, or of any kind.")
-@click.argument("kind", required=False, metavar="[KIND]")
+@click.argument("kind", required=False, metavar="[KIND]", shell_complete=offering(kinds))
 def command(kind: str | None) -> int:
     """Print the schema of one kind, or one that accepts every kind."""
     from metrocli.cli.summary import as_json

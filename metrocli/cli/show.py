@@ -22,7 +22,7 @@ QUESTIONS = {question.name: question for kind in KINDS.values() for question in 
 @click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.h5")
 @click.option("--table", "name", metavar="NAME", help="Print one whole table as CSV.")
 @options.all_of(*map(options.asking, QUESTIONS.values()))
-@click.option("--units", type=click.Choice(["mm", "inch"]), default="mm", help="Unit of lengths; default mm.")
+@options.UNITS
 @options.JSON
 def command(result: Path, name: str | None, units: str, as_json: bool, **asked: tuple[str, ...] | None) -> int:
     """Print a result as its job did, or one of its tables, or the answer to a question of its kind."""
@@ -47,7 +47,7 @@ def command(result: Path, name: str | None, units: str, as_json: bool, **asked: 
         if name not in found.tables:
             raise UsageError(f"{result} has no table '{name}'; {suggestion(name, found.tables)}")
         table = found.tables[name]
-        echo(summary.json_of_table(table) if as_json else csv.to_text(table), nl=as_json)
+        echo(summary.json_of_table(table) if as_json else csv.to_text(table), nl=as_json, as_is=True)
         return 0
     question = next((one for one in QUESTIONS if asked[one] is not None), None)
     if question is not None:

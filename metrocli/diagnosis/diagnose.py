@@ -28,8 +28,10 @@ from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.search import Law, laws_in
 from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
 from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import noise_of
+from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.residual_structure import (
     REPEATS,
     RemainingStructure,
@@ -44,6 +46,8 @@ from metrocli.diagnosis.wrong_readings import wrong_readings
 
 Attended = Callable[[Callable[[], None]], AbstractContextManager[object]]
 """Takes what interrupts a search, and calls it if the user wants that within the context"""
+_PROCESS = 0.005
+"""Level below which a smooth process is reported as structure"""
 _LACK_OF_FIT = 0.005
 """Level of the lack-of-fit test of repeated readings below which structure is reported"""
 LIMIT = 120.0
@@ -73,17 +77,19 @@ def diagnose(
     say("looking for structure")
     searched = first = search_about_solution(job, say)
     job, searched, scatters = with_scatters(job, searched, say)
-    library = Library(searched.job, searched.selection.test_set.system)
-    if job.places:
-        searched = replace(searched, selection=without_imitations(library, searched.selection))
+    white = searched.beside_white_noise
+    library = Library(searched.job, white.test_set.system)
+    if job.places and not searched.processes:
+        searched = replace(searched, selection=without_imitations(library, white))
+        white = searched.selection
     names = confidence_sets(searched.selection)
     say("cross-validating: predicting parts of the readings from the others")
     gains = cross_validated(searched.job, searched.selection, names, ordered) if names else []
     kept = readings_kept(searched.selection)
     fit = extended_fit(job, names, kept) if names else None
     shifts = result_changes(job, names, fit, kept)
-    tests, fitted = score_tests_after(fit, searched.selection, searched.units, np.random.default_rng(SEED))
-    structure, level = remaining_structure(searched.selection, names, tests, fitted)
+    tests, fitted = score_tests_after(fit, white, searched.units, np.random.default_rng(SEED))
+    structure, level = remaining_structure(white, names, tests, fitted)
     repeats = pure_error(job, tests.system, fitted)
     if structure is None and repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
         structure = RemainingStructure(repeats.lack_of_fit, (REPEATS,))
@@ -91,11 +97,15 @@ def diagnose(
     if job.places:
         say("looking for a law in what no effect explains")
         with attended(job.budget.interrupt):
-            laws = laws_in(library, searched.selection, structure is not None, ordered)
+            laws = laws_in(library, white, structure is not None, ordered)
         structure = _structure_of(laws) if structure is None else structure
+    if structure is None:
+        structure = _structure_of_processes(searched.processes)
     # without an extended fit the law is about the same linearised system, and what it explains is no noise
     law = next((one for one in laws if one.chosen and fit is None), None)
     noise = noise_of(fitted if law is None else fitted.with_columns(law.columns))
+    # what a process adds to the noise is in the tests, so only the white part counts beside it
+    white_part = noise_of(searched.selection.fitted()) if searched.processes else noise
     say("computing what the measurement could not detect")
     return Diagnosis(
         job=job,
@@ -113,18 +123,31 @@ def diagnose(
             for name, gain, shift in zip(names, gains, shifts, strict=False)
         ),
         left=structure,
-        before=float(np.exp(log_level_of_strongest(first.tests, nothing_fitted(first.tests.system)))),
+        before=_strongest_before(first.beside_white_noise.test_set),
         after=level,
-        design=design(searched.job, searched.tests, searched.not_tested, noise.ratio),
+        design=design(searched.job, searched.tests, searched.not_tested, white_part.ratio),
         separate_by=_separate(job, names),
         adjusts=fit is not None or not names,
         together=gains[-1] if len(names) > 1 else None,
         repeats=repeats,
         scatters=scatters,
         laws=laws,
+        processes=searched.processes,
         limited=limit if job.budget.ended else None,
         interrupted=job.budget.interrupted,
     )
+
+
+def _strongest_before(tests: ScoreTests) -> float:
+    return float(np.exp(log_level_of_strongest(tests, nothing_fitted(tests.system))))
+
+
+def _structure_of_processes(processes: Sequence[Process]) -> RemainingStructure | None:
+    """Return the structure that smooth processes are, where smooth functions show none."""
+    strongest = min(processes, key=lambda one: one.log_level, default=None)
+    if strongest is None or strongest.log_level > np.log(_PROCESS):
+        return None
+    return RemainingStructure(float(np.exp(strongest.log_level)), (strongest.covariate,), (), strongest.std)
 
 
 def _structure_of(laws: Sequence[Law]) -> RemainingStructure | None:

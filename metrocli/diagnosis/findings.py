@@ -14,6 +14,7 @@ from metrocli.diagnosis.extended_fit import (
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.noise import Noise, Unit
+from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.residual_structure import (
     PureError,
     RemainingStructure,
@@ -77,6 +78,8 @@ class Diagnosis:
     """Effects at all places of a kind; all other findings are beside them"""
     laws: tuple[Law, ...] = ()
     """The simplest sums of terms that explain what no effect does, one for each number of terms"""
+    processes: tuple[Process, ...] = ()
+    """Smooth random errors that belong to the noise; all effects are found beside them"""
     limited: float | None = None
     """The limit of CPU time [s], if the search ended there"""
     interrupted: bool = False

@@ -25,8 +25,10 @@ from metrocli.diagnosis.extended_fit import (
 from metrocli.diagnosis.linear.candidates import NotTested
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import READING
+from metrocli.diagnosis.linear.random_columns import beside_random_columns
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit, noisiest_unit, reweighted
+from metrocli.diagnosis.processes import Process, process_in
 from metrocli.diagnosis.residual_structure import log_level_of_strongest
 from metrocli.diagnosis.selection.all_of_a_kind import (
     AllOfAKind,
@@ -46,6 +48,8 @@ _ROUNDS = 3
 """Largest number of noisier units that are reweighted, one after the other"""
 _SEARCHES = 5
 """Largest number of searches; each follows an adjustment with the effects that dominated the previous one"""
+_PROCESSES = 3
+"""Largest number of smooth processes that are taken for noise, one after the other"""
 _KINDS = 2
 """Largest number of effects that act at all places of a kind"""
 _ESTIMATES, _STAYS = 3, float(np.log(1.2))
@@ -74,10 +78,50 @@ class Searched:
     units: tuple[Unit, ...]
     """Units that are noisier than the others and whose readings were given less weight"""
     selection: Selection
+    processes: tuple[Process, ...] = ()
+    """Smooth random errors that belong to the noise beside which the selection holds"""
+    plain: Selection | None = None
+    """The same effects beside white noise, with what else explains the readings there; None without a process"""
+
+    @property
+    def beside_white_noise(self) -> Selection:
+        """The selection beside white noise."""
+        return self.selection if self.plain is None else self.plain
 
 
 def search_about_solution(job: AdjustedJob, say: Say) -> Searched:
-    """Return the selection, linearised about the job with its dominant effects adjusted (decision 051).
+    """Return the selection beside the noise that the readings show, linearised about the job with its large effects."""
+    return _with_processes(_search_beside_white_noise(job, say), say)
+
+
+def _with_processes(searched: Searched, say: Say) -> Searched:
+    """Return the search repeated beside the smooth processes that the readings show, one after the other."""
+    job, tests, selection = searched.job, searched.tests, searched.selection
+    plain, processes = selection, list[Process]()
+    if all_of_a_kind(selection) is not None or scattered_throughout(selection) is not None:
+        # places that are off throughout are a cause; a process of each of them would take it for chance
+        return searched
+    while len(processes) < _PROCESSES and not job.budget.spent():
+        found = process_in(job, selection)
+        if found is None:
+            break
+        say(f"searching beside an error that varies smoothly with {found.covariate}")
+        processes.append(found)
+        rng = np.random.default_rng(SEED)
+        tests = beside_random_columns(tests, found.columns, rng, job.single_components)
+        selection = refined_scans(job, search(tests, nothing_fitted(tests.system)))
+    if not processes:
+        return searched
+    kept = transferred(selection, plain.test_set)
+    for one in plain.unknown:
+        kept = kept.with_one(one)
+    return replace(searched, tests=tests, selection=selection, processes=tuple(processes), plain=kept)
+
+
+def _search_beside_white_noise(job: AdjustedJob, say: Say) -> Searched:
+    """Return the selection beside white noise, linearised about the job with its dominant effects adjusted.
+
+    Why: decision 051.
 
     If effects dominate, the job is adjusted with them, and the search is repeated about that solution with them among
     all other candidates. At the end the search continues about the job adjusted with all effects that were named.

@@ -19,6 +19,7 @@ from metrocli.diagnosis.laws.definition import written
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.mistakes import Mistaken
+from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.residual_structure import RemainingStructure
 from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.selection.confidence_set import NamedEffect, Rival
@@ -51,10 +52,22 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
         "together": None if diagnosis.together is None else _gain(diagnosis.together, diagnosis.job),
         "structure": {"before": diagnosis.before, "after": diagnosis.after},
         "unexplained": None if left is None else _left(diagnosis.job, left),
+        "processes": [_process(diagnosis.job, one) for one in diagnosis.processes],
         "laws": [_law(diagnosis.job, one) for one in diagnosis.laws],
         "candidates": candidates(diagnosis.job, diagnosis.design, [f.effect for f in diagnosis.findings]),
         "alike": alike(diagnosis.design),
         "separate_by": list(diagnosis.separate_by),
+    }
+
+
+def _process(job: AdjustedJob, process: Process) -> dict[str, Any]:
+    unit = units.find_unit(*job.reading)
+    return {
+        "depends_on": process.covariate,
+        "of_each": process.by or None,
+        "length": process.length,
+        "std": {"value": unit.outside(process.std), "std": unit.outside(process.spread), "unit": unit.symbol},
+        "p_value": float(np.exp(process.log_level)),
     }
 
 
@@ -81,17 +94,19 @@ def _law(job: AdjustedJob, law: Law) -> dict[str, Any]:
 
 def _shown(job: AdjustedJob, law: Law) -> dict[str, Any] | None:
     """Return a law at each reading, and the readings without it, over its variable."""
-    found, unit = law.data, units.find_unit(*job.reading)
+    found = law.data
     if found is None:
         return None
-    size = unit.inside(1.0)
+    size, symbol = units.column_unit(float(np.abs(found.law).max()), found.adds_unit)
+    curve = found.curve and {"x": _short(found.curve[0]), "law": _short(found.curve[1] / size)}
     return {
         "variable": found.variable,
         "variable_unit": found.unit,
         "x": _short(found.x if found.variable else found.x / size),
         "law": _short(found.law / size),
         "residual": _short(found.residual / size),
-        "unit": unit.symbol,
+        "unit": symbol,
+        "curve": curve,
     }
 
 

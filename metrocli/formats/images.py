@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +25,10 @@ MOST_BYTES = 12 * MOST_PIXELS
 Size = tuple[int, int]
 
 
+def _untold(done: int, of: int | None) -> None:
+    return None
+
+
 @dataclass(frozen=True)
 class ImageFiles:
     """Grey images of equal size in files, decoded one at a time."""
@@ -36,6 +40,8 @@ class ImageFiles:
     """Bytes of each file."""
     digests: tuple[str, ...]
     """SHA-256 of each file as it was checked; a file that changes before it is decoded is refused."""
+    tell: Callable[[int, int | None], None] = field(default=_untold, compare=False)
+    """Progress function: takes the number of images that have been used, and that of all"""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -46,8 +52,9 @@ class ImageFiles:
         return len(self.paths)
 
     def __iter__(self) -> Iterator[tuple[str, Picture]]:
-        for path, digest in zip(self.paths, self.digests, strict=True):
+        for done, (path, digest) in enumerate(zip(self.paths, self.digests, strict=True), 1):
             yield path.name, read(path, digest)
+            self.tell(done, len(self.paths))
 
 
 def read_images(paths: Sequence[Path]) -> ImageFiles:

@@ -49,6 +49,11 @@ class Panel:
         return largest_of(len(self.w))
 
     @property
+    def room(self) -> float:
+        """The largest w of the picture: with room for the name of a reading beyond it."""
+        return (1.3 if self.label else 1.12) * max(float(np.abs(self.w).max()), self.most)
+
+    @property
     def beyond(self) -> Index:
         """The readings with larger |w|, largest first."""
         rows = np.flatnonzero(np.abs(self.w) > self.most)
@@ -83,7 +88,7 @@ def _others(result: Result, about: str) -> list[Panel]:
     for one in residuals_of(result):
         covariates = {"order": np.arange(1.0, len(one.w) + 1), **one.covariates}
         if about in covariates:
-            name = f"residual {one.part.strip('_')}" if one.part else ""
+            name = " ".join(filter(None, [one.kind, f"residual {one.part.strip('_')}" if one.part else ""]))
             sets.append((name, covariates[about], one.w, one.name))
     return _panels(sets)
 
@@ -146,16 +151,15 @@ def draw_panel(axes: Axes, panel: Panel, theme: Theme) -> None:
     axes.axhline(0, color=theme.muted, lw=0.6)
     axes.set_ylabel("w (standard deviations)")
     axes.set_title(panel.name, fontweight="normal", fontsize=9)
-    largest = max(float(np.abs(w).max()), panel.most)
-    axes.set_ylim(-1.12 * largest, 1.12 * largest)
+    axes.set_ylim(-panel.room, panel.room)
 
 
 def _name_worst(axes: Axes, x: Array, w: Array, row: int, label: str, colour: str) -> None:
-    """Write the name of a reading on the side where there is room."""
-    left = x[row] < (x.min() + x.max()) / 2
+    """Write the name of a reading beyond all others, where no mark and no bound is, towards the middle."""
+    left, up = x[row] < (x.min() + x.max()) / 2, w[row] > 0
     axes.annotate(
-        label, (x[row], w[row]), xytext=(6 if left else -6, 0), textcoords="offset points",
-        ha="left" if left else "right", va="center", fontsize=7.5, color=colour,
+        label, (x[row], w[row]), xytext=(-3 if left else 3, 3 if up else -3), textcoords="offset points",
+        ha="left" if left else "right", va="bottom" if up else "top", fontsize=7.5, color=colour,
     )  # fmt: skip
 
 

@@ -13,6 +13,8 @@ from metrocli.result import Result
 _MOST = 10
 """Contributors with a bar of their own; all others share one"""
 _LONGEST = 34
+_INSIDE = 15.0
+"""Percent from which on a bar has room for its number"""
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,13 @@ def draw(canvas: Canvas, found: tuple[Chart, ...]) -> str:
         axes.plot(chart.together, rows, "-o", ms=3.5, lw=1, color=theme.second, label="this and all above")
         for row, share in zip(rows, chart.shares, strict=True):
             text = f"{share:.1f} %" if abs(share) >= 0.1 else "< 0.1 %"
-            ground = {"facecolor": theme.surface, "edgecolor": "none", "pad": 0.6}
-            axes.text(max(share, 0) + 1, float(row), text, va="center", fontsize=7.5, bbox=ground)
+            # inside a long bar, since the line of the sums begins at its end
+            inside = share > _INSIDE
+            axes.text(
+                share - 2.5 if inside else max(share, 0) + 1, float(row), text, va="center", fontsize=7.5,
+                ha="right" if inside else "left", color=theme.surface if inside else theme.ink,
+                bbox=None if inside else {"facecolor": theme.surface, "edgecolor": "none", "pad": 0.6},
+            )  # fmt: skip
         axes.set_yticks(rows, [name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…" for name in chart.names])
         axes.invert_yaxis()
         axes.grid(axis="y", visible=False)

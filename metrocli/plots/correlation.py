@@ -27,7 +27,7 @@ class Correlation:
     @property
     def largest(self) -> tuple[str, str, float]:
         """The two estimates with the largest absolute correlation, and it."""
-        off = np.abs(self.matrix - np.diag(np.diag(self.matrix)))
+        off = np.where(np.eye(len(self.matrix), dtype=bool), -1.0, np.abs(self.matrix))
         i, j = np.unravel_index(int(np.nanargmax(off)), off.shape)
         return self.names[i], self.names[j], float(self.matrix[i, j])
 
@@ -78,7 +78,8 @@ def draw(canvas: Canvas, found: Correlation) -> str:
     high = int((np.abs(np.triu(found.matrix, 1)) > HIGH).sum())
     first, second, value = found.largest
     beyond = f"{high} pair exceeds" if high == 1 else f"{high or 'No'} pairs exceed"
-    text = f"{beyond} {HIGH} in size; the largest is {value:+.3f} of {first} and {second}."
+    largest = f"the largest is {value:+.3f} of {first} and {second}" if value else "all are 0"
+    text = f"{beyond} {HIGH} in size; {largest}."
     if count == found.estimates:
         return text
     return f"{text} {count} of {found.estimates} estimates are shown, those with the largest correlations."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 from metrocli.units import sized
 
@@ -31,4 +32,9 @@ def in_words(factor: float) -> str:
 
 def length_in_words(length: float) -> str:
     """Return a length (mm) to two digits in the unit that suits its size: "0.21 µm"."""
-    return sized(length, "length").replace(" um", " µm")
+    return micro(sized(length, "length"))
+
+
+def micro(text: str) -> str:
+    """Return a text whose units are printed with the sign µ: "0.21 µm", "17 µrad"."""
+    return re.sub(r"\bu(?=(m|rad)\b)", "µ", text)

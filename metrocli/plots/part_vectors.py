@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from metrocli.plots.magnify import in_words, length_in_words, magnification
 from metrocli.plots.noise_bands import Array
 from metrocli.plots.places import Places, places_of
-from metrocli.plots.style import SIZES, Canvas, Theme, arrows
+from metrocli.plots.style import OUTLINE, SIZES, Canvas, Theme, arrows
 from metrocli.plots.thinning import thinned_vectors, words
 from metrocli.result import Result
 
@@ -101,7 +101,10 @@ def draw(canvas: Canvas, found: PartResiduals) -> str:
     i, j = found.plane
     x, y = found.at[:, i], found.at[:, j]
     largest = max(2.0, float(found.rms.max()))
-    drawn = axes.scatter(x, y, c=found.rms, s=16, cmap=SIZES, vmin=0, vmax=largest, linewidths=0, zorder=3)
+    drawn = axes.scatter(
+        x, y, c=found.rms, s=16, cmap=SIZES, vmin=0, vmax=largest, zorder=3,
+        linewidths=OUTLINE, edgecolors=canvas.theme.muted,
+    )  # fmt: skip
     moved = ""
     if found.vectors is not None:
         vectors = found.vectors * found.magnification

@@ -23,6 +23,8 @@ class Residuals:
     """Normalised residuals (reading minus model) of one kind, with what they may depend on."""
 
     table: Table
+    kind: str
+    """Name of the table where a result has several"""
     part: str
     """Ending of the columns: "" or "_a", "_b" where a row has several residuals"""
     w: Array
@@ -53,17 +55,18 @@ class Residuals:
 
 def residuals_of(result: Result) -> list[Residuals]:
     """Return the residuals of a result, one set for each table and component of a row; empty if it has none."""
-    return [one for name in _TABLES if name in result.tables for one in _of_table(result.tables[name])]
+    names = [name for name in _TABLES if name in result.tables]
+    return [one for name in names for one in _of_table(result.tables[name], name if len(names) > 1 else "")]
 
 
-def _of_table(table: Table) -> Iterator[Residuals]:
+def _of_table(table: Table, kind: str) -> Iterator[Residuals]:
     for column in table:
         if not column.startswith("residual") or not len(table):
             continue
         part = column.removeprefix("residual")
         if f"normalised{part}" not in table:
             continue
-        yield Residuals(table, part, table.numbers(f"normalised{part}"), _covariates(table))
+        yield Residuals(table, kind, part, table.numbers(f"normalised{part}"), _covariates(table))
 
 
 def _covariates(table: Table) -> dict[str, Array]:

@@ -21,7 +21,8 @@ _ROOMY = 25
 """Points of one kind from which on ellipsoids become smaller with the distance of the points"""
 _K = 2.0
 """Half axes of the ellipsoids in standard deviations"""
-_NAMED = 12
+_NAMED, _MANY = 12, 100
+"""Most places that have names; those above the other have small marks"""
 TURN, TILT = np.radians(-55.0), np.radians(24.0)
 """Direction of view: turn about z, then tilt"""
 
@@ -111,7 +112,7 @@ def draw(canvas: Canvas, found: Scene) -> str:
         if one.vectors is not None:
             arrows(axes, flat, one.vectors @ rows[:2].T * found.vectors, colour, 0.002)
         few = len(one.names) <= _NAMED
-        size = 6 if few else 2.2
+        size = 6.0 if few else 4.0 if len(one.names) <= _MANY else 2.2
         axes.plot(*flat.T, marker, ms=size, mew=0, color=colour, label=one.kind)
         if few:
             for name, place in zip(one.names, flat, strict=True):

@@ -56,6 +56,8 @@ DARK = Theme("#16181b", "#e8eaec", "#a3a9b0", "#363b41", "#1f4560", "#56b4e9", "
 BOTH_SIDES = LinearSegmentedColormap.from_list("both sides", ["#c04a00", "#f7c8a4", "#f4f4f2", "#a9cfe8", "#00568a"])
 """Colours of values about 0; of sizes it is cividis"""
 SIZES = "cividis"
+OUTLINE = 0.4
+"""Line about a mark whose colour is a size: the least of them is as dark as the dark ground"""
 _DIGITS = re.compile(r"(\d\.\d\d)\d+")
 """More digits of a point (1/72 inch) than an image can show"""
 MARKERS = ("o", "s", "^", "D")
@@ -155,7 +157,8 @@ def bare(axes: Axes) -> None:
 def arrange(canvas: Canvas, title: str = "", caption: str = "") -> None:
     """Fit the axes with their labels into the figure; with a title above and a caption below it, the figure grows.
 
-    Once and by matplotlib's tight layout: its constrained layout takes four times as long.
+    By matplotlib's tight layout: its constrained layout takes four times as long. Once, unless the new sizes of the
+    axes change their ticks, whose labels may then be wider.
     """
     figure, theme = canvas.figure, canvas.theme
     width, height = figure.get_size_inches()
@@ -164,12 +167,20 @@ def arrange(canvas: Canvas, title: str = "", caption: str = "") -> None:
     whole = height + above + below
     figure.set_size_inches(width, whole)
     # without a part of the figure to fit into, matplotlib measures all texts once instead of twice
-    figure.tight_layout(pad=0.4, rect=(0, below / whole, 1, 1 - above / whole) if above or below else None)
+    rect = (0, below / whole, 1, 1 - above / whole) if above or below else None
+    ticks = _ticks(figure)
+    figure.tight_layout(pad=0.4, rect=rect)
+    if _ticks(figure) != ticks:
+        figure.tight_layout(pad=0.4, rect=rect)
     if title:
         figure.text(0.01, 1 - 0.08 / whole, title, va="top", fontsize=10.5, fontweight="bold")
     if lines:
         text = "\n".join(lines)
         figure.text(0.01, 0.06 / whole, text, va="bottom", fontsize=7.5, color=theme.muted, linespacing=1.3)
+
+
+def _ticks(figure: Figure) -> list[list[float]]:
+    return [axis.get_majorticklocs().tolist() for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]
 
 
 def write(canvas: Canvas, path: Path, form: str) -> None:

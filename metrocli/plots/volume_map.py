@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.plots.magnify import in_words, length_in_words, magnification
+from metrocli.plots.magnify import in_words, magnification
 from metrocli.plots.noise_bands import Array
 from metrocli.plots.places import named
-from metrocli.plots.style import SIZES, Canvas, arrows
+from metrocli.plots.style import OUTLINE, SIZES, Canvas, arrows
 from metrocli.result import Result
 from metrocli.table import Table
 
@@ -112,8 +112,9 @@ def draw(canvas: Canvas, found: VolumeMap) -> str:
         axes.set_aspect("equal")
         axes.set_title(f"z = {layer.z:g} mm", fontsize=8.5)
         drawn = axes.scatter(
-            layer.at[:, 0], layer.at[:, 1], c=layer.size, cmap=SIZES, vmin=0, vmax=largest, s=18, linewidths=0, zorder=2
-        )
+            layer.at[:, 0], layer.at[:, 1], c=layer.size, cmap=SIZES, vmin=0, vmax=largest, s=18, zorder=2,
+            linewidths=OUTLINE, edgecolors=canvas.theme.muted,
+        )  # fmt: skip
         if layer.vectors is not None:
             arrows(axes, layer.at, layer.vectors * found.magnification, canvas.theme.ink, 0.008)
         axes.margins(0.14)
@@ -136,7 +137,7 @@ def _caption(found: VolumeMap) -> str:
         parts.append(f"Arrows: the error in x and y, magnified {factor}; colour: its length in space.")
     else:
         parts.append("Colour: root of the sum of the variances of x, y and z.")
-    parts.append(f"The largest is {length_in_words(found.largest)} at {where} mm.")
+    parts.append(f"The largest is {found.largest * _PER_MM:.3g} µm at {where} mm.")
     if found.heights > len(found.layers):
         parts.append(f"{len(found.layers)} of {found.heights} heights are shown.")
     return " ".join(parts)

@@ -12,13 +12,12 @@ from metrocli.effects.effect import Effect
 from metrocli.effects.own.define import read
 from metrocli.errors import Fault, InputError
 from metrocli.nodes import Node
-from metrocli.project import yaml_text
+from metrocli.project import PROJECT_FILE, yaml_text
 from metrocli.project.heading import Heading
 from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import path_beside
 from metrocli.words import suggestion
 
-PROJECT = "metrocli.yaml"
 ENTRY_POINTS = "metrocli.effects"
 """Group of the entry points of packages: each is a function that returns effects for the name of a kind"""
 _KEY = "define"
@@ -58,14 +57,14 @@ def own_effects(kind: str, heading: Heading, job: Path, read_before: YamlFiles, 
         taken |= {effect.name for effect in effects}
         found += effects
     found += read(heading.define, task.places, taken, faults)
-    project = None if by_project is None else by_project.source.folder / PROJECT
+    project = None if by_project is None else by_project.source.folder / PROJECT_FILE
     return Own(tuple(found), tuple(files), project)
 
 
 def of_project(folder: Path, read_before: YamlFiles) -> Node | None:
     """Return the node of `effects_from` in the nearest metrocli.yaml above a folder, or None."""
     here = folder.absolute()
-    place = next((one / PROJECT for one in (here, *here.parents) if (one / PROJECT).is_file()), None)
+    place = next((one / PROJECT_FILE for one in (here, *here.parents) if (one / PROJECT_FILE).is_file()), None)
     if place is None:
         return None
     try:

@@ -15,6 +15,7 @@ from metrocli.doubt import doubts_of
 from metrocli.effects.wanted import planted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError, UsageError
 from metrocli.formats.hdf5 import refuse_foreign
+from metrocli.formats.images import ImageFiles
 from metrocli.plan import Plan
 from metrocli.project import meaning
 from metrocli.project.inputs import read_inputs, read_with_files, unfit_inputs
@@ -80,6 +81,7 @@ def compute(
     kind = tasks.KINDS[file.kind]
     progress(f"{file.file}: reading its inputs")
     held, files = read_with_files(file)
+    held = {key: replace(one, tell=workers.tell) if isinstance(one, ImageFiles) else one for key, one in held.items()}
     job = _job(file, held)
     progress(f"{file.file}: {file.kind}")
     if kind.chunked:

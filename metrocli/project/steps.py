@@ -10,6 +10,7 @@ from pathlib import Path
 
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.nodes import Node
+from metrocli.project import PROJECT_FILE
 from metrocli.project.campaign import Part, bound, parts_of
 from metrocli.project.heading import FileBeside
 from metrocli.project.job import JobFile, Wishes, load
@@ -18,8 +19,6 @@ from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import BAD, ListOf, Section, Text, path_beside, setting
 from metrocli.table import MOST_FAULTS
 from metrocli.words import suggestion
-
-FILE = "metrocli.yaml"
 
 
 @dataclass(frozen=True)
@@ -43,9 +42,9 @@ class Step:
 
 def project_file(place: Path) -> Path:
     """Return the metrocli.yaml of a folder, or the file itself; raise InputError if it does not exist."""
-    path = place / FILE if place.is_dir() else place
+    path = place / PROJECT_FILE if place.is_dir() else place
     if not path.is_file():
-        hint = f"a project is a folder with {FILE}: {{project: NAME, jobs: [jobs/a.yaml]}}"
+        hint = f"a project is a folder with {PROJECT_FILE}: {{project: NAME, jobs: [jobs/a.yaml]}}"
         raise InputError([Fault("no such project file", str(path), hint=hint)])
     return path
 

@@ -35,3 +35,5 @@ class Content:
     """How commands name the job"""
     beside: Beside = ALONE
     """What figures show beside the result"""
+    stated: Result | None = None
+    """The result in the units of its estimates on the page; the result itself unless given"""

@@ -7,27 +7,36 @@ from collections.abc import Iterator
 import numpy as np
 
 from metrocli import units
-from metrocli.plots.magnify import length_in_words
+from metrocli.plots.beside import chosen_law, law_in_words, sizes_in_words
+from metrocli.plots.magnify import length_in_words, micro
 from metrocli.plots.noise_bands import largest_of
 from metrocli.plots.places import places_of
 from metrocli.plots.readings import residuals_of
 from metrocli.record import DONE, DOUBTFUL
 from metrocli.report.content import Content
-from metrocli.report.html import Html, tag
+from metrocli.report.html import Html, code
 from metrocli.result import SCALE, Estimate, K, Result
+from metrocli.words import listed
 
 _CLEAN = ("clean", "explained")
+_EQUAL = 1e-4
+"""Readings whose |w| differ by this share are checked by the same readings: any of them may be the wrong one"""
 
 
 def row_of(result: Result, estimate: Estimate) -> tuple[str, str, str, str]:
-    """Return name, value, U and unit of an estimate: U to two digits, the value to the same decimals."""
+    """Return name, value, U and unit of an estimate: U to two digits, the value to the same decimals.
+
+    Angles share the unit that suits the largest of them.
+    """
     spread, _ = result.expanded(estimate)
     size, unit = 1.0, "" if estimate.unit == "1" else estimate.unit
     if estimate.dimension and estimate.dimension != SCALE and np.isfinite(spread) and spread > 0:
         _, unit = units.readable(spread, estimate.dimension)
         size = units.find_unit(unit, estimate.dimension).inside(1.0)
+    elif estimate.unit == "rad":
+        size, unit = units.column_unit(max(abs(one.value) for one in result.estimates if one.unit == "rad"), "rad")
     value, uncertainty = units.rounded(estimate.value / size, spread / size)
-    return estimate.name, value, "" if value == uncertainty == units.NOT_DETERMINED else uncertainty, unit
+    return estimate.name, value, "" if value == uncertainty == units.NOT_DETERMINED else uncertainty, micro(unit)
 
 
 def verdict(content: Content) -> tuple[bool, str]:
@@ -52,10 +61,12 @@ def worst(result: Result) -> Iterator[str]:
     if sets:
         sizes = [np.nan_to_num(np.abs(one.w)) for one in sets]
         which = max(range(len(sets)), key=lambda k: sizes[k].max())
-        row, bound = int(np.argmax(sizes[which])), largest_of(sum(int(one.checked.sum()) for one in sets))
-        w = float(sizes[which][row])
+        w, bound = float(sizes[which].max()), largest_of(sum(int(one.checked.sum()) for one in sets))
+        alike = [sets[which].name(int(row)) for row in np.flatnonzero(sizes[which] >= (1 - _EQUAL) * w)]
+        several, each = ("s", " each, so none can be singled out") if len(alike) > 1 else ("", "")
         chance = "more than noise reaches in 5 % of measurements" if w > bound else "as noise may be"
-        yield f"Reading {sets[which].name(row)}: |w| = {w:.2g} standard deviations; {chance} (bound {bound:.2f})."
+        size = f"|w| = {w:.2g} standard deviations{each}"
+        yield f"Reading{several} {listed(alike, 4)}: {size}; {chance} (bound {bound:.2f})."
     for one in places_of(result):
         if one.vectors is not None:
             sizes_of = np.linalg.norm(one.vectors, axis=1)
@@ -72,9 +83,11 @@ def worst(result: Result) -> Iterator[str]:
 def diagnosed(content: Content) -> Iterator[str | Html]:
     """Yield what the diagnosis at hand found, or how to make one."""
     held = content.diagnosis
+    if held is None and not residuals_of(content.result):
+        yield "Nothing to diagnose: no readings are adjusted."
+        return
     if held is None:
-        command = tag("code", f"metrocli diagnose {content.job} --json > {_stem(content.path)}.diagnosis.json")
-        yield Html(f"Not diagnosed yet: {command}, then make this page again.")
+        yield Html(f"Not diagnosed yet: {code(f'metrocli diagnose {content.job}')}, then make this page again.")
         return
     if not held.of_this:
         yield f"{held.path} is the diagnosis of another job, or of other inputs: diagnose again."
@@ -83,12 +96,10 @@ def diagnosed(content: Content) -> Iterator[str | Html]:
     yield f"Verdict: {data.get('verdict', '')}."
     for effect in data.get("effects", ()):
         where = ", ".join(map(str, dict(effect.get("where", {})).values()))
-        sizes = ", ".join(
-            f"{name} = {_sized(one['value'], one.get('unit') or '', one.get('std'))}"
-            for name, one in dict(effect.get("parameters", {})).items()
-            if one.get("value") is not None
-        )
-        yield f"{effect.get('name', '')} {where}: {sizes}".replace(" :", ":")
+        yield f"{effect.get('name', '')} {where}: {sizes_in_words(effect.get('parameters', {}))}".replace(" :", ":")
+    law = chosen_law(data)
+    if law is not None:
+        yield f"Law without a known cause: {law_in_words(law)}; {sizes_in_words(law.get('parameters', {}))}"
     for one in list(data.get("outliers", ()))[:5]:
         keys = "/".join(map(str, dict(one.get("observation", {})).values()))
         yield f"Wrong reading: {keys} (w = {float(one.get('w') or 0):.1f})"
@@ -96,25 +107,15 @@ def diagnosed(content: Content) -> Iterator[str | Html]:
         yield f"Mistake in {data['mistake'].get('file')}: {data['mistake'].get('what')}"
 
 
-def _sized(value: float, unit: str, std: float | None) -> str:
-    """Return a size with its standard uncertainty in the unit that suits it."""
-    size, suited = units.column_unit(abs(value), unit)
-    text = units.format_quantity(value / size, suited, None if std is None else std / size)
-    return text.replace(" um", " µm")
-
-
-def _stem(path: str) -> str:
-    return path.removesuffix(".h5")
-
-
 def next_step(content: Content) -> str | Html:
     """Return what to do next with the result."""
     record, held = content.record, content.diagnosis
-    diagnose = tag("code", f"metrocli diagnose {content.job}")
+    diagnose = code(f"metrocli diagnose {content.job}")
     if held is not None and held.of_this:
         extended = held.data.get("extended_job")
         if extended:
-            return Html(f"Run the extended job that the diagnosis wrote: {tag('code', str(extended))}.")
+            command = code(f"metrocli {content.result.kind} {extended}")
+            return Html(f"Run the job with what was found in its model: {command}.")
         if held.data.get("mistake"):
             return "Correct the mistake that the diagnosis found, and run the job again."
         if held.data.get("outliers"):
@@ -125,7 +126,7 @@ def next_step(content: Content) -> str | Html:
         return Html(f"Find the cause by {diagnose}.")
     if record.status != DONE:
         return "See which requirement is not met: measure more, or better, where the uncertainty is largest."
-    if held is None and content.result.statistics.get("dof"):
+    if held is None and content.result.statistics.get("dof") and residuals_of(content.result):
         return Html(f"Check the model by {diagnose}, then use or export the result.")
     if content.result.warnings:
         return "Read the warnings; then use or export the result."

@@ -49,7 +49,17 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "",
     return tag("div", whole, class_="wide", tabindex="0", role="region", aria_label=caption or "table")
 
 
+def code(text: str) -> Html:
+    """Return a text to type, whose lines break between words only, where they fit."""
+    return tag("code", Html(" ".join(tag("span", word) for word in text.split(" "))))
+
+
+def _marked(text: str) -> Html:
+    """Return a text whose parts between backticks are code."""
+    return joined(code(part) if k % 2 else part for k, part in enumerate(text.split("`")))
+
+
 def listed(items: Iterable[str]) -> Html:
-    """Return items as a list, nothing without any."""
-    found = joined(tag("li", one) for one in items)
+    """Return items as a list, nothing without any; what is between backticks in them is code."""
+    found = joined(tag("li", one if isinstance(one, Html) else _marked(one)) for one in items)
     return tag("ul", found) if found else EMPTY

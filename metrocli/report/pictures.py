@@ -15,7 +15,7 @@ from metrocli import plots
 from metrocli.plots import control_chart, style
 from metrocli.plots.beside import ALONE, Beside
 from metrocli.plots.scene import TILT, TURN, Scene
-from metrocli.report.html import EMPTY, Html, joined, tag
+from metrocli.report.html import EMPTY, Html, code, joined, tag
 from metrocli.report.look import roles, variable
 from metrocli.result import Result
 from metrocli.table import Table
@@ -45,7 +45,7 @@ def figures(result: Result, beside: Beside) -> Iterator[tuple[str, Html]]:
 
 
 def _command(name: str) -> Html:
-    return tag("code", f"metrocli plot RESULT.h5 {name}")
+    return code(f"metrocli plot RESULT.h5 {name}")
 
 
 def _figure(name: str, data: Any) -> Html:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from metrocli.report.html import EMPTY, Html, joined, table, tag
+from metrocli.report.html import EMPTY, Html, code, joined, table, tag
 from metrocli.report.look import page
 
 _WIDE, _HIGH, _GAP = 190, 46, 60
@@ -41,7 +41,7 @@ def project_page(name: str, entries: Sequence[Entry], charts: Sequence[Html] = (
         tag("p", "metrocli project", class_="muted"),
         tag("h1", name),
         tag("div", tag("p", tag("strong", words)), class_="verdict bad" if stale or bad else "verdict"),
-        tag("p", "Bring it up to date by ", tag("code", "metrocli run"), ".") if stale else EMPTY,
+        tag("p", "Bring it up to date by ", code("metrocli run"), ".") if stale else EMPTY,
         tag("h2", "Jobs"),
         table(("job", "kind", "title", "state", "needs"), rows, "Jobs in the order in which they run"),
         joined([tag("h2", "Control charts"), *charts]) if charts else EMPTY,

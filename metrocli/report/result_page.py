@@ -45,7 +45,7 @@ def _verdict(content: Content) -> Html:
 
 
 def _estimates(content: Content) -> Html:
-    result = content.result
+    result = content.stated or content.result
     if not result.estimates:
         return EMPTY
     factors = {result.expanded(one)[1] for one in result.estimates}

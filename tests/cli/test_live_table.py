@@ -184,7 +184,7 @@ def test_a_run_on_a_terminal_shows_the_table_and_leaves_a_line_a_job_and_the_cou
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name, trials in (("a", 500_000), ("b", 100_000)):
+    for name, trials in (("a", 3_000_000), ("b", 100_000)):
         Path(f"{name}.yaml").write_text(JOB.format(name=name, trials=trials))
     Path("metrocli.yaml").write_text("jobs: [a.yaml, b.yaml]\n")
     code, text = on_a_terminal(30, 10, "run")

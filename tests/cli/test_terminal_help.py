@@ -9,10 +9,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from metrocli.cli.console import progress_text
 from metrocli.cli.help import COMMANDS
+from metrocli.cli.look.inches import in_inches
+from metrocli.result import Estimate, Result
+from metrocli.table import Table
 from metrocli.tasks import KINDS
 
 Metrocli = Callable[..., Any]
@@ -34,6 +38,10 @@ def test_an_unknown_shell_is_refused(metrocli: Metrocli) -> None:
         ("metrocli rep", {"report", "report-uncertainty"}),
         ("metrocli show --ta", {"--table"}),
         ("metrocli ", {"init", "align-part"}),
+        ("metrocli plot x.h5 resid", {"residuals", "residuals-time"}),
+        ("metrocli schema fit", {"fit-part"}),
+        ("metrocli effects fit", {"fit-part"}),
+        ("metrocli init gear --sample ge", {"gear-m3d3"}),
     ],
 )
 def test_words_are_completed(words: str, wanted: set[str]) -> None:
@@ -47,15 +55,16 @@ def test_words_are_completed(words: str, wanted: set[str]) -> None:
 
 @pytest.mark.parametrize("name", [*COMMANDS, *KINDS])
 def test_each_help_ends_with_an_example(name: str, metrocli: Metrocli) -> None:
-    example = metrocli(name, "--help").out.rpartition("Example: ")[2]
-    assert f"metrocli {name}" in example
+    typed = metrocli(name, "--help").out.rstrip().splitlines()[-1]
+    assert f"metrocli {name}" in typed
 
 
 def test_remaining_time() -> None:
     assert progress_text(3, None, 9.0) == "3 parts"
     assert progress_text(0, 8, 2.0) == "0 of 8 parts"
-    assert progress_text(2, 8, 10.0).rstrip() == "2 of 8 parts, about 30 s left"
-    assert progress_text(8, 8, 40.0).rstrip() == "8 of 8 parts, about 0 s left"
+    assert progress_text(2, 8, 10.0) == "2 of 8 parts, about 30 s left"
+    assert progress_text(8, 8, 40.0) == "8 of 8 parts, 40 s"
+    assert progress_text(0, None, 3.2) == "3 s"
 
 
 def test_a_result_in_inches(job: Path, metrocli: Metrocli) -> None:
@@ -66,4 +75,29 @@ def test_a_result_in_inches(job: Path, metrocli: Metrocli) -> None:
     assert "offset 0.0406 ± 0.0033 in" in plain and "0.000980 ± 0.000045 rad" in plain
     assert "rms 0.002" in shown and "residual [in]" in shown and " mm\n" not in shown
     assert metrocli("show", "results/line.h5", "--units", "inch", "--json").code == 2
+    assert metrocli("report", "results/line.h5", "--units", "inch").code == 0
+    page = Path("results/line.html").read_text(encoding="utf-8")
+    assert '<td>offset</td><td class="n">0.0406</td><td class="n">0.0066</td><td>in</td>' in page
+    assert "residual [in]" in page
     assert metrocli("show", "results/line.h5", "--units", "mm").out == metrocli("show", "results/line.h5").out
+
+
+def test_rows_with_a_unit_each_and_stated_uncertainties_in_inches() -> None:
+    table = Table(
+        {
+            "error": np.array(["EXX", "EAX"]),
+            "unit": np.array(["mm", "rad"]),
+            "largest": np.array([0.0254, 2e-5]),
+            "count": np.array([1, 2]),
+            "at": np.array([25.4, 50.8]),
+        },
+        {"at": "mm"},
+    )
+    length = Estimate("l", 50.8, 0.0254, "mm", "length")
+    found = in_inches(
+        Result("kind", "", (length,), np.eye(1), {}, {"errors": table}, details={"l": {"U": 0.0508, "k": 2.0}})
+    )
+    errors = found.tables["errors"]
+    assert errors.texts("unit") == ["in", "rad"] and errors.numbers("largest") == pytest.approx([1e-3, 2e-5])
+    assert errors.columns["count"].tolist() == [1, 2] and errors.numbers("at") == pytest.approx([1, 2])
+    assert found.expanded(found.estimates[0]) == pytest.approx((2e-3, 2.0))

@@ -546,3 +546,18 @@ def test_a_search_ends_at_its_limit_with_what_it_has_found(folder: Path, metrocl
 def test_a_limit_is_a_time(folder: Path, metrocli: Metrocli, limit: str) -> None:
     ran = metrocli("diagnose", write(folder, measured()), "--limit", limit)
     assert (ran.code, "--limit" in ran.err) == (2, True)
+
+
+def test_the_diagnosis_is_kept_beside_the_result(folder: Path, metrocli: Metrocli) -> None:
+    job, kept = write(folder, measured()), Path("results/points.diagnosis.json")
+    assert metrocli("multilaterate", job, "--quiet").code == 0
+    printed = metrocli("diagnose", job, "--json").out
+    assert not kept.exists()
+    assert f"diagnosis: {kept}, shown by metrocli report results/points.h5" in metrocli("diagnose", job).out
+    assert json.loads(kept.read_text()) == json.loads(printed)
+    metrocli("report", "results/points.h5")
+    assert "Verdict: clean." in Path("results/points.html").read_text(encoding="utf-8")
+    kept.write_text("{}")  # a file of one's own stays
+    ran = metrocli("diagnose", job)
+    assert ran.code == 0 and "the diagnosis was not kept" in ran.err and kept.read_text() == "{}"
+    assert metrocli("diagnose", job, "--force").code == 0 and kept.read_text() == printed

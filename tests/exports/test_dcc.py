@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import replace
+from datetime import date
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -166,6 +169,35 @@ def test_the_schematron_rules_of_ptb_themselves(tmp_path: Path) -> None:
         found = rules.SchematronValidator.for_dcc().validate_str(str(export("dcc", result, RECORD)["dcc.xml"]))
         errors = [one for one in (*found.failed_assertions, *found.successful_reports) if "error" in str(vars(one))]
         assert not errors, [vars(one) for one in errors]
+
+
+def test_texts_have_the_types_of_the_schema_itself() -> None:
+    """PTB's converter to JSON carries the types of all elements of dcc.xsd 3.3.0, as it read them from that file."""
+    package = pytest.importorskip("dccXMLJSONConv", reason="pip install dccXMLJSONConv==2.3.4")
+    held = json.loads((files(package) / "data" / "schemaTypeCastCache.json").read_text(encoding="utf-8"))
+    types = held['["https://ptb.de/dcc/dcc.xsd", "3.3.0"]']
+    one, several = types["non_list_typecast_dict"], types["list_typecast_dict"]
+    one |= {"dcc:content": "str", "dcc:usedLangCodeISO639_1": "str", "dcc:mandatoryLangCodeISO639_1": "str"}
+    assert {"dcc:content", "dcc:usedLangCodeISO639_1", "dcc:mandatoryLangCodeISO639_1"} <= set(
+        types["repeated_elements"]
+    )
+    casts = {"str": str, "float": float, "int": int, "bool": {"true": True, "false": False}.__getitem__}
+    of_choices = {"dcc:issuer", "dcc:performanceLocation", "dcc:type"}
+    """These have lists of allowed words, which the converter does not carry"""
+    prefixes = {name: f"{prefix}:" for prefix, name in (("dcc", NAMES["d"]), ("si", NAMES["s"]))}
+    for result in (net(), results.machine(), results.budget(), results.camera(np.zeros((4, 2)), np.zeros((4, 2)))):
+        for element in written(result).iter():
+            space, _, name = element.tag[1:].partition("}")
+            name = prefixes[space] + name
+            if len(element) or name in of_choices:
+                continue
+            text = element.text or ""
+            for part in text.split() if name in several else [text]:
+                kind = several.get(name) or one[name]
+                if kind.startswith("datetime."):
+                    date.fromisoformat(part)
+                else:
+                    casts[kind](part)
 
 
 def test_the_check_of_the_schema_sees_what_is_wrong() -> None:

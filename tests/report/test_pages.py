@@ -17,9 +17,11 @@ from plots import results
 
 from metrocli.record import InputFile, Record, Verdict
 from metrocli.report.content import Content, Diagnosis
+from metrocli.report.html import listed as list_of
 from metrocli.report.project_page import Entry, project_page, ranks
 from metrocli.report.result_page import result_page
 from metrocli.result import Estimate, Result
+from metrocli.words import listed
 
 Metrocli = Callable[..., Any]
 EVIL = "<script>alert('x')</script>&\"quoted\""
@@ -199,7 +201,7 @@ def test_traceability() -> None:
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        ({"verdict": "explained", "effects": [{"name": "jump", "where": {"t": "LT2"}, "parameters": {"step": {"value": 0.0016, "std": 0.0001, "unit": "mm"}}}], "extended_job": "x.extended.yaml"}, ["model is not complete: the diagnosis is explained", "jump LT2: step = 1.60 ± 0.10 µm", "extended job", "x.extended.yaml"]),
+        ({"verdict": "explained", "effects": [{"name": "jump", "where": {"t": "LT2"}, "parameters": {"step": {"value": 0.0016, "std": 0.0001, "unit": "mm"}}}], "extended_job": "x.extended.yaml"}, ["model is not complete: the diagnosis is explained", "jump LT2: step = 1.60 ± 0.10 µm", "Run the job with what was found", "metrocli calibrate-camera x.extended.yaml"]),
         ({"verdict": "clean", "outliers": [{"observation": {"p": "P1", "t": "LT1"}, "w": 6.5}]}, ["Wrong reading: P1/LT1 (w = 6.5)", "Check the wrong readings"]),
         ({"verdict": "unexplained"}, ["Verdict: unexplained.", "structure that no known effect explains"]),
         ({"verdict": "mistaken", "mistake": {"file": "points", "what": "is in inches"}}, ["Mistake in points: is in inches", "Correct the mistake"]),
@@ -245,10 +247,9 @@ def test_the_page_of_a_project() -> None:
 def test_the_command(job: Path, metrocli: Metrocli) -> None:
     metrocli("straight-line", job)
     assert metrocli("report", "results/line.h5").out == "results/line.html\n"
-    assert "metrocli diagnose line.yaml --json > results/line.diagnosis.json" in Path(
-        "results/line.html"
-    ).read_text().replace("&gt;", ">")
-    assert "slope" in Page(Path("results/line.html").read_text(encoding="utf-8")).text
+    text = Page(Path("results/line.html").read_text(encoding="utf-8")).text
+    assert "Not diagnosed yet: metrocli diagnose line.yaml, then" in " ".join(text.split()).replace(" ,", ",")
+    assert "slope" in text
     Path("results/line.diagnosis.json").write_text('{"verdict": "clean", "of": {}}')
     assert metrocli("report", "results/line.h5", "--out", "x.html").out == "x.html\n"
     assert "diagnosis of another job" in Page(Path("x.html").read_text(encoding="utf-8")).text
@@ -282,4 +283,25 @@ def test_results_of_one_name_and_damaged_ones(job: Path, metrocli: Metrocli) -> 
     assert (
         "1 of 3 results are not up to date" in page.text
         and "the file exists and is not a result of metrocli" in page.text
+    )
+
+
+def test_a_result_without_readings_is_not_diagnosed() -> None:
+    text = page_of(results.budget()).text
+    assert "Nothing to diagnose: no readings are adjusted." in text and "metrocli diagnose" not in text
+
+
+def test_readings_that_check_each_other_only_are_all_named() -> None:
+    net = results.network()
+    table = net.tables["residuals"]
+    w = np.where(np.arange(len(table)) % 3 == 0, -5.0, 1.0)
+    rows = [f"{p}/{t}" for p, t in zip(table.texts("point"), table.texts("tracer"), strict=True)][::3]
+    changed = replace(table, columns={**table.columns, "normalised": w})
+    text = page_of(replace(net, tables={**net.tables, "residuals": changed})).text
+    assert f"Readings {listed(rows, 4)}: |w| = 5 standard deviations each, so none can be singled out" in text
+
+
+def test_what_is_to_be_typed_is_marked() -> None:
+    assert list_of(["write `noise: {a: 1}` & run", "x"]) == (
+        "<ul><li>write <code><span>noise:</span> <span>{a:</span> <span>1}</span></code> &amp; run</li><li>x</li></ul>"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,10 @@ import numpy as np
 import pytest
 
 from metrocli.geometry.poses import EULER
+from metrocli.tasks import KINDS
 
 Metrocli = Callable[..., Any]
+SAMPLES = Path(__file__).parents[2] / "sample_projects"
 BOUND = 3.5
 """Standard uncertainties that an estimate may be off"""
 
@@ -199,3 +202,29 @@ def test_what_happened_to_the_gear_is_found(tmp_path: Path, metrocli: Metrocli) 
     assert metrocli("multilaterate", home / "jobs" / "tip4.extended.yaml", "--quiet").code == 0
     again = json.loads(metrocli("diagnose", home / "jobs" / "tip4.extended.yaml", "--json").out)
     assert again["verdict"] == "clean"
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_the_example_of_a_kind_is_a_job_of_its_sample(name: str) -> None:
+    from metrocli.cli.help import EXAMPLES
+    from metrocli.project.job import kind_of_job
+
+    sample, typed = EXAMPLES[name]
+    command, job = typed.removeprefix("metrocli ").split()
+    assert command == kind_of_job(SAMPLES / sample / job) == name
+
+
+def test_the_examples_of_the_help_can_be_typed(
+    tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from metrocli.cli.help import EXAMPLES
+
+    home = tmp_path / "gear"
+    metrocli("init", home, "--sample", "gear-m3d3")
+    monkeypatch.chdir(home)
+    assert metrocli("run", "--quiet").code == 0
+    typed = [example for sample, example in EXAMPLES.values() if sample in ("", "gear-m3d3")]
+    for example in typed:
+        if not example.startswith("eval"):
+            ran = metrocli(*shlex.split(example)[1:])
+            assert ran.code == 0, (example, ran.err)

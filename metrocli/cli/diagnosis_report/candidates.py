@@ -13,7 +13,7 @@ from metrocli.diagnosis.hidden_change import HiddenChange
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 
 _SHOWN = 5
-_HEAD = ("candidate", "where", "status", "usual sizes", "result off by up to", "")
+_HEAD = ("candidate", "where", "status", "usual sizes", "result off by up to", "remark")
 _SEEN = {True: "seen", "part": "seen in part", False: "not seen", None: ""}
 
 

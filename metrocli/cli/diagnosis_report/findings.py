@@ -46,7 +46,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
         parts.append(text_table(_HEAD, [*rows, *together]))
     if diagnosis.outliers:
         parts.append(list(_wrong(diagnosis.outliers)))
-    parts.append([*_structure(diagnosis), *_noise(diagnosis)])
+    parts.append([*_structure(diagnosis), *_processes(diagnosis), *_noise(diagnosis)])
     if diagnosis.laws:
         parts.append(list(law_lines(diagnosis)))
     parts += [list(_about_scatter(one)) for one in diagnosis.scatters]
@@ -149,6 +149,16 @@ def _structure(diagnosis: Diagnosis) -> Iterator[str]:
     include = "include it" if diagnosis.job.noise_model == STRUCTURED else "do not include it"
     remedy = "; `noise: structured` includes it, as the extended job has it" if proposed_noise(diagnosis) else ""
     yield f"  No known effect explains it. The standard uncertainties of the result {include}{remedy}."
+
+
+def _processes(diagnosis: Diagnosis) -> Iterator[str]:
+    for one in diagnosis.processes:
+        size = units.sized(one.std, diagnosis.job.reading[1])
+        each = f" of each {one.by} by itself" if one.by else ""
+        yield f"error that varies smoothly with {one.covariate}{each}: {size} (standard deviation)"
+    if diagnosis.processes:
+        counted = "the named effects and detectable sizes hold" if diagnosis.findings else "detectable sizes hold"
+        yield f"  It is chance, not a cause, and counts as noise: {counted} beside it."
 
 
 def _noise(diagnosis: Diagnosis) -> Iterator[str]:

@@ -9,6 +9,7 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import echo
+from metrocli.cli.shell.choices import kinds, offering
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @click.command("effects", help="List the effects of a kind of job, own ones included, and where own ones can act.")
-@click.argument("kind", required=False, metavar="[KIND]")
+@click.argument("kind", required=False, metavar="[KIND]", shell_complete=offering(kinds))
 @click.option("--from", "source", type=click.Path(path_type=Path), metavar="FILE", help="A file with `define:`.")
 @click.option("--check", is_flag=True, help="Test own effects, and those of packages, against the laws of effects.")
 @options.JSON

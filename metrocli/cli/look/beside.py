@@ -21,7 +21,9 @@ def diagnosis_of(result: Path, given: Path | None, record: Record) -> Diagnosis 
     """Return the diagnosis that is given, else the one beside the result; raise InputError if it cannot be read."""
     import json
 
-    path = given or result.with_name(f"{result.stem}.diagnosis.json")
+    from metrocli.project import DIAGNOSIS
+
+    path = given or result.with_suffix(DIAGNOSIS)
     if given is None and not path.is_file():
         return None
     # not before: this loads the search for effects

@@ -1,4 +1,4 @@
-"""Results in inches, for the terminal only: files and --json stay in millimetres."""
+"""Results in inches, for the terminal and for pages: result files and --json stay in millimetres."""
 
 from __future__ import annotations
 
@@ -6,27 +6,43 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
+from metrocli.cli.columns import UNIT, in_unit_of_row
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
 from metrocli.units import INCH
 
 _SYMBOL = "in"
+INCHES = "inch"
+"""Value of `--units`"""
 
 
 def in_inches(result: Result) -> Result:
     """Return a result whose lengths in mm are in inches: estimates, tables and the RMS; notes stay as they are."""
+    lengths = {one.name for one in result.estimates if one.unit == "mm"}
     return replace(
         result,
         estimates=tuple(map(_estimate, result.estimates)),
+        details={name: _expanded(held) if name in lengths else held for name, held in result.details.items()},
         tables={name: _table(table) for name, table in result.tables.items()},
         statistics={name: _figures(value) for name, value in result.statistics.items()},
     )
+
+
+def in_units(result: Result, units: str) -> Result:
+    """Return a result in the units of `--units`."""
+    return in_inches(result) if units == INCHES else result
 
 
 def _estimate(one: Estimate) -> Estimate:
     if one.unit != "mm":
         return one
     return replace(one, value=one.value / INCH, std=one.std / INCH, unit=_SYMBOL, dimension="")
+
+
+def _expanded(details: Mapping[str, Any]) -> Mapping[str, Any]:
+    return {**details, "U": details["U"] / INCH} if "U" in details else details
 
 
 def _figures(value: Any) -> Any:
@@ -36,9 +52,14 @@ def _figures(value: Any) -> Any:
 
 
 def _table(table: Table) -> Table:
-    """Return a table whose columns in mm are in inches; one with a unit for each row stays as it is."""
+    """Return a table whose columns in mm are in inches, and the rows in mm of one with a unit for each row."""
     columns = {
         name: table.numbers(name) / INCH if table.units.get(name) == "mm" else values
         for name, values in table.columns.items()
     }
+    if UNIT in table:
+        rows = table.columns[UNIT] == "mm"
+        for name in in_unit_of_row(table):
+            columns[name] = np.where(rows, table.numbers(name) / INCH, table.numbers(name))
+        columns[UNIT] = np.where(rows, _SYMBOL, table.columns[UNIT])
     return Table(columns, {name: _SYMBOL if unit == "mm" else unit for name, unit in table.units.items()})

@@ -9,6 +9,7 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
+from metrocli.cli.shell.choices import figures, offering
 
 if TYPE_CHECKING:
     from metrocli.report.content import Diagnosis
@@ -19,7 +20,7 @@ _FILE = click.Path(path_type=Path)
 
 @click.command("plot", help="Write a figure of a result; without a name, list the figures that it can show.")
 @click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.h5")
-@click.argument("name", required=False, metavar="[NAME]")
+@click.argument("name", required=False, metavar="[NAME]", shell_complete=offering(figures))
 @click.option("--save", type=click.Path(path_type=Path), metavar="FILE", help="File to write: .svg, .pdf or .png.")
 @click.option("--dark", is_flag=True, help="Light lines on a dark ground.")
 @click.option("--before", type=_FILE, metavar="OTHER.h5", help="Result of the job without its extension.")

@@ -28,23 +28,26 @@ if TYPE_CHECKING:
     "--diagnosis", type=click.Path(path_type=Path), metavar="FILE.json", help="Output of `metrocli diagnose --json`."
 )
 @click.option("--pdf", is_flag=True, help="Write each page as PDF, too; needs Chromium or Chrome.")
+@options.UNITS
 @options.FORCE
 @options.QUIET
-def command(place: Path, out: Path | None, diagnosis: Path | None, pdf: bool, force: bool, quiet: bool) -> int:
+def command(
+    place: Path, out: Path | None, diagnosis: Path | None, pdf: bool, units: str, force: bool, quiet: bool
+) -> int:
     """Write NAME.html beside a result, or report/index.html and the page of each result for a project.
 
     A file that metrocli did not write is replaced with `force` only.
     """
     from metrocli.errors import UsageError
     from metrocli.formats.own_files import write_all
-    from metrocli.project.steps import FILE
+    from metrocli.project import PROJECT_FILE
 
-    if place.is_dir() or place.name == FILE:
+    if place.is_dir() or place.name == PROJECT_FILE:
         if diagnosis is not None:
             raise UsageError("--diagnosis is for the page of one result; beside NAME.h5, NAME.diagnosis.json is found")
-        pages = _project(place, out)
+        pages = _project(place, out, units)
     else:
-        pages = {out or place.with_suffix(".html"): _page(place, diagnosis, Path())}
+        pages = {out or place.with_suffix(".html"): _page(place, diagnosis, Path(), units)}
     files = {path: text.encode() for path, text in pages.items()}
     if pdf:
         from metrocli.report.pdf import printed
@@ -55,29 +58,34 @@ def command(place: Path, out: Path | None, diagnosis: Path | None, pdf: bool, fo
     return 0
 
 
-def _page(result: Path, diagnosis: Path | None, home: Path, name: str = "") -> str:
-    """Return the page of a result; its files and its job, if that has no `name`, are named from the folder `home`."""
+def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: str = "") -> str:
+    """Return the page of a result; its files and its job, if that has no `name`, are named from the folder `home`.
+
+    Estimates and tables are in `units`; figures have theirs.
+    """
     from dataclasses import replace
 
     from metrocli.cli import columns
     from metrocli.cli.look.beside import beside_of, diagnosis_of
+    from metrocli.cli.look.inches import in_units
     from metrocli.formats import hdf5
     from metrocli.report.content import Content
     from metrocli.report.result_page import result_page
 
     found, record = hdf5.read(result)
+    stated = in_units(found, units)
     tables = {}
-    for one in found.shown:
-        if one.name in found.tables and len(found.tables[one.name]):
-            table = found.tables[one.name]
+    for one in stated.shown:
+        if one.name in stated.tables and len(stated.tables[one.name]):
+            table = stated.tables[one.name]
             kept = {name: table.columns[name] for name in one.columns or table if name in table}
             tables[one.name] = columns.table_text(replace(table, columns=kept))
     held = diagnosis_of(result, diagnosis, record)
     job = name or (_from(home, result.parent / record.job_file) if record.job_file else "JOB.yaml")
-    return result_page(Content(found, record, _from(home, result), tables, held, job, beside_of(result, held)))
+    return result_page(Content(found, record, _from(home, result), tables, held, job, beside_of(result, held), stated))
 
 
-def _project(place: Path, out: Path | None) -> dict[Path, str]:
+def _project(place: Path, out: Path | None, units: str) -> dict[Path, str]:
     """Return the page that leads to those of all results that exist, and these."""
     from metrocli.errors import InputError
     from metrocli.project.staleness import states
@@ -93,7 +101,7 @@ def _project(place: Path, out: Path | None) -> dict[Path, str]:
     for state in found:
         step, page = state.step, ""
         with suppress(InputError):  # a result that is absent or damaged has no page; its state names the reason
-            text = _page(step.job.output, None, file.parent, step.name)
+            text = _page(step.job.output, None, file.parent, units, step.name)
             page = _page_name(step.job.output, outputs, file.parent)
             pages[index.parent / page] = text
         status = state.record.status if state.record is not None else ""

@@ -20,10 +20,11 @@ def nothing_to_do(arguments: Sequence[str]) -> bool:
     places = [word for word in arguments[1:] if word not in _QUIET]
     if arguments[:1] != ["run"] or len(places) > 1 or any(word.startswith("-") for word in places):
         return False
+    from metrocli.project import PROJECT_FILE
     from metrocli.project.running.memo import unmoved_jobs
 
     place = places[0] if places else "."
-    jobs = unmoved_jobs(os.path.join(place, "metrocli.yaml") if os.path.isdir(place) else place)
+    jobs = unmoved_jobs(os.path.join(place, PROJECT_FILE) if os.path.isdir(place) else place)
     if jobs is None:
         return False
     lines = up_to_date_lines(jobs) if len(places) + 1 == len(arguments) else ""

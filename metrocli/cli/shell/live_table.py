@@ -12,11 +12,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from metrocli.cli.console import printable
+from metrocli.cli.shell.fitted import terminal_size
 
 _FIRST_S = 0.3
 """Time before the table first appears: a run that is over sooner shows none [s]"""
 _EVERY_S = 0.25
 """Time between two looks at the clock; only a table that has changed is drawn [s]"""
+_RATE_S = 2.0
+"""Time from which on the jobs that are done show how long the others will take [s]"""
 _LEAST = (12, 4)
 """Columns and lines of the smallest terminal on which it is drawn"""
 _BEGIN, _END = "\x1b[?2026h", "\x1b[?2026l"
@@ -89,7 +92,9 @@ class LiveTable:
         bad = "".join(f", {count} {what}" for what, count in self._done.items() if what in ("failed", "not run"))
         waiting = self._total - done - len(self._working)
         counts = f"{done} of {self._total} done{bad}, {len(self._working)} running, {waiting} waiting"
-        yield f"{counts}, {time_text(now - self._begun)}"
+        passed = now - self._begun
+        left = passed * (self._total - done) / done if done and passed > _RATE_S else 0.0
+        yield f"{counts}, {time_text(passed)}" + (f", about {time_text(left)} left" if left else "")
         names = list(self._working)
         room = most - 1 if len(names) < most else most - 2
         for name in names[:room]:
@@ -135,15 +140,6 @@ def live_table(total: int, shown: bool) -> Iterator[LiveTable]:
 def has_terminal() -> bool:
     """Return whether stderr is a terminal on which a table can be redrawn."""
     return sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
-
-
-def terminal_size(file: int) -> tuple[int, int]:
-    """Return the columns and lines of the terminal of an open file; 80 and 24 where it does not know them."""
-    try:
-        columns, lines = os.get_terminal_size(file)
-    except OSError:
-        columns, lines = 0, 0
-    return columns or 80, lines or 24
 
 
 def time_text(seconds: float) -> str:

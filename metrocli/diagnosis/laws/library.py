@@ -135,6 +135,14 @@ class Library:
         full[carrier.rows] = carrier.columns([term.form])[:, 0]
         return full
 
+    def change(self, spot: Spot) -> Array:
+        """Return the whitened change of all rows by a unit change at a spot, (rows,)."""
+        full = np.zeros(self.system.rows)
+        for carrier in self._carriers:
+            if carrier.spot == spot:
+                full[carrier.rows] = carrier.change
+        return full
+
     def values(self, terms: Sequence[Term], variable: str) -> Array:
         """Return a variable in all rows on which terms act (rows,); nan in all others."""
         spots = [term.spot for term in terms]

@@ -17,10 +17,12 @@ from metrocli.diagnosis.cross_validation import Gain, Held, folds_of, gain_of, h
 from metrocli.diagnosis.laws.library import Library, Term
 from metrocli.diagnosis.laws.near import near_effects
 from metrocli.diagnosis.laws.steps import LEVEL, Search, Step, forward, plain_tests, start_of, tests_of_terms
+from metrocli.diagnosis.laws.terms import columns_of
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.selection.selection_state import Selection
+from metrocli.units import internal_unit
 
 _ALONE = 0.001
 """Level at which a term enters where no structure was found"""
@@ -28,21 +30,32 @@ _MOST_ROWS = 25_000
 """Largest number of components of readings for which laws are sought: the columns of all terms are held at once"""
 _FEW = 50
 """Fewest independent tests that any library amounts to"""
+_SEEN, _STEPS = 0.5, 400
+"""Least change of a reading that is shown beside a law, of that of the most changed; steps of the curve of a law"""
 
 
 @dataclass(frozen=True)
 class LawData:
-    """A law beside the readings in which it was found, (n,) each; those of one component of one reading a row."""
+    """A law beside the readings in which it was found, (n,) each; those of one component of one reading a row.
+
+    A law of one variable that adds to one component is a curve. A reading then counts as far as the component moves it:
+    what it shows is divided by its change with the component, and readings that move less than half as much as the most
+    are left out. Any other law stands over what it adds to the readings.
+    """
 
     variable: str
-    """Empty for a law of several variables"""
+    """Empty for a law that is no curve"""
     unit: str
     x: Array
-    """The variable; what the law adds if it has several"""
+    """The variable, or what the law adds"""
     law: Array
-    """What the law adds, in the unit of the readings"""
+    """What the law adds to the component, or to the readings"""
     residual: Array
     """Residuals of the job extended by the law, plus what it adds (component plus residual)"""
+    adds_unit: str
+    """Internal unit of the component, or of the readings"""
+    curve: tuple[Array, Array] | None
+    """The law at equal steps of its variable: variable and law"""
 
 
 @dataclass(frozen=True)
@@ -203,16 +216,23 @@ def _law(
 
 def _data(library: Library, terms: Sequence[Term], sizes: Array, after: FittedColumns) -> LawData | None:
     """Return a law over its variable, beside the readings on which it acts."""
-    system = library.system
+    system, spot = library.system, terms[0].spot
     variables = {name for term in terms for name in term.form.variables}
     if not variables:
         return None
     adds = np.concatenate([library.columns(term) for term in terms], axis=1)
-    rows = np.flatnonzero(adds.any(axis=1) & system.alike)
-    law = (adds @ sizes)[rows] * system.scale[rows]
-    residual = law + after.residual[rows] * system.scale[rows]
-    if len(variables) > 1:
-        return LawData("", "", law, law, residual)
+    law = (adds @ sizes) * system.scale
+    residual = law + after.residual * system.scale
+    if len(variables) > 1 or any(term.spot.component != spot.component for term in terms):
+        rows = np.flatnonzero(adds.any(axis=1) & system.alike)
+        return LawData("", "", law[rows], law[rows], residual[rows], internal_unit(library.job.reading[1]), None)
     (name,) = variables
-    unit = terms[0].spot.acting.variables_at({})[name].unit
-    return LawData(name, unit, library.values(terms, name)[rows], law, residual)
+    change = np.where(system.alike, library.change(spot) * system.scale, 0.0)
+    rows = np.flatnonzero((change != 0) & (np.abs(change) >= _SEEN * np.abs(change).max()))
+    x = library.values(terms, name)[rows]
+    steps = np.linspace(x.min(), x.max(), _STEPS)
+    factors = [columns_of([term.form], {name: steps})[:, 0] for term in terms]
+    curve = np.concatenate([np.broadcast_to(one, (_STEPS, one.shape[1])) for one in factors], axis=1) @ sizes
+    law, residual = law[rows] / change[rows], residual[rows] / change[rows]
+    unit, adds_unit = spot.acting.variables_at({})[name].unit, spot.acting.unit_of(spot.component)
+    return LawData(name, unit, x, law, residual, adds_unit, (steps, curve))

@@ -165,12 +165,15 @@ class Solver:
     """Movements of a free network, (unknowns, m)"""
     conditions: Array
     """Conditions of the datum, (m, unknowns): `x - movements (conditions x)` fulfils it"""
+    random: Array
+    """Change of all unknowns by the coordinates after the shared ones, those of sizes that scatter, (unknowns, r)"""
 
     def change(self, coordinates: Array) -> Array:
         """Return the change of all unknowns (unknowns, ...) for coordinates (columns, ...)."""
         flat = _flat(coordinates)
         members, _, q = self.inverses.shape
-        shared = self.shared @ flat[members * q :]
+        fixed = members * q + self.shared.shape[1]
+        shared = self.shared @ flat[members * q : fixed]
         found = np.zeros((self.width, flat.shape[1]))
         found[self.places[1]] = shared
         if members:
@@ -180,12 +183,14 @@ class Solver:
             found[self.places[0][free]] = own[free]
         if self.movements.shape[1]:
             found -= self.movements @ (self.conditions @ found)
+        if self.random.shape[1]:
+            found += self.random @ flat[fixed:]
         return found.reshape(len(found), *coordinates.shape[1:])
 
     def own_change(self, basis: Basis, rows: Index) -> Array:
         """Return the change of each row's own member by a unit error of that row, (rows, size); 0 without a member."""
         member = basis.member[rows]
-        shared = basis.shared[rows] @ self.shared.T
+        shared = basis.shared[rows, : self.shared.shape[1]] @ self.shared.T
         own = basis.local[rows] - np.einsum("nqg,ng->nq", self.coupling[member], shared)
         found = np.einsum("nsq,nq->ns", self.inverses[member], own)
         places = self.places[0][member]
@@ -200,6 +205,9 @@ class Solver:
             by_local = np.einsum("cns,nsq,nq->nc", conditions[:, member], self.inverses[member], basis.local[rows])
             amounts = shared @ by_shared.T + np.where((member >= 0)[:, None], by_local, 0.0)
             found -= np.where(free, np.einsum("nsc,nc->ns", self.movements[np.maximum(places, 0)], amounts), 0.0)
+        if self.random.shape[1]:
+            scattered = basis.shared[rows, self.shared.shape[1] :]
+            found += np.where(free, np.einsum("nsr,nr->ns", self.random[np.maximum(places, 0)], scattered), 0.0)
         return np.asarray(found)
 
 

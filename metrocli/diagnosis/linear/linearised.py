@@ -162,7 +162,9 @@ def _factored(model: Model, local: _Local, layout: Layout, whole: Layout, rows: 
     places = np.zeros((0, 0), dtype=np.intp)
     if local.block is not None:
         places = np.where(local.members[:, None], whole.columns[local.block.name], -1)
-    solver = Solver(inverses, by_member, shared, (places, numbers), whole.width, *datum_of(frame, whole, model.blocks))
+    datum = datum_of(frame, whole, model.blocks)
+    nothing = np.zeros((whole.width, 0))
+    solver = Solver(inverses, by_member, shared, (places, numbers), whole.width, *datum, nothing)
     norms = np.zeros(whole.width)
     norms[numbers] = sizes
     squares = np.zeros((members + 1, rows.local.shape[1]))

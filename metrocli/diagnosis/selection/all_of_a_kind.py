@@ -15,6 +15,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.projection import READING, System
+from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from metrocli.diagnosis.selection.thresholds import LATER
@@ -29,10 +30,6 @@ _MOST = 2e10
 """Largest product of rows and squared columns for that, a few seconds of CPU time"""
 _AS_MUCH = float(np.log(20.0))
 """Difference of log-likelihoods up to which two scatters explain the readings alike"""
-_SEEN = 1e-4
-"""Smallest eigenvalue of a direction that counts, relative to the largest"""
-_GRID = np.linspace(-14.0, 14.0, 113)
-"""Logarithms of the ratio of variances that are tried, relative to the one at which both parts are equal"""
 
 
 @dataclass(frozen=True)
@@ -123,11 +120,11 @@ def estimated_again(found: AllOfAKind, selection: Selection) -> AllOfAKind:
     What the first selection took for wrong readings or single instances may be part of the scatter.
     """
     base = selection.fitted()
-    scatter = _Scatter.of(base, _columns(selection.test_set, found.effect)[0])
+    scatter = RestrictedLikelihood.beside(base, _columns(selection.test_set, found.effect)[0])
     return _with_size(found, scatter, base.dof)
 
 
-def _with_size(found: AllOfAKind, scatter: _Scatter, dof: float) -> AllOfAKind:
+def _with_size(found: AllOfAKind, scatter: RestrictedLikelihood, dof: float) -> AllOfAKind:
     best = scatter.best()
     std = float(np.sqrt(np.exp(best) * scatter.squares(best) / dof))
     return replace(found, std=std, spread=std * scatter.relative_spread(best), log_level=scatter.log_level(best))
@@ -151,7 +148,7 @@ def _noise_of_groups(system: System, base: FittedColumns) -> Iterator[tuple[str,
     for name, rows in system.of_several_groups():
         unit = np.zeros((system.rows, int(rows.sum())))
         unit[rows, np.arange(unit.shape[1])] = 1.0
-        scatter = _Scatter.of(base, system.seen(unit))
+        scatter = RestrictedLikelihood.beside(base, system.seen(unit))
         yield name, scatter.log_level(scatter.best())
 
 
@@ -168,7 +165,7 @@ def _compared(selection: Selection, effect: Effect, own: Sequence[Chosen]) -> Al
     """Return the scatter of an effect if it has more evidence than some members of the selection."""
     test_set, base, full = selection.test_set, selection.fitted(without=own), selection.fitted()
     columns, places = _columns(test_set, effect)
-    scatter = _Scatter.of(base, columns)
+    scatter = RestrictedLikelihood.beside(base, columns)
     best = scatter.best()
     singly = -(base.dof * np.log(full.squares) + (base.dof - full.dof) * np.log(base.dof)) / 2
     singly -= _log_choices(selection, effect, own, places)
@@ -194,62 +191,3 @@ def _columns(test_set: ScoreTests, effect: Effect) -> tuple[Array, int]:
     counts = [len(test_set.families[i].alternatives) for i in own]
     columns = [test_set.all_visible(i, range(count)) for i, count in zip(own, counts, strict=True)]
     return np.concatenate([one.reshape(len(one), -1) for one in columns], axis=1), sum(counts)
-
-
-@dataclass(frozen=True)
-class _Scatter:
-    """The restricted likelihood of a variance ratio."""
-
-    eigenvalues: Array
-    along: Array
-    """Squared coordinates of the residual along the eigenvectors"""
-    rest: float
-    dof: float
-
-    @classmethod
-    def of(cls, base: FittedColumns, columns: Array) -> _Scatter:
-        """Return it for the columns of all places beside a fit."""
-        left = base.beside(columns)
-        values, vectors = np.linalg.eigh(left.T @ left)
-        seen = values > _SEEN * max(float(values[-1]), 1e-300)
-        along = (vectors[:, seen].T @ (left.T @ base.residual)) ** 2 / values[seen]
-        return cls(values[seen], along, max(base.squares - float(along.sum()), 1e-300), base.dof)
-
-    def squares(self, log_ratio: float) -> float:
-        """Return S at a ratio of variances."""
-        return float((self.along / (1 + np.exp(log_ratio) * self.eigenvalues)).sum()) + self.rest
-
-    def likelihood(self, log_ratio: float) -> float:
-        """Return the restricted log-likelihood, on the scale of the evidence of a selection."""
-        grown = float(np.log1p(np.exp(log_ratio) * self.eigenvalues).sum())
-        return -(self.dof * float(np.log(self.squares(log_ratio))) + grown) / 2
-
-    def best(self) -> float:
-        """Return ln of the ratio of variances with the largest likelihood."""
-        tried = _GRID - float(np.log(np.median(self.eigenvalues)))
-        low, high = self._around(tried)
-        for _ in range(40):
-            third = (high - low) / 3
-            if self.likelihood(low + third) < self.likelihood(high - third):
-                low += third
-            else:
-                high -= third
-        return (low + high) / 2
-
-    def _around(self, tried: Array) -> tuple[float, float]:
-        at = int(np.argmax([self.likelihood(float(one)) for one in tried]))
-        return float(tried[max(at - 1, 0)]), float(tried[min(at + 1, len(tried) - 1)])
-
-    def relative_spread(self, log_ratio: float) -> float:
-        """Return the relative standard uncertainty of the standard deviation, from the curvature of the likelihood."""
-        step = 0.05
-        middle = self.likelihood(log_ratio)
-        bend = (self.likelihood(log_ratio + step) + self.likelihood(log_ratio - step) - 2 * middle) / step**2
-        return float(0.5 / np.sqrt(max(-bend, 1e-12)))
-
-    def log_level(self, log_ratio: float) -> float:
-        """Return ln of the level of the likelihood ratio test: half a chi-squared with one degree of freedom."""
-        from scipy.special import log_ndtr
-
-        gain = 2 * (self.likelihood(log_ratio) + self.dof * float(np.log(self.rest + self.along.sum())) / 2)
-        return float(log_ndtr(-np.sqrt(max(gain, 0.0))))

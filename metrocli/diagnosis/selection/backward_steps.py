@@ -50,6 +50,12 @@ def evidence(test_set: ScoreTests, fitted: FittedColumns, family: int, score: Sc
     return np.asarray(np.where(score.rank > 0, value, -np.inf))
 
 
+def evidence_of(selection: Selection, bare: FittedColumns, fitted: FittedColumns) -> float:
+    """Return ln of the evidence of the named effects in a fit, against the fit without them."""
+    count = float(np.log(bare.squares / fitted.squares)) * bare.dof - (bare.dof - fitted.dof) * float(np.log(bare.dof))
+    return count / 2 - float(sum(np.log(selection.test_set.tests[one.family]) for one in selection.named))
+
+
 def _with_swaps(selection: Selection) -> Selection:
     """Return the selection with names replaced by others that have more evidence beside the rest of the selection.
 

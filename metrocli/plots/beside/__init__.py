@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from metrocli import units
+from metrocli.plots.magnify import micro
 from metrocli.result import Result
 
 
@@ -35,3 +37,29 @@ class Beside:
 
 
 ALONE = Beside()
+
+
+def chosen_law(diagnosis: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
+    """Return the law that a diagnosis chose; None without one."""
+    return next((law for law in (diagnosis or {}).get("laws", ()) if law.get("chosen")), None)
+
+
+def law_in_words(law: Mapping[str, Any]) -> str:
+    """Return what a law adds, and where."""
+    adds = law["adds"]
+    text = "; ".join(f"{name}: {one}" for name, one in adds.items()) if isinstance(adds, Mapping) else adds
+    return f"{text}, added to {' '.join([law['acts_on'], *law['where'].values()])}"
+
+
+def sizes_in_words(parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the parameters that have a size, with standard uncertainties, each in the unit that suits it."""
+    return ", ".join(
+        f"{name} = {_sized(one['value'], one.get('unit') or '', one.get('std'))}"
+        for name, one in parameters.items()
+        if one.get("value") is not None
+    )
+
+
+def _sized(value: float, unit: str, std: float | None) -> str:
+    size, suited = units.column_unit(abs(value), unit)
+    return micro(units.format_quantity(value / size, suited, None if std is None else std / size))

@@ -116,8 +116,8 @@ def draw(canvas: Canvas, found: BeforeAfter) -> str:
     panels = canvas.axes(2, 1, sharex=True, sharey=True)
     for axes, panel in zip(panels, (found.before, found.after), strict=True):
         draw_panel(axes, panel, canvas.theme)
-    largest = max(max(float(np.abs(one.w).max()), one.most) for one in (found.before, found.after))
-    panels[0].set_ylim(-1.12 * largest, 1.12 * largest)
+    room = max(one.room for one in (found.before, found.after))
+    panels[0].set_ylim(-room, room)
     panels[1].set_xlabel(LABELS[found.about])
     panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     first, last = found.rms

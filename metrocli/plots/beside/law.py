@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.plots.beside import Beside
+from metrocli.plots.beside import Beside, chosen_law, law_in_words, sizes_in_words
+from metrocli.plots.magnify import micro
 from metrocli.plots.noise_bands import Array
 from metrocli.plots.style import Canvas
 from metrocli.plots.thinning import Index, thinned, words
 from metrocli.result import Result
+
+_AS_CURVE = ", both as changes of that; readings that it moves less than half as much as the most are left out"
 
 
 @dataclass(frozen=True)
@@ -19,15 +21,17 @@ class FoundLaw:
     """What the figure shows."""
 
     text: str
-    """The law, with the place where it acts"""
+    """The law, with the place where it acts, and its sizes"""
     variable: str
-    """Name and unit of the variable; empty for a law of several variables"""
+    """Name and unit of the variable; empty for a law that is no curve"""
     x: Array
     law: Array
     residual: Array
     unit: str
     rows: Index
     """Readings that are shown"""
+    curve: tuple[Array, Array]
+    """The line of the law"""
 
     @property
     def scatter(self) -> tuple[float, float]:
@@ -37,17 +41,17 @@ class FoundLaw:
 
 def data(result: Result, beside: Beside) -> FoundLaw | None:
     """Return the chosen law in the order of its variable; None without one."""
-    chosen = next((law for law in (beside.diagnosis or {}).get("laws", ()) if law.get("chosen")), None)
+    chosen = chosen_law(beside.diagnosis)
     held = (chosen or {}).get("data")
     if chosen is None or not held:
         return None
-    adds = chosen["adds"]
-    text = "; ".join(f"{name}: {one}" for name, one in adds.items()) if isinstance(adds, Mapping) else adds
-    place = " ".join([chosen["acts_on"], *chosen["where"].values()])
     order = np.argsort(held["x"], kind="stable")
     x, law, residual = (np.array(held[name], dtype=float)[order] for name in ("x", "law", "residual"))
     variable = f"{held['variable']} ({held['variable_unit'] or 1})" if held["variable"] else ""
-    return FoundLaw(f"{text}, added to {place}", variable, x, law, residual, held["unit"], thinned(x, residual))
+    fine = held.get("curve")
+    curve = (np.array(fine["x"]), np.array(fine["law"])) if fine else (x, law)
+    text = ", ".join(filter(None, [law_in_words(chosen), sizes_in_words(chosen.get("parameters", {}))]))
+    return FoundLaw(text, variable, x, law, residual, held["unit"], thinned(x, residual), curve)
 
 
 def _rms(values: Array) -> float:
@@ -63,16 +67,17 @@ def draw(canvas: Canvas, found: FoundLaw) -> str:
     """Draw the figure and return its caption."""
     theme, rows = canvas.theme, found.rows
     axes = canvas.axes()[0]
-    unit = found.unit.replace("um", "µm")
+    unit = micro(found.unit)
     axes.axhline(0, color=theme.muted, lw=0.6)
     axes.plot(found.x[rows], found.residual[rows], "o", ms=3, mew=0, alpha=0.6, color=theme.first, label="one reading")
-    axes.plot(found.x, found.law, "-", lw=1.6, color=theme.second, label="law", zorder=4)
+    axes.plot(*found.curve, "-", lw=1.6, color=theme.second, label="law", zorder=4)
     axes.set_xlabel(found.variable or f"what the law adds ({unit})")
-    axes.set_ylabel(f"residual ({unit})")
+    axes.set_ylabel(f"law and residual ({unit})")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     without, with_law = found.scatter
     text = (
-        f"Law: {found.text}. Points: residual of the job extended by the law, plus what the law adds to it. "
+        f"Law: {found.text}. Points: residual of the job extended by the law, plus what the law adds"
+        f"{_AS_CURVE if found.variable else ''}. "
         f"Root mean square of {len(found.x)} readings: {without:.3g} {unit}, of their distances from the law: "
         f"{with_law:.3g} {unit}. A law is no cause."
     )

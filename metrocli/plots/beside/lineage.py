@@ -12,7 +12,7 @@ from metrocli.plots.beside import Beside, Node
 from metrocli.plots.style import Canvas
 from metrocli.result import Result
 
-_LETTERS = 98
+_LETTERS = 112
 """Letters of a line over the whole width; of a longer name the end is kept"""
 _ROW = 0.52
 """Height of a row in inches"""
@@ -75,8 +75,8 @@ def draw(canvas: Canvas, found: Graph) -> str:
     axes.set_axis_off()
     axes.set_xlim(-0.02, columns)
     axes.set_ylim(rows, 0)
-    wide = 0.78 if columns > 1 else 1.0
-    letters = int(_LETTERS * wide / columns) - 3
+    wide = 0.86 if columns > 1 else 1.0
+    letters = int(_LETTERS * wide / columns) - 1
     for one in found.nodes:
         x, y = found.place[one.name]
         colour = theme.third if one.sound and one.kind else theme.muted if one.sound else theme.second
@@ -90,7 +90,7 @@ def draw(canvas: Canvas, found: Graph) -> str:
         for k, line in enumerate(lines):
             at = y + 0.5 + 0.34 * (k - (len(lines) - 1) / 2)
             ink = theme.ink if k == 0 else theme.muted
-            axes.text(x + 0.03, at, _short(line, letters), va="center", fontsize=7, color=ink, zorder=3)
+            axes.text(x + 0.03, at, _short(line, letters), va="center", fontsize=6.6, color=ink, zorder=3)
         for need in one.needs:
             u, v = found.place[need]
             bend = (u + wide + x) / 2

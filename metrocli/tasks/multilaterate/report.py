@@ -239,6 +239,8 @@ def _warnings(solved: Solved) -> list[str]:
     untold = [one for one in solved.suspects if not one.tracer]
     alike = [f"{one.point} (w = {one.test:.1f}: {' or '.join(one.others)})" for one in untold]
     bound = f"the outlier bound |w| = {solved.critical:.2f}"
+    if solved.solution.sigma0 > 1:
+        bound += ", w over the sigma0 of the other lengths"
     if told:
         lines.append(f"{len(told)} lengths exceed {bound}: {listed(told, 5)}; `outliers: remove` leaves them out")
     if alike:

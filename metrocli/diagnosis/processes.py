@@ -1,0 +1,291 @@
+"""Smooth processes: errors of the readings that vary smoothly with a covariate, by chance and not by a law.
+
+Real measurements have structure that no cause explains: air that wavers, a mount that creeps. It has no form of its
+own, so in a race against names with few parameters it loses, and the names are wrong. Its covariance is raced instead:
+one amplitude, one length of correlation, independent in each tracer or image. Where it wins, it belongs to the noise.
+Method: docs/algorithms/selection-and-levels.md (smooth processes).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns
+from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood
+from metrocli.diagnosis.selection.backward_steps import evidence_of
+from metrocli.diagnosis.selection.selection_state import Selection
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
+
+_LENGTHS = (1 / 16, 1 / 8, 1 / 4)
+"""Lengths of correlation that are tried, as shares of the range of the covariate: what is slower is a drift"""
+_KNOTS = {1: (17, 13, 9), 2: (6, 5, 4, 3)}
+"""Knots along each coordinate, by the number of coordinates: as many as the columns allow"""
+_FEW_KNOTS = (3,)
+_AROUND = 16
+"""Knots around a circle"""
+_RESOLVED = 0.6
+"""Least length of correlation, in distances of the knots"""
+_FEWEST = 6
+"""Fewest readings of a unit with a process of its own"""
+_MOST_COLUMNS, _MOST_NUMBERS = 600, 20_000_000
+"""Most knots of all units, and most numbers of their columns; beyond it the process is one for all readings"""
+_GAIN, _HINT = 3.0, 2.0
+"""Least gain of the log-likelihood by a process: a level of 0.7 % for one variance; and where it stands for names"""
+_MORE, _FAR_MORE = 1.0, 2.0
+"""ln of the odds by which names must exceed a process that stands for them; and where structure is left beside them"""
+_NOTICED, _MOST_TRIED = 1.5, 4
+"""Least score of a variance, in its standard deviations, at which its likelihood is computed; and of how many"""
+_VISIBLE = 1e-3
+"""Variance, relative to that of the noise, below which a direction of a process is left out"""
+
+
+@dataclass(frozen=True)
+class Process:
+    """A smooth random error of the readings."""
+
+    covariate: str
+    by: str
+    """Key of the units in which it is independent (tracer, image); empty if it is common to all readings"""
+    length: float
+    """Length of its correlation, as a share of the range of the covariate"""
+    std: float
+    """Its standard deviation, in the internal unit of the readings"""
+    spread: float
+    """Standard uncertainty of `std`"""
+    log_level: float
+    """ln of the level against no such process, counted over the covariates that were tried"""
+    columns: Array
+    """Columns Z of its covariance `Z Z'` in units of the noise, (rows, k)"""
+
+
+def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
+    """Return the process that belongs to the noise beside which the effects of a selection hold; None if none shows.
+
+    It is estimated beside the named effects, and beside none of them, where it stands instead of them. The names with
+    their counted choice are held against that by their evidence. Where structure is left beside the names, readings
+    have such errors anyhow, and then the names must have far more evidence.
+    """
+    bare = selection.fitted(without=[*selection.named, *selection.unknown])
+    bases = list(_bases(job, selection.test_set.system))
+    if not selection.named:
+        alone = _best(bases, bare)
+        return alone.process(len(bases)) if alone is not None and alone.gain > _GAIN else None
+    # an error that all readings share is what effects such as the air are, so it stands for no name
+    apart = [basis for basis in bases if basis.by] or bases
+    named = selection.fitted(without=selection.unknown)
+    alone, beside = _best(apart, bare), _best(bases, named)
+    left = 0.0 if beside is None else beside.gain
+    needed = evidence_of(selection, bare, named) + left - (_FAR_MORE if left > _GAIN else _MORE)
+    if alone is not None and alone.gain > max(_HINT, needed):
+        return alone.process(len(bases))
+    return beside.process(len(bases)) if beside is not None and left > _GAIN else None
+
+
+def _best(bases: Sequence[_Basis], base: FittedColumns) -> _Tried | None:
+    """Return the process of the largest likelihood beside a fit, of those with the largest scores; None without one."""
+    scored = [one for basis in bases for one in basis.scored(base)]
+    noticed = sorted((one for one in scored if one.excess > _NOTICED), key=lambda one: -one.excess)
+    return max((one.estimated() for one in noticed[:_MOST_TRIED]), key=lambda one: one.gain, default=None)
+
+
+@dataclass(frozen=True)
+class _Basis:
+    """Piecewise linear functions of a covariate between knots, for each unit and each component of the readings."""
+
+    name: str
+    by: str
+    """Key of the units, or empty"""
+    distances: Array
+    """Between knots, as shares of the range, (knots, knots)"""
+    sigma: float
+    """Median of the declared standard deviations, in the internal unit of the readings"""
+    columns: csr_matrix
+    """Whitened columns, (rows, components*units*knots)"""
+    gram: Array
+    """Their products without what the unknowns absorb, (columns, columns)"""
+
+    def scored(self, base: FittedColumns) -> Iterator[_Scored]:
+        """Yield the processes of all lengths beside a fit."""
+        knots = len(self.distances)
+        copies = self.columns.shape[1] // knots
+        along = self.columns.T @ base.basis
+        gram = (self.gram - along @ along.T).reshape(copies, knots, copies, knots)
+        right = (self.columns.T @ base.residual).reshape(copies, knots)
+        spacing = float(np.min(self.distances, where=self.distances > 0, initial=np.inf))
+        for length in _LENGTHS:
+            if length >= _RESOLVED * spacing:
+                root = _root(self.distances / length)
+                turned = np.einsum("aibj,jk->aibk", gram, root, optimize=True)
+                turned = np.einsum("aibk,il->albk", turned, root, optimize=True)
+                yield _Scored(self, length, root, turned.reshape(copies * knots, -1), (right @ root).ravel(), base)
+
+
+def _root(distances: Array) -> Array:
+    """Return L with `L L' = C`, the covariance `(1 + d) exp(-d)` of a process (Matern 3/2), at the knots."""
+    d = np.sqrt(3) * distances
+    return np.asarray(np.linalg.cholesky((1 + d) * np.exp(-d) + 1e-9 * np.eye(len(d))))
+
+
+@dataclass(frozen=True)
+class _Scored:
+    """A process by the products of its columns `Z = H L` beside a fit, H being those of the knots."""
+
+    basis: _Basis
+    length: float
+    root: Array
+    """L, (knots, knots)"""
+    gram: Array
+    """`Z'MZ`"""
+    along: Array
+    """`Z'v`"""
+    base: FittedColumns
+
+    @cached_property
+    def excess(self) -> float:
+        """The score of a variance at 0, `(y'y/s^2 - tr G) / sqrt(2 tr G^2)`."""
+        squares = float(self.along @ self.along) * self.base.dof / max(self.base.squares, 1e-300)
+        return (squares - float(np.trace(self.gram))) / float(np.sqrt(2 * max((self.gram**2).sum(), 1e-300)))
+
+    def estimated(self) -> _Tried:
+        """Return it with the variance of the largest likelihood."""
+        likelihood = RestrictedLikelihood.of(self.base, self.gram, self.along)
+        return _Tried(self.basis, self.length, self.root, self.base, likelihood, likelihood.best())
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A process with the variance of the largest likelihood."""
+
+    basis: _Basis
+    length: float
+    root: Array
+    base: FittedColumns
+    likelihood: RestrictedLikelihood
+    log_ratio: float
+
+    @property
+    def gain(self) -> float:
+        return self.likelihood.gain(self.log_ratio)
+
+    def process(self, tried: int) -> Process:
+        """Return the process, of one of so many covariates that were tried."""
+        ratio, seen = float(np.exp(self.log_ratio)), self.likelihood
+        kept = ratio * seen.eigenvalues > _VISIBLE
+        vectors = (seen.vectors[:, kept] * np.sqrt(ratio)).reshape(-1, len(self.root), int(kept.sum()))
+        columns = self.basis.columns @ np.einsum("ij,ajk->aik", self.root, vectors).reshape(-1, vectors.shape[2])
+        std = float(np.sqrt(ratio * seen.squares(self.log_ratio) / seen.dof)) * self.basis.sigma
+        level = min(seen.log_level(self.log_ratio) + float(np.log(tried)), 0.0)
+        spread = std * seen.relative_spread(self.log_ratio)
+        return Process(self.basis.name, self.basis.by, self.length, std, spread, level, columns)
+
+
+def _bases(job: AdjustedJob, system: System) -> Iterator[_Basis]:
+    """Yield the functions of each covariate, independent in the units of each kind, and one for all readings."""
+    for covariate in job.covariates:
+        if covariate.together or not all(group.name in covariate.values for group in job.model.readings):
+            continue
+        for by in (*job.units, ""):
+            basis = _basis(job, system, covariate, by)
+            if basis is not None:
+                yield basis
+
+
+def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> _Basis | None:
+    from scipy.sparse import csr_matrix
+
+    groups = job.model.readings
+    several = [np.atleast_2d(covariate.values[group.name]) for group in groups]
+    labels = [_labels(job, group, by) for group in groups]
+    units = len(job.model.places[by].names) if by else 1
+    copies = units * sum(len(group.observations.readings) for group in groups)
+    along = (_AROUND,) if covariate.angle else _KNOTS.get(len(several[0]), _FEW_KNOTS)
+    most = min(_MOST_COLUMNS, _MOST_NUMBERS // system.rows) // copies
+    count = next((one for one in along if one ** len(several[0]) <= most), 0)
+    if count == 0 or min(map(_fewest, labels)) < _FEWEST:
+        return None
+    functions, distances = around_circle(several, count) if covariate.angle else between_knots(several, count)
+    count = len(distances)
+    full, place = np.zeros((system.rows, copies * count)), 0
+    for group, values, label in zip(groups, functions, labels, strict=True):
+        every = np.arange(len(label))
+        terms = np.zeros((len(label), units, values.shape[1]))
+        terms[every, label] = values
+        for component, deviations in enumerate(group.observations.deviations):
+            rows = system.first[group.name] + len(group.observations.readings) * every + component
+            # in units of the declared noise, so that lengths and angles can share a variance
+            weights = deviations / system.scale[rows]
+            full[rows, place : place + units * count] = terms.reshape(len(label), -1) * weights[:, None]
+            place += units * count
+    inside = system.basis.coordinates(full)
+    columns = csr_matrix(full)
+    gram = (columns.T @ columns).toarray() - inside.T @ inside
+    return _Basis(covariate.name, by, distances, _typical(job), columns, gram)
+
+
+def _typical(job: AdjustedJob) -> float:
+    """Return the median of the declared standard deviations, for readings in the unit of the first group."""
+    first = job.model.readings[0].observations.unit
+    alike = [group.observations for group in job.model.readings if group.observations.unit == first]
+    return float(np.median(np.concatenate([one.deviations.ravel() for one in alike])))
+
+
+def _labels(job: AdjustedJob, group: Group, by: str) -> Index:
+    """Return the number of the unit of each reading; 0 for all readings of a group without such units."""
+    index = group.observations.index.get(job.model.places[by].index) if by else None
+    return np.zeros(group.observations.count, dtype=np.intp) if index is None else index
+
+
+def _fewest(labels: Index) -> int:
+    counts = np.bincount(labels)
+    return int(counts[counts > 0].min(initial=len(labels)))
+
+
+def around_circle(several: Sequence[Array], count: int) -> tuple[list[Array], Array]:
+    """Return functions of angles (1, n) of each group, (n, knots), and the distances of their knots.
+
+    The distance is the chord, as a share of the diameter: a distance for which the covariance stays one on the circle.
+    """
+    turns = np.arange(count) / count
+    functions = []
+    for values in several:
+        own = piecewise(np.mod(values[0] / (2 * np.pi), 1.0), np.append(turns, 1.0))
+        own[:, 0] += own[:, -1]
+        functions.append(own[:, :-1])
+    return functions, np.abs(np.sin(np.pi * (turns[:, None] - turns)))
+
+
+def between_knots(several: Sequence[Array], count: int) -> tuple[list[Array], Array]:
+    """Return functions of coordinates (k, n) of each group, (n, knots), and the distances of their knots."""
+    whole = np.concatenate(several, axis=1)
+    low, high = whole.min(axis=1, keepdims=True), whole.max(axis=1, keepdims=True)
+    span = np.where(high > low, high - low, 1.0)
+    ends = np.linspace(0.0, 1.0, count)
+    functions = []
+    for values in several:
+        product = np.ones((values.shape[1], 1))
+        for row in (values - low) / span:
+            product = (product[:, :, None] * piecewise(row, ends)[:, None, :]).reshape(len(product), -1)
+        functions.append(product)
+    places = np.stack([one.ravel() for one in np.meshgrid(*[ends] * len(whole), indexing="ij")], axis=1)
+    return functions, np.asarray(np.linalg.norm(places[:, None] - places, axis=2))
+
+
+def piecewise(values: Array, knots: Array) -> Array:
+    """Return piecewise linear functions of values (n,), each 1 at its knot and 0 at the others, (n, knots)."""
+    at = np.clip(np.searchsorted(knots, values, side="right") - 1, 0, len(knots) - 2)
+    part = (values - knots[at]) / (knots[at + 1] - knots[at])
+    found, rows = np.zeros((len(values), len(knots))), np.arange(len(values))
+    found[rows, at], found[rows, at + 1] = 1 - part, part
+    return found

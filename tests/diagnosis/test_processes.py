@@ -1,0 +1,76 @@
+"""Smooth random errors count as noise: they get no names of causes, and effects stay found beside them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden import lengths
+from benchmarks.hidden.rest import of_each
+from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.findings import Diagnosis
+from metrocli.diagnosis.linear.linearised import linearised
+from metrocli.diagnosis.linear.random_columns import with_random_columns
+from metrocli.diagnosis.processes import around_circle, between_knots
+from metrocli.diagnosis.verdict import as_data
+
+
+def wavering(seed: int, effect: str = "", times: float = 3.0) -> tuple[Diagnosis, str]:
+    """Return the diagnosis of a network whose tracers each waver, with an effect; and the place of this effect."""
+    rng = np.random.default_rng([77, seed])
+    m, place = lengths.measurement(rng, int(rng.integers(60, 101))), ""
+    if effect:
+        m, hidden = lengths.planted(m, rng, effect, times)
+        place = " ".join(hidden.where.values())
+    return diagnose(replace(m, length=m.length + of_each(rng, m.t[:, None], m.tracer) * m.sigma).adjusted()), place
+
+
+def test_what_wavers_gets_no_name_and_is_reported() -> None:
+    """Beside white noise alone these three have five false names."""
+    for seed in (1, 6, 14):
+        found, _ = wavering(seed)
+        assert not found.findings
+        assert found.processes[0].by == "tracer"
+        assert 0.3e-4 < found.processes[0].std < 4e-4
+        shown = as_data(found)["processes"][0]
+        assert shown["of_each"] == "tracer"
+        assert shown["std"]["value"] == pytest.approx(1e3 * found.processes[0].std)
+
+
+def test_an_effect_is_named_beside_what_wavers() -> None:
+    found, place = wavering(5, "sphere-form")
+    assert [str(one.effect.alternative) for one in found.findings] == [f"sphere-form {place}"]
+
+
+def test_white_noise_has_no_process() -> None:
+    assert not diagnose(lengths.measurement(np.random.default_rng(3), 60).adjusted()).processes
+
+
+def test_random_columns_are_the_covariance_of_the_readings() -> None:
+    """`v'v` and the change of the unknowns equal those of generalised least squares with I + Z Z'."""
+    m = lengths.measurement(np.random.default_rng(2), 12)
+    system = linearised(m.adjusted().model)
+    rng = np.random.default_rng(4)
+    columns = rng.normal(size=(system.rows, 3))
+    wider = with_random_columns(system, columns)
+    covariance = np.eye(system.rows) + columns @ columns.T
+    whole = system.basis.combined(np.eye(len(system.basis.coordinates(columns))))
+    u = np.linalg.svd(whole, full_matrices=False)[0][:, : system.rows - system.dof]
+    weight = np.linalg.inv(covariance)
+    values = rng.normal(size=system.rows)
+    inside = np.linalg.solve(u.T @ weight @ u, u.T @ weight @ values)
+    squares = float(values @ weight @ (values - u @ inside))
+    longer = np.concatenate([values, np.zeros(3)])
+    seen = wider.seen(longer)
+    assert float(seen @ seen) == pytest.approx(squares, rel=1e-9)
+    assert wider.dof == system.dof
+    np.testing.assert_allclose(wider.absorbed(longer), system.absorbed(u @ inside), atol=1e-9 * np.abs(values).max())
+
+
+def test_knots_add_up_to_one() -> None:
+    turns, chords = around_circle([np.linspace(-4, 9, 50)[None]], 16)
+    plane, apart = between_knots([np.random.default_rng(1).uniform(size=(2, 40))], 5)
+    for functions, distances in ((turns[0], chords), (plane[0], apart)):
+        np.testing.assert_allclose(functions.sum(axis=1), 1.0)
+        assert functions.shape[1] == len(distances)
+        np.testing.assert_allclose(distances, distances.T)
