@@ -194,7 +194,7 @@ def _about(finding: Finding) -> Iterator[str]:
         yield f"  to determine them: {name.alternative.effect.reveal}"
     if finding.other_shape_from < 1:
         share = f"{units.two_digits(100 * finding.other_shape_from)} %"
-        yield f"  not excluded: a cause of no table whose signature differs by less than {share}; more is found with 80 %"
+        yield f"  not excluded: a cause of no table whose signature differs by less than {share} (80 % power)"
     else:
         yield "  not excluded: a cause of no table; the effect is too small for its shape to be checked"
 
