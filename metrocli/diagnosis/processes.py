@@ -82,8 +82,8 @@ def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
     if not selection.named:
         alone = _best(bases, bare)
         return alone.process(len(bases)) if alone is not None and alone.gain > _GAIN else None
-    # an error that all readings share is what effects such as the air are, so it stands for no name
-    apart = [basis for basis in bases if basis.by] or bases
+    # an error that all units share is what effects such as the air are, so it stands for no name
+    apart = [basis for basis in bases if basis.by or not job.units]
     named = selection.fitted(without=selection.unknown)
     alone, beside = _best(apart, bare), _best(bases, named)
     left = 0.0 if beside is None else beside.gain
