@@ -1,4 +1,4 @@
-"""A statement of a report, and what a simulation apart from the program says of it."""
+"""Statements of reports, each with a check by simulation apart from the program."""
 
 from __future__ import annotations
 
