@@ -116,11 +116,22 @@ PLANTS: dict[str, dict[str, Plant]] = {
         "principal-point-shift": Plant({"du": "cx", "dv": "cy"}),
         "machine-scale": Plant({"scale": "machine_scale"}, where="axis"),
         "machine-squareness": Plant({"angle": "squareness"}, where="pair"),
+        "machine-straightness": Plant({"b1": "bow.0", "b2": "bow.1"}, where="axis"),
+        "stretched-targets": Plant({"stretch": "stretched.0", "shear": "stretched.1"}),
         "part-drift": Plant({name: f"drift.{i}" for i, name in enumerate(("vx", "vy", "vz"))}),
         "radial-distortion": Plant({"dk1": "k1"}),
     },
 }
-_TYPICAL = {"drift": 1e-5, "focal_t": 1e-6, "rate_u": 1e-3, "bend": 1e-6, "moved": 0.1, "bad_pose": 0.1, "cx": 1.0}
+_TYPICAL = {
+    "drift": 1e-5,
+    "focal_t": 1e-6,
+    "rate_u": 1e-3,
+    "bend": 1e-6,
+    "moved": 0.1,
+    "bad_pose": 0.1,
+    "bow": 1e-7,
+    "cx": 1.0,
+}
 """Sizes at which signatures are taken, where 1e-4 is not of the right order"""
 PAIRS = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
@@ -140,6 +151,8 @@ def effects_of(plant: Plant, values: Mapping[str, float], place: str) -> dict[st
             found[key] = values[name]
     if plant.where in ("target", "image"):
         found[plant.where] = int(place[1:])
+    if "bow" in found:
+        found["axis"] = "xyz".index(place)
     return found
 
 

@@ -41,7 +41,7 @@ def _in_set(finding: Finding, hidden: Hidden) -> bool:
 
 
 def _covers(finding: Finding, hidden: Hidden, diagnosis: Diagnosis) -> bool:
-    """Whether the 95 % region of the parameters holds the truth, at the level of the F distribution."""
+    """Whether the 95 % region of the parameters holds the truth: the F distribution of the noise that was found."""
     from scipy.special import fdtri
 
     name = finding.effect
@@ -49,7 +49,7 @@ def _covers(finding: Finding, hidden: Hidden, diagnosis: Diagnosis) -> bool:
     size = np.sqrt(np.diag(name.covariance))
     scaled = name.covariance / size / size[:, None]
     distance = float((off / size) @ np.linalg.solve(scaled, off / size))
-    return bool(distance / len(off) <= fdtri(len(off), 200, 0.95))
+    return bool(distance / len(off) <= fdtri(len(off), diagnosis.noise.dof, 0.95))
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,10 @@ def _named(one: Found) -> bool:
 
 
 def _detected(one: Found) -> bool:
-    return one.diagnosis.verdict != "clean"
+    """Whether the verdict is not `clean`, or what is hidden stands beside a wrong reading as an explanation of it."""
+    hidden = {(each.name, *each.where.values()) for each in one.case.hidden}
+    beside = {(other.effect.name, *other.instance) for wrong in one.diagnosis.outliers for other in wrong.effects}
+    return one.diagnosis.verdict != "clean" or bool(hidden & beside)
 
 
 def each_in_sets(one: Found) -> bool:

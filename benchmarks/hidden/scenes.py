@@ -139,6 +139,9 @@ class Scene:
     def listed(self, effects: Effects) -> Array:
         """Each reading's target (n, 3) where it truly is."""
         moved = self.targets * (1 + effects.get("scale", 0.0))
+        if "stretched" in effects:
+            moved = moved.copy()
+            moved[:, 0] += moved[:, :2] @ effects["stretched"][:2]
         if "moved" in effects:
             moved = moved.copy()
             moved[effects["target"]] += effects["moved"]
@@ -168,6 +171,11 @@ def aligned(scene: Scene, unknowns: Array, effects: Effects) -> tuple[Array, Arr
         spindle[:, axis] += commanded[:, axis] * scale
     for first, second, angle in effects.get("squareness", ()):
         spindle[:, first] += angle * commanded[:, second]
+    if "bow" in effects:
+        i, along = effects["axis"], commanded[:, effects["axis"]]
+        arc = (along - (along.min() + along.max()) / 2) ** 2
+        spindle[:, (i + 1) % 3] += effects["bow"][0] * arc
+        spindle[:, (i + 2) % 3] += effects["bow"][1] * arc
     if "bad_pose" in effects:
         spindle[effects["image"], :3] += effects["bad_pose"]
     mounting = scene.given["mounting"]
@@ -222,7 +230,7 @@ def scaled(effects: Effects, share: float) -> dict[str, Any]:
     """The same effects, smaller."""
 
     def smaller(name: str, value: Any) -> Any:
-        if name in ("target", "image", "outside"):
+        if name in ("target", "image", "axis", "outside"):
             return value
         if name == "machine_scale":
             return [(axis, share * scale) for axis, scale in value]

@@ -83,8 +83,8 @@ def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
     named = selection.fitted(without=selection.unknown)
     beside = _best(bases, named)
     left = 0.0 if beside is None else beside.gain
-    # an error that all readings share is what effects such as the air are, so it stands for no name
-    apart = [basis for basis in bases if basis.by] or bases
+    # an error that all units share is what effects such as the air are, so it stands for no name
+    apart = [basis for basis in bases if basis.by or not job.units]
     ahead: list[tuple[float, _Tried]] = []
     for gone in _weakest_first(selection, named):
         bare = selection.fitted(without=[*gone, *selection.unknown])

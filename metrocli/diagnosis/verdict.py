@@ -140,7 +140,13 @@ def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
 
 
 def _outlier(one: Outlier) -> dict[str, Any]:
-    return {"observation": dict(one.keys), "or": [dict(other) for other in one.others], "w": one.test}
+    effects = [{"name": other.effect.name, "where": _where(other)} for other in one.effects]
+    return {
+        "observation": dict(one.keys),
+        "or": [dict(other) for other in one.others],
+        "or_effects": effects,
+        "w": one.test,
+    }
 
 
 def _scatter(job: AdjustedJob, one: Scatter) -> dict[str, Any]:

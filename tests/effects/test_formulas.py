@@ -60,8 +60,9 @@ def test_a_bent_axis_acts_as_poses_on_an_arc(axis: str, across: tuple[int, int])
     bends = {"b1": 3e-6, "b2": -5e-6}
     poses = model.blocks["spindle"]
     moved = poses.values.copy()
+    along = poses.values[:, "xyz".index(axis)]
     for column, bend in zip(across, bends.values(), strict=True):
-        moved[:, column] += bend * poses.values[:, "xyz".index(axis)] ** 2
+        moved[:, column] += bend * (along - (along.min() + along.max()) / 2) ** 2
     by_hand = model.with_blocks({**model.blocks, "spindle": replace(poses, values=moved)})
     found = predicted(with_effect(model, table, [(axis,)], bends))
     assert np.abs(predicted(by_hand) - predicted(model)).max() > 1e-3

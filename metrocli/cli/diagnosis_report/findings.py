@@ -132,7 +132,7 @@ def _wrong(outliers: tuple[Outlier, ...]) -> Iterator[str]:
 
 
 def _others(one: Outlier) -> str:
-    names = ["/".join(keys.values()) for keys in one.others]
+    names = [*map(str, one.effects), *("/".join(keys.values()) for keys in one.others)]
     return ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
 
 
@@ -194,9 +194,9 @@ def _about(finding: Finding) -> Iterator[str]:
         yield f"  to determine them: {name.alternative.effect.reveal}"
     if finding.other_shape_from < 1:
         share = f"{units.two_digits(100 * finding.other_shape_from)} %"
-        yield f"  another cause would show if its signature differed by more than {share}"
+        yield f"  not excluded: a cause of no table whose signature differs by less than {share} (80 % power)"
     else:
-        yield "  too small for its shape to be checked"
+        yield "  not excluded: a cause of no table; the effect is too small for its shape to be checked"
 
 
 def _about_scatter(one: Scatter) -> Iterator[str]:

@@ -38,10 +38,11 @@ class Shift(AtQuantity):
 
 @dataclass(frozen=True)
 class MachineBow(OfBlock):
-    """The machine stands at `d + (b1 e_j + b2 e_k) d_i^2` instead of d: axis i is bent towards the two others.
+    """The machine stands at `d + (b1 e_j + b2 e_k) (d_i - m)^2` instead of d: axis i is bent towards the two others.
 
-    Columns b1, b2 [1/mm]; j and k follow i in the order x, y, z, x. Relative to the machine, points are displaced by
-    the opposite.
+    Columns b1, b2 [1/mm]; j and k follow i in the order x, y, z, x; m is the middle of all commanded poses along i.
+    Relative to the machine, points are displaced by the opposite. A bend about another point would be this one and a
+    slope, which is an error of squareness (ISO 230-1 takes straightness relative to a mean line).
     """
 
     axis: int
@@ -57,7 +58,9 @@ class MachineBow(OfBlock):
     def step(self, value: Array, local: Local) -> Step:
         """Return the point (3, n) relative to the true position of the machine."""
         commanded, bends = local.rows(self.poses), local.rows(self.block)
-        position, n = commanded[self.axis], value.shape[1]
+        along, n = local.members(self.poses)[:, self.axis], value.shape[1]
+        # the middle is that of the file: poses that are estimated move it by less than counts
+        position = commanded[self.axis] - (along.min() + along.max()) / 2
         by_bend, by_pose = np.zeros((3, 2, n)), np.zeros((3, len(commanded), n))
         for column, across in enumerate([(self.axis + 1) % 3, (self.axis + 2) % 3]):
             by_bend[across, column] = -(position**2)
