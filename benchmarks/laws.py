@@ -46,7 +46,7 @@ def faults(diagnosis: Diagnosis, truth: dict[str, Any]) -> list[str]:
 
 def main(wanted: list[str]) -> int:
     """Print a line for each case and the number of right ones; return 1 if the cases are absent."""
-    cases = [folder for folder in folders() if not wanted or folder.name[:3] in wanted]
+    cases = [folder for folder in folders() if not wanted or folder.name[:3] in [one.zfill(3) for one in wanted]]
     if not cases:
         print(f"no cases at {CASES}")
         return 1
