@@ -52,7 +52,7 @@ def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: b
     begun = memo.now_ns()
     unmoved = memo.unmoved_jobs(str(place)) if plain else None
     if unmoved is not None:
-        return _nothing_to_do(unmoved, place.parent, console, as_json, dry_run)
+        return nothing_to_do(unmoved, place.parent, console, as_json, dry_run)
     from metrocli.project import pipeline
     from metrocli.project.running import depfile
     from metrocli.project.running.lock import locked
@@ -78,7 +78,7 @@ def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: b
     return code
 
 
-def _nothing_to_do(jobs: Sequence[Sequence[str]], folder: Path, console: Console, as_json: bool, dry: bool) -> int:
+def nothing_to_do(jobs: Sequence[Sequence[str]], folder: Path, console: Console, as_json: bool, dry: bool) -> int:
     """Print that all jobs are up to date, as a run that looks at everything would."""
     if as_json:
         import json

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import echo
+from metrocli.cli.console import Console, echo
 
 
 @click.command("status", help="List what is up to date in a project, what is not, and why.")
@@ -16,7 +16,14 @@ from metrocli.cli.console import echo
 @options.JSON
 def command(project: Path, accept_doubtful: bool, as_json: bool) -> int:
     """Print one line for each job; return 0 whenever the project can be read."""
-    from metrocli.cli.run import state_data, state_text
+    from metrocli.cli.run import nothing_to_do, state_data, state_text
+    from metrocli.project import PROJECT_FILE
+    from metrocli.project.running.memo import unmoved_jobs
+
+    place = project / PROJECT_FILE if project.is_dir() else project
+    unmoved = unmoved_jobs(str(place)) if not accept_doubtful else None
+    if unmoved is not None:
+        return nothing_to_do(unmoved, place.parent, Console(as_json), as_json, dry=True)
     from metrocli.project.staleness import states
     from metrocli.project.steps import load_project
 

@@ -23,6 +23,7 @@ from metrocli.project.own_effects import Own, Package, own_effects
 from metrocli.project.ranges import ranges_of, within
 from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import BAD, Schema, read_sections, sections_schema, settings_of
+from metrocli.tasks.figures import of_effects
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,10 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     named = (*(heading.effects if heading is not BAD else ()), *more)
     own = Own() if heading is BAD else own_effects(kind, heading, path, wishes.files, faults)
     wanted = effects.read((*tasks.KINDS[kind].task().effects, *own.effects), named, faults) if named else ()
+    if heading is not BAD and settings is not BAD and heading.require and len(wanted) == len(named):
+        known = figures_of(kind, settings, wanted)
+        for requirement in heading.require:
+            requirement.limit_among(known, faults)
     inputs = inputs_of(root, section, faults)
     if heading is not BAD and heading.ranges:
         ranges = ranges_of(heading.ranges, [item.spec for item in inputs], faults)
@@ -135,6 +140,11 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     if os.path.realpath(output) in {os.path.realpath(file) for item in inputs for file in item.paths}:
         raise InputError([root.at("output").fault(f"the output {output} is one of the inputs", "name another output")])
     return JobFile(path, heading, settings, inputs, output, text, root, wanted, wishes, own)
+
+
+def figures_of(kind: str, settings: Any, wanted: tuple[Wanted, ...]) -> dict[str, str]:
+    """Return the units of all figures, by name, that the result of a job can have and a requirement can name."""
+    return tasks.KINDS[kind].figures(settings) | of_effects(wanted)
 
 
 def load_parts(path: Path, wishes: Wishes) -> list[JobFile]:

@@ -116,14 +116,15 @@ def digest(value: Any, folder: Path = Path()) -> str:
     return found.hexdigest()
 
 
-_PLAIN = (str, float, int, bool, type(None))
+_PLAIN = frozenset((str, float, int, bool, type(None)))
+_HOLDERS, _SCALARS = frozenset((list, tuple, dict)), (Enum, Number, bytes)
 
 
 def _add(value: Any, add: Callable[[bytes], object], folder: Path) -> None:
     """Feed a value to a digest, each part with its type and length, so that no two values give the same bytes."""
     kind = type(value)
-    # the first two are nearly all values of a job, and quick to tell apart
-    if kind in _PLAIN or isinstance(value, Enum | Number | bytes):
+    # the first three are nearly all values of a job, and quick to tell apart
+    if kind in _PLAIN or (kind not in _HOLDERS and isinstance(value, _SCALARS)):
         text = value if isinstance(value, bytes) else repr(value).encode()
         add(f"{kind.__name__}{len(text)}:".encode() + text)
     elif isinstance(value, list | tuple):
@@ -140,7 +141,11 @@ def _add(value: Any, add: Callable[[bytes], object], folder: Path) -> None:
         kept = {name: getattr(value, name) for name in _meant(kind)}
         _add([kind.__qualname__, kept], add, folder)
     elif isinstance(value, Mapping):
-        _add([(str(key), value[key]) for key in sorted(value, key=str)], add, folder)
+        add(f"list{len(value)}:".encode())
+        for key in sorted(value, key=str):
+            name = repr(str(key)).encode()
+            add(b"list2:str%d:%b" % (len(name), name))  # as of a list of pairs, without making one
+            _add(value[key], add, folder)
     elif isinstance(value, Set):
         _add(sorted(value, key=str), add, folder)
     elif hasattr(value, "tobytes"):

@@ -15,12 +15,13 @@ from metrocli.nodes import Node
 from metrocli.record import Verdict
 from metrocli.result import Result
 from metrocli.settings import BAD, Schema
-from metrocli.words import suggestion
+from metrocli.words import nearest, suggestion
 
 _COMPARISONS: dict[str, Callable[[float, float], bool]] = {
     "<=": operator.le, ">=": operator.ge, "==": operator.eq, "<": operator.lt, ">": operator.gt,
 }  # fmt: skip
 _NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+_BRACES = re.compile(r"\{[a-z]+\}")
 _CONDITION = re.compile(rf"\s*(<=|>=|==|<|>)\s*({_NUMBER})\s*(\S*)\s*")
 
 
@@ -41,19 +42,35 @@ class Requirement:
         Adds a fault and returns None if the result has no such value, or one of another unit.
         """
         known = values_of(result)
-        name = self.name.removeprefix("statistics.")
-        if name not in known:
+        limit = self.limit_among({name: unit for name, (_, unit) in known.items()}, faults)
+        if limit is None:
+            return None
+        value, unit = known[self.figure]
+        return Verdict(self.name, self.node.text, value, unit, bool(_COMPARISONS[self.comparison](value, limit)))
+
+    @property
+    def figure(self) -> str:
+        """The name of the value in the result."""
+        return self.name.removeprefix("statistics.")
+
+    def limit_among(self, known: Mapping[str, str], faults: list[Fault]) -> float | None:
+        """Return the limit in the internal unit of the value that it is for; `known` has the unit of each by name.
+
+        In the names braces stand for any text (`{tracer}.x`). Adds a fault and returns None if the value is not
+        known, or the limit has another unit.
+        """
+        possible = units_among(self.figure, known)
+        if not possible:
             message = f"require: the result has no value '{self.name}'"
-            faults.append(self.node.fault(message, suggestion(name, known)))
-            return None
-        value, unit = known[name]
-        try:
-            limit = self._limit_in(unit)
-        except units.QuantityError as error:
-            faults.append(self.node.fault(f"{self.node.path}: {error.message}", error.hint))
-            return None
-        met = _COMPARISONS[self.comparison](value, limit)
-        return Verdict(self.name, self.node.text, value, unit, bool(met))
+            faults.append(self.node.fault(message, _allowed(self.figure, known)))
+        wrong: list[units.QuantityError] = []
+        for unit in possible:
+            try:
+                return self._limit_in(unit)
+            except units.QuantityError as error:
+                wrong.append(error)
+        faults.extend(self.node.fault(f"{self.node.path}: {one.message}", one.hint) for one in wrong[:1])
+        return None
 
     def _limit_in(self, unit: str) -> float:
         if not self.unit and unit in ("", "1"):
@@ -69,6 +86,23 @@ class Requirement:
                 hint = "write the limit without a unit" if unit in ("", "1") else error.hint
                 raise units.QuantityError(f"{self.name} has the unit '{unit}', not '{self.unit}'", hint) from error
         return units.find_unit(self.unit, dimension).inside(self.limit)
+
+
+def units_among(name: str, known: Mapping[str, str]) -> list[str]:
+    """Return the unit of a known name, or those of the known names with braces that it fits."""
+    if name in known:
+        return [known[name]]
+    patterns = {".+".join(map(re.escape, _BRACES.split(one))): unit for one, unit in known.items() if "{" in one}
+    return [unit for pattern, unit in patterns.items() if re.fullmatch(pattern, name)]
+
+
+def _allowed(name: str, known: Mapping[str, str]) -> str:
+    """Return the known name that is meant, or all of them; standard uncertainties once only."""
+    if nearest(name, known) is not None:
+        return suggestion(name, known)
+    brief = [one for one in known if not one.endswith((".std", ".dof"))]
+    more = ", and the standard uncertainty of an estimate as NAME.std" if len(brief) < len(known) else ""
+    return f"{suggestion(name, brief)}{more}"
 
 
 def values_of(result: Result) -> dict[str, tuple[float, str]]:

@@ -63,15 +63,14 @@ def state_of(step: Step, running: dict[str, Path], force: bool = False, strict: 
     before = [name for name in step.needs if name in running]
     if not os.path.lexists(job.output):
         return State(step, "there is no result yet")
-    try:
-        if not force:
+    label, damage = _label(job)
+    if not force and (label is None or label.kind != job.kind):
+        try:
             hdf5.refuse_foreign(job.output, job.kind)
-    except InputError as error:
-        return State(step, str(error), waits=True)
-    try:
-        label = hdf5.read_label(job.output)
-    except InputError as error:
-        return State(step, error.faults[0].message)
+        except InputError as error:
+            return State(step, str(error), waits=True)
+    if label is None:
+        return State(step, damage)
     if force:
         return State(step, "forced", label)
     reason = _difference(job, label, {absolute(running[name]) for name in before})
@@ -80,6 +79,14 @@ def state_of(step: Step, running: dict[str, Path], force: bool = False, strict: 
     if not reason and before:
         return State(step, f"{before[0]} runs", label, depends=True)
     return State(step, reason, label)
+
+
+def _label(job: JobFile) -> tuple[Label | None, str]:
+    """Return the label of the result of a job, or None and why it cannot be believed."""
+    try:
+        return hdf5.read_label(job.output), ""
+    except InputError as error:
+        return None, error.faults[0].message
 
 
 def _difference(job: JobFile, label: Label, running: Collection[Path]) -> str:
@@ -115,9 +122,9 @@ def refuse_lost(steps: Sequence[Step]) -> None:
     faults = []
     made = {absolute(step.job.output) for step in steps}
     for step in steps:
-        try:
-            label = hdf5.read_label(step.job.output)
-        except InputError:
+        # a job as it was meant has inputs if it had some
+        label = _label(step.job)[0] if step.job.inputs or step.job.own.files else None
+        if label is None:
             continue
         paths = [one.path for one in label.inputs if absolute(step.job.folder / one.path) not in made]
         lost = [path for path in paths if not (step.job.folder / path).is_file()]

@@ -63,6 +63,11 @@ class Kind:
         found: Task[Any, Any] = self._module("task").TASK
         return found
 
+    def figures(self, settings: Any) -> dict[str, str]:
+        """Return the figures that results of a job with these settings can have, as `metrocli.tasks.figures`."""
+        found: dict[str, str] = self._module("figures").figures(settings)
+        return found
+
     def _module(self, name: str) -> Any:
         package = self.package or f"metrocli.tasks.{self.name.replace('-', '_')}"
         return import_module(f"{package}.{name}")

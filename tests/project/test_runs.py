@@ -183,23 +183,56 @@ class TestMemo:
 
     def test_the_same_is_printed(self, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
         assert memo.unmoved_jobs(Path("metrocli.yaml")) == [[f"jobs/{n}.yaml", f"results/{n}.h5"] for n in ALL]
-        options = ((), ("--json",), ("--dry-run",), ("--dry-run", "--json"))
-        quick = [metrocli("run", *one) for one in options]
+        commands = [("run",), ("run", "--json"), ("run", "--dry-run"), ("run", "--dry-run", "--json")]
+        commands += [("status",), ("status", "--json")]
+        quick = [metrocli(*one) for one in commands]
         Path(memo.NAME).unlink()
         monkeypatch.setattr("metrocli.project.running.memo.remember", lambda *arguments: None)
-        assert [metrocli("run", *one) for one in options] == quick
+        assert [metrocli(*one) for one in commands] == quick
 
-    @pytest.mark.parametrize("file", ["metrocli.yaml", "jobs/a.yaml", "results/d.h5", "."])
-    def test_any_touch_ends_it(self, file: str, metrocli: Callable[..., Any]) -> None:
+    FILES = ("metrocli.yaml", "jobs/a.yaml", "results/d.h5")
+
+    @pytest.mark.parametrize("file", FILES)
+    def test_any_change_ends_it(self, file: str) -> None:
         path = Path(file)
-        if path.is_dir():
-            Path("results/c.h5").unlink()
-        else:
-            found = path.stat()
-            data = path.read_bytes()
-            path.write_bytes(data)
-            os.utime(path, ns=(found.st_atime_ns, found.st_mtime_ns))  # as a tool that hides its change would
-        assert memo.unmoved_jobs(Path("metrocli.yaml")) is None
+        found, data = path.stat(), path.read_bytes()
+        path.write_bytes(data[:-2] + bytes([data[-2] ^ 1]) + data[-1:])
+        os.utime(path, ns=(found.st_atime_ns, found.st_mtime_ns))  # as a tool that hides its change would
+        assert path.stat().st_size == found.st_size
+        assert memo.unmoved_jobs("metrocli.yaml") is None
+
+    def test_a_result_that_is_gone_ends_it(self) -> None:
+        Path("results/c.h5").unlink()
+        assert memo.unmoved_jobs("metrocli.yaml") is None
+
+    def test_files_that_only_moved_are_read_once(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        known = memo.unmoved_jobs("metrocli.yaml")
+        for file in self.FILES:
+            data = Path(file).read_bytes()
+            Path(file).unlink()
+            Path(file).write_bytes(data)
+            os.utime(file, (0, 0))
+        assert memo.unmoved_jobs("metrocli.yaml") == known
+        monkeypatch.setattr("metrocli.project.running.memo._seen", lambda *arguments: pytest.fail("read again"))
+        assert memo.unmoved_jobs("metrocli.yaml") == known
+
+    def test_a_file_that_is_written_while_it_is_read_is_not_remembered(
+        self, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """The digest would be that of the new bytes, which no run has judged."""
+        monkeypatch.setattr("metrocli.project.running.memo._SETTLED_NS", 0)
+        Path(memo.NAME).unlink()
+        real = memo._looked_at
+
+        def edited(*arguments: Any) -> list[Path]:
+            looked_at = list(real(*arguments))
+            with Path("jobs/a.yaml").open("a") as file:
+                file.write("# edited after it was judged\n")
+            return looked_at
+
+        monkeypatch.setattr("metrocli.project.running.memo._looked_at", edited)
+        metrocli("run")
+        assert not Path(memo.NAME).exists()
 
     def test_a_damaged_memo_is_not_used(self) -> None:
         Path(memo.NAME).write_text(Path(memo.NAME).read_text()[:-9])

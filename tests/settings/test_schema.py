@@ -29,7 +29,7 @@ ACCEPTED = [
     GOOD + "estimate: [offset]\n",
     GOOD + "limits: {range: [1 mm, 0.2 m], robust: true}\n",
     GOOD + "labels: {a: first, b: 012}\n",
-    GOOD + "require: {sigma0: '< 1.5', x.std: ['> 1 um', '< 3 um']}\noutput: a/b.h5\neffects: []\n",
+    GOOD + "require: {sigma0: '< 1.5', offset.std: ['> 1 um', '< 3 um']}\noutput: a/b.h5\neffects: []\n",
 ]
 REFUSED = [
     GOOD.replace("metrocli: 1", "metrocli: 2"),
