@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
+_NO_CHANCE = 1e-9
+"""Chance up to which a surface counts as clean: the tails of the errors are not known so far out"""
 _LIKELY = 0.05
 """Chance of a surface that stays unclean from which a warning names it"""
 
@@ -116,6 +118,7 @@ def _surfaces(solved: Solved, overstock: Table) -> Table:
     order = np.lexsort((value, of_point))
     present, first, counts = np.unique(of_point[order], return_index=True, return_counts=True)
     total = np.bincount(of_point, value)[present]
+    chance = -np.expm1(np.bincount(of_point, clean)[present])
     columns: dict[str, Values] = {
         "surface": np.array(solved.stock.nominal.names, dtype=str)[present],
         "points": counts,
@@ -123,7 +126,7 @@ def _surfaces(solved: Solved, overstock: Table) -> Table:
         "mean": total / counts,
         "largest": value[order][first + counts - 1],
         "least_at": names[order][first],
-        "below": np.abs(np.expm1(np.bincount(of_point, clean)[present])),
+        "below": np.where(chance > _NO_CHANCE, chance, 0.0),
     }
     return Table(columns, dict.fromkeys(("least", "mean", "largest"), "mm"))
 

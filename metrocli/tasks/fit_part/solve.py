@@ -97,8 +97,10 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
         contradictions = c.contradictions(stock, holding, minimum, highest)
         hint = c.wrong_side(turned) if turned else c.all_inside(settled.level, isinstance(nominal, OfMesh))
         raise c.refuse(contradictions, places.of(used).names, minimum, largest, hint)
-    if turned:
-        raise InputError(c.wrong_side(turned))
+    # a negative minimum says that material is missing, which may be what this is
+    doubts = [c.wrong_side(turned)] if turned else []
+    if doubts and minimum >= 0:
+        raise InputError(doubts[0])
     if name == MOST and not np.isfinite(largest):
         raise UndeterminedError("the least overstock has no limit: no surface faces the others; use another aim")
     # the even fit of the levels is nearer to what is sought than the largest least overstock, where it is allowed
@@ -106,7 +108,7 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
     begin = settled.into if allowed else highest
     aim, fitted = fitted_part(stock, name, minimum, (begin, largest, holding), prepared.start)
     sense = sensitivity_with_exchanges(fitted, aim, prepared.start, places.of(used).places)
-    warnings = (*prepared.readings.warnings, *open_motions)
+    warnings = (*prepared.readings.warnings, *open_motions, *doubts)
     return Solved(prepared, settled, used, stock, aim, fitted, min(minimum, largest), largest, sense, warnings)
 
 
