@@ -97,7 +97,7 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
         contradictions = c.contradictions(stock, holding, minimum, highest)
         hint = c.wrong_side(turned) if turned else c.all_inside(settled.level, isinstance(nominal, OfMesh))
         raise c.refuse(contradictions, places.of(used).names, minimum, largest, hint)
-    # a negative minimum says that material is missing, which may be what this is
+    # a negative minimum allows for missing material, and surfaces without it look the same
     doubts = [c.wrong_side(turned)] if turned else []
     if doubts and minimum >= 0:
         raise InputError(doubts[0])
