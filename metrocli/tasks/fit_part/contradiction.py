@@ -115,7 +115,7 @@ def refuse(
     several = len(found.surfaces) > 1
     contradict = "surfaces that contradict each other" if several else "surface that contradicts itself"
     each = [
-        f"{least:.3f} mm without {name}" if np.isfinite(least) else f"any overstock without {name}"
+        f"{least:.3f} mm without {name}" if np.isfinite(least) else f"unlimited overstock without {name}"
         for name, least in zip(found.surfaces, found.without, strict=True)
     ]
     lines = [
