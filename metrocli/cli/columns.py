@@ -37,10 +37,10 @@ def columns_text(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("  ".join(cells).rstrip() for cells in zip(*columns, strict=True))
 
 
-def worst_rows(rows: Sequence[Sequence[str]], most: int = 12) -> list[str]:
-    """Return a heading and the first of its rows, which fall in E_n, as lines, and a line that counts the others."""
+def worst_rows(rows: Sequence[Sequence[str]], most: int = 12, by: str = "E_n") -> list[str]:
+    """Return a heading and the first of its rows, which fall in `by`, as lines, and a line that counts the others."""
     lines, more = [columns_text(rows[: most + 1])], len(rows) - most - 1
-    return [*lines, f"... {more} more, with smaller E_n (--json has all)"] if more > 0 else lines
+    return [*lines, f"... {more} more, with smaller {by} (--json has all)"] if more > 0 else lines
 
 
 def _aligned(cells: Sequence[str], name: bool) -> list[str]:

@@ -23,6 +23,8 @@ from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 from metrocli.words import nearest
 
 if TYPE_CHECKING:
+    from collections.abc import Container
+
     from metrocli.table import Array, Values
 
 LONGEST_TEXT = 200
@@ -38,14 +40,18 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
     raw = taken_apart(read_text(path, shown or str(path), held), shown or str(path))
     columns = _every(raw, columns) if columns.every else columns
     places, faults = _find(raw, columns)
+    complete, without_key = not faults, set[int | None]()
     values: dict[str, Values] = {}
     for column in columns.columns:
         if column.name in places:
             index, unit = places[column.name]
+            before = len(faults)
             values[column.name] = _convert(raw, index, column, unit, faults)
+            if column.name in columns.key:
+                without_key |= {fault.line for fault in faults[before:]}
     raw = replace(raw, cells=())  # which take many times the memory of the values
-    if not faults:
-        faults = _repeated(raw, columns, values)
+    if complete:
+        faults += _repeated(raw, columns, values, without_key)
     if faults:
         raise InputError(shortened(faults))
     internal = {c.name: units.internal_unit(c.dimension) for c in columns.columns if _has_unit(c) and c.name in values}
@@ -228,8 +234,8 @@ def _texts(raw: Raw, index: int, column: Column, faults: list[Fault]) -> Values:
     return np.array(cells, dtype=np.str_)
 
 
-def _repeated(raw: Raw, columns: Columns, values: dict[str, Values]) -> list[Fault]:
-    """Return a fault for each row that has the same key as an earlier row."""
+def _repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Container[int | None]) -> list[Fault]:
+    """Return a fault for each row that has the same key as an earlier row, but for the lines `without` a key."""
     names = [name for name in columns.key if name in values]
     if not names:
         return []
@@ -239,6 +245,8 @@ def _repeated(raw: Raw, columns: Columns, values: dict[str, Values]) -> list[Fau
     first: dict[tuple[object, ...], int] = {}
     faults = []
     for row, key in enumerate(keys):
+        if raw.numbers[row] in without:
+            continue
         if key in first:
             said = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
             faults.append(raw.fault(f"{said}: a second row", raw.numbers[row], None, f"first in line {first[key]}"))

@@ -68,11 +68,25 @@ def test_a_cell_too_many_and_one_too_few_do_not_make_up_for_each_other() -> None
 
 
 def test_faults_of_plain_files_have_their_place(tmp_path: Path) -> None:
-    path = written(tmp_path / "a.csv", more="P_7,T1,1e999\nP_7,T9,\nP_7,T8,1_0\n")
+    path = written(tmp_path / "a.csv", more="P_7,TA,1e999\nP_7,T9,\nP_7,T8,1_0\n")
     with pytest.raises(InputError) as error:
         csv.read(path, COLUMNS)
     n = len(ROWS)
     assert [(fault.line, fault.column) for fault in error.value.faults] == [(n + 2, 8), (n + 3, 8), (n + 4, 8)]
+
+
+def test_rows_without_a_key_and_repeated_ones_are_reported_together(tmp_path: Path) -> None:
+    """A row with a wrong number has a key; two rows without one are not the same."""
+    path = written(tmp_path / "a.csv", more="P_7,,3.0\nP_7,,3.0\nP_7,T1,x\n")
+    with pytest.raises(InputError) as error:
+        csv.read(path, COLUMNS)
+    n = len(ROWS)
+    assert [(fault.line, fault.column) for fault in error.value.faults] == [
+        (n + 2, 5),
+        (n + 3, 5),
+        (n + 4, 1),
+        (n + 4, 8),
+    ]
 
 
 def test_a_row_that_is_there_twice_is_found(tmp_path: Path) -> None:

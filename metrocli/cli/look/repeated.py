@@ -117,6 +117,6 @@ def _text_of_sets(found: Repetition) -> str:
         name = one.name if one.group == "estimates" else f"{one.group} {one.name}"
         mean = "" if math.isnan(one.mean) else units.format_quantity(one.mean, one.unit, one.sigma)
         rows.append([name, mean, f"{one.sigma:.3g} {one.unit}", f"{one.std:.3g} {one.unit}", f"{one.ratio:.2f}"])
-    lines = worst_rows(rows)
+    lines = worst_rows(rows, by="sigma/stated")
     lines.append(f"{found.sets} sets, {len(found.quantities)} quantities, largest sigma/stated {found.max_ratio:.2f}")
     return "\n".join(lines)

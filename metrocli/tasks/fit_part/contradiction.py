@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from metrocli.errors import UndeterminedError
 from metrocli.geometry.surfaces import Array
-from metrocli.tasks.fit_part.fit import LEAST_MOTION, most
+from metrocli.tasks.fit_part.fit import LEAST_MOTION, most, most_of_many
 from metrocli.tasks.fit_part.stock import Local, Stock
 from metrocli.words import in_a_row
 
@@ -21,6 +21,8 @@ _OF_FACETS = 0.5
 """Share of the change of the overstock that a smooth surface must have: with less, the facets of the mesh bring it"""
 _NO_TURN = 1e-3
 """Turn over shift of a step, both as motions of the points [mm], up to which it is a shift: rounding leaves far less"""
+_SETS = 4
+"""Contradictions that a refusal lists, at most"""
 _TOLERANCE = 1e-6
 """Shortfall of the least overstock [mm] that is not counted"""
 
@@ -34,11 +36,31 @@ class Contradiction:
     """Largest least overstock that they allow [mm]"""
     points: tuple[int, ...]
     """Points that hold it"""
+    without: tuple[float, ...]
+    """Largest least overstock of the whole part without each of the surfaces [mm], inf without limit"""
 
 
 def feasible(least: float, minimum: float) -> bool:
     """Return whether the largest least overstock allows a minimum."""
     return least >= minimum - _TOLERANCE
+
+
+def contradictions(stock: Stock, duals: Array, minimum: float, into: Array) -> list[Contradiction]:
+    """Return sets of contradicting surfaces that share none, until the other surfaces have the minimum together.
+
+    The first one holds the largest least overstock of all. There are at most `_SETS`.
+    """
+    found = [contradiction(stock, duals, minimum, into)]
+    while len(found) < _SETS:
+        named = {name for one in found for name in one.surfaces}
+        stock = stock.of(~np.isin(stock.surface, [stock.nominal.names.index(name) for name in named]))
+        if not len(stock.measured):
+            break
+        into, least, duals = most_of_many(stock, into)
+        if feasible(least, minimum):
+            break
+        found.append(contradiction(stock, duals, minimum, into))
+    return found
 
 
 def contradiction(stock: Stock, duals: Array, minimum: float, into: Array) -> Contradiction:
@@ -59,7 +81,8 @@ def contradiction(stock: Stock, duals: Array, minimum: float, into: Array) -> Co
             chosen = list(some)
             break
     least, held = _least(stock, chosen, into)
-    return Contradiction(tuple(stock.nominal.names[one] for one in chosen), least, held)
+    without = tuple(_least_without(stock, one, into) for one in chosen)
+    return Contradiction(tuple(stock.nominal.names[one] for one in chosen), least, held, without)
 
 
 def _least(stock: Stock, surfaces: Sequence[int], into: Array, enough: float = np.inf) -> tuple[float, tuple[int, ...]]:
@@ -68,13 +91,19 @@ def _least(stock: Stock, surfaces: Sequence[int], into: Array, enough: float = n
     return least, tuple(rows[duals > 0].tolist())
 
 
+def _least_without(stock: Stock, surface: int, into: Array) -> float:
+    others = stock.of(stock.surface != surface)
+    return most_of_many(others, into)[1] if len(others.measured) else np.inf
+
+
 def refuse(
-    found: Contradiction, names: Sequence[str], minimum: float, whole: float, turned: Sequence[str]
+    contradictions: Sequence[Contradiction], names: Sequence[str], minimum: float, whole: float, hint: str
 ) -> UndeterminedError:
     """Return the error of an infeasible fit; `whole` is the largest least overstock of all surfaces [mm].
 
-    `turned` are the surfaces whose points may be on the wrong side.
+    `hint` is another cause, such as points on the wrong side, or empty.
     """
+    found, *further = contradictions
     together = in_a_row(found.surfaces)
     points = ", ".join(names[row] for row in found.points[:8])
     possible = np.floor(whole * 100) / 100
@@ -85,15 +114,21 @@ def refuse(
     )
     several = len(found.surfaces) > 1
     contradict = "surfaces that contradict each other" if several else "surface that contradicts itself"
+    each = [
+        f"{least:.3f} mm without {name}" if np.isfinite(least) else f"unlimited overstock without {name}"
+        for name, least in zip(found.surfaces, found.without, strict=True)
+    ]
     lines = [
         f"no pose of the ideal part leaves {minimum:g} mm of overstock everywhere",
         f"  {contradict}: {together}",
         f"  by how much: they leave at most {found.least:.3f} mm at their lowest points, "
         f"{minimum - found.least:.3f} mm less than required (points {points})",
         *(["  without any one of these surfaces the others of them have the minimum"] if several else []),
+        f"  the whole part leaves {in_a_row(each)}",
+        *(f"  beside them: {in_a_row(one.surfaces)} (at most {one.least:.3f} mm)" for one in further),
         f"  {what}",
     ]
-    lines += [f"  or: {wrong_side(turned)}"] if turned else []
+    lines += [f"  or: {hint}"] if hint else []
     return UndeterminedError("\n".join(lines))
 
 
@@ -103,6 +138,22 @@ def wrong_side(turned: Sequence[str]) -> str:
         f"the points of {in_a_row(turned)} lie on the wrong side of the surface: with its material on the other side "
         "the overstock varies less than half as much; turn its normal over, or exchange "
         "`material: inside` and `outside`"
+    )
+
+
+def all_inside(level: Array, of_mesh: bool) -> str:
+    """Return the sentence about points that are all inside the ideal part, by the level of each surface; or nothing."""
+    known = level[~np.isnan(level)]
+    if (known >= 0).any():
+        return ""
+    cause = (
+        "the mesh may be that of the raw part, or the points those of another part"
+        if of_mesh
+        else "if the normals point into the material, turn them over, and exchange `material: inside` and `outside`"
+    )
+    return (
+        f"the points of every surface lie on the wrong side, inside the ideal part (levels {known.min():.2f} to "
+        f"{known.max():.2f} mm): {cause}"
     )
 
 

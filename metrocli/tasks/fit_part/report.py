@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
+_NO_CHANCE = 1e-9
+"""Chance up to which a surface counts as clean: the tails of the errors are not known so far out"""
 _LIKELY = 0.05
 """Chance of a surface that stays unclean from which a warning names it"""
 
@@ -51,7 +53,7 @@ def report(solved: Solved, check: Check | None = None) -> Result:
         "unknowns": 6,
         "dof": len(of_used) - 6,
         "iterations": fit.iterations,
-        "minimum": solved.aim.minimum,
+        "minimum": solved.minimum,
         "least_overstock": float(of_used.min()),
         "mean_overstock": float(of_used.mean()),
         "largest_overstock": float(of_used.max()),
@@ -101,7 +103,7 @@ def _overstock(solved: Solved) -> Table:
         "surface": np.array(stock.nominal.names, dtype=str)[stock.surface],
         "overstock": local.overstock,
         "s_overstock": std,
-        "below": below(local.overstock, std, solved.aim.minimum),
+        "below": below(local.overstock, std, solved.minimum),
         "used": solved.used.astype(np.int64),
         **{axis: local.points[:, k] for k, axis in enumerate("xyz")},
     }
@@ -116,6 +118,7 @@ def _surfaces(solved: Solved, overstock: Table) -> Table:
     order = np.lexsort((value, of_point))
     present, first, counts = np.unique(of_point[order], return_index=True, return_counts=True)
     total = np.bincount(of_point, value)[present]
+    chance = -np.expm1(np.bincount(of_point, clean)[present])
     columns: dict[str, Values] = {
         "surface": np.array(solved.stock.nominal.names, dtype=str)[present],
         "points": counts,
@@ -123,7 +126,7 @@ def _surfaces(solved: Solved, overstock: Table) -> Table:
         "mean": total / counts,
         "largest": value[order][first + counts - 1],
         "least_at": names[order][first],
-        "below": np.abs(np.expm1(np.bincount(of_point, clean)[present])),
+        "below": np.where(chance > _NO_CHANCE, chance, 0.0),
     }
     return Table(columns, dict.fromkeys(("least", "mean", "largest"), "mm"))
 
@@ -194,7 +197,7 @@ def _factor(common: Array, core: Array) -> Array:
 
 
 def _notes(solved: Solved, holding: Table) -> Iterator[str]:
-    fit, minimum = solved.fit, solved.aim.minimum
+    fit, minimum = solved.fit, solved.minimum
     least = float(fit.local.overstock.min())
     largest = f"at most {solved.largest:.3f} mm is possible" if np.isfinite(solved.largest) else "it has no upper limit"
     yield f"least overstock {least:.3f} mm, minimum {minimum:.3f} mm ({largest})"
@@ -225,7 +228,13 @@ def _warnings(solved: Solved, surfaces: Table, rejected: Table) -> Iterator[str]
                 f"{count} left out as {reason}: {listed(names, 5)}; {what}, up to {off.max():.2f} mm from the level of "
                 "the surface (table rejected); `outliers: report` keeps all points"
             )
-    minimum = solved.aim.minimum
+    minimum, of_used = solved.minimum, solved.fit.local.overstock
+    if minimum < 0:
+        missing = int((of_used < 0).sum())
+        yield (
+            f"the minimum is negative: up to {-minimum:g} mm of material may be missing at a point; "
+            f"it is at {missing} of {len(of_used)} points (overstock below 0)"
+        )
     low = [
         f"{point} ({value:.2f} mm)"
         for point, value in zip(rejected.texts("point"), rejected.numbers("overstock"), strict=True)

@@ -53,6 +53,8 @@ class Solved:
     """Of the points that take part"""
     aim: Aim
     fit: Fit
+    minimum: float
+    """Least overstock that the job asks for [mm]; the aim `most` holds a larger one"""
     largest: float
     """Largest possible least overstock [mm], inf without limit"""
     sensitivity: Sensitivity
@@ -92,10 +94,13 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
     turned = reversed_surfaces(stock, nominal, settled.into) if isinstance(nominal, OfSurfaces) else []
     highest, largest, holding = most_of_many(stock, settled.into)
     if not c.feasible(largest, minimum):
-        contradiction = c.contradiction(stock, holding, minimum, highest)
-        raise c.refuse(contradiction, places.of(used).names, minimum, largest, turned)
-    if turned:
-        raise InputError(c.wrong_side(turned))
+        contradictions = c.contradictions(stock, holding, minimum, highest)
+        hint = c.wrong_side(turned) if turned else c.all_inside(settled.level, isinstance(nominal, OfMesh))
+        raise c.refuse(contradictions, places.of(used).names, minimum, largest, hint)
+    # a negative minimum allows for missing material, and surfaces without it look the same
+    doubts = [c.wrong_side(turned)] if turned else []
+    if doubts and minimum >= 0:
+        raise InputError(doubts[0])
     if name == MOST and not np.isfinite(largest):
         raise UndeterminedError("the least overstock has no limit: no surface faces the others; use another aim")
     # the even fit of the levels is nearer to what is sought than the largest least overstock, where it is allowed
@@ -103,8 +108,8 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
     begin = settled.into if allowed else highest
     aim, fitted = fitted_part(stock, name, minimum, (begin, largest, holding), prepared.start)
     sense = sensitivity_with_exchanges(fitted, aim, prepared.start, places.of(used).places)
-    warnings = (*prepared.readings.warnings, *open_motions)
-    return Solved(prepared, settled, used, stock, aim, fitted, largest, sense, warnings)
+    warnings = (*prepared.readings.warnings, *open_motions, *doubts)
+    return Solved(prepared, settled, used, stock, aim, fitted, min(minimum, largest), largest, sense, warnings)
 
 
 def _rough(prepared: Prepared) -> Array:

@@ -74,6 +74,45 @@ def test_a_surface_with_the_material_on_the_wrong_side(
     assert ran.code in (3, 4) and f"the points of {name} lie on the wrong side" in ran.err
 
 
+def test_all_surfaces_with_the_material_on_the_wrong_side(tmp_path: Path, metrocli: Metrocli) -> None:
+    """No surface differs from the others then: what shows it is that all points are inside."""
+    job = casting(2).write(tmp_path)
+    changed(tmp_path / "part.yaml", "material: inside", "material: other")
+    text = (tmp_path / "part.yaml").read_text().replace("outside", "inside").replace("other", "outside")
+    for one, other in (("1.0", "-1.0"), ("-1.0", "1.0")):
+        for axis in ("[{}, 0.0, 0.0]", "[0.0, {}, 0.0]", "[0.0, 0.0, {}]"):
+            text = text.replace(f"normal: {axis.format(one)}", f"turned: {axis.format(other)}")
+    (tmp_path / "part.yaml").write_text(text.replace("turned:", "normal:"))
+    ran = metrocli("fit-part", job)
+    assert ran.code == 4 and "the points of every surface lie on the wrong side" in ran.err, ran.err
+
+
+def test_points_inside_of_a_mesh(tmp_path: Path, metrocli: Metrocli) -> None:
+    job = points_on_block(tmp_path, count=120)
+    corners = block(2).corners
+    stl(tmp_path / "part.stl", corners + np.where(corners > SIZE / 2, 8.0, -8.0))
+    ran = metrocli("fit-part", job)
+    assert ran.code == 4 and "the points of every surface lie on the wrong side" in ran.err, ran.err
+    assert "the mesh may be that of the raw part" in ran.err
+
+
+def test_a_negative_minimum_is_said(tmp_path: Path, metrocli: Metrocli) -> None:
+    one = casting(1, less={"left": -6.0, "right": -2.0})
+    ran = metrocli("fit-part", one.write(tmp_path, minimum=-3.0))
+    value = hdf5.read(tmp_path / "part.h5")[0].tables["overstock"].numbers("overstock")
+    assert ran.code == 0 and value.min() < -0.1
+    assert f"up to 3 mm of material may be missing at a point; it is at {(value < 0).sum()} of {len(value)}" in ran.err
+    assert "the points of left lie on the wrong side" in ran.err
+
+
+def test_an_empty_and_a_repeated_name_are_both_reported(tmp_path: Path, metrocli: Metrocli) -> None:
+    job = casting(1).write(tmp_path)
+    changed(tmp_path / "points.csv", "\nT3,", "\n,")
+    changed(tmp_path / "points.csv", "\nT4,", "\nT2,")
+    ran = metrocli("check", job)
+    assert ran.code == 3 and "column 'point': an empty cell" in ran.err and "point T2: a second row" in ran.err
+
+
 def test_targets_and_surfaces_that_no_point_has(tmp_path: Path, metrocli: Metrocli) -> None:
     job = casting(1).write(tmp_path, "targets: [X*]", "surfaces: {top: [Z9]}")
     ran = metrocli("check", job)

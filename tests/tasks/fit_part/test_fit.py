@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -234,6 +235,35 @@ def test_infeasible_castings_are_refused_with_what_contradicts(tmp_path: Path, m
     for name in named:
         rest = [other for other in named if other != name]
         assert not rest or least(rest) >= 0.5 - 1e-6
+
+
+def test_all_contradictions_are_listed(tmp_path: Path, metrocli: Metrocli) -> None:
+    one = casting(18, less=dict.fromkeys(("left", "right"), -6.0) | dict.fromkeys(("bottom", "top"), -5.0))
+    ran = metrocli("fit-part", one.write(tmp_path))
+    assert ran.code == 4 and "surfaces that contradict each other: left and right" in ran.err, ran.err
+
+    def least(names: set[str]) -> float:
+        rows = np.isin(one.surface, list(names))
+        part = replace(one, surface=one.surface[rows], points=one.points[rows], exact=one.exact[rows])
+        return largest_least(part, one.pose)[1]
+
+    every = set(NAMES)
+    each = " and ".join(f"{least(every - {name}):.3f} mm without {name}" for name in ("left", "right"))
+    assert f"the whole part leaves {each}" in ran.err
+    assert f"beside them: bottom and top (at most {least({'bottom', 'top'}):.3f} mm)" in ran.err
+    assert ran.err.count("beside them") == 1 and least(every - {"left", "bottom"}) > 0.5
+
+
+def test_chances_are_those_of_the_minimum_that_is_wanted(tmp_path: Path, metrocli: Metrocli) -> None:
+    """The aim `most` holds the points far above it."""
+    result = fitted(casting(13).write(tmp_path, aim="most"), metrocli)
+    assert result.statistics["minimum"] == 0.5 and result.statistics["least_overstock"] > 1.5
+    assert result.tables["surfaces"].numbers("below").max() == 0 == len(result.warnings)
+    high = fitted(
+        casting(13).write(tmp_path, aim="most", minimum=result.statistics["least_overstock"] - 0.03), metrocli
+    )
+    held = high.tables["overstock"].numbers("overstock").argmin()
+    assert high.tables["overstock"].numbers("below")[held] == pytest.approx(0.1587, abs=1e-3)  # one sigma above
 
 
 def test_the_minimum_that_would_do_does(tmp_path: Path, metrocli: Metrocli) -> None:
