@@ -16,31 +16,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index
-from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
-from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood, gain_of_larger_noise, log_level_of
+from metrocli.diagnosis.process_columns import Basis, process_bases
 from metrocli.diagnosis.selection.backward_steps import evidence_of
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 
 if TYPE_CHECKING:
-    from scipy.sparse import csr_matrix
+    pass
 
 _LENGTHS = (1 / 16, 1 / 8, 1 / 4)
 """Lengths of correlation that are tried, as shares of the largest range of a unit: what is slower is a drift"""
-_KNOTS = {1: (17, 13, 9), 2: (6, 5, 4, 3)}
-"""Knots along each coordinate, by the number of coordinates: as many as the columns allow"""
-_FEW_KNOTS = (3,)
-_AROUND = 16
-"""Knots around a circle"""
 _RESOLVED = 0.6
 """Least length of correlation, in distances of the knots"""
-_FEWEST = 6
-"""Fewest readings of a unit with a process of its own"""
-_MOST_COLUMNS, _MOST_NUMBERS = 600, 20_000_000
-"""Most knots of all units, and most numbers of their columns; beyond it the process is one for all readings"""
 _GAIN, _HINT = 3.0, 2.0
 """Least gain of the log-likelihood by a process: a level of 0.7 % for one variance; and where it stands for names"""
 _MORE, _FAR_MORE = 2.5, 3.5
@@ -79,7 +68,7 @@ def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
     These with their counted choice are held against that by their evidence. Where structure is left beside the names,
     readings have such errors anyhow, and then the names must have far more evidence.
     """
-    bases = list(_bases(job, selection.test_set.system))
+    bases = list(process_bases(job, selection.test_set.system))
     named = selection.fitted(without=selection.unknown)
     beside = _best(bases, named)
     left = 0.0 if beside is None else beside.gain
@@ -107,43 +96,27 @@ def _weakest_first(selection: Selection, named: FittedColumns) -> Iterator[tuple
     yield from (tuple(ordered[: count + 1]) for count in range(len(ordered)))
 
 
-def _best(bases: Sequence[_Basis], base: FittedColumns) -> _Tried | None:
+def _best(bases: Sequence[Basis], base: FittedColumns) -> _Tried | None:
     """Return the process of the largest likelihood beside a fit, of those with the largest scores; None without one."""
-    scored = [one for basis in bases for one in basis.scored(base)]
+    scored = [one for basis in bases for one in _scored(basis, base)]
     noticed = sorted((one for one in scored if one.excess > _NOTICED), key=lambda one: -one.excess)
     return max((one.estimated() for one in noticed[:_MOST_TRIED]), key=lambda one: one.gain, default=None)
 
 
-@dataclass(frozen=True)
-class _Basis:
-    """Piecewise linear functions of a covariate between knots, for each unit and each component of the readings."""
-
-    name: str
-    by: str
-    """Key of the units, or empty"""
-    distances: Array
-    """Between knots, as shares of the range, (knots, knots)"""
-    sigma: float
-    """Median of the declared standard deviations, in the internal unit of the readings"""
-    columns: csr_matrix
-    """Whitened columns, (rows, components*units*knots)"""
-    gram: Array
-    """Their products without what the unknowns absorb, (columns, columns)"""
-
-    def scored(self, base: FittedColumns) -> Iterator[_Scored]:
-        """Yield the processes of all lengths beside a fit."""
-        knots = len(self.distances)
-        copies = self.columns.shape[1] // knots
-        along = self.columns.T @ base.basis
-        gram = (self.gram - along @ along.T).reshape(copies, knots, copies, knots)
-        right = (self.columns.T @ base.residual).reshape(copies, knots)
-        spacing = float(np.min(self.distances, where=self.distances > 0, initial=np.inf))
-        for length in _LENGTHS:
-            if length >= _RESOLVED * spacing:
-                root = _root(self.distances / length)
-                turned = np.einsum("aibj,jk->aibk", gram, root, optimize=True)
-                turned = np.einsum("aibk,il->albk", turned, root, optimize=True)
-                yield _Scored(self, length, root, turned.reshape(copies * knots, -1), (right @ root).ravel(), base)
+def _scored(basis: Basis, base: FittedColumns) -> Iterator[_Scored]:
+    """Yield the processes of all lengths beside a fit."""
+    knots = len(basis.distances)
+    copies = basis.columns.shape[1] // knots
+    along = basis.columns.T @ base.basis
+    gram = (basis.gram - along @ along.T).reshape(copies, knots, copies, knots)
+    right = (basis.columns.T @ base.residual).reshape(copies, knots)
+    spacing = float(np.min(basis.distances, where=basis.distances > 0, initial=np.inf))
+    for length in _LENGTHS:
+        if length >= _RESOLVED * spacing:
+            root = _root(basis.distances / length)
+            turned = np.einsum("aibj,jk->aibk", gram, root, optimize=True)
+            turned = np.einsum("aibk,il->albk", turned, root, optimize=True)
+            yield _Scored(basis, length, root, turned.reshape(copies * knots, -1), (right @ root).ravel(), base)
 
 
 def _root(distances: Array) -> Array:
@@ -156,7 +129,7 @@ def _root(distances: Array) -> Array:
 class _Scored:
     """A process by the products of its columns `Z = H L` beside a fit, H being those of the knots."""
 
-    basis: _Basis
+    basis: Basis
     length: float
     root: Array
     """L, (knots, knots)"""
@@ -255,111 +228,3 @@ class _Tried:
         level = min(log_level_of(self.gain) + float(np.log(tried)), 0.0)
         spread = std * seen.relative_spread(self.log_ratio)
         return Process(basis.name, basis.by, one.length, std, spread, level, columns)
-
-
-def _bases(job: AdjustedJob, system: System) -> Iterator[_Basis]:
-    """Yield the functions of each covariate, independent in the units of each kind, and one for all readings."""
-    for covariate in job.covariates:
-        if covariate.together or not all(group.name in covariate.values for group in job.model.readings):
-            continue
-        for by in (*job.units, ""):
-            basis = _basis(job, system, covariate, by)
-            if basis is not None:
-                yield basis
-
-
-def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> _Basis | None:
-    from scipy.sparse import csr_matrix
-
-    groups = job.model.readings
-    several = [np.atleast_2d(covariate.values[group.name]) for group in groups]
-    labels = [_labels(job, group, by) for group in groups]
-    units = len(job.model.places[by].names) if by else 1
-    copies = units * sum(len(group.observations.readings) for group in groups)
-    along = (_AROUND,) if covariate.angle else _KNOTS.get(len(several[0]), _FEW_KNOTS)
-    most = min(_MOST_COLUMNS, _MOST_NUMBERS // system.rows) // copies
-    count = next((one for one in along if one ** len(several[0]) <= most), 0)
-    if count == 0 or min(map(_fewest, labels)) < _FEWEST:
-        return None
-    functions, distances = around_circle(several, count) if covariate.angle else between_knots(several, labels, count)
-    count = len(distances)
-    full, place = np.zeros((system.rows, copies * count)), 0
-    for group, values, label in zip(groups, functions, labels, strict=True):
-        every = np.arange(len(label))
-        terms = np.zeros((len(label), units, values.shape[1]))
-        terms[every, label] = values
-        for component, deviations in enumerate(group.observations.deviations):
-            rows = system.first[group.name] + len(group.observations.readings) * every + component
-            # in units of the declared noise, so that lengths and angles can share a variance
-            weights = deviations / system.scale[rows]
-            full[rows, place : place + units * count] = terms.reshape(len(label), -1) * weights[:, None]
-            place += units * count
-    inside = system.basis.coordinates(full)
-    columns = csr_matrix(full)
-    gram = (columns.T @ columns).toarray() - inside.T @ inside
-    return _Basis(covariate.name, by, distances, _typical(job), columns, gram)
-
-
-def _typical(job: AdjustedJob) -> float:
-    """Return the median of the declared standard deviations, for readings in the unit of the first group."""
-    first = job.model.readings[0].observations.unit
-    alike = [group.observations for group in job.model.readings if group.observations.unit == first]
-    return float(np.median(np.concatenate([one.deviations.ravel() for one in alike])))
-
-
-def _labels(job: AdjustedJob, group: Group, by: str) -> Index:
-    """Return the number of the unit of each reading; 0 for all readings of a group without such units."""
-    index = group.observations.index.get(job.model.places[by].index) if by else None
-    return np.zeros(group.observations.count, dtype=np.intp) if index is None else index
-
-
-def _fewest(labels: Index) -> int:
-    counts = np.bincount(labels)
-    return int(counts[counts > 0].min(initial=len(labels)))
-
-
-def around_circle(several: Sequence[Array], count: int) -> tuple[list[Array], Array]:
-    """Return functions of angles (1, n) of each group, (n, knots), and the distances of their knots.
-
-    The distance is the chord, as a share of the diameter: a distance for which the covariance stays one on the circle.
-    """
-    turns = np.arange(count) / count
-    functions = []
-    for values in several:
-        own = piecewise(np.mod(values[0] / (2 * np.pi), 1.0), np.append(turns, 1.0))
-        own[:, 0] += own[:, -1]
-        functions.append(own[:, :-1])
-    return functions, np.abs(np.sin(np.pi * (turns[:, None] - turns)))
-
-
-def between_knots(several: Sequence[Array], labels: Sequence[Index], count: int) -> tuple[list[Array], Array]:
-    """Return functions of coordinates (k, n) of each group, (n, knots), and the distances of their knots.
-
-    Knots begin at the lowest value of each unit (`labels`, (n,)) and span the largest range of a unit: views that are
-    measured one after the other each have all of them.
-    """
-    whole, units = np.concatenate(several, axis=1), np.concatenate(labels)
-    low, high = np.full((2, len(whole), int(units.max()) + 1), np.inf)
-    for axis, values in enumerate(whole):
-        np.minimum.at(low[axis], units, values)
-        np.minimum.at(high[axis], units, -values)
-    spans = np.where(np.isfinite(low), -high - low, 0.0).max(axis=1)
-    span = np.where(spans > 0, spans, 1.0)[:, None]
-    ends = np.linspace(0.0, 1.0, count)
-    functions = []
-    for values, label in zip(several, labels, strict=True):
-        product = np.ones((values.shape[1], 1))
-        for row in (values - low[:, label]) / span:
-            product = (product[:, :, None] * piecewise(row, ends)[:, None, :]).reshape(len(product), -1)
-        functions.append(product)
-    places = np.stack([one.ravel() for one in np.meshgrid(*[ends] * len(whole), indexing="ij")], axis=1)
-    return functions, np.asarray(np.linalg.norm(places[:, None] - places, axis=2))
-
-
-def piecewise(values: Array, knots: Array) -> Array:
-    """Return piecewise linear functions of values (n,), each 1 at its knot and 0 at the others, (n, knots)."""
-    at = np.clip(np.searchsorted(knots, values, side="right") - 1, 0, len(knots) - 2)
-    part = (values - knots[at]) / (knots[at + 1] - knots[at])
-    found, rows = np.zeros((len(values), len(knots))), np.arange(len(values))
-    found[rows, at], found[rows, at + 1] = 1 - part, part
-    return found

@@ -17,14 +17,13 @@ import numpy as np
 
 from metrocli import copies, units
 from metrocli.errors import Fault, InputError
+from metrocli.formats.csv_keys import repeated
 from metrocli.formats.csv_text import Raw, read_text, shortened, taken_apart
 from metrocli.formats.file_bytes import FileBytes
 from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 from metrocli.words import nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Container
-
     from metrocli.table import Array, Values
 
 LONGEST_TEXT = 200
@@ -51,7 +50,7 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
                 without_key |= {fault.line for fault in faults[before:]}
     raw = replace(raw, cells=())  # which take many times the memory of the values
     if complete:
-        faults += _repeated(raw, columns, values, without_key)
+        faults += repeated(raw, columns, values, without_key)
     if faults:
         raise InputError(shortened(faults))
     internal = {c.name: units.internal_unit(c.dimension) for c in columns.columns if _has_unit(c) and c.name in values}
@@ -232,47 +231,6 @@ def _texts(raw: Raw, index: int, column: Column, faults: list[Fault]) -> Values:
         faults.extend(raw.fault(message, raw.numbers[row], index) for row in rows)
         cells = [cell[:LONGEST_TEXT] for cell in cells]
     return np.array(cells, dtype=np.str_)
-
-
-def _repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Container[int | None]) -> list[Fault]:
-    """Return a fault for each row that has the same key as an earlier row, but for the lines `without` a key."""
-    names = [name for name in columns.key if name in values]
-    if not names:
-        return []
-    if _all_different([values[name] for name in names]):
-        return []
-    keys = list(zip(*(values[name].tolist() for name in names), strict=True))
-    first: dict[tuple[object, ...], int] = {}
-    faults = []
-    for row, key in enumerate(keys):
-        if raw.numbers[row] in without:
-            continue
-        if key in first:
-            said = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
-            faults.append(raw.fault(f"{said}: a second row", raw.numbers[row], None, f"first in line {first[key]}"))
-        else:
-            first[key] = raw.numbers[row]
-    return faults
-
-
-_BLOCK = 100_000
-"""Rows that are taken from an array at once as values of Python, which need much memory"""
-
-
-def _all_different(keys: list[Values]) -> bool:
-    """Return whether no two rows have the same values in all columns; False also if there are too many values."""
-    code, kinds = np.zeros(len(keys[0]), dtype=np.int64), 1
-    for column in keys:
-        numbers: dict[object, int] = {}
-        number = np.empty(len(code), dtype=np.int64)
-        for at in range(0, len(code), _BLOCK):
-            block = column[at : at + _BLOCK].tolist()
-            for value in dict.fromkeys(block):
-                numbers.setdefault(value, len(numbers))
-            number[at : at + _BLOCK] = np.fromiter(map(numbers.__getitem__, block), dtype=np.int64, count=len(block))
-        code = code * len(numbers) + number
-        kinds *= len(numbers)
-    return kinds < 1 << 62 and bool((np.diff(np.sort(code)) > 0).all())
 
 
 def write(path: Path, table: Table) -> None:

@@ -23,7 +23,7 @@ from metrocli.project.own_effects import Own, Package, own_effects
 from metrocli.project.ranges import ranges_of, within
 from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import BAD, Schema, read_sections, sections_schema, settings_of
-from metrocli.tasks.figures import of_effects
+from metrocli.tasks.shared.figures import of_effects
 
 
 @dataclass(frozen=True)

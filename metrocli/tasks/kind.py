@@ -64,8 +64,8 @@ class Kind:
         return found
 
     def figures(self, settings: Any) -> dict[str, str]:
-        """Return the figures that results of a job with these settings can have, as `metrocli.tasks.figures`."""
-        found: dict[str, str] = self._module("figures").figures(settings)
+        """Return the figures that results of a job with these settings can have, as `metrocli.tasks.shared.figures`."""
+        found: dict[str, str] = self._module("settings").figures(settings)
         return found
 
     def _module(self, name: str) -> Any:

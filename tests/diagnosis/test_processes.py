@@ -9,9 +9,9 @@ from benchmarks.hidden import lengths
 from benchmarks.hidden.rest import of_each
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
+from metrocli.diagnosis.linear.knots import around_circle, between_knots
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.random_columns import with_random_columns
-from metrocli.diagnosis.processes import around_circle, between_knots
 from metrocli.diagnosis.verdict import as_data
 
 

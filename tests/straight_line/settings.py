@@ -25,6 +25,7 @@ from metrocli.settings import (
     setting,
 )
 from metrocli.table import ABSENT, TEXT, Column, Columns, Table
+from metrocli.tasks.shared.figures import with_std
 from straight_line import KIND
 
 READINGS = Columns((Column("point", TEXT), Column("x", "length"), Column("y", "length")), key=("point",))
@@ -82,3 +83,9 @@ class Settings:
         """Two keys that do not go together."""
         if self.iterations == 1 and self.limits is not None and self.limits.robust:
             yield "limits.robust", "reweighting needs more than one iteration"
+
+
+def figures(settings: Settings) -> dict[str, str]:
+    """Return the units of the figures."""
+    statistics = ("observations", "unknowns", "dof", "sigma0", "rms.mm")
+    return with_std({"slope": "rad", "offset": "mm"}) | dict.fromkeys(statistics, "")

@@ -13,6 +13,7 @@ from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Quanti
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.align_part.fixturing import SUPPORTS
+from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.tasks.shared.images.camera_settings import CameraFile, Extrinsics
 from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
@@ -118,3 +119,9 @@ class Settings:
         yield from image_faults(self.inputs.observations, self.inputs.images, self.pattern, self.inputs.targets)
         if "part-pose" not in self.estimate:
             yield "estimate", "part-pose is missing: write [part-pose] for 6D or [part-pose, clamping-angle] for 7D"
+
+
+def figures(settings: Settings) -> dict[str, str]:
+    """Return the units of the figures; `gamma_s` is there only with rotated poses or a free clamping angle."""
+    statistics = ("readings", "rejected", "images", "noise", "predicted_std_gamma_s", "predicted_correlation_gamma_s")
+    return adjusted(POSE | {"gamma_s": "rad"}, statistics, ["px"])

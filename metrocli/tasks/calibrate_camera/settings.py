@@ -9,10 +9,11 @@ from typing import Any
 
 from metrocli.adjust.cluster_robust import FROM_RESIDUALS
 from metrocli.imageset import ImageSet
-from metrocli.instruments.lens import PARAMETERS
+from metrocli.instruments.lens import PARAMETERS, PIXELS
 from metrocli.settings import Choice, Either, ImageFiles, ListOf, Quantity, Section, TableFile, Whole, setting
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
+from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.tasks.shared.images.camera_settings import Extrinsics, LensValues
 from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
@@ -194,3 +195,17 @@ class Settings:
             yield "inputs.test_lengths", "test lengths belong to rig: network"
         if self.length_limit is not None and self.inputs.test_lengths is None:
             yield "length_limit", "a limit needs the lengths it is for: give `inputs: test_lengths`"
+
+
+_STATISTICS = (
+    "noise", "rank", "rms_u", "rms_v", "readings", "rejected", "images", "targets", "coverage_cells", "coverage_hull",
+    "coverage_radius", "sigma0_low", "sigma0_high", "condition", "image_width", "image_height", "pixel_size",
+)  # fmt: skip
+_LENGTHS = ("test_lengths", "length_measuring_error", "length_max_en", "length_error_over_limit")
+"""Of lengths that test the network"""
+
+
+def figures(settings: Settings) -> dict[str, str]:
+    """Return the units of the figures; the pose is there only with rig cmm."""
+    lens = {name: "px" if name in PIXELS else "1" for name in PARAMETERS}
+    return adjusted(lens | POSE, (*_STATISTICS, *_LENGTHS), ["px"])

@@ -22,6 +22,7 @@ from metrocli.settings import (
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.shared.environment import Environment
+from metrocli.tasks.shared.figures import adjusted
 from metrocli.tasks.shared.lengths import REPEATABILITY, REPEATABILITY_WORDS, LengthNoise, Scale
 from metrocli.tasks.shared.part import Warm
 from metrocli.tasks.shared.structured_noise import model_setting
@@ -274,3 +275,20 @@ class Settings:
         for key, what in (("scale", "scales of tracking interferometers"), ("environment", "lengths to correct")):
             if getattr(self, key) is not None and self.method != LENGTHS:
                 yield key, f"method {self.method} has no {what}: leave this key out"
+
+
+_STATISTICS = (
+    "rank", "possible_rank", "ratio", "readings", "rejected", "critical_w", "noise_factor",
+    "repeatability", "repeatability_std", "lines",
+)  # fmt: skip
+_TRACK = (
+    "track_points", "points_used", "cut_at_corners", "cut_standing", "cut_wild", "cut_off_path", "beam_breaks",
+    "path_length", "condensed_points", "noise_in_cells",
+)  # fmt: skip
+"""Of a measurement on the fly"""
+
+
+def figures(settings: Settings) -> dict[str, str]:
+    """Return the units of the figures: squareness errors, tool vectors and statistics."""
+    square, tool = dict.fromkeys(("A0Z", "B0Z", "C0Y"), "rad"), {f"{{tool}}.{axis}": "mm" for axis in "xyz"}
+    return adjusted(square | tool, (*_STATISTICS, *_TRACK), ["mm", "rad"])

@@ -25,6 +25,7 @@ from metrocli.settings import (
 )
 from metrocli.table import ABSENT, TEXT, Column, Columns, Table
 from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION, MOST
+from metrocli.tasks.shared.figures import POSE, with_std
 from metrocli.tasks.shared.known_places import SIGMAS
 from metrocli.words import in_a_row
 
@@ -180,3 +181,15 @@ class Settings:
     monte_carlo: MonteCarlo | None = setting(
         Section(MonteCarlo), "check of the uncertainties by simulated errors", default=None
     )
+
+
+_STATISTICS = (
+    "observations", "unknowns", "dof", "iterations", "minimum", "least_overstock", "mean_overstock",
+    "largest_overstock", "variation", "largest_least_overstock", "optimality", "active", "rejected", "targets",
+    "monte_carlo_trials", "monte_carlo_failed",
+)  # fmt: skip
+
+
+def figures(settings: Settings) -> dict[str, str]:
+    """Return the units of the figures."""
+    return with_std(POSE) | dict.fromkeys(_STATISTICS, "")

@@ -11,6 +11,7 @@ from metrocli.table import ABSENT, Table
 from metrocli.tasks.locate_launch_unit.plan_settings import Planned
 from metrocli.tasks.locate_launch_unit.readings import PLACES, POSES
 from metrocli.tasks.shared.environment import Environment
+from metrocli.tasks.shared.figures import adjusted
 from metrocli.tasks.shared.structured_noise import DECLARED, model_setting
 
 METHODS = ("adjustment", "lines", "closed-loop")
@@ -85,3 +86,9 @@ class Settings:
                 "noise.model",
                 "only `method: adjustment` has the residuals from which noise is estimated",
             )
+
+
+def figures(settings: Settings) -> dict[str, str]:
+    """Return the units of the figures; a method as printed has no sigma0."""
+    unit = {"x": "mm", "y": "mm", "z": "mm", "gamma": "rad", "air.scale": "1"}
+    return adjusted(unit, ("poses", "critical_w", "rejected", "noise_factor"), ["mm", "rad"])

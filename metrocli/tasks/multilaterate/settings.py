@@ -8,6 +8,7 @@ from pathlib import Path
 from metrocli.settings import At, Choice, Either, MapOf, Placed, Quantity, Section, TableFile, setting
 from metrocli.table import ABSENT, TEXT, Column, Columns, Table
 from metrocli.tasks.shared.environment import WEATHER, Environment
+from metrocli.tasks.shared.figures import adjusted
 from metrocli.tasks.shared.known_places import SIGMAS
 from metrocli.tasks.shared.lengths import LengthNoise, Scale
 from metrocli.tasks.shared.part import Part
@@ -170,3 +171,12 @@ class Settings:
     simulation: LengthSimulation | None = setting(
         Section(LengthSimulation), "the truth for `metrocli simulate`", default=None
     )
+
+
+_STATISTICS = ("rejected", "critical_w", "weakness", "noise_factor", "repeatability", "repeatability_std")
+
+
+def figures(settings: Settings) -> dict[str, str]:
+    """Return the units of the figures: estimates of each tracer, the scale of the air, and statistics."""
+    tracer = {f"{{tracer}}.{name}": "mm" for name in ("x", "y", "z", "dead_path")} | {"{tracer}.scale": "1"}
+    return adjusted(tracer | {"air.scale": "1"}, _STATISTICS, ["mm"])

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from metrocli.errors import Fault
 from metrocli.tasks.report_uncertainty.entries import Entries
+from metrocli.tasks.shared.figures import with_std
 
 
 @dataclass(frozen=True)
@@ -21,3 +22,35 @@ class Settings(Entries):
             yield from volume_problem.faults(self)
         else:
             yield from problem.faults(self)
+
+
+_OF_EACH = ("U", "second_order.value", "second_order.std")
+_TRIALS = ("mc.mean", "mc.std", "mc.resolution")
+_PLAIN = ("k", "dof", "probability", "gum_valid", "mc.trials", "mc.covered")
+_DECIDED = ("T", "guard_band")
+_DECIDED_PLAIN = (
+    "U_over_T", "capable", "conformance", "conformance_mc", "consumer", "consumer_of_accepted", "producer",
+    "wanted_risk",
+)  # fmt: skip
+_VOLUME = ("U_pointwise", "std_pointwise", "tolerance.T", "tolerance.acceptance", "tolerance.acceptance_2017")
+_VOLUME_PLAIN = ("mc.k_trials", "tolerance.U_over_T", "tolerance.U_over_T_pointwise", "tolerance.capable")
+
+
+def figures(settings: Settings) -> dict[str, str]:
+    """Return the units of the figures: of each measurand, or of the axes of a volume."""
+    if settings.volume is not None:
+        axes = dict.fromkeys("xyz", "mm")
+        details = _below(axes, (*_OF_EACH, *_TRIALS, *_VOLUME), (*_PLAIN, *_VOLUME_PLAIN))
+        return with_std(axes) | details | dict.fromkeys(("points", "contributors", "trials", "seed"), "")
+    measurands = {name: one.value.unit for name, one in settings.measurands.items()}
+    limits = settings.tolerance if isinstance(settings.tolerance, Mapping) else {}
+    decided = {f"{name}.tolerance": unit for name, unit in measurands.items() if name in limits}
+    details = _below(measurands, (*_OF_EACH, *_TRIALS), _PLAIN) | _below(decided, _DECIDED, _DECIDED_PLAIN)
+    statistics = ("measurands", "quantities", "joint_factor", "trials", "seed")
+    return with_std(measurands) | details | dict.fromkeys(statistics, "")
+
+
+def _below(names: dict[str, str], sized: tuple[str, ...], plain: tuple[str, ...]) -> dict[str, str]:
+    """Return details of estimates: those in the unit of the estimate, and plain numbers."""
+    found = {f"{name}.{detail}": unit for name, unit in names.items() for detail in sized}
+    return found | {f"{name}.{detail}": "" for name in names for detail in plain}

@@ -15,6 +15,7 @@ from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.ball_grid import View
 from metrocli.settings import Choice, Either, ListOf, Quantity, Section, TableFile, Text, Whole, setting
 from metrocli.table import ABSENT, TEXT, WHOLE, Column, Columns, Table
+from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.units import parse_quantity
 
 _QUARTER = np.pi / 2
@@ -191,3 +192,17 @@ def turn_in_words(turn: Array) -> str:
 def shift_in_words(shift: Sequence[float] | Array) -> str:
     """Return a shift in pitches in words: '[1, 0, 0]'."""
     return f"[{', '.join(str(round(value)) for value in shift)}]"
+
+
+_FIELDS = (
+    "largest_machine_error.mm", "rms_machine_error.mm", "rms_artefact_error.mm", "largest_length_error.mm",
+    "largest_length_error_std.mm",
+)  # fmt: skip
+"""Of error fields that the views determine completely"""
+
+
+def figures(settings: Settings) -> dict[str, str]:
+    """Return the units of the figures: the mounting of each view, and statistics."""
+    mounting = {f"{{view}}.{name}": unit for name, unit in POSE.items()}
+    statistics = ("undetermined", "noise_gain", "rejected", "critical_w", "noise.mm")
+    return adjusted(mounting, (*statistics, *_FIELDS), ["mm"])

@@ -1,7 +1,7 @@
 """The figures of a result by name, known before it is computed, so that a typo in `require:` is found at once.
 
-Each kind lists its own in `figures.py`: a mapping from the name to the internal unit, "" for a plain number. What only
-the files of a job name, such as a tracer, stands in braces: `{tracer}.x`.
+Each kind lists its own beside its settings: a mapping from the name to the internal unit, "" for a plain number. What
+only the files of a job name, such as a tracer, stands in braces: `{tracer}.x`.
 """
 
 from __future__ import annotations

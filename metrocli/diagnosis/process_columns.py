@@ -1,0 +1,110 @@
+"""The columns of smooth processes: functions of a covariate between knots, for each unit and component of the readings.
+
+Method: docs/algorithms/selection-and-levels.md (smooth processes).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
+from metrocli.diagnosis.linear.knots import around_circle, between_knots
+from metrocli.diagnosis.linear.projection import System
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
+
+_KNOTS = {1: (17, 13, 9), 2: (6, 5, 4, 3)}
+"""Knots along each coordinate, by the number of coordinates: as many as the columns allow"""
+_FEW_KNOTS = (3,)
+_AROUND = 16
+"""Knots around a circle"""
+_FEWEST = 6
+"""Fewest readings of a unit with a process of its own"""
+_MOST_COLUMNS, _MOST_NUMBERS = 600, 20_000_000
+"""Most knots of all units, and most numbers of their columns; beyond it the process is one for all readings"""
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Piecewise linear functions of a covariate between knots, for each unit and each component of the readings."""
+
+    name: str
+    by: str
+    """Key of the units, or empty"""
+    distances: Array
+    """Between knots, as shares of the range, (knots, knots)"""
+    sigma: float
+    """Median of the declared standard deviations, in the internal unit of the readings"""
+    columns: csr_matrix
+    """Whitened columns, (rows, components*units*knots)"""
+    gram: Array
+    """Their products without what the unknowns absorb, (columns, columns)"""
+
+
+def process_bases(job: AdjustedJob, system: System) -> Iterator[Basis]:
+    """Yield the functions of each covariate, independent in the units of each kind, and one for all readings."""
+    for covariate in job.covariates:
+        if covariate.together or not all(group.name in covariate.values for group in job.model.readings):
+            continue
+        for by in (*job.units, ""):
+            basis = _basis(job, system, covariate, by)
+            if basis is not None:
+                yield basis
+
+
+def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> Basis | None:
+    from scipy.sparse import csr_matrix
+
+    groups = job.model.readings
+    several = [np.atleast_2d(covariate.values[group.name]) for group in groups]
+    labels = [_labels(job, group, by) for group in groups]
+    units = len(job.model.places[by].names) if by else 1
+    copies = units * sum(len(group.observations.readings) for group in groups)
+    along = (_AROUND,) if covariate.angle else _KNOTS.get(len(several[0]), _FEW_KNOTS)
+    most = min(_MOST_COLUMNS, _MOST_NUMBERS // system.rows) // copies
+    count = next((one for one in along if one ** len(several[0]) <= most), 0)
+    if count == 0 or min(map(_fewest, labels)) < _FEWEST:
+        return None
+    functions, distances = around_circle(several, count) if covariate.angle else between_knots(several, labels, count)
+    count = len(distances)
+    full, place = np.zeros((system.rows, copies * count)), 0
+    for group, values, label in zip(groups, functions, labels, strict=True):
+        every = np.arange(len(label))
+        terms = np.zeros((len(label), units, values.shape[1]))
+        terms[every, label] = values
+        for component, deviations in enumerate(group.observations.deviations):
+            rows = system.first[group.name] + len(group.observations.readings) * every + component
+            # in units of the declared noise, so that lengths and angles can share a variance
+            weights = deviations / system.scale[rows]
+            full[rows, place : place + units * count] = terms.reshape(len(label), -1) * weights[:, None]
+            place += units * count
+    inside = system.basis.coordinates(full)
+    columns = csr_matrix(full)
+    gram = (columns.T @ columns).toarray() - inside.T @ inside
+    return Basis(covariate.name, by, distances, _typical(job), columns, gram)
+
+
+def _typical(job: AdjustedJob) -> float:
+    """Return the median of the declared standard deviations, for readings in the unit of the first group."""
+    first = job.model.readings[0].observations.unit
+    alike = [group.observations for group in job.model.readings if group.observations.unit == first]
+    return float(np.median(np.concatenate([one.deviations.ravel() for one in alike])))
+
+
+def _labels(job: AdjustedJob, group: Group, by: str) -> Index:
+    """Return the number of the unit of each reading; 0 for all readings of a group without such units."""
+    index = group.observations.index.get(job.model.places[by].index) if by else None
+    return np.zeros(group.observations.count, dtype=np.intp) if index is None else index
+
+
+def _fewest(labels: Index) -> int:
+    counts = np.bincount(labels)
+    return int(counts[counts > 0].min(initial=len(labels)))
