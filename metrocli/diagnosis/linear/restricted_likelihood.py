@@ -115,8 +115,8 @@ def gain_of_larger_noise(base: FittedColumns) -> float:
     """Return by how much the restricted log-likelihood grows if all readings are noisier than declared, by one factor.
 
     It is `((nu + d) ln((S + p)/(S x + p)) + nu ln x)/2` at its maximum `x = min(1, nu p/(d S))`. S are the squares of
-    the residual, p the part and d the degrees of freedom of the declared noise, x the inverse of the squared factor. It is
-    large only where the readings are few, of which each then shows an effect of its own.
+    the residual, p the part and d the degrees of freedom of the declared noise, x the inverse of the squared factor. It
+    is large only where the readings are few, of which each then shows an effect of its own.
     """
     squares, rank = max(base.squares - base.prior, 1e-300), max(base.dof - PRIOR, 1.0)
     inverse = min(1.0, rank * base.prior / (PRIOR * squares))
