@@ -32,7 +32,7 @@ _RESOLVED = 0.6
 """Least length of correlation, in distances of the knots"""
 _GAIN, _HINT = 3.0, 2.0
 """Least gain of the log-likelihood by a process: a level of 0.7 % for one variance; and where it stands for names"""
-_MORE, _FAR_MORE = 2.5, 3.5
+_MORE, _FAR_MORE = 1.4, 3.5
 """ln of the odds by which names must exceed a process that stands for them; and where structure is left beside them"""
 _NOTICED, _MOST_TRIED = 1.5, 4
 """Least score of a variance, in its standard deviations, at which its likelihood is computed; and of how many"""

@@ -111,7 +111,7 @@ ALIGNED = {
     "principal-point-shift": "du=40 px,dv=-30 px",
     "machine-scale": "axis=x,scale=200 ppm",
     "machine-squareness": "pair=xy,angle=1 mrad",
-    "machine-straightness": "axis=x,b1=1e-3 1/m,b2=-1e-3 1/m",
+    "machine-straightness": "axis=x,b1=3e-3 1/m,b2=-3e-3 1/m",
     "part-drift": "vx=20 um/min,vy=40 um/min,vz=-20 um/min",
     "radial-distortion": "dk1=0.01",
     "bad-pose": "image=image3,dx=1 mm,dy=2 mm,dz=-1 mm",
