@@ -42,6 +42,7 @@ from metrocli.diagnosis.residual_structure import (
 )
 from metrocli.diagnosis.searched import SEED, Say, search_about_solution, with_scatters
 from metrocli.diagnosis.selection.confidence_set import NamedEffect, confidence_sets
+from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.diagnosis.wrong_readings import wrong_readings
 
 Attended = Callable[[Callable[[], None]], AbstractContextManager[object]]
@@ -99,8 +100,10 @@ def diagnose(
         with attended(job.budget.interrupt):
             laws = laws_in(library, white, structure is not None, ordered)
         structure = _structure_of(laws) if structure is None else structure
+    before = _strongest_before(first.beside_white_noise.test_set)
+    processes = _given_up(searched.processes, searched.selection)
     if structure is None:
-        structure = _structure_of_processes(searched.processes)
+        structure = _structure_of_processes(processes, before)
     # without an extended fit the law is about the same linearised system, and what it explains is no noise
     law = next((one for one in laws if one.chosen and fit is None), None)
     noise = noise_of(fitted if law is None else fitted.with_columns(law.columns))
@@ -123,7 +126,7 @@ def diagnose(
             for name, gain, shift in zip(names, gains, shifts, strict=False)
         ),
         left=structure,
-        before=_strongest_before(first.beside_white_noise.test_set),
+        before=before,
         after=level,
         design=design(searched.job, searched.tests, searched.not_tested, white_part.ratio),
         separate_by=_separate(job, names),
@@ -132,7 +135,7 @@ def diagnose(
         repeats=repeats,
         scatters=scatters,
         laws=laws,
-        processes=searched.processes,
+        processes=processes,
         limited=limit if job.budget.ended else None,
         interrupted=job.budget.interrupted,
     )
@@ -142,12 +145,26 @@ def _strongest_before(tests: ScoreTests) -> float:
     return float(np.exp(log_level_of_strongest(tests, nothing_fitted(tests.system))))
 
 
-def _structure_of_processes(processes: Sequence[Process]) -> RemainingStructure | None:
-    """Return the structure that smooth processes are, where smooth functions show none."""
-    strongest = min(processes, key=lambda one: one.log_level, default=None)
-    if strongest is None or strongest.log_level > np.log(_PROCESS):
+def _given_up(processes: Sequence[Process], selection: Selection) -> tuple[Process, ...]:
+    """Return the processes, each with the effects that are not named beside it again."""
+    named = {selection.alternative(one).spot for one in selection.named}
+    return tuple(
+        replace(process, instead_of=tuple(one for one in process.instead_of if one.spot not in named))
+        for process in processes
+    )
+
+
+def _structure_of_processes(processes: Sequence[Process], before: float) -> RemainingStructure | None:
+    """Return the structure that smooth processes are, where smooth functions show none.
+
+    Where a process stands instead of effects, white noise alone does not explain the readings: its level is `before`.
+    """
+    strongest = min(processes, key=lambda one: (not one.instead_of, one.log_level), default=None)
+    if strongest is None or not (strongest.instead_of or strongest.log_level < np.log(_PROCESS)):
         return None
-    return RemainingStructure(float(np.exp(strongest.log_level)), (strongest.covariate,), (), strongest.std)
+    level = float(np.exp(strongest.log_level))
+    level = min(level, before) if strongest.instead_of else level
+    return RemainingStructure(level, (strongest.covariate,), (), strongest.std)
 
 
 def _structure_of(laws: Sequence[Law]) -> RemainingStructure | None:

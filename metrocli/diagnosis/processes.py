@@ -11,20 +11,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood, gain_of_larger_noise, log_level_of
 from metrocli.diagnosis.process_columns import Basis, process_bases
 from metrocli.diagnosis.selection.backward_steps import evidence_of
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
-
-if TYPE_CHECKING:
-    pass
 
 _LENGTHS = (1 / 16, 1 / 8, 1 / 4)
 """Lengths of correlation that are tried, as shares of the largest range of a unit: what is slower is a drift"""
@@ -59,6 +56,8 @@ class Process:
     """ln of the level against no such process, counted over the covariates that were tried"""
     columns: Array
     """Columns Z of its covariance `Z Z'` in units of the noise, (rows, k)"""
+    instead_of: tuple[Alternative, ...] = ()
+    """The effects that would be named beside white noise alone"""
 
 
 def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
@@ -74,15 +73,16 @@ def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
     left = 0.0 if beside is None else beside.gain
     # an error that all units share is what effects such as the air are, so it stands for no name
     apart = [basis for basis in bases if basis.by or not job.units]
-    ahead: list[tuple[float, _Tried]] = []
+    ahead: list[tuple[float, _Tried, tuple[Chosen, ...]]] = []
     for gone in _weakest_first(selection, named):
         bare = selection.fitted(without=[*gone, *selection.unknown])
         instead = _best(apart, bare)
         needed = evidence_of(selection, gone, bare, named) + left - (_FAR_MORE if left > _GAIN else _MORE)
         if instead is not None and instead.gain > max(_HINT, needed):
-            ahead.append((instead.gain - needed, instead))
+            ahead.append((instead.gain - needed, instead, gone))
     if ahead:
-        return max(ahead, key=lambda one: one[0])[1].process(len(bases))
+        _, instead, gone = max(ahead, key=lambda one: one[0])
+        return replace(instead.process(len(bases)), instead_of=tuple(selection.alternative(one) for one in gone))
     return beside.process(len(bases)) if beside is not None and left > _GAIN else None
 
 

@@ -68,6 +68,7 @@ def _process(job: AdjustedJob, process: Process) -> dict[str, Any]:
         "length": process.length,
         "std": {"value": unit.outside(process.std), "std": unit.outside(process.spread), "unit": unit.symbol},
         "p_value": float(np.exp(process.log_level)),
+        "instead_of": [{"name": one.effect.name, "where": _where(one)} for one in process.instead_of],
     }
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks.hidden import lengths
 from benchmarks.hidden.rest import of_each
+from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.linear.knots import around_circle, between_knots
@@ -40,6 +41,17 @@ def test_what_wavers_gets_no_name_and_is_reported() -> None:
 def test_an_effect_is_named_beside_what_wavers() -> None:
     found, place = wavering(5, "sphere-form")
     assert [str(one.effect.alternative) for one in found.findings] == [f"sphere-form {place}"]
+
+
+def test_what_a_process_stands_for_stays_detected() -> None:
+    """A drift that white noise only just lets show: a process of that tracer may take its name, not its trace."""
+    rng = np.random.default_rng([91, 2])
+    m, hidden = lengths.planted(lengths.measurement(rng, 60), rng, "tracer-drift", 1.2)
+    found = diagnose(m.adjusted())
+    assert not found.findings and found.verdict == "unexplained"
+    assert found.left is not None and found.left.p_value < 1e-3
+    assert as_data(found)["processes"][0]["instead_of"] == [{"name": "tracer-drift", "where": dict(hidden.where)}]
+    assert "likelier than what fits as well without it: tracer-drift T4" in of_diagnosis(found, None)
 
 
 def test_white_noise_has_no_process() -> None:

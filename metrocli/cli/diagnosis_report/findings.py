@@ -156,6 +156,8 @@ def _processes(diagnosis: Diagnosis) -> Iterator[str]:
         size = units.sized(one.std, diagnosis.job.reading[1])
         each = f" of each {one.by} by itself" if one.by else ""
         yield f"error that varies smoothly with {one.covariate}{each}: {size} (standard deviation)"
+        if one.instead_of:
+            yield f"  It is likelier than what fits as well without it: {', '.join(map(str, one.instead_of))}."
     if diagnosis.processes:
         counted = "the named effects and detectable sizes hold" if diagnosis.findings else "detectable sizes hold"
         yield f"  It is chance, not a cause, and counts as noise: {counted} beside it."

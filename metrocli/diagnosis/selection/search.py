@@ -57,7 +57,7 @@ def transferred(selection: Selection, test_set: ScoreTests) -> Selection:
         if one.outlier:
             new = new.with_one(Chosen(-1, one.number, test_set.of_reading(one.number)))
             continue
-        place = test_set.place_of(selection.test_set.alternative(one.family, one.number), one.columns.shape[1])
+        place = test_set.place_of(selection.alternative(one), one.columns.shape[1])
         if place is not None:
             new = new.with_one(Chosen(*place, test_set.visible(*place)))
     return new

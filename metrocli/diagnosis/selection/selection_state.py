@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.distributions import log_tail
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, FittedParts
 from metrocli.diagnosis.linear.score_tests import ScoreTests
@@ -58,6 +59,10 @@ class Selection:
     def members(self) -> frozenset[tuple[int, int]]:
         """Family and number of all members."""
         return frozenset((one.family, one.number) for one in self.chosen)
+
+    def alternative(self, one: Chosen) -> Alternative:
+        """Return which effect a member is, and where."""
+        return self.test_set.alternative(one.family, one.number)
 
     def fitted(self, without: Sequence[Chosen] = ()) -> FittedColumns:
         """Return the fit of all members except those in `without`."""

@@ -48,6 +48,6 @@ def has_dominant_effect(selection: Selection) -> bool:
     test_set, fitted = selection.test_set, selection.fitted()
     if selection.unknown or fitted.dof <= _MANY:
         return False
-    new = [one for one in selection.named if test_set.alternative(one.family, one.number).spot not in test_set.adjusted]
+    new = [one for one in selection.named if selection.alternative(one).spot not in test_set.adjusted]
     without = selection.fitted(without=new)
     return bool(new) and without.squares / without.dof > _DOMINANT * fitted.squares / fitted.dof
