@@ -13,7 +13,7 @@ from metrocli.cli.console import Console, echo
 
 if TYPE_CHECKING:
     from metrocli.diagnosis.findings import Diagnosis
-    from metrocli.project.job import JobFile
+    from metrocli.project.job import JobFile, Wishes
 
 CLEAN = "clean"
 
@@ -45,18 +45,8 @@ def command(
 
     Where the extended job cannot be written, the report is printed with a warning; with `--output` it is an error.
     """
-    from metrocli.cli import summary
-    from metrocli.cli.diagnosis_report import findings
-    from metrocli.cli.diagnosis_report.next_readings import next_lines
-    from metrocli.cli.shell.signals import first_interrupt
-    from metrocli.diagnosis import verdict
-    from metrocli.diagnosis.next_readings.choice import as_data, next_readings
-    from metrocli.errors import InputError, UsageError
-    from metrocli.project import diagnosed
-    from metrocli.project.job import Wishes, kind_of_job, load
-    from metrocli.record import NOT_MET
-    from metrocli.tasks import KINDS
-    from metrocli.uncertainty.workers import ordered_on
+    from metrocli.errors import UsageError
+    from metrocli.project.job import Wishes, load
 
     if design and wanted["scheduler"]:
         raise UsageError("--design has no parts that a cluster could compute: leave --scheduler out")
@@ -65,27 +55,46 @@ def command(
     console = Console(wanted["quiet"] or as_json, wanted["verbose"])
     asked = Wishes(wanted["overrides"], accept_doubtful=wanted["accept_doubtful"])
     if design:
-        kind = kind_of_job(job)
-        not_needed = KINDS[kind].measured if kind else ()
-        asked = replace(asked, not_needed=not_needed)
-        adjusted, found = diagnosed.design_of(load(job, asked))
-        if as_json:
-            echo(summary.as_json(verdict.design_data(adjusted, found)))
-        console.print(findings.of_design(adjusted, found))
-        return 0
-    loaded = load(job, asked)
+        return _design(job, asked, as_json, console)
     if wanted["until_clean"]:
-        return _loop(loaded, wanted, force, as_json)
-    limit = _seconds(wanted["limit"])
+        return _loop(load(job, asked), wanted, force, as_json)
+    return _once(load(job, asked), wanted, output, following, force, as_json)
+
+
+def _design(path: Path, asked: Wishes, as_json: bool, console: Console) -> int:
+    """Print what a measurement can detect."""
+    from metrocli.cli import summary
+    from metrocli.cli.diagnosis_report import findings
+    from metrocli.diagnosis import verdict
+    from metrocli.project import diagnosed
+    from metrocli.project.job import kind_of_job, load
+    from metrocli.tasks import KINDS
+
+    kind = kind_of_job(path)
+    adjusted, found = diagnosed.design_of(load(path, replace(asked, not_needed=KINDS[kind].measured if kind else ())))
+    if as_json:
+        echo(summary.as_json(verdict.design_data(adjusted, found)))
+    console.print(findings.of_design(adjusted, found))
+    return 0
+
+
+def _once(
+    loaded: JobFile, wanted: dict[str, Any], output: Path | None, following: int | None, force: bool, as_json: bool
+) -> int:
+    """Print the diagnosis of a job, and write the extended job."""
+    from metrocli.cli import summary
+    from metrocli.cli.diagnosis_report import findings
+    from metrocli.cli.diagnosis_report.next_readings import next_lines
+    from metrocli.cli.shell.signals import first_interrupt
+    from metrocli.diagnosis.next_readings.choice import as_data, next_readings
+    from metrocli.project import diagnosed
+    from metrocli.record import NOT_MET
+    from metrocli.uncertainty.workers import ordered_on
+
+    console, limit = Console(wanted["quiet"] or as_json, wanted["verbose"]), _seconds(wanted["limit"])
     with ordered_on(wanted["scheduler"]) as ordered:
         diagnosis = diagnosed.carry_out(loaded, console.waiting, limit, first_interrupt, ordered)
-    extended = None
-    try:
-        extended = diagnosed.write_extended(loaded, diagnosis, output, force)
-    except InputError as error:
-        if output is not None:
-            raise
-        echo(f"warning: no extended job was written: {error}", err=True)
+    extended = _extended(loaded, diagnosis, output, force)
     proposed = None if following is None else next_readings(diagnosis, following)
     data = _data(loaded, diagnosis, extended)
     if as_json:
@@ -96,6 +105,20 @@ def command(
     if not as_json:
         _keep(loaded, data, force, console)
     return NOT_MET if wanted["require"] not in (None, diagnosis.verdict) else 0
+
+
+def _extended(job: JobFile, diagnosis: Diagnosis, output: Path | None, force: bool) -> Path | None:
+    """Write the extended job, where effects were named; what prevents it is an error if a file was asked for."""
+    from metrocli.errors import InputError
+    from metrocli.project import diagnosed
+
+    try:
+        return diagnosed.write_extended(job, diagnosis, output, force)
+    except InputError as error:
+        if output is not None:
+            raise
+        echo(f"warning: no extended job was written: {error}", err=True)
+        return None
 
 
 def _data(job: JobFile, diagnosis: Diagnosis, extended: Path | None) -> dict[str, Any]:

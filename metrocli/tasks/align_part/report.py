@@ -10,7 +10,7 @@ import numpy as np
 
 from metrocli.adjust.adjustment import covariance_at
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.solution import Solution
+from metrocli.adjust.solution import Residuals, Solution
 from metrocli.effects.estimates import estimates as effect_estimates
 from metrocli.effects.estimates import free_blocks
 from metrocli.effects.estimates import tables as effect_results
@@ -36,7 +36,14 @@ from metrocli.tasks.shared.images.tables import (
     suspect_readings,
 )
 from metrocli.tasks.shared.owed_to_inputs import owed
-from metrocli.tasks.shared.statistics import basic_statistics, noise_notes, noise_warnings, residual_table, with_noise
+from metrocli.tasks.shared.statistics import (
+    Statistics,
+    basic_statistics,
+    noise_notes,
+    noise_warnings,
+    residual_table,
+    with_noise,
+)
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.units import format_quantity
 
@@ -106,16 +113,6 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
         Estimate(name, float(value), float(s), unit)
         for name, value, s, unit in zip(names, values, std, units, strict=True)
     )
-    statistics = basic_statistics(solution, {"px": root_mean_square(found.values)})
-    statistics |= {
-        "readings": adjusted.group.observations.count,
-        "rejected": len(adjusted.rejected),
-        "images": len(problem.sighted.images),
-    }
-    if adjusted.noise is not None:
-        statistics = with_noise(statistics, solution, adjusted.noise, adjusted.structured)
-    if prediction is not None:
-        statistics |= {"predicted_std_gamma_s": prediction.std, "predicted_correlation_gamma_s": prediction.correlation}
     images, targets = problem.sighted.images, problem.sighted.targets.names
     index = adjusted.group.observations.index
     views = rms_table(found.values, adjusted.group, "image", index["view"], images)
@@ -144,7 +141,7 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
         title="",
         estimates=estimates,
         covariance=covariance,
-        statistics=statistics,
+        statistics=_statistics(problem, adjusted, found, prediction),
         tables=tables,
         arrays=arrays,
         warnings=(*_warnings(problem, adjusted, views, prediction), *fixture.warnings),
@@ -153,6 +150,20 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
         details=adjusted.structured.details(names) if adjusted.structured is not None else {},
         plain=("dof",),
     )
+
+
+def _statistics(problem: Problem, adjusted: Adjusted, found: Residuals, prediction: Prediction | None) -> Statistics:
+    """Return the statistics of the adjustment, and what is predicted of the clamping angle."""
+    statistics = basic_statistics(adjusted.solution, {"px": root_mean_square(found.values)}) | {
+        "readings": adjusted.group.observations.count,
+        "rejected": len(adjusted.rejected),
+        "images": len(problem.sighted.images),
+    }
+    if adjusted.noise is not None:
+        statistics = with_noise(statistics, adjusted.solution, adjusted.noise, adjusted.structured)
+    if prediction is not None:
+        statistics |= {"predicted_std_gamma_s": prediction.std, "predicted_correlation_gamma_s": prediction.correlation}
+    return statistics
 
 
 def _owed(problem: Problem, solution: Solution) -> tuple[dict[str, Table], dict[str, Array]]:

@@ -85,33 +85,11 @@ def report(problem: Problem, job: Settings, adjusted: Adjusted, tests: Table | N
     solution = adjusted.solution
     covariance = solution.covariance_or_raise()
     p = parameters(problem.rig, solution, problem.effects)
-    effect_tables, effect_arrays = effect_results(problem.effects, solution)
     centre = principal_point(problem, adjusted)
     solved = _Calibration(problem, settings, adjusted, adjusted.known_residuals(), covariance, p, centre)
-    views = _views(solved)
-    arrays: dict[str, Array] = {"correlation": p.correlation, **effect_arrays}
-    form = photogrammetric_form(problem, settings, solution)
-    if form is not None:
-        arrays["photogrammetric_covariance"] = form_covariance(form, covariance)
-    names, hidden = problem.sighted.targets.names, uncontrolled(problem, settings, adjusted, centre)
-    tables = {
-        "residuals": residual_table(solved.residuals, adjusted.group),
-        "targets": solved.rms_table("target", solved.index(camera.TARGET), names),
-        "rejected": adjusted.rejected,
-        "correlations": p.high_correlations(),
-        "significance": p.significance(),
-        "conventions": conventions_table(problem, settings, solution, covariance),
-        "camera": _camera(solved),
-        TABLE: hidden,
-        **effect_tables,
-    }
-    if problem.rig != "cmm":
-        tables["views"] = views
-        arrays |= _view_covariances(solved)
-    if problem.rig == "network":
-        tables["points"], of_points = _points(solved)
-        arrays |= of_points
-    tested = _tested(solved, tests, job) if tests is not None else None
+    views, tested = _views(solved), _tested(solved, tests, job) if tests is not None else None
+    hidden = uncontrolled(problem, settings, adjusted, centre)
+    tables, arrays = _tables_and_arrays(solved, views, hidden)
     if tested is not None:
         tables["length_errors"] = tested.table
     return Result(
@@ -138,6 +116,36 @@ def report(problem: Problem, job: Settings, adjusted: Adjusted, tests: Table | N
         details=adjusted.structured.details(p.names) if adjusted.structured is not None else {},
         plain=("dof",),
     )
+
+
+def _tables_and_arrays(solved: _Calibration, views: Table, hidden: Table) -> tuple[dict[str, Table], dict[str, Array]]:
+    """Return the tables of a calibration, and its covariances and correlations."""
+    problem, settings, solution, adjusted = solved.problem, solved.settings, solved.solution, solved.adjusted
+    p, covariance = solved.delivered, solved.covariance
+    effect_tables, effect_arrays = effect_results(problem.effects, solution)
+    arrays: dict[str, Array] = {"correlation": p.correlation, **effect_arrays}
+    form = photogrammetric_form(problem, settings, solution)
+    if form is not None:
+        arrays["photogrammetric_covariance"] = form_covariance(form, covariance)
+    names = problem.sighted.targets.names
+    tables = {
+        "residuals": residual_table(solved.residuals, adjusted.group),
+        "targets": solved.rms_table("target", solved.index(camera.TARGET), names),
+        "rejected": adjusted.rejected,
+        "correlations": p.high_correlations(),
+        "significance": p.significance(),
+        "conventions": conventions_table(problem, settings, solution, covariance),
+        "camera": _camera(solved),
+        TABLE: hidden,
+        **effect_tables,
+    }
+    if problem.rig != "cmm":
+        tables["views"] = views
+        arrays |= _view_covariances(solved)
+    if problem.rig == "network":
+        tables["points"], of_points = _points(solved)
+        arrays |= of_points
+    return tables, arrays
 
 
 def _tested(solved: _Calibration, tests: Table, job: Settings) -> LengthErrors:

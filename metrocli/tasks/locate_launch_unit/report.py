@@ -6,15 +6,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import minimal_detectable
-from metrocli.adjust.solution import Residuals, residuals_of
+from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments import launch_unit as lu
 from metrocli.result import Estimate, Result, Scalar, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit import KIND
+from metrocli.tasks.locate_launch_unit.problem import Problem
 from metrocli.tasks.locate_launch_unit.readings import Readings
 from metrocli.tasks.locate_launch_unit.solve import Located
 from metrocli.tasks.locate_launch_unit.uncontrolled import uncontrolled
@@ -45,30 +47,33 @@ def report(located: Located, method: str, noise: NoiseFound | None) -> Result:
     std = np.sqrt(np.diag(covariance))
     rows = zip(lu.COLUMNS, located.values.tolist(), std.tolist(), UNITS, strict=True)
     unit = tuple(Estimate(*row) for row in rows)
-    beams = _beams(located)
-    solution, problem = located.solution, located.problem
-    hidden = uncontrolled(located.readings.receiver, located.place)
-    if solution is None or problem is None or noise is None:
-        return Result(
-            kind=KIND.name,
-            title="",
-            estimates=unit,
-            covariance=covariance,
-            statistics=_statistics_as_printed(located, method, beams),
-            tables={"beams": beams, TABLE: hidden},
-            notes=(*_of_air(located), *in_words(hidden)),
-            shown=(ShownTable("beams"),),
-            warnings=_warning_as_printed(method),
-        )
-    groups = {group.name: group for group in solution.groups}
-    residuals = {
-        table: _residuals(
-            [(groups[name], residuals_of(solution, groups[name])) for name in names if name in groups], located
-        )
-        for table, names in _TABLES.items()
-        if not groups.keys().isdisjoint(names)
-    }
-    outliers = _outliers(located)
+    if located.solution is None or located.problem is None or noise is None:
+        return _as_printed(located, method, unit, covariance)
+    return _as_adjusted(located, located.problem, located.solution, noise, unit, method)
+
+
+def _as_printed(located: Located, method: str, unit: tuple[Estimate, ...], covariance: Array) -> Result:
+    """Return the result of a unit located by a formula of the paper, which leaves no residuals."""
+    beams, hidden = _beams(located), uncontrolled(located.readings.receiver, located.place)
+    return Result(
+        kind=KIND.name,
+        title="",
+        estimates=unit,
+        covariance=covariance,
+        statistics=_statistics_as_printed(located, method, beams),
+        tables={"beams": beams, TABLE: hidden},
+        notes=(*_of_air(located), *in_words(hidden)),
+        shown=(ShownTable("beams"),),
+        warnings=_warning_as_printed(method),
+    )
+
+
+def _as_adjusted(
+    located: Located, problem: Problem, solution: Solution, noise: NoiseFound, unit: tuple[Estimate, ...], method: str
+) -> Result:
+    """Return the result of an adjusted unit."""
+    beams, hidden = _beams(located), uncontrolled(located.readings.receiver, located.place)
+    residuals, outliers = _residuals_of(located, solution), _outliers(located)
     effects, arrays = effect_results(problem.effects, noise.solution)
     rms = {
         table.units["residual"]: float(np.sqrt((table.numbers("residual") ** 2).mean())) for table in residuals.values()
@@ -100,6 +105,18 @@ def report(located: Located, method: str, noise: NoiseFound | None) -> Result:
             *_repeated(problem.readings),
         ),
     )
+
+
+def _residuals_of(located: Located, solution: Solution) -> dict[str, Table]:
+    """Return the table of the angles and that of the distances, if there are any."""
+    groups = {group.name: group for group in solution.groups}
+    return {
+        table: _residuals(
+            [(groups[name], residuals_of(solution, groups[name])) for name in names if name in groups], located
+        )
+        for table, names in _TABLES.items()
+        if not groups.keys().isdisjoint(names)
+    }
 
 
 def _of_air(located: Located) -> tuple[str, ...]:
