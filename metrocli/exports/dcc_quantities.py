@@ -113,7 +113,7 @@ def _correlation(to: ET.Element, result: Result, known: Sequence[Estimate]) -> N
     held = _list(_result(to, "Correlation", _CORRELATION), "estimate")
     _texts(held, "estimate", names, _INDEX)
     for name, column in zip(names, matrix.T, strict=True):
-        dsi.real_list(_quantity(held, name), column, "1")
+        dsi.real_list(_quantity(held, f"correlation with {name}"), column, "1")
 
 
 def _probability(result: Result, k: float, name: str = "") -> float:
