@@ -35,7 +35,7 @@ def called(to: ET.Element, name: str) -> None:
 def identified(to: ET.Element, numbers: Sequence[tuple[str, str | None, str]]) -> None:
     """Add numbers that identify something, each with its issuer and what it is; none if there are none.
 
-    What it is also tells a program, as a refType of DKD: "serial number" is `basic_serialNumber`.
+    What it is stands there twice, for people and as a refType of DKD: "serial number" is `basic_serialNumber`.
     """
     given = [one for one in numbers if one[1]]
     held = add(to, "identifications") if given else to

@@ -1,4 +1,4 @@
-"""Quantities of a Digital Calibration Certificate: estimates, their covariance and conformity, and tables."""
+"""Quantities of a Digital Calibration Certificate: estimates, their correlation and conformity, and tables."""
 
 from __future__ import annotations
 
@@ -74,9 +74,9 @@ def _result(to: ET.Element, name: str, *remarks: str) -> ET.Element:
     return add(one, "data")
 
 
-def _quantity(to: ET.Element, name: str, *kinds: str) -> ET.Element:
-    """Add a quantity without its value, of kinds such as `basic_measuredValue`."""
-    quantity = add(to, "quantity", **({"refType": " ".join(kinds)} if kinds else {}))
+def _quantity(to: ET.Element, name: str, kind: str = "") -> ET.Element:
+    """Add a quantity without its value, of a kind such as `basic_measuredValue`."""
+    quantity = add(to, "quantity", **({"refType": kind} if kind else {}))
     named(quantity, "name", name)
     return quantity
 
@@ -139,7 +139,7 @@ def add_table(to: ET.Element, result: Result, name: str, table: Table) -> None:
     index = next(iter([*_places(table), *texts]), None)
     held = _list(_result(to, name, *remarks), index)
     for key in texts:
-        _texts(held, key, table.texts(key), *([_INDEX] if key == index else []))
+        _texts(held, key, table.texts(key), _INDEX if key == index else "")
     pairs, probability = _pairs(table), _probability(result, K)
     for column in (*_places(table), *pairs):
         quantity = _quantity(held, column, _INDEX if column == index else _MEASURED)
@@ -153,10 +153,10 @@ def _list(to: ET.Element, index: str | None) -> ET.Element:
     return add(to, "list") if index is None else add(to, "list", refType="basic_1IndexTable")
 
 
-def _texts(to: ET.Element, name: str, texts: Sequence[str], *kinds: str) -> None:
+def _texts(to: ET.Element, name: str, texts: Sequence[str], kind: str) -> None:
     """Add a column of texts; XML lists are separated by blanks, so a text has none."""
     cells = [re.sub(r"\s+", "_", one.strip()) or "-" for one in texts]
-    add(_quantity(to, name, *kinds), "charsXMLList", " ".join(cells))
+    add(_quantity(to, name, kind), "charsXMLList", " ".join(cells))
 
 
 def _remark(to: ET.Element, **attributes: str) -> ET.Element:

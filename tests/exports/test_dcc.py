@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import warnings
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import replace
@@ -529,6 +530,21 @@ def test_all_that_is_missing_is_listed_at_once() -> None:
 )  # fmt: skip
 def test_units_in_the_notation_of_d_si(unit: str, notation: str | None) -> None:
     assert dsi.unit_of(unit) == notation
+
+
+def test_every_unit_is_one_of_d_si() -> None:
+    """PTB's parser of units knows each name and prefix that a unit of a certificate can have."""
+    parser = pytest.importorskip("dsi_unit", reason="pip install dsiUnits==3.1.3")
+    whole = [f"{prefix}{unit}" for unit in dsi._UNITS for prefix in ("", *dsi._PREFIXES)] + [
+        *dsi._WHOLE,
+        "um/m/K",
+        "px",
+    ]
+    for unit in whole:
+        notation = str(dsi.unit_of(unit))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # it warns of a token that no unit here has
+            assert parser.DsiUnit(notation).valid, notation
 
 
 JOB = """\
