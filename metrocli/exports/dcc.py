@@ -6,26 +6,23 @@ The elements and their order are those of dcc.xsd. The same result gives the sam
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from metrocli.errors import Fault, InputError
 from metrocli.exports import Exported, dsi
-from metrocli.exports.dcc_elements import DCC, XSI, add, identified, named, software_of, text_of
+from metrocli.exports.dcc_elements import DCC, XSI, add, called, identified, named, software_of, text_of
+from metrocli.exports.dcc_quantities import add_estimates, add_table, certified, symbols_of
 from metrocli.record import Record
-from metrocli.result import Estimate, K, Result
-from metrocli.table import Table
+from metrocli.result import Result
 
 SCHEMA = "3.3.0"
 _REQUIRED = (
     "number", "laboratory.name", "laboratory.city", "laboratory.country", "customer.name", "customer.city",
     "item.name", "item.serial", "person", "begin", "end", "issued",
 )  # fmt: skip
-_CURVES, _POSITIONS = "tables/", ("position",)
-"""The group of a machine's curves of errors, and their columns without uncertainty"""
 _FILE = re.compile(r".*/.*|.*\.[A-Za-z][A-Za-z0-9]{1,4}")
 _ADDRESS = {"street": "street", "post_code": "postCode", "city": "city", "country": "countryCode"}
 
@@ -35,11 +32,8 @@ def files(result: Result, record: Record) -> Exported:
 
     Raises InputError with all keys that `certificate:` of the job lacks, and all units that D-SI does not have.
     """
-    tables = _certified(result)
-    known = [one for one in result.estimates if np.isfinite([one.value, *result.expanded(one)]).all()]
-    symbols = [one.unit for one in known]
-    symbols += [table.units.get(name) or "1" for table in tables.values() for name in (*_pairs(table), *_places(table))]
-    faults = [*_missing(record), *dsi.without_notation(symbols)]
+    known, tables = certified(result)
+    faults = [*_missing(record), *dsi.without_notation(symbols_of(known, tables))]
     if not known and not tables:
         faults.append(Fault("the result has no estimate and no table with uncertainties to certify"))
     if faults:
@@ -51,16 +45,14 @@ def files(result: Result, record: Record) -> Exported:
     _standards(measured, record)
     one = add(measured, "measurementResult")
     named(one, "name", result.title or result.kind)
-    named(add(add(one, "usedMethods"), "usedMethod"), "name", f"metrocli {result.kind}")
+    _methods(add(one, "usedMethods"), result)
     software_of(one, "usedSoftware", record)
     _conditions(one, result)
     results = add(one, "results")
     if known:
-        data = _result(results, "Estimates", _left_out(result.estimates, known))
-        for estimate in known:
-            _estimate(data, result, estimate)
+        add_estimates(results, result, known)
     for name, table in tables.items():
-        _table(results, result, name, table)
+        add_table(results, result, name, table)
     return {"dcc.xml": text_of(root)}
 
 
@@ -101,14 +93,28 @@ def _administrative(to: ET.Element, result: Result, record: Record) -> None:
         add(laboratory, "calibrationLaboratoryCode", stated["laboratory"]["code"])
     _contact(add(laboratory, "contact"), stated["laboratory"])
     person = add(add(to, "respPersons"), "respPerson")
-    named(add(person, "person"), "name", stated["person"])
+    called(add(person, "person"), stated["person"])
     add(person, "mainSigner", "true")
     _contact(add(to, "customer"), stated["customer"])
     statements = add(to, "statements")
     for name, lines in _statements(result, record):
         statement = add(statements, "statement")
         named(statement, "name", name)
-        named(statement, "declaration", *lines)
+        named(statement, "declaration", "\n".join(lines))
+
+
+def _methods(to: ET.Element, result: Result) -> None:
+    """Add how the results and their uncertainties were found."""
+    named(add(to, "usedMethod", refType="basic_calibrationMethod"), "name", f"metrocli {result.kind}")
+    uncertainty = add(to, "usedMethod", refType="basic_methodMeasurementUncertainty")
+    named(uncertainty, "name", "Measurement uncertainty")
+    text = (
+        "The uncertainties are expanded by the coverage factor k that is stated with each. D-SI has no k below 1: the "
+        "standard uncertainty is stated there. They follow from the declared inputs and noise, not from errors that no "
+        "reading checks."
+    )
+    named(uncertainty, "description", text)
+    add(uncertainty, "norm", "JCGM 100:2008")
 
 
 def _conditions(to: ET.Element, result: Result) -> None:
@@ -118,34 +124,34 @@ def _conditions(to: ET.Element, result: Result) -> None:
     known = np.concatenate([*temperatures, np.zeros(0)])
     known = known[np.isfinite(known)]
     if len(known):
-        data = _condition(held, "Temperature of the readings")
-        for name, value in (("lowest", known.min()), ("highest", known.max())):
-            quantity = add(data, "quantity")
+        data = _condition(held, "Temperature of the readings", refType="basic_temperature")
+        for kind, name, value in (("minimum", "lowest", known.min()), ("maximum", "highest", known.max())):
+            quantity = add(data, "quantity", refType=f"math_{kind}")
             named(quantity, "name", name)
-            dsi.real(quantity, float(value), "degC", 0.0, K, 0.0)
+            dsi.real(quantity, float(value), "degC")
     text = "Influences such as temperature and air are in the job and its files, which the result records."
     named(_condition(held, "Conditions of the measurement"), "text", text)
 
 
-def _condition(to: ET.Element, name: str) -> ET.Element:
+def _condition(to: ET.Element, name: str, **attributes: str) -> ET.Element:
     """Add a condition and return where its data go."""
-    one = add(to, "influenceCondition")
+    one = add(to, "influenceCondition", **attributes)
     named(one, "name", name)
     return add(one, "data")
 
 
 def _item(to: ET.Element, item: Mapping[str, str]) -> None:
-    named(to, "name", item["name"])
+    called(to, item["name"])
     if "manufacturer" in item:
-        named(add(to, "manufacturer"), "name", item["manufacturer"])
+        called(add(to, "manufacturer"), item["manufacturer"])
     if "model" in item:
         add(to, "model", item["model"])
-    numbers = (("manufacturer", item["serial"], "serial number"), ("owner", item.get("inventory"), "inventory number"))
-    identified(to, numbers)
+    serial = ("manufacturer", item["serial"], "serial number")
+    identified(to, [serial, ("owner", item.get("inventory"), "identification number")])
 
 
 def _contact(to: ET.Element, contact: Mapping[str, str]) -> None:
-    named(to, "name", contact["name"])
+    called(to, contact["name"])
     if "email" in contact:
         add(to, "eMail", contact["email"])
     location = add(to, "location")
@@ -155,18 +161,12 @@ def _contact(to: ET.Element, contact: Mapping[str, str]) -> None:
 
 
 def _statements(result: Result, record: Record) -> Iterator[tuple[str, list[str]]]:
-    """Yield name and lines of each statement: traceability, uncertainty, what was required, and what forbids use."""
+    """Yield name and lines of each statement: scope, traceability, what was required, and what forbids use."""
+    yield "Scope", ["The results relate only to the item calibrated, as it was at the time of the measurement."]
     numbers = {name: number or "not given" for name, number in record.references()}
     digests = {one.path: f"; SHA-256 {one.sha256}" for one in record.inputs}
     rests = [f"{name}: certificate {number}{digests.get(name, '')}" for name, number in numbers.items()]
     yield "Traceability", ["The result rests on these references.", *rests] if rests else ["The job states all values."]
-    yield (
-        "Measurement uncertainty",
-        [
-            "The uncertainties are expanded by the coverage factor k that is stated with each (GUM).",
-            "They follow from the declared inputs and noise, not from errors that no reading checks.",
-        ],
-    )
     if record.verdicts:
         yield "Acceptance criteria", [str(one) for one in record.verdicts]
     if result.warnings:
@@ -176,103 +176,13 @@ def _statements(result: Result, record: Record) -> Iterator[tuple[str, list[str]
 
 
 def _standards(to: ET.Element, record: Record) -> None:
-    """Add each reference that has a certificate, with its number."""
+    """Add each reference that has a certificate, with its number; a certificate on paper has no digest."""
     numbered = [(name, number) for name, number in record.references() if number]
     held = add(to, "measuringEquipments") if numbered else to
     for name, number in numbered:
-        one = add(held, "measuringEquipment")
-        named(one, "name", name)
-        identified(one, [("other", number, "certificate number")])
-
-
-def _left_out(estimates: Sequence[Estimate], known: Sequence[Estimate]) -> str:
-    names = [one.name for one in estimates if one not in known]
-    return f"Not determined, so not certified: {', '.join(names)}." if names else ""
-
-
-def _result(to: ET.Element, name: str, remark: str) -> ET.Element:
-    """Add a result and return where its data go."""
-    one = add(to, "result")
-    named(one, "name", name)
-    if remark:
-        named(one, "description", remark)
-    return add(one, "data")
-
-
-def _estimate(to: ET.Element, result: Result, estimate: Estimate) -> None:
-    spread, k = result.expanded(estimate)
-    quantity = add(to, "quantity")
-    named(quantity, "name", estimate.name)
-    dsi.real(quantity, estimate.value, estimate.unit, spread, k, _probability(result, k, estimate.name))
-    _pixels(quantity, estimate.unit)
-
-
-def _probability(result: Result, k: float, name: str = "") -> float:
-    """Return the coverage probability: the stated one, else that of k for normal errors.
-
-    Where the noise was estimated it is that of Student's distribution with the degrees of freedom (GUM G.3).
-    """
-    from scipy.special import ndtr, stdtr
-
-    stated = result.details.get(name, {}).get("probability")
-    if stated is not None:
-        return float(stated)
-    dof = result.statistics.get("dof")
-    estimated = "noise_estimated" in result.statistics and isinstance(dof, int | float) and dof > 0
-    return float(2 * (stdtr(dof, k) if estimated else ndtr(k)) - 1)
-
-
-def _certified(result: Result) -> dict[str, Table]:
-    """Return the tables to certify by name: the first shown one with standard uncertainties, and curves of errors.
-
-    Their rows are those in which every value and its uncertainty are determined.
-    """
-    shown = ((one.name, result.tables[one.name]) for one in result.shown if one.name in result.tables)
-    first = next(((name, table) for name, table in shown if _pairs(table)), None)
-    curves = [(name, table) for name, table in result.tables.items() if name.startswith(_CURVES) and _pairs(table)]
-    whole = ((name, _whole(table)) for name, table in ([first] if first else []) + curves)
-    return {name: table for name, table in whole if len(table)}
-
-
-def _whole(table: Table) -> Table:
-    pairs = _pairs(table)
-    rows = np.isfinite(table.stacked([*pairs, *pairs.values()])).all(axis=1)
-    return replace(table, columns={name: column[rows] for name, column in table.columns.items()}, lines=())
-
-
-def _pairs(table: Table) -> dict[str, str]:
-    """Return the columns that have standard uncertainties, with the column of these: `sx` or `s_x` of `x`."""
-    known = {name: ["std"] if name == "value" else [f"s_{name}", f"s{name}"] for name in table}
-    return {name: std for name, stds in known.items() for std in stds if std in table}
-
-
-def _places(table: Table) -> list[str]:
-    """Return the columns that place a row and have no uncertainty."""
-    return [name for name in _POSITIONS if name in table]
-
-
-def _table(to: ET.Element, result: Result, name: str, table: Table) -> None:
-    """Add a table as a list of columns."""
-    lacking = len(result.tables[name]) - len(table)
-    remark = f"Not determined, so not certified: {lacking} of {len(result.tables[name])} rows." if lacking else ""
-    held = add(_result(to, name, remark), "list")
-    for key in (one for one in table if table.columns[one].dtype.kind == "U"):
-        cells = [re.sub(r"\s+", "_", cell.strip()) or "-" for cell in table.texts(key)]
-        quantity = add(held, "quantity")
-        named(quantity, "name", key)
-        add(quantity, "charsXMLList", " ".join(cells))
-    pairs, probability = _pairs(table), _probability(result, K)
-    for column in (*_places(table), *pairs):
-        quantity = add(held, "quantity")
-        named(quantity, "name", column)
-        unit, spreads = table.units.get(column) or "1", K * table.numbers(pairs[column]) if column in pairs else None
-        dsi.real_list(quantity, table.numbers(column), unit, spreads, K, probability)
-        _pixels(quantity, unit)
-
-
-def _pixels(to: ET.Element, unit: str) -> None:
-    """Add the definition of the unit of images to a quantity that has it."""
-    if dsi.PIXEL in re.findall("[a-z]+", unit):
-        data = add(add(to, "measurementMetaData"), "metaData")
-        add(data, "nonSIDefinition", "px: the distance between neighbouring pixels of the camera")
-        add(data, "nonSIUnit", unit)
+        one = add(held, "measuringEquipment", refType="basic_measurementStandard")
+        called(one, name)
+        certificate = add(one, "certificate")
+        named(certificate, "referral", "Calibration certificate")
+        for key, text in (("referralID", number), ("procedure", "analogue"), ("value", "noValue")):
+            add(certificate, key, text)

@@ -5,6 +5,7 @@ Source: D-SI (SmartCom, EMPIR 17IND02), https://ptb.de/si, with the elements of 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element, SubElement
@@ -30,7 +31,7 @@ _WHOLE = {
 """Units that have no prefix"""
 _PREFIXES = {"p": "pico", "n": "nano", "u": "micro", "m": "milli", "h": "hecto", "k": "kilo", "M": "mega", "G": "giga"}
 _FACTOR = re.compile(r"([A-Za-z]+)\^?(-?[0-9]+)?")
-_MOST_DIGITS = 15
+_PLAIN, _MOST_DIGITS = ".10g", 15
 
 
 def unit_of(symbol: str) -> str | None:
@@ -65,40 +66,73 @@ def without_notation(symbols: Sequence[str]) -> list[Fault]:
     return [Fault(f"the unit {one} has no notation in D-SI", hint=hint) for one in unknown]
 
 
-def real(to: Element, value: float, unit: str, spread: float, k: float, probability: float) -> None:
-    """Add a value with its expanded uncertainty `spread`, both rounded to two digits of it; none if it is zero."""
-    number, uncertainty = units.rounded(value, spread)
+def real(to: Element, value: float, unit: str, spread: float = 0.0, k: float = 2.0, probability: float = 1.0) -> None:
+    """Add a value with its expanded uncertainty `spread`, both rounded to two digits of it; none if it is zero.
+
+    D-SI has no coverage factor below 1: there the standard uncertainty is stated.
+    """
+    shown = spread if k >= 1 else spread / k
+    number, uncertainty = units.rounded(value, shown)
     made = SubElement(to, f"{{{SI}}}real")
     _texts(made, {"value": number, "unit": str(unit_of(unit))})
-    if spread > 0:
-        held = _nested(made, "measurementUncertaintyUnivariate", "expandedMU")
-        coverage = {"coverageFactor": f"{k:.4g}", "coverageProbability": f"{probability:.4g}"}
-        _texts(held, {"valueExpandedMU": uncertainty, **coverage})
+    if shown <= 0:
+        return
+    held = SubElement(made, f"{{{SI}}}measurementUncertaintyUnivariate")
+    if k < 1:
+        _texts(_nested(held, "standardMU"), {"valueStandardMU": uncertainty})
+        return
+    coverage = {"coverageFactor": _factor_text(k), "coverageProbability": _probability_text(probability)}
+    _texts(_nested(held, "expandedMU"), {"valueExpandedMU": uncertainty, **coverage})
+
+
+def _factor_text(k: float) -> str:
+    """Return a coverage factor with four digits; D-SI allows it no exponent."""
+    return np.format_float_positional(k, 4, unique=False, fractional=False, trim="-")
+
+
+def _probability_text(probability: float) -> str:
+    """Return a probability without exponent, with two digits at least of it and of what it leaves."""
+    left = min(probability, 1 - probability)
+    places = max(4, 1 - math.floor(math.log10(left))) if left > 0 else 0
+    return f"{probability:.{places}f}".rstrip("0").rstrip(".") if places else f"{probability:.0f}"
 
 
 def real_list(
     to: Element,
     values: npt.NDArray[np.float64],
     unit: str,
-    spreads: npt.NDArray[np.float64] | None,
-    k: float,
-    probability: float,
+    spreads: npt.NDArray[np.float64] | None = None,
+    k: float = 2.0,
+    probability: float = 1.0,
 ) -> None:
     """Add values with their expanded uncertainties, (n,) each, rounded to two digits of the smallest one.
 
-    Values without uncertainties, such as places, have ten digits.
+    Values without uncertainties, such as places and correlation coefficients, have ten digits.
     """
     made = SubElement(to, f"{{{SI}}}realListXMLList")
+    form = _PLAIN if spreads is None else _form(values, spreads)
+    _texts(made, {"valueXMLList": _numbers(values, form), "unitXMLList": str(unit_of(unit))})
     if spreads is None:
-        _texts(made, {"valueXMLList": " ".join(np.char.mod("%.10g", values)), "unitXMLList": str(unit_of(unit))})
         return
-    smallest = np.min(spreads[spreads > 0], initial=np.inf)
-    digits = 1 - int(np.floor(np.log10(smallest))) if np.isfinite(smallest) else _MOST_DIGITS
-    form = f"%.{min(max(digits, 0), _MOST_DIGITS)}f"
-    _texts(made, {"valueXMLList": " ".join(np.char.mod(form, values)), "unitXMLList": str(unit_of(unit))})
     held = _nested(made, "measurementUncertaintyUnivariateXMLList", "expandedMUXMLList")
-    coverage = {"coverageFactorXMLList": f"{k:.4g}", "coverageProbabilityXMLList": f"{probability:.4g}"}
-    _texts(held, {"valueExpandedMUXMLList": " ".join(np.char.mod(form, spreads)), **coverage})
+    coverage = {"coverageFactorXMLList": _factor_text(k), "coverageProbabilityXMLList": _probability_text(probability)}
+    _texts(held, {"valueExpandedMUXMLList": _numbers(spreads, form), **coverage})
+
+
+def _numbers(values: npt.NDArray[np.float64], form: str) -> str:
+    return " ".join(format(one, form) for one in values.tolist())
+
+
+def _form(values: npt.NDArray[np.float64], spreads: npt.NDArray[np.float64]) -> str:
+    """Return the form of numbers that shows two digits of the smallest uncertainty that is not zero."""
+    positive = spreads[spreads > 0]
+    if not len(positive):
+        return _PLAIN
+    digits = 1 - math.floor(math.log10(positive.min()))
+    if digits <= _MOST_DIGITS:
+        return f"z.{max(digits, 0)}f"
+    largest = max(np.abs(values).max(), positive.max())
+    return f".{min(math.floor(math.log10(largest)) + digits, _MOST_DIGITS)}e"
 
 
 def _nested(to: Element, *names: str) -> Element:
