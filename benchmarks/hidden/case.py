@@ -22,6 +22,8 @@ class Hidden:
     values: Mapping[str, float]
     near: float = 0.0
     """Largest cosine of what is visible of it with another candidate"""
+    form: str = ""
+    """Its `by` where the name has several forms: parameters of different forms cannot be compared"""
 
     @property
     def distinct(self) -> bool:

@@ -238,7 +238,8 @@ def planted(
     values |= {key: values[key] * factor for key in names}
     change = signature(name, at, values)(m)
     where = {"tracer": f"T{at}"} if name not in EVERYWHERE else {}
-    hidden = Hidden(name, where, values, nearest(m, taken, (name, at), change))
+    form = "" if name != "refraction-drift" else "T" if values["by"] else "t"
+    hidden = Hidden(name, where, values, nearest(m, taken, (name, at), change), form)
     return replace(m, length=m.length + change), hidden
 
 

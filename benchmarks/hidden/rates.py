@@ -24,6 +24,7 @@ def found(case: Case) -> Found:
         for hidden in case.hidden
         for finding in diagnosis.findings
         if _is(finding, hidden)
+        and hidden.form in ("", finding.effect.alternative.effect.by)
         and finding.effect.apart.all()
         and set(finding.effect.alternative.parameters) <= set(hidden.values)
     )

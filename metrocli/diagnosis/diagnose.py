@@ -42,7 +42,6 @@ from metrocli.diagnosis.residual_structure import (
 )
 from metrocli.diagnosis.searched import SEED, Say, search_about_solution, with_scatters
 from metrocli.diagnosis.selection.confidence_set import NamedEffect, confidence_sets
-from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.diagnosis.wrong_readings import wrong_readings
 
 Attended = Callable[[Callable[[], None]], AbstractContextManager[object]]
@@ -101,9 +100,8 @@ def diagnose(
             laws = laws_in(library, white, structure is not None, ordered)
         structure = _structure_of(laws) if structure is None else structure
     before = _strongest_before(first.beside_white_noise.test_set)
-    processes = _given_up(searched.processes, searched.selection)
     if structure is None:
-        structure = _structure_of_processes(processes, before)
+        structure = _structure_of_processes(searched.processes, before)
     # without an extended fit the law is about the same linearised system, and what it explains is no noise
     law = next((one for one in laws if one.chosen and fit is None), None)
     noise = noise_of(fitted if law is None else fitted.with_columns(law.columns))
@@ -135,7 +133,7 @@ def diagnose(
         repeats=repeats,
         scatters=scatters,
         laws=laws,
-        processes=processes,
+        processes=searched.processes,
         limited=limit if job.budget.ended else None,
         interrupted=job.budget.interrupted,
     )
@@ -143,15 +141,6 @@ def diagnose(
 
 def _strongest_before(tests: ScoreTests) -> float:
     return float(np.exp(log_level_of_strongest(tests, nothing_fitted(tests.system))))
-
-
-def _given_up(processes: Sequence[Process], selection: Selection) -> tuple[Process, ...]:
-    """Return the processes, each with the effects that are not named beside it again."""
-    named = {selection.alternative(one).spot for one in selection.named}
-    return tuple(
-        replace(process, instead_of=tuple(one for one in process.instead_of if one.spot not in named))
-        for process in processes
-    )
 
 
 def _structure_of_processes(processes: Sequence[Process], before: float) -> RemainingStructure | None:

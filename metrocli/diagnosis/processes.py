@@ -27,8 +27,8 @@ _LENGTHS = (1 / 16, 1 / 8, 1 / 4)
 """Lengths of correlation that are tried, as shares of the largest range of a unit: what is slower is a drift"""
 _RESOLVED = 0.6
 """Least length of correlation, in distances of the knots"""
-_GAIN, _HINT = 3.0, 2.0
-"""Least gain of the log-likelihood by a process: a level of 0.7 % for one variance; and where it stands for names"""
+_GAIN = 2.0
+"""Least gain of the log-likelihood by a process: a level of 2.3 % for one variance"""
 _MORE, _FAR_MORE = 1.4, 3.5
 """ln of the odds by which names must exceed a process that stands for them; and where structure is left beside them"""
 _NOTICED, _MOST_TRIED = 1.5, 4
@@ -57,7 +57,7 @@ class Process:
     columns: Array
     """Columns Z of its covariance `Z Z'` in units of the noise, (rows, k)"""
     instead_of: tuple[Alternative, ...] = ()
-    """The effects that would be named beside white noise alone"""
+    """The effects that are named without it, and not beside it"""
 
 
 def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
@@ -73,16 +73,15 @@ def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
     left = 0.0 if beside is None else beside.gain
     # an error that all units share is what effects such as the air are, so it stands for no name
     apart = [basis for basis in bases if basis.by or not job.units]
-    ahead: list[tuple[float, _Tried, tuple[Chosen, ...]]] = []
+    ahead: list[tuple[float, _Tried]] = []
     for gone in _weakest_first(selection, named):
         bare = selection.fitted(without=[*gone, *selection.unknown])
         instead = _best(apart, bare)
         needed = evidence_of(selection, gone, bare, named) + left - (_FAR_MORE if left > _GAIN else _MORE)
-        if instead is not None and instead.gain > max(_HINT, needed):
-            ahead.append((instead.gain - needed, instead, gone))
+        if instead is not None and instead.gain > max(_GAIN, needed):
+            ahead.append((instead.gain - needed, instead))
     if ahead:
-        _, instead, gone = max(ahead, key=lambda one: one[0])
-        return replace(instead.process(len(bases)), instead_of=tuple(selection.alternative(one) for one in gone))
+        return max(ahead, key=lambda one: one[0])[1].process(len(bases))
     return beside.process(len(bases)) if beside is not None and left > _GAIN else None
 
 
@@ -108,15 +107,22 @@ def _scored(basis: Basis, base: FittedColumns) -> Iterator[_Scored]:
     knots = len(basis.distances)
     copies = basis.columns.shape[1] // knots
     along = basis.columns.T @ base.basis
-    gram = (basis.gram - along @ along.T).reshape(copies, knots, copies, knots)
+    gram = basis.gram - along @ along.T
     right = (basis.columns.T @ base.residual).reshape(copies, knots)
     spacing = float(np.min(basis.distances, where=basis.distances > 0, initial=np.inf))
     for length in _LENGTHS:
         if length >= _RESOLVED * spacing:
             root = _root(basis.distances / length)
-            turned = np.einsum("aibj,jk->aibk", gram, root, optimize=True)
-            turned = np.einsum("aibk,il->albk", turned, root, optimize=True)
-            yield _Scored(basis, length, root, turned.reshape(copies * knots, -1), (right @ root).ravel(), base)
+            turned = _turned(gram, np.stack([root] * copies))
+            yield _Scored(basis, length, root, turned, (right @ root).ravel(), base)
+
+
+def _turned(gram: Array, roots: Array) -> Array:
+    """Return the Gram matrix of `H L` by that of H, with an L for each unit and component (copies, knots, knots)."""
+    copies, knots = roots.shape[:2]
+    for _ in range(2):
+        gram = np.matmul(gram.T.reshape(-1, copies, 1, knots), roots)[:, :, 0].reshape(copies * knots, -1)
+    return gram
 
 
 def _root(distances: Array) -> Array:
@@ -219,8 +225,9 @@ class _Tried:
         """Return the process, of one of so many covariates that were tried."""
         one, basis = self.scored, self.scored.basis
         knots, size = len(one.root), np.sqrt(self.ratios)
-        grown = one.gram * np.repeat(size, knots)[:, None] * np.repeat(size, knots)
-        values, vectors = np.linalg.eigh(grown)
+        # beside the unknowns alone: what looks like a named effect belongs to the uncertainty of that
+        each = np.stack([one.root * own for own in size])
+        values, vectors = np.linalg.eigh(_turned(basis.gram, each))
         vectors = vectors[:, values > _VISIBLE].reshape(len(size), knots, -1) * size[:, None, None]
         columns = basis.columns @ np.einsum("ij,ajk->aik", one.root, vectors).reshape(-1, vectors.shape[2])
         seen = self.likelihood

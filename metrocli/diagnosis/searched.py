@@ -5,7 +5,7 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from metrocli.diagnosis.extended_fit import (
     weights_of,
     with_scatter,
 )
-from metrocli.diagnosis.linear.candidates import NotTested
+from metrocli.diagnosis.linear.candidates import Alternative, NotTested
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.linear.random_columns import beside_random_columns
@@ -106,16 +106,26 @@ def _with_processes(searched: Searched, say: Say) -> Searched:
         if found is None:
             break
         say(f"searching beside an error that varies smoothly with {found.covariate}")
-        processes.append(found)
-        rng = np.random.default_rng(SEED)
+        rng, before = np.random.default_rng(SEED), selection
         tests = beside_random_columns(tests, found.columns, rng, job.single_components)
         selection = refined_scans(job, search(tests, nothing_fitted(tests.system)))
+        processes.append(replace(found, instead_of=_not_in(selection, map(before.alternative, before.named))))
     if not processes:
         return searched
+    final = {selection.alternative(one).spot for one in selection.named}
+    processes = [
+        replace(one, instead_of=tuple(lost for lost in one.instead_of if lost.spot not in final)) for one in processes
+    ]
     kept = transferred(selection, plain.test_set)
     for one in plain.unknown:
         kept = kept.with_one(one)
     return replace(searched, tests=tests, selection=selection, processes=tuple(processes), plain=kept)
+
+
+def _not_in(selection: Selection, effects: Iterable[Alternative]) -> tuple[Alternative, ...]:
+    """Return the effects that a selection does not name; none if it names others in their place."""
+    named, wanted = {selection.alternative(one).spot for one in selection.named}, list(effects)
+    return tuple(one for one in wanted if one.spot not in named) if len(named) < len(wanted) else ()
 
 
 def _search_beside_white_noise(job: AdjustedJob, say: Say) -> Searched:
