@@ -43,6 +43,19 @@ def test_an_effect_is_named_beside_what_wavers() -> None:
     assert [str(one.effect.alternative) for one in found.findings] == [f"sphere-form {place}"]
 
 
+def test_what_wavers_is_in_the_uncertainty_of_an_effect_beside_it() -> None:
+    """Its standard uncertainty is near that of generalised least squares with the covariance of all errors."""
+    for seed in (0, 5):
+        rng = np.random.default_rng([92, seed])
+        m = lengths.measurement(rng, 70)
+        off, covariance = of_each(rng, m.t[:, None], m.tracer)
+        wavers = replace(m, length=m.length + off * m.sigma)
+        read, hidden = lengths.planted(wavers, rng, "refraction-drift", 2.0, covariance)
+        (found,) = diagnose(read.adjusted()).findings
+        known = abs(hidden.values["rate"]) / lengths.size_beside(m, read.length - wavers.length, covariance)
+        assert np.sqrt(found.effect.covariance[0, 0]) == pytest.approx(known, rel=0.2)
+
+
 def test_what_a_process_stands_for_stays_detected() -> None:
     """A drift that white noise only just lets show: a process of that tracer may take its name, not its trace."""
     rng = np.random.default_rng([91, 2])
