@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.adjusted_job import Budget, Ordered
 from metrocli.diagnosis.cross_validation import Gain, Held, folds_of, gain_of, held_out_errors, without
 from metrocli.diagnosis.laws.library import Library, Term
@@ -22,7 +22,6 @@ from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.selection.selection_state import Selection
-from metrocli.units import internal_unit
 
 _ALONE = 0.001
 """Level at which a term enters where no structure was found"""
@@ -40,7 +39,8 @@ class LawData:
 
     A law of one variable that adds to one component is a curve. A reading then counts as far as the component moves it:
     what it shows is divided by its change with the component, and readings that move less than half as much as the most
-    are left out. Any other law stands over what it adds to the readings.
+    are left out. Any other law stands over what it adds to the readings. Of readings of several units those of one are
+    shown, which show most of the law.
     """
 
     variable: str
@@ -223,11 +223,12 @@ def _data(library: Library, terms: Sequence[Term], sizes: Array, after: FittedCo
     adds = np.concatenate([library.columns(term) for term in terms], axis=1)
     law = (adds @ sizes) * system.scale
     residual = law + after.residual * system.scale
+    unit_of_readings, showing = _showing(system, adds @ sizes)
     if len(variables) > 1 or any(term.spot.component != spot.component for term in terms):
-        rows = np.flatnonzero(adds.any(axis=1) & system.alike)
-        return LawData("", "", law[rows], law[rows], residual[rows], internal_unit(library.job.reading[1]), None)
+        rows = np.flatnonzero(adds.any(axis=1) & showing)
+        return LawData("", "", law[rows], law[rows], residual[rows], unit_of_readings, None)
     (name,) = variables
-    change = np.where(system.alike, library.change(spot) * system.scale, 0.0)
+    change = np.where(showing, library.change(spot) * system.scale, 0.0)
     rows = np.flatnonzero((change != 0) & (np.abs(change) >= _SEEN * np.abs(change).max()))
     x = library.values(terms, name)[rows]
     steps = np.linspace(x.min(), x.max(), _STEPS)
@@ -236,3 +237,15 @@ def _data(library: Library, terms: Sequence[Term], sizes: Array, after: FittedCo
     law, residual = law[rows] / change[rows], residual[rows] / change[rows]
     unit, adds_unit = spot.acting.variables_at({})[name].unit, spot.acting.unit_of(spot.component)
     return LawData(name, unit, x, law, residual, adds_unit, (steps, curve))
+
+
+def _showing(system: System, explained: Array) -> tuple[str, Mask]:
+    """Return the unit of the readings that show most of what a law explains (rows,), whitened, and their rows.
+
+    Angles may show nothing of a law of distances.
+    """
+    of_unit: dict[str, Mask] = {}
+    for group in system.model.readings:
+        unit = group.observations.unit
+        of_unit[unit] = of_unit.get(unit, np.zeros(system.rows, dtype=bool)) | system.rows_of(group)
+    return max(of_unit.items(), key=lambda one: float((explained[one[1]] ** 2).sum()))

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from simulated import lengths as simulated_lengths
 
+from benchmarks.hidden import launch
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.diagnose import Attended, diagnose, no_interrupt
@@ -180,6 +181,18 @@ def test_a_law_stands_beside_its_readings(found: Diagnosis) -> None:
     for values, bound in ((law, 0.15), (residual, 0.35)):
         off = values - planted
         assert (off - off.mean()).std() < bound * planted.std(), (off - off.mean()).std() / planted.std()
+
+
+def test_a_law_of_distances_stands_beside_distances() -> None:
+    """The other readings are angles, which show nothing of it: +-30 um that go with the temperature."""
+    m = launch.measurement(np.random.default_rng(2), True)
+    planted = 0.03 * np.sin(6 * (m.temp - 20))
+    read = m.read + np.outer(np.eye(5)[4], planted)
+    job = replace(replace(m, read=read).adjusted(), places=KINDS["locate-launch-unit"].task().places)
+    law = next(law for law in as_data(diagnose(job))["laws"] if law["chosen"])
+    assert (law["acts_on"], law["data"]["unit"], len(law["data"]["x"])) == ("distance", "um", len(m.t))
+    for name in ("law", "residual"):
+        assert np.ptp(law["data"][name]) == pytest.approx(1000 * np.ptp(planted), rel=0.1)
 
 
 def test_the_parts_of_a_gain_are_the_gain(found: Diagnosis) -> None:
