@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from metrocli.cli.shell.fitted import coloured, fitted
+from metrocli.record import DOUBTFUL, UNMET
 
 Metrocli = Callable[..., Any]
 TABLE = """points
@@ -74,7 +75,8 @@ def test_lines_of_files_are_shown_as_they_are() -> None:
 def test_deciding_words_have_colours() -> None:
     red, green, yellow, plain = "\x1b[1;31m", "\x1b[32m", "\x1b[33m", "\x1b[0m"
     assert coloured("status: done, 2 warnings") == f"status: {green}done{plain}, 2 warnings"
-    assert coloured("status: doubtful") == f"status: {red}doubtful{plain}"
+    for status in (DOUBTFUL, UNMET):
+        assert coloured(f"status: {status}, 1 warning") == f"status: {red}{status}{plain}, 1 warning"
     assert coloured("verdict: clean\nverdict: explained") == (
         f"verdict: {green}clean{plain}\nverdict: {yellow}explained{plain}"
     )

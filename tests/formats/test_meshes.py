@@ -37,7 +37,9 @@ def ply() -> str:
     return head + "\n".join(rows) + "\n"
 
 
-@pytest.mark.parametrize(("name", "text"), [("a.stl", stl()), ("a.obj", obj()), ("a.ply", ply())])
+@pytest.mark.parametrize(
+    ("name", "text"), [("a.stl", stl()), ("b.stl", stl().upper()), ("a.obj", obj()), ("a.ply", ply())]
+)
 def test_a_tetrahedron_is_read(name: str, text: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(text)
     mesh = meshes.read(tmp_path / name)

@@ -17,7 +17,10 @@ _LEAST = 16
 """Narrowest column whose cells are broken into lines"""
 _PLAIN, _RED, _GREEN, _YELLOW = "\x1b[0m", "\x1b[1;31m", "\x1b[32m", "\x1b[33m"
 _COLOURS = (
-    (re.compile(r"^(error|DOUBTFUL):|\bNOT met\b|(?<=^status: )(doubtful|not met)|(?<= )error(?=: )"), _RED),
+    (
+        re.compile(r"^(error|DOUBTFUL):|\bNOT met\b|(?<=^status: )(doubtful|requirements not met)|(?<= )error(?=: )"),
+        _RED,
+    ),
     (re.compile(r"^warning:|(?<=^verdict: )(explained|indistinct|unexplained|mistaken).*"), _YELLOW),
     (re.compile(r"(?<=^status: )done|(?<=^verdict: )clean(?=$)|(?<=^required ).*: met\b"), _GREEN),
 )

@@ -240,7 +240,7 @@ def _warnings(solved: Solved) -> list[str]:
     alike = [f"{one.point} (w = {one.test:.1f}: {' or '.join(one.others)})" for one in untold]
     bound = f"the outlier bound |w| = {solved.critical:.2f}"
     if solved.solution.sigma0 > 1:
-        bound += ", w over the sigma0 of the other lengths"
+        bound += " (w divided by sigma0, the largest by sigma0 without that length)"
     if told:
         lines.append(f"{len(told)} lengths exceed {bound}: {listed(told, 5)}; `outliers: remove` leaves them out")
     if alike:
