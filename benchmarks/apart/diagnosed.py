@@ -47,9 +47,9 @@ class Diagnosed:
             self.write(copy, readings)
             return diagnose(adjusted_job_of(load(copy / self.job)))
 
-    def noticed(self, change: Array, rng: Rng) -> int:
-        """Return how many of the measurements with an effect are not called clean."""
-        found = [self.diagnosis(self.model.read(rng) + change) for _ in range(_DIAGNOSES)]
+    def noticed(self, change: Callable[[], Array], rng: Rng) -> int:
+        """Return how many measurements are not called clean; `change` draws what an effect does to the readings."""
+        found = [self.diagnosis(change() + self.model.read(rng)) for _ in range(_DIAGNOSES)]
         return sum(one.verdict != Verdict.CLEAN or bool(one.outliers) for one in found)
 
 
@@ -67,15 +67,13 @@ def excluded(one: Diagnosed, candidates: Iterable[Mapping[str, Any]]) -> Iterabl
 
     def check(candidate: Mapping[str, Any]) -> Callable[[Rng], Simulated]:
         def simulated(rng: Rng) -> Simulated:
-            names, hits = one.parameters[candidate["name"]], 0
-            for _ in range(_DIAGNOSES):
+            names = one.parameters[candidate["name"]]
+
+            def change() -> Array:
                 sizes = candidate["above"]["value"] * _direction(len(names), rng)
-                change = one.change(
-                    candidate["name"], candidate["where"], dict(zip(names, sizes.tolist(), strict=True))
-                )
-                found = one.diagnosis(one.model.read(rng) + change)
-                hits += found.verdict != Verdict.CLEAN or bool(found.outliers)
-            return of_share(hits, _DIAGNOSES, 0.72, 0.88)
+                return one.change(candidate["name"], candidate["where"], dict(zip(names, sizes.tolist(), strict=True)))
+
+            return of_share(one.noticed(change, rng), _DIAGNOSES, 0.72, 0.88)
 
         return simulated
 
@@ -100,7 +98,8 @@ def hidden(one: Diagnosed, candidates: Iterable[Mapping[str, Any]]) -> Iterable[
 
             start = one.model.predict(one.model.truth)
             moved = one.moved(one.model.adjusted(start + change(1.0))[0], one.model.truth)
-            missed = _DIAGNOSES - one.noticed(change(limit / moved), rng)
+            hiding = change(limit / moved)
+            missed = _DIAGNOSES - one.noticed(lambda: hiding, rng)
             return of_share(missed, _DIAGNOSES, 0.0, 0.05)
 
         return simulated

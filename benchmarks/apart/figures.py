@@ -40,36 +40,33 @@ def budget(place: str, facts: Mapping[str, Any], shares: Mapping[str, float]) ->
 
     def of_k(rng: Rng) -> Simulated:
         spread = np.sqrt(rng.chisquare(facts["dof"], _TRIALS) / facts["dof"])
-        inside = np.abs(rng.normal(size=_TRIALS)) < facts["k"] * spread
-        return of_share(int(inside.sum()), _TRIALS, *(2 * [facts["probability"]]))
+        inside = int((np.abs(rng.normal(size=_TRIALS)) < facts["k"] * spread).sum())
+        return of_share(inside, _TRIALS, facts["probability"], facts["probability"])
 
     words = f"probability of k = {facts['k']:.3f} with {facts['dof']:.2f} degrees of freedom"
     yield Statement(kind, place, words, f"{facts['probability']:.2%}", of_k)
 
-    def inside(low: float, high: float) -> Callable[[Rng], Array]:
-        return lambda rng: np.asarray((lambda y: (y > low) & (y < high))(gauge_block(rng, dof=True)))
+    def share_of_drawn(low: float, high: float, p: float) -> Callable[[Rng], Simulated]:
+        # the program's own share has the scatter of its trials
+        own = 4 * np.sqrt(p * (1 - p) / trials["trials"])
 
-    def of_drawn(low: float, high: float, p: float, slack: float) -> Callable[[Rng], Simulated]:
-        return lambda rng: of_share(int(inside(low, high)(rng).sum()), _TRIALS, p - slack, p + slack)
+        def simulated(rng: Rng) -> Simulated:
+            drawn = gauge_block(rng, dof=True)
+            return of_share(int(((drawn > low) & (drawn < high)).sum()), _TRIALS, p - own, p + own)
 
-    low, high = facts["interval"]
-    # the program's own share has the scatter of as many trials
-    own = 4 * np.sqrt(trials["covered"] * (1 - trials["covered"]) / trials["trials"])
-    yield Statement(
-        kind,
-        place,
-        "share of trials that U covers",
-        f"{trials['covered']:.3%}",
-        of_drawn(low, high, trials["covered"], own),
-    )
+        return simulated
+
+    covered = trials["covered"]
+    of_covered = share_of_drawn(*facts["interval"], covered)
+    yield Statement(kind, place, "share of trials that U covers", f"{covered:.3%}", of_covered)
     p = facts["probability"]
     for name in ("interval", "shortest"):
         claim = f"the {'shortest ' * (name == 'shortest')}interval of Monte Carlo has"
-        yield Statement(kind, place, claim, f"{p:.0%}", of_drawn(*trials[name], p, 4 * np.sqrt(p * (1 - p) / 1e6)))
+        yield Statement(kind, place, claim, f"{p:.0%}", share_of_drawn(*trials[name], p))
     conforming = facts["tolerance"]["conformance_mc"]
     yield Statement(
         kind, place, "probability of conformity", f"{conforming:.5f}",
-        of_drawn(*facts["tolerance"]["limits"], conforming, 4 * np.sqrt(conforming * (1 - conforming) / 1e6)),
+        share_of_drawn(*facts["tolerance"]["limits"], conforming),
     )  # fmt: skip
     second = facts["second_order"]["std"]
     yield Statement(

@@ -10,6 +10,7 @@ import numpy as np
 from metrocli.adjust.model.observations import Index
 from metrocli.plots.style import Array, Canvas
 from metrocli.table import Table
+from metrocli.words import listed
 
 LEAST = 8
 """Fewest parts for which limits mean anything"""
@@ -94,10 +95,7 @@ def draw(canvas: Canvas, found: tuple[Series, ...]) -> str:
 
 
 def _count(found: tuple[Series, ...]) -> str:
-    several = [f"{_named([one.parts[i] for i in one.outside])} with {one.name}" for one in found if len(one.outside)]
+    several = [
+        f"{listed([one.parts[i] for i in one.outside], _NAMED)} with {one.name}" for one in found if len(one.outside)
+    ]
     return f"outside are {'; '.join(several)} (diamonds)." if several else "no part is outside."
-
-
-def _named(parts: list[str]) -> str:
-    more = f" and {len(parts) - _NAMED} more" if len(parts) > _NAMED else ""
-    return ", ".join(parts[:_NAMED]) + more

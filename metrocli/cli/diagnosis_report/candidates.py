@@ -11,6 +11,7 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
 from metrocli.diagnosis.hidden_change import HiddenChange
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
+from metrocli.words import listed
 
 _SHOWN = 5
 _HEAD = ("candidate", "where", "status", "usual sizes", "result off by up to", "remark")
@@ -38,7 +39,7 @@ def candidate_lines(adjusted: AdjustedJob, design: Design, named: Sequence[Named
 
 def _line(adjusted: AdjustedJob, name: str, word: str, found: Sequence[Candidate]) -> tuple[str, ...]:
     places = ["/".join(one.alternative.instance) for one in found if one.alternative.instance]
-    where = ", ".join(places[:_SHOWN]) + (f" and {len(places) - _SHOWN} more" if len(places) > _SHOWN else "")
+    where = listed(places, _SHOWN)
     effect = found[0].alternative.effect
     sizes = [one.detectable for one in found if one.testable]
     why = ""

@@ -22,6 +22,7 @@ from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit
 from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.wrong_readings import Outlier
+from metrocli.words import listed
 
 _SHOWN = 5
 _DESCRIBED = 4
@@ -132,8 +133,7 @@ def _wrong(outliers: tuple[Outlier, ...]) -> Iterator[str]:
 
 
 def _others(one: Outlier) -> str:
-    names = [*map(str, one.effects), *("/".join(keys.values()) for keys in one.others)]
-    return ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
+    return listed([*map(str, one.effects), *("/".join(keys.values()) for keys in one.others)], _SHOWN)
 
 
 def _structure(diagnosis: Diagnosis) -> Iterator[str]:
@@ -205,14 +205,9 @@ def _about_scatter(one: Scatter) -> Iterator[str]:
     effect, key = one.found.effect, one.found.effect.keys[0]
     yield f"{effect.name} at every {key} ({one.found.places}): {effect.of_all or effect.cause}"
     if one.found.instead_of:
-        yield f"  one scatter of all explains more than {len(one.found.instead_of)} of them one by one: {_listed(one)}"
+        yield f"  one scatter of all explains more than single ones at {listed(one.found.instead_of, _SHOWN)}"
     else:
         yield "  none of them stands out of the scatter of all"
-
-
-def _listed(one: Scatter) -> str:
-    names = one.found.instead_of
-    return ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
 
 
 def _row_of_scatter(one: Scatter, adjusted: AdjustedJob) -> tuple[str, ...]:
@@ -237,12 +232,11 @@ def _together(gain: Gain, adjusted: AdjustedJob) -> tuple[str, ...]:
 
 def _row(finding: Finding, adjusted: AdjustedJob) -> tuple[str, ...]:
     name, gain = finding.effect, finding.gain
-    others = [str(rival.alternative) for rival in name.rivals]
     return (
         str(name.alternative),
         ", ".join(_parameters(finding)),
         _chance(float(np.exp(name.log_level))),
-        ", ".join(others[:_SHOWN]) + (f" and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""),
+        listed([str(rival.alternative) for rival in name.rivals], _SHOWN),
         _reduction(gain),
         _score(gain),
         units.sized(finding.shift, adjusted.delivered.dimension),
