@@ -275,7 +275,7 @@ def test_a_report_says_how_far_the_shape_of_an_effect_was_checked() -> None:
     # a smooth function has more terms than the effect, so that it must be somewhat larger to be seen
     assert 0.8 / 30 < found.findings[0].other_shape_from < 2.5 / 30
     for share, words in (
-        (0.034, "a cause of no table whose signature differs by less than 3.4 % (80 % power)"),
+        (0.034, "an unlisted cause whose signature differs from this one by less than 3.4 % (80 % power)"),
         (1.2, "the effect is too small for its shape"),
     ):
         told = replace(found, findings=(replace(found.findings[0], other_shape_from=share),))

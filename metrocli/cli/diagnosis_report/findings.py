@@ -196,9 +196,9 @@ def _about(finding: Finding) -> Iterator[str]:
         yield f"  to determine them: {name.alternative.effect.reveal}"
     if finding.other_shape_from < 1:
         share = f"{units.two_digits(100 * finding.other_shape_from)} %"
-        yield f"  not excluded: a cause of no table whose signature differs by less than {share} (80 % power)"
+        yield f"  not excluded: an unlisted cause whose signature differs from this one by less than {share} (80 % power)"
     else:
-        yield "  not excluded: a cause of no table; the effect is too small for its shape to be checked"
+        yield "  not excluded: an unlisted cause; the effect is too small for its shape to be checked"
 
 
 def _about_scatter(one: Scatter) -> Iterator[str]:
