@@ -66,6 +66,24 @@ def printed(screen: Screen, table: LiveTable, name: str, action: str = "ran") ->
         screen.write(f"{name}: {action}\r\n")
 
 
+@pytest.mark.parametrize(
+    ("others", "words"),
+    [("ran", "about 20 s left"), ("failed", "about 20 s left"), ("up to date", "at most 1 min 00 s left")],
+)
+def test_the_time_that_is_left_is_that_of_jobs_that_ran(others: str, words: str) -> None:
+    """After a minute three of four jobs are done; jobs that are up to date took nothing of it."""
+    screen = Screen(80, 24)
+    table = table_on(screen, 4)
+    table._begun -= 60.0
+    for name, action in (("a", others), ("b", "ran"), ("c", others)):
+        printed(screen, table, name, action)
+    table.draw()
+    assert (
+        screen.shown()[-1]
+        == f"3 of 4 done{', 2 failed' * (others == 'failed')}, 0 running, 1 waiting, 1 min 00 s, {words}"
+    )
+
+
 def test_it_counts_what_is_done_and_lists_what_is_in_work() -> None:
     screen = Screen(80, 24)
     table = table_on(screen, 5)

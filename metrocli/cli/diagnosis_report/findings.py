@@ -195,10 +195,11 @@ def _about(finding: Finding) -> Iterator[str]:
         yield f"  not determined separately, taken as 0: {', '.join(name.held)}"
         yield f"  to determine them: {name.alternative.effect.reveal}"
     if finding.other_shape_from < 1:
-        share = f"{units.two_digits(100 * finding.other_shape_from)} %"
-        yield f"  not excluded: an unlisted cause whose signature differs from this one by less than {share} (80 % power)"
+        share = units.two_digits(100 * finding.other_shape_from)
+        checked = f" whose signature differs from this one by less than {share} % (80 % power)"
     else:
-        yield "  not excluded: an unlisted cause; the effect is too small for its shape to be checked"
+        checked = "; the effect is too small for its shape to be checked"
+    yield f"  not excluded: an unlisted cause{checked}"
 
 
 def _about_scatter(one: Scatter) -> Iterator[str]:

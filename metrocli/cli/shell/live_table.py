@@ -20,6 +20,8 @@ _EVERY_S = 0.25
 """Time between two looks at the clock; only a table that has changed is drawn [s]"""
 _RATE_S = 2.0
 """Time from which on the jobs that are done show how long the others will take [s]"""
+_UP_TO_DATE, _NOT_RUN = "up to date", "not run"
+"""What becomes of jobs that take no time"""
 _LEAST = (12, 4)
 """Columns and lines of the smallest terminal on which it is drawn"""
 _BEGIN, _END = "\x1b[?2026h", "\x1b[?2026l"
@@ -89,18 +91,25 @@ class LiveTable:
     def _lines(self, now: float, most: int) -> Iterator[str]:
         """Yield at most so many lines (2 or more): the counts, then the jobs that are in work longest."""
         done = self._done.total()
-        bad = "".join(f", {count} {what}" for what, count in self._done.items() if what in ("failed", "not run"))
+        bad = "".join(f", {count} {what}" for what, count in self._done.items() if what in ("failed", _NOT_RUN))
         waiting = self._total - done - len(self._working)
         counts = f"{done} of {self._total} done{bad}, {len(self._working)} running, {waiting} waiting"
         passed = now - self._begun
-        left = passed * (self._total - done) / done if done and passed > _RATE_S else 0.0
-        yield f"{counts}, {time_text(passed)}" + (f", about {time_text(left)} left" if left else "")
+        yield f"{counts}, {time_text(passed)}{self._left(passed)}"
         names = list(self._working)
         room = most - 1 if len(names) < most else most - 2
         for name in names[:room]:
             yield f"{time_text(now - self._working[name]):>9}  {printable(name)}"
         if room < len(names):
             yield f"{'':>9}  and {len(names) - room} more"
+
+    def _left(self, passed: float) -> str:
+        """Return how long the others take if they take as long as those that ran: at most so long if some did not."""
+        done = self._done.total()
+        ran = done - self._done[_UP_TO_DATE] - self._done[_NOT_RUN]
+        if not ran or done == self._total or passed < _RATE_S:
+            return ""
+        return f", {'about' if ran == done else 'at most'} {time_text(passed * (self._total - done) / ran)} left"
 
 
 @contextmanager

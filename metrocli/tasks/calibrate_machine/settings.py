@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Any
 
-from metrocli.instruments.machine import ALL_NAMES, axis_order, canonical
+from metrocli.instruments.machine import ALL_NAMES, SQUARENESS_NAMES, axis_order, canonical
 from metrocli.settings import (
     Choice,
     Either,
@@ -290,5 +290,5 @@ _TRACK = (
 
 def figures(settings: Settings) -> dict[str, str]:
     """Return the units of the figures: squareness errors, tool vectors and statistics."""
-    square, tool = dict.fromkeys(("A0Z", "B0Z", "C0Y"), "rad"), {f"{{tool}}.{axis}": "mm" for axis in "xyz"}
+    square, tool = dict.fromkeys(SQUARENESS_NAMES, "rad"), {f"{{tool}}.{axis}": "mm" for axis in "xyz"}
     return adjusted(square | tool, (*_STATISTICS, *_TRACK), ["mm", "rad"])
