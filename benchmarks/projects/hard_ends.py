@@ -84,13 +84,13 @@ def _lives_on(group: int) -> bool:
     """Return whether a process of a group is still at work after 2 s."""
     end = time.monotonic() + 2
     while time.monotonic() < end:
-        if group not in _groups():
+        if group not in groups_at_work():
             return False
         time.sleep(0.02)
     return True
 
 
-def _groups() -> set[int]:
+def groups_at_work() -> set[int]:
     """Return the groups of all processes that have not ended."""
     groups = set()
     for file in Path("/proc").glob("[0-9]*/stat"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import signal
@@ -15,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from benchmarks.projects.hard_ends import groups_at_work
 from metrocli.errors import InputError
 from metrocli.formats import hdf5
 from metrocli.project.running import memo
@@ -308,19 +308,9 @@ def test_no_process_outlives_a_run_that_is_killed_alone(project: Path) -> None:
     run.kill()
     run.wait()
     end = time.monotonic() + 20
-    while (left := _at_work(run.pid)) and time.monotonic() < end:
+    while run.pid in groups_at_work() and time.monotonic() < end:
         time.sleep(0.05)
-    assert not left
-
-
-def _at_work(group: int) -> list[str]:
-    """Return the processes of a group that have not ended."""
-    found = []
-    for file in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            state, _, of_process = file.read_text().rpartition(")")[2].split()[:3]
-            found += [file.parent.name] if int(of_process) == group and state != "Z" else []
-    return found
+    assert run.pid not in groups_at_work()
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
