@@ -42,9 +42,9 @@ def conditions(truth: CameraSimulation, images: int) -> dict[str, Array]:
 def with_lengths(places: Targets, lengths: Sequence[tuple[str, Table | None]], rng: np.random.Generator) -> Targets:
     """Return true targets between which calibrated lengths are right, but for their errors of calibration.
 
-    Places x0 with standard deviations S move to the least `|(x - x0) / S|^2 + |(L - l(x)) / s|^2`, L the lengths
-    drawn about the calibrated ones: places in a rough list give way, and those that are known exactly stay. `lengths`
-    are pairs of what a length is, in words, and its table. Raises InputError for ends that are no targets.
+    Places x0 with standard deviations S move to the least `|(x - x0) / S|^2 + |(L - l(x)) / s|^2`. L are the lengths,
+    drawn about the calibrated ones. So places in a rough list give way, and those that are known exactly stay.
+    `lengths` are pairs of what a length is, in words, and its table. Raises InputError for ends that are no targets.
     """
     tables = [(table, ends_of(table, places.names, None, what)) for what, table in lengths if table is not None]
     if not tables:
