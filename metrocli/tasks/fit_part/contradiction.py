@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from metrocli.errors import UndeterminedError
 from metrocli.geometry.surfaces import Array
-from metrocli.tasks.fit_part.fit import LEAST_MOTION, most, most_of_many
+from metrocli.tasks.fit_part.fit import LEAST_MOTION, most_of_many
 from metrocli.tasks.fit_part.stock import Local, Stock
 from metrocli.words import in_a_row
 
@@ -37,7 +37,7 @@ class Contradiction:
     points: tuple[int, ...]
     """Points that hold it"""
     without: tuple[float, ...]
-    """Largest least overstock of the whole part without each of the surfaces [mm], inf without limit"""
+    """Largest least overstock of all surfaces of the search without each of these [mm], inf without limit, nan if none is left"""
 
 
 def feasible(least: float, minimum: float) -> bool:
@@ -69,31 +69,29 @@ def contradiction(stock: Stock, duals: Array, minimum: float, into: Array) -> Co
     The surfaces that hold the largest least overstock contradict each other. Each is left out in turn, and stays out if
     the rest still does (deletion filter of Chinneck and Dravnieks 1991). Then smaller sets of them are tried.
     """
+    begun = stock.at(into)
+
+    def least(chosen: npt.NDArray[np.bool_], enough: float = np.inf) -> tuple[float, Array]:
+        if not chosen.any():
+            return np.nan, np.zeros(0)
+        return most_of_many(stock.of(chosen), into, enough, begun.of(chosen))[1:]
+
+    def together(surfaces: Sequence[int]) -> bool:
+        return feasible(least(np.isin(stock.surface, surfaces), minimum)[0], minimum)
+
     holding = np.unique(stock.surface[duals > 0]).tolist()
     chosen = holding
     for one in holding:
         rest = [other for other in chosen if other != one]
-        if rest and not feasible(_least(stock, rest, into, minimum)[0], minimum):
+        if rest and not together(rest):
             chosen = rest
     smaller = (some for size in range(1, len(chosen)) for some in combinations(holding, size))
-    for some in smaller:
-        if not feasible(_least(stock, some, into, minimum)[0], minimum):
-            chosen = list(some)
-            break
-    least, held = _least(stock, chosen, into)
-    without = tuple(_least_without(stock, one, into) for one in chosen)
-    return Contradiction(tuple(stock.nominal.names[one] for one in chosen), least, held, without)
-
-
-def _least(stock: Stock, surfaces: Sequence[int], into: Array, enough: float = np.inf) -> tuple[float, tuple[int, ...]]:
-    rows = np.flatnonzero(np.isin(stock.surface, surfaces))
-    _, least, duals = most(stock.of(rows), into, enough)
-    return least, tuple(rows[duals > 0].tolist())
-
-
-def _least_without(stock: Stock, surface: int, into: Array) -> float:
-    others = stock.of(stock.surface != surface)
-    return most_of_many(others, into)[1] if len(others.measured) else np.inf
+    chosen = next((list(some) for some in smaller if not together(some)), chosen)
+    rows = np.isin(stock.surface, chosen)
+    allowed, held = least(rows)
+    without = tuple(least(stock.surface != one)[0] for one in chosen)
+    points = tuple(np.flatnonzero(rows)[held > 0].tolist())
+    return Contradiction(tuple(stock.nominal.names[one] for one in chosen), allowed, points, without)
 
 
 def refuse(
@@ -117,6 +115,7 @@ def refuse(
     each = [
         f"{least:.3f} mm without {name}" if np.isfinite(least) else f"unlimited overstock without {name}"
         for name, least in zip(found.surfaces, found.without, strict=True)
+        if not np.isnan(least)
     ]
     lines = [
         f"no pose of the ideal part leaves {minimum:g} mm of overstock everywhere",
@@ -124,7 +123,7 @@ def refuse(
         f"  by how much: they leave at most {found.least:.3f} mm at their lowest points, "
         f"{minimum - found.least:.3f} mm less than required (points {points})",
         *(["  without any one of these surfaces the others of them have the minimum"] if several else []),
-        f"  the whole part leaves {in_a_row(each)}",
+        *([f"  the whole part leaves {in_a_row(each)}"] if each else ["  the part has no other surface"]),
         *(f"  beside them: {in_a_row(one.surfaces)} (at most {one.least:.3f} mm)" for one in further),
         f"  {what}",
     ]
