@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -36,8 +36,8 @@ class Contradiction:
     """Largest least overstock that they allow [mm]"""
     points: tuple[int, ...]
     """Points that hold it"""
-    without: tuple[float, ...]
-    """Largest least overstock of all surfaces of the search without each of these [mm], inf without limit, nan if none is left"""
+    without: tuple[float, ...] = ()
+    """Largest least overstock of the part without each of the surfaces [mm]: inf without limit, nan if none is left"""
 
 
 def feasible(least: float, minimum: float) -> bool:
@@ -48,36 +48,39 @@ def feasible(least: float, minimum: float) -> bool:
 def contradictions(stock: Stock, duals: Array, minimum: float, into: Array) -> list[Contradiction]:
     """Return sets of contradicting surfaces that share none, until the other surfaces have the minimum together.
 
-    The first one holds the largest least overstock of all. There are at most `_SETS`.
+    The first one holds the largest least overstock of all, and has what the part leaves without its surfaces. There are
+    at most `_SETS`.
     """
-    found = [contradiction(stock, duals, minimum, into)]
+    begun = stock.at(into)
+    first = contradiction(stock, duals, minimum, into, begun)
+    left_out = (stock.surface != stock.nominal.names.index(name) for name in first.surfaces)
+    found = [replace(first, without=tuple(_least(stock, rows, into, begun)[0] for rows in left_out))]
     while len(found) < _SETS:
         named = {name for one in found for name in one.surfaces}
-        stock = stock.of(~np.isin(stock.surface, [stock.nominal.names.index(name) for name in named]))
-        if not len(stock.measured):
+        others = ~np.isin(stock.surface, [stock.nominal.names.index(name) for name in named])
+        if not others.any():
             break
-        into, least, duals = most_of_many(stock, into)
+        stock, begun = stock.of(others), begun.of(others)
+        _, least, duals = most_of_many(stock, into, begun=begun)
         if feasible(least, minimum):
             break
-        found.append(contradiction(stock, duals, minimum, into))
+        further = contradiction(stock, duals, minimum, into, begun)
+        if feasible(further.least, minimum):
+            break
+        found.append(further)
     return found
 
 
-def contradiction(stock: Stock, duals: Array, minimum: float, into: Array) -> Contradiction:
+def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun: Local) -> Contradiction:
     """Return the smallest set of contradicting surfaces; without any one of them the others have the minimum.
 
     The surfaces that hold the largest least overstock contradict each other. Each is left out in turn, and stays out if
-    the rest still does (deletion filter of Chinneck and Dravnieks 1991). Then smaller sets of them are tried.
+    the rest still does (deletion filter of Chinneck and Dravnieks 1991). Then smaller sets of them are tried. `begun`
+    is the overstock at the pose from which all are sought.
     """
-    begun = stock.at(into)
-
-    def least(chosen: npt.NDArray[np.bool_], enough: float = np.inf) -> tuple[float, Array]:
-        if not chosen.any():
-            return np.nan, np.zeros(0)
-        return most_of_many(stock.of(chosen), into, enough, begun.of(chosen))[1:]
 
     def together(surfaces: Sequence[int]) -> bool:
-        return feasible(least(np.isin(stock.surface, surfaces), minimum)[0], minimum)
+        return feasible(_least(stock, np.isin(stock.surface, surfaces), into, begun, minimum)[0], minimum)
 
     holding = np.unique(stock.surface[duals > 0]).tolist()
     chosen = holding
@@ -87,11 +90,23 @@ def contradiction(stock: Stock, duals: Array, minimum: float, into: Array) -> Co
             chosen = rest
     smaller = (some for size in range(1, len(chosen)) for some in combinations(holding, size))
     chosen = next((list(some) for some in smaller if not together(some)), chosen)
-    rows = np.isin(stock.surface, chosen)
-    allowed, held = least(rows)
-    without = tuple(least(stock.surface != one)[0] for one in chosen)
+    # the search is local, and may get round on a mesh where it goes on beyond the minimum
+    for surfaces in (chosen, holding):
+        rows = np.isin(stock.surface, surfaces)
+        least, held = _least(stock, rows, into, begun)
+        if not feasible(least, minimum):
+            break
     points = tuple(np.flatnonzero(rows)[held > 0].tolist())
-    return Contradiction(tuple(stock.nominal.names[one] for one in chosen), allowed, points, without)
+    return Contradiction(tuple(stock.nominal.names[one] for one in surfaces), least, points)
+
+
+def _least(
+    stock: Stock, rows: npt.NDArray[np.bool_], into: Array, begun: Local, enough: float = np.inf
+) -> tuple[float, Array]:
+    """Return the largest least overstock of some points and their duals, nan without points."""
+    if not rows.any():
+        return np.nan, np.zeros(0)
+    return most_of_many(stock.of(rows), into, enough, begun.of(rows))[1:]
 
 
 def refuse(

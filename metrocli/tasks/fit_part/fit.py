@@ -31,6 +31,8 @@ _ROUNDING = 1e-12
 """Growth of the aim that rounding explains, relative to 1 mm^2 and more"""
 _MET = 1e-10
 """What an overstock may miss of the minimum [mm]"""
+_FIRST_REACH = 0.1
+"""Reach of the first linear programme [mm], at least"""
 _SMALLEST_REACH = 1e-4
 """Reach of a linear programme [mm] at which the search for the largest least overstock ends: it is then off by less
 than reach^2 over the smallest radius"""
@@ -94,15 +96,18 @@ class Fit:
     """Largest component of `gradient - sum duals rows`, relative to the root mean square of what the aim makes small"""
 
 
-def most(stock: Stock, into: Array, enough: float = np.inf, limit: float | None = None) -> tuple[Array, float, Array]:
+def most(
+    stock: Stock, into: Array, enough: float = np.inf, limit: float | None = None, reach: float | None = None
+) -> tuple[Array, float, Array]:
     """Return the pose with the largest least overstock, that overstock, and the duals of the points (n,).
 
     Linear programmes within a reach that grows where the prediction holds and shrinks where it fails. The search ends
-    as soon as the least overstock is `enough`, or the optimum is within reach and twice the gain would not be. Beyond
-    `limit`, twice the size of the point cloud unless given, there is none, and it is inf.
+    as soon as the least overstock is `enough`. Beyond `limit`, twice the size of the point cloud unless given, there is
+    none, and it is inf. The first reach is a fifth of that size unless given.
     """
     local = stock.at(into)
-    least, reach = float(local.overstock.min()), local.lever / 5
+    least = float(local.overstock.min())
+    reach = local.lever / 5 if reach is None else reach
     duals = np.zeros(len(stock.measured))
     limit = UNBOUNDED * local.lever if limit is None else limit
     while reach > _SMALLEST_REACH:
@@ -113,15 +118,12 @@ def most(stock: Stock, into: Array, enough: float = np.inf, limit: float | None 
         found, expected = highest(local.rows, local.overstock, reach)
         hoped, duals = expected - least, found.duals
         step = _shortest(local, least + _OF_GAIN * hoped, found.x)
-        stretched = np.abs(step).max() > 0.99 * reach
-        if not stretched and np.isfinite(enough) and expected + hoped < enough:
-            break
         tried = local.moved(into, step)
         other = stock.at(tried)
         gain = float(other.overstock.min()) - least
         if gain > 0.1 * hoped:
             into, local, least = tried, other, least + gain
-            reach = reach * 2 if gain > 0.9 * hoped and stretched else reach
+            reach = reach * 2 if gain > 0.9 * hoped and np.abs(step).max() > 0.99 * reach else reach
         reach = reach if gain > 0.5 * hoped and hoped > _STEP else reach / 4
     return into, least, duals
 
@@ -142,8 +144,10 @@ def most_of_many(
 
     The overstock of a point changes by no more than the point moves, so only points that can have come below that
     optimum are looked at there. Where the lowest points have no limit, those follow that hold against their motion.
-    `begun` is the overstock at the pose, if it is known.
+    `begun` is the overstock at the pose, if it is known from a search. The first reach is then what differs in it:
+    far from a mesh the nearest triangles are many.
     """
+    reach = None if begun is None else max(2 * float(np.ptp(begun.overstock)), _FIRST_REACH)
     begun = stock.at(into) if begun is None else begun
     places, overstock = begun.points.copy(), begun.overstock.copy()
     limit = UNBOUNDED * begun.lever
@@ -151,7 +155,7 @@ def most_of_many(
     for _ in range(_ITERATIONS):
         chosen[lowest] = True
         rows = np.flatnonzero(chosen)
-        best, least, held = most(stock.of(rows), best, enough, limit)
+        best, least, held = most(stock.of(rows), best, enough, limit, reach)
         placed = poses.apply(best, stock.measured)
         if np.isfinite(least):
             doubtful = np.flatnonzero(overstock - np.linalg.norm(placed - places, axis=1) < least - _STEP)
