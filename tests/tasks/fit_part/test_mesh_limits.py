@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from geometry.test_triangles import SIZE, block
 from scipy.optimize import linprog
 from simulated.castings import Array
+from tasks.fit_part.test_faults import stl
 
+from metrocli.formats import hdf5
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.tasks.fit_part.contradiction import contradictions
 from metrocli.tasks.fit_part.fit import most_of_many
 from metrocli.tasks.fit_part.nominals import OfMesh
 from metrocli.tasks.fit_part.stock import Stock
 
+Metrocli = Callable[..., Any]
 COUNT = 600
 """Points on each side of the block"""
 UNMOVED = np.zeros(6)
@@ -80,3 +87,25 @@ def test_points_inside_contradict_each_other_on_opposite_sides() -> None:
     first = [stock.nominal.names.index(name) for name in found[0].surfaces]
     others = [largest_least(points[stock.surface != k], sides[stock.surface != k]) for k in first]
     assert found[0].without == pytest.approx(others, abs=1e-3)
+
+
+def test_points_on_one_side_leave_three_motions_open_or_the_part_where_it_is(
+    tmp_path: Path, metrocli: Metrocli
+) -> None:
+    stl(tmp_path / "part.stl", block(2).corners)
+    top = np.random.default_rng(1).uniform(0, 1, (40, 3)) * [50, 30, 0.2] + [5, 5, 22]
+    rows = [f"P{n},{x:.4f},{y:.4f},{z:.4f}" for n, (x, y, z) in enumerate(top.tolist())]
+    (tmp_path / "points.csv").write_text("\n".join(["point,x_mm,y_mm,z_mm", *rows, ""]))
+    job = tmp_path / "job.yaml"
+    job.write_text(
+        "metrocli: 1\njob: fit-part\ninputs: {points: points.csv, nominal: part.stl}\nnoise: 0.02 mm\n"
+        "overstock: {minimum: 0.5 mm, aim: even}\noutput: part.h5\n"
+    )
+    ran = metrocli("fit-part", job)
+    assert ran.code == 4 and "3 independent constraints of the 6" in ran.err
+    for motion in ("a turn about the direction z", "a shift along x", "a shift along y"):
+        assert motion in ran.err
+    ran = metrocli("fit-part", job, "--set", "overstock.aim=least-motion")
+    assert ran.code == 0 and "there the part stays where it was" in ran.err
+    pose = hdf5.read(tmp_path / "part.h5")[0].estimates
+    assert [one.value for one in pose] == [0.0] * 6 and all(one.std == 0.0 for one in pose)
