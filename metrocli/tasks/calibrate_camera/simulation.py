@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
 from metrocli.effects.model import Model, Place
 from metrocli.errors import InputError
 from metrocli.geometry import poses
@@ -26,6 +27,8 @@ _FIRST_TEMPERATURE = 20.0
 _UNKNOWN = 100.0
 """Standard deviation of a place that is listed as unknown [mm]: calibrated lengths between such places decide"""
 _ITERATIONS = 20
+_ROUGH = 0.2
+"""Error of a listed distance relative to its calibrated length, beyond which one of the two is a mistake"""
 _SETTLED = 1e-9
 """Move of a place [mm] at which the iteration ends"""
 
@@ -44,11 +47,13 @@ def with_lengths(places: Targets, lengths: Sequence[tuple[str, Table | None]], r
 
     Places x0 with standard deviations S move to the least `|(x - x0) / S|^2 + |(L - l(x)) / s|^2`. L are the lengths,
     drawn about the calibrated ones. So places in a rough list give way, and those that are known exactly stay.
-    `lengths` are pairs of what a length is, in words, and its table. Raises InputError for ends that are no targets.
+    `lengths` are pairs of what a length is, in words, and its table. Raises InputError for ends that are no targets,
+    and for lengths that are far from what the list has.
     """
     tables = [(table, ends_of(table, places.names, None, what)) for what, table in lengths if table is not None]
     if not tables:
         return places
+    _must_be_near(tables, places)
     ends = np.concatenate([pair for _, pair in tables], axis=1)
     sigma = np.concatenate([table.numbers("sigma") for table, _ in tables])
     drawn = np.concatenate([table.numbers("length") for table, _ in tables]) + rng.normal(0.0, 1.0, len(sigma)) * sigma
@@ -71,6 +76,23 @@ def with_lengths(places: Targets, lengths: Sequence[tuple[str, Table | None]], r
     points = places.points.copy()
     points[used] += moved
     return replace(places, points=points)
+
+
+def _must_be_near(tables: Sequence[tuple[Table, Index]], places: Targets) -> None:
+    """Raise InputError that names every length which differs from its distance in the list by far."""
+    faults = []
+    for table, (one, other) in tables:
+        listed = np.linalg.norm(places.points[other] - places.points[one], axis=1)
+        known = table.numbers("length")
+        faults += table.faults_at(
+            np.flatnonzero(np.abs(listed - known) > _ROUGH * known),
+            lambda row, listed=listed, known=known: (  # type: ignore[misc]
+                f"the calibrated length is {known[row]:g} mm, the list of targets has {listed[row]:g} mm"
+            ),
+            lambda row: "correct the one that is wrong: `simulate` starts from both",
+        )
+    if faults:
+        raise InputError(faults)
 
 
 @dataclass(frozen=True)

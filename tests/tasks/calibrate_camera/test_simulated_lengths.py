@@ -104,3 +104,13 @@ def test_exact_places_stay_and_ends_that_are_no_targets_are_named() -> None:
     assert with_lengths(listed, [("bar", None)], Centred()) is listed  # type: ignore[arg-type]
     with pytest.raises(InputError, match="scale bar end 'X' is not in the list of targets"):
         with_lengths(listed, [("scale bar", lengths(("A", "X", 1.0, 0.1)))], Centred())  # type: ignore[arg-type]
+
+
+def test_a_length_far_from_the_list_is_a_mistake(tmp_path: Path, metrocli: Metrocli) -> None:
+    job = network(tmp_path)
+    job.write_text(job.read_text() + TRUTH)
+    (tmp_path / "bars.csv").write_text("from,to,length_mm,sigma_mm\nT5,T9,241,0.005\nT0,T4,2400,0.005\n")
+    ran = metrocli("simulate", job, "--out", tmp_path / "new")
+    assert ran.code == 3 and not (tmp_path / "new").exists()
+    assert "bars.csv:3: error: the calibrated length is 2400 mm, the list of targets has 240 mm" in ran.err
+    assert "bars.csv:2" not in ran.err
