@@ -135,6 +135,8 @@ def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
         "parameters": _parameters(finding),
         "p_value": float(np.exp(name.log_level)),
         "alternatives": [_rival(rival) for rival in name.rivals],
+        "by": name.alternative.effect.by or None,
+        "forms": [{"by": form.alternative.effect.by, "odds": form.odds} for form in name.forms],
         "other_shape_from": finding.other_shape_from,
         "gain": _gain(gain, job) | {"result_shift": _delivered(job, finding.shift)},
     }

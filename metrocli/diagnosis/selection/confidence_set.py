@@ -58,6 +58,8 @@ class NamedEffect:
     apart: Mask
     """Which parameters have no part in an unseen direction; the others are not determined individually"""
     rivals: tuple[Rival, ...]
+    forms: tuple[Rival, ...]
+    """Other forms of the same cause that explain the readings as well: by temperature for by time"""
     shows: float
     """Norm of its visible part in the readings, in standard deviations of the declared noise"""
 
@@ -91,9 +93,11 @@ def _named(selection: Selection, one: Chosen, level: float) -> NamedEffect:
     inverse = np.linalg.pinv((left / size).T @ (left / size), rcond=1e-11, hermitian=True) / size / size[:, None]
     values = inverse @ (left.T @ fitted.residual)
     covariance = inverse * full.squares / max(full.dof, 1)
-    rivals = _rivals(selection, one, fitted, left @ values)
+    others = _as_likely(selection, one, fitted, left @ values)
+    rivals = tuple(other for other in others if other.alternative.spot != alternative.spot)
+    forms = tuple(other for other in others if other.alternative.spot == alternative.spot)
     shows = float(np.linalg.norm(left @ values))
-    return NamedEffect(one, alternative, level, values, covariance, seen, apart, rivals, shows)
+    return NamedEffect(one, alternative, level, values, covariance, seen, apart, rivals, forms, shows)
 
 
 def determined(left: Array, whole: Array) -> Mask:
@@ -120,8 +124,8 @@ def _apart(left: Array, whole: Array) -> Mask:
     return np.asarray(np.linalg.norm(vectors[:, open_ones], axis=1) < _BLIND)
 
 
-def _rivals(selection: Selection, one: Chosen, fitted: FittedColumns, explained: Array) -> tuple[Rival, ...]:
-    """Return the best form of each other cause and place that belongs to the confidence set."""
+def _as_likely(selection: Selection, one: Chosen, fitted: FittedColumns, explained: Array) -> tuple[Rival, ...]:
+    """Return the best form of each other cause and place in the confidence set, and the other forms of its own."""
     test_set = selection.test_set
     own = test_set.families[one.family].alternatives[one.number]
     score = test_set.score(one.family, fitted, [one.number])
@@ -143,9 +147,11 @@ def _rivals(selection: Selection, one: Chosen, fitted: FittedColumns, explained:
         explains = (odds > _ODDS) | ((cosines > _DISTANT) & (alike | instead))
         for at in np.flatnonzero((scores.rank > 0) & explains):
             rival = family.alternatives[at]
-            known = best.get(rival.spot)
-            if rival.spot == own.spot or rival.spot in others or (known is not None and known.odds >= odds[at]):
+            key = rival.spot if rival.spot != own.spot else (rival.effect.by, ())
+            known = best.get(key)
+            same = rival.spot == own.spot and rival.effect.by == own.effect.by
+            if same or rival.spot in others or (known is not None and known.odds >= odds[at]):
                 continue
             if test_set.overall(test_set.level(number, scores.log_p[at])) <= np.log(_SIGNIFICANT):
-                best[rival.spot] = Rival(rival, float(cosines[at]), float(odds[at]))
+                best[key] = Rival(rival, float(cosines[at]), float(odds[at]))
     return tuple(sorted(best.values(), key=lambda rival: -rival.odds))
