@@ -193,7 +193,7 @@ def _about(finding: Finding) -> Iterator[str]:
     yield f"{name.alternative}: {name.alternative.effect.cause}"
     if name.forms:
         forms = ", ".join(f"`by: {form.alternative.effect.by}` (odds {form.odds:.2g})" for form in name.forms)
-        yield f"  its size is that of `by: {name.alternative.effect.by}`; as likely is {forms}"
+        yield f"  its size is that of `by: {name.alternative.effect.by}`; {forms} fits as well"
     if name.held:
         yield f"  not determined separately, taken as 0: {', '.join(name.held)}"
         yield f"  to determine them: {name.alternative.effect.reveal}"

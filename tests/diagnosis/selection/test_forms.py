@@ -25,7 +25,8 @@ def test_time_and_temperature_that_run_alike_are_both_reported() -> None:
     (form,) = effect["forms"]
     assert {effect["by"], form["by"]} == {"t", "T"}
     assert 0.9 < form["odds"] < 1.1
-    assert f"its size is that of `by: {effect['by']}`; as likely is `by: {form['by']}`" in of_diagnosis(found, None)
+    told = f"its size is that of `by: {effect['by']}`; `by: {form['by']}` (odds {form['odds']:.2g}) fits as well"
+    assert told in of_diagnosis(found, None)
 
 
 def test_a_swing_of_the_temperature_tells_them_apart() -> None:
