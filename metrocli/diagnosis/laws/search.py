@@ -37,10 +37,10 @@ _SEEN, _STEPS = 0.5, 400
 class LawData:
     """A law beside the readings in which it was found, (n,) each; those of one component of one reading a row.
 
-    A law of one variable that adds to one component is a curve. A reading then counts as far as the component moves it:
-    what it shows is divided by its change with the component, and readings that move less than half as much as the most
-    are left out. Any other law stands over what it adds to the readings. Of readings of several units those of one are
-    shown, which show most of the law.
+    A law of one variable that adds to one component is a curve. Readings are then converted into changes of the
+    component: divided by their change with it. Those that change less than half as much as the most are left out. Any
+    other law stands over what it adds to the readings. Of readings in several units, those that show most of the law
+    are here.
     """
 
     variable: str

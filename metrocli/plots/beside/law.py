@@ -13,7 +13,10 @@ from metrocli.plots.style import Canvas
 from metrocli.plots.thinning import Index, thinned, words
 from metrocli.result import Result
 
-_AS_CURVE = ", both as changes of that; readings that it moves less than half as much as the most are left out"
+_AS_CURVE = (
+    ", both converted to the component that it adds to; readings that this changes less than half as much as the most "
+    "are left out"
+)
 
 
 @dataclass(frozen=True)
