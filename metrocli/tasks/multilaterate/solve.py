@@ -247,10 +247,7 @@ def noise_of_tests(solution: Solution) -> float:
 
 
 def _units(solution: Solution, found: Residuals) -> Array:
-    """Return the divisor of each |w|, (n,): the noise of the tests.
-
-    For the largest |w| it is that of an adjustment without this length, so that its own error does not hide it.
-    """
+    """Return the divisor of each |w|, (n,): the noise of the tests; for the largest |w|, that without this length."""
     w = np.abs(found.normalised[0])
     units = np.full(len(w), noise_of_tests(solution))
     if solution.dof > 1 and len(w):
