@@ -9,7 +9,7 @@ Method: docs/algorithms/selection-and-levels.md (projection).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -84,6 +84,33 @@ class Basis:
             parts = [self.coordinates(values)]
         turned = [np.moveaxis(one, 1, 0) for one in parts]
         return np.asarray(sum(np.matmul(np.swapaxes(one, 1, 2), one) for one in turned))
+
+    def growth_of_grams(self, rows: Index, values: Array, stretches: Iterable[slice]) -> Iterator[Array]:
+        """Yield by how much `g' b b' g` (q, q) grows with each stretch of rows that a column g has more.
+
+        The columns have values (r, q) at rows (r,); a stretch is a slice of these. Only the members that a stretch
+        uses have other coordinates after it.
+        """
+        member, local, shared = self.member[rows], self.local[rows], self.shared[rows]
+        of_members = np.zeros((self.members, self.local.shape[1], values.shape[1]))
+        of_shared = np.zeros((self.shared.shape[1], values.shape[1]))
+        for own in stretches:
+            used = member[own] >= 0
+            names, place = np.unique(member[own][used], return_inverse=True)
+            before = of_members[names]
+            added = np.zeros(before.shape)
+            np.add.at(added, place, local[own][used][:, :, None] * values[own][used][:, None, :])
+            after = before + added
+            of_members[names] = after
+            grown = of_shared + shared[own].T @ values[own]
+            # (a + d)'(a + d) - a'a without the difference of two large numbers
+            yield np.asarray(
+                np.einsum("mkp,mkq->pq", added, after)
+                + np.einsum("mkp,mkq->pq", before, added)
+                + grown.T @ grown
+                - of_shared.T @ of_shared
+            )
+            of_shared = grown
 
     def at(self, rows: Index) -> Basis:
         """Return some rows of the basis, with the columns of the members that they use."""

@@ -7,6 +7,7 @@ and only those that enter a model are projected. Method: docs/algorithms/selecti
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,6 +20,47 @@ from metrocli.diagnosis.linear.basis import Basis
 
 _AT_ONCE = 256
 """Columns whose coordinates are computed at once"""
+_SMALL = 100_000
+"""Number of products up to which all are held to sum them, which then is faster than stretch by stretch"""
+
+
+@dataclass(frozen=True)
+class Own:
+    """The columns of one alternative at the rows that they change."""
+
+    rows: Index
+    """(r,)"""
+    values: Array
+    """(r, parameters)"""
+
+
+@dataclass(frozen=True)
+class Course:
+    """Columns in the order of time, of which a step has the rows from some time on."""
+
+    rows: Index
+    """(r,)"""
+    values: Array
+    """(r, parameters)"""
+
+
+@dataclass(frozen=True)
+class Step:
+    """The columns of one alternative that acts from some time on."""
+
+    course: Course
+    begin: int
+    """The first row of the course on which it acts"""
+
+    @property
+    def rows(self) -> Index:
+        """The rows that it changes, (r,)."""
+        return self.course.rows[self.begin :]
+
+    @property
+    def values(self) -> Array:
+        """Its columns at these rows, (r, parameters)."""
+        return self.course.values[self.begin :]
 
 
 @dataclass(frozen=True)
@@ -32,10 +74,118 @@ class Part:
     numbers: Index
     """Numbers of the alternatives in their family, (alternatives,)"""
 
+    def products(self, visible: Array, at: Index | slice = slice(None)) -> Array:
+        """Return the products of some alternatives with visible vectors (rows, m), (alternatives, parameters, m)."""
+        chosen = self.values[:, at]
+        found = chosen.reshape(len(self.rows), -1).T @ visible[self.rows]
+        return np.asarray(found.reshape(*chosen.shape[1:], visible.shape[1]))
+
+    def dense(self, at: Index | slice = slice(None)) -> Array:
+        """Return the columns of some alternatives at the rows, (r, alternatives, parameters)."""
+        return self.values[:, at]
+
+    def norms(self, kept: Mask | None) -> Array:
+        """Return the norm of each column at the kept rows, (alternatives, parameters)."""
+        return np.asarray(np.linalg.norm(_kept(self.values, kept), axis=0))
+
+    def grams(self, basis: Basis, kept: Mask | None) -> Array:
+        """Return `g' M g` of each alternative with zeros at rows that are not kept (r,), M without a basis."""
+        _, count, q = self.values.shape
+        step, absorbs, found = max(_AT_ONCE // max(q, 1), 1), basis.at(self.rows), np.zeros((count, q, q))
+        for start in range(0, count, step):
+            values = _kept(self.values[:, start : start + step], kept)
+            turned = np.ascontiguousarray(np.moveaxis(values, 1, 0))
+            found[start : start + step] = np.matmul(np.swapaxes(turned, 1, 2), turned) - absorbs.grams(values)
+        return found
+
+    def cut(self, there: Mask) -> Part:
+        """Return the part at some of its rows (r,)."""
+        return Part(self.rows[there], self.values[there], self.numbers)
+
+    def after(self, count: int) -> Part:
+        """Return the part behind so many other alternatives."""
+        return Part(self.rows, self.values, self.numbers + count)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Alternatives that are the same columns, each from a time of its own on: the times of a jump of one tracer.
+
+    Whatever is summed over the rows of one is the sum over the stretches between the times, from its own time on. So
+    the columns are stored once for all times.
+    """
+
+    course: Course
+    begins: Index
+    """The first row of the course for each alternative, (alternatives,)"""
+    numbers: Index
+    """Numbers of the alternatives in their family, (alternatives,)"""
+
     @property
-    def flat(self) -> Array:
-        """The columns side by side, (r, alternatives*parameters)."""
-        return self.values.reshape(len(self.rows), -1)
+    def rows(self) -> Index:
+        """The rows of the course, (r,)."""
+        return self.course.rows
+
+    @cached_property
+    def _stretches(self) -> tuple[Index, Index]:
+        """First rows of the stretches between the times, and the stretch with which each alternative begins."""
+        first, own = np.unique(self.begins, return_inverse=True)
+        return first, own
+
+    def _from_each_on(self, sums: Iterable[Array]) -> Array:
+        """Return the sums from each alternative's time on, of those over the stretches, the last stretch first."""
+        first, own = self._stretches
+        found = np.cumsum(sums if isinstance(sums, np.ndarray) else np.stack(list(sums)), axis=0)
+        return np.asarray(found[len(first) - 1 - own])
+
+    def _slices(self) -> Iterator[slice]:
+        """Yield the rows of each stretch, the last stretch first."""
+        first, _ = self._stretches
+        ends = np.append(first[1:], len(self.rows))
+        yield from (slice(int(a), int(b)) for a, b in zip(first[::-1], ends[::-1], strict=True))
+
+    def products(self, visible: Array, at: Index | slice = slice(None)) -> Array:
+        """Return the products of some alternatives with visible vectors (rows, m), (alternatives, parameters, m)."""
+        return np.asarray(self._from_each_on(self._sums(self.course.values, visible[self.rows]))[at])
+
+    def _sums(self, values: Array, others: Array) -> Iterable[Array]:
+        """Return the products of values (r, q) with others (r, m) over each stretch, (q, m), the last stretch first."""
+        shape = values.shape[1], others.shape[1]
+        if len(values) * math.prod(shape) > _SMALL:
+            return (values[own].T @ others[own] for own in self._slices())
+        every = (values[:, :, None] * others[:, None, :]).reshape(len(values), -1)
+        first, _ = self._stretches
+        return np.asarray(np.add.reduceat(every, first, axis=0)[::-1].reshape(len(first), *shape))
+
+    def dense(self, at: Index | slice = slice(None)) -> Array:
+        """Return the columns of some alternatives at the rows, (r, alternatives, parameters)."""
+        later = np.arange(len(self.rows))[:, None] >= self.begins[at]
+        return np.asarray(self.course.values[:, None] * later[:, :, None])
+
+    def norms(self, kept: Mask | None) -> Array:
+        """Return the norm of each column at the kept rows, (alternatives, parameters)."""
+        squares = _kept(self.course.values, kept) ** 2
+        return np.asarray(np.sqrt(self._from_each_on(self._sums(squares, np.ones((len(squares), 1))))[:, :, 0]))
+
+    def grams(self, basis: Basis, kept: Mask | None) -> Array:
+        """Return `g' M g` of each alternative with zeros at rows that are not kept (r,), M without a basis."""
+        values = _kept(self.course.values, kept)
+        absorbed = self._from_each_on(basis.growth_of_grams(self.rows, values, self._slices()))
+        return np.asarray(self._from_each_on(self._sums(values, values)) - absorbed)
+
+    def cut(self, there: Mask) -> Steps:
+        """Return the part at some of its rows (r,)."""
+        begins = np.concatenate([[0], np.cumsum(there)])[self.begins]
+        acts = begins < there.sum()
+        return Steps(Course(self.rows[there], self.course.values[there]), begins[acts], self.numbers[acts])
+
+    def after(self, count: int) -> Steps:
+        """Return the part behind so many other alternatives."""
+        return Steps(self.course, self.begins, self.numbers + count)
+
+
+def _kept(values: Array, kept: Mask | None) -> Array:
+    return values if kept is None else values * kept.reshape(-1, *[1] * (values.ndim - 1))
 
 
 @dataclass(frozen=True)
@@ -46,7 +196,7 @@ class Columns:
     """Number of alternatives"""
     parameters: int
     """Number of columns of each"""
-    parts: tuple[Part, ...]
+    parts: tuple[Part | Steps, ...]
     kept: Mask | None = None
     """The rows at which they are not zero (rows,), None for all; shared by the folds without a copy of the values"""
 
@@ -61,16 +211,14 @@ class Columns:
 
         `chosen` limits them to some alternatives, in this order.
         """
-        m = visible.shape[1]
         if chosen is None:
-            found = np.zeros((self.count, self.parameters, m))
+            found = np.zeros((self.count, self.parameters, visible.shape[1]))
             for part in self.parts:
-                found[part.numbers] = (part.flat.T @ visible[part.rows]).reshape(len(part.numbers), self.parameters, m)
+                found[part.numbers] = part.products(visible)
             return found
-        found = np.zeros((len(chosen), self.parameters, m))
+        found = np.zeros((len(chosen), self.parameters, visible.shape[1]))
         for part, own, at in self._among(chosen):
-            values = part.values[:, at].reshape(len(part.rows), -1)
-            found[own] = (values.T @ visible[part.rows]).reshape(len(at), self.parameters, m)
+            found[own] = part.products(visible, at)
         return found
 
     @cached_property
@@ -81,7 +229,7 @@ class Columns:
             part_of[part.numbers], place[part.numbers] = number, np.arange(len(part.numbers))
         return part_of, place
 
-    def _among(self, chosen: Sequence[int]) -> Iterator[tuple[Part, Mask, Index]]:
+    def _among(self, chosen: Sequence[int]) -> Iterator[tuple[Part | Steps, Mask, Index]]:
         """Yield the parts that hold some of the alternatives: which of `chosen` these are, and their place in it."""
         numbers = np.asarray(chosen, dtype=np.intp)
         part_of, place = (held[numbers] for held in self._held)
@@ -93,27 +241,21 @@ class Columns:
         """Return the whole columns of some alternatives, (rows, alternatives, parameters)."""
         full = np.zeros((rows, len(numbers), self.parameters))
         for part, own, at in self._among(numbers):
-            full[np.ix_(part.rows, np.flatnonzero(own))] = self._at(part, at)
+            full[np.ix_(part.rows, np.flatnonzero(own))] = _kept(part.dense(at), self._kept_of(part))
         return full
 
     def grams(self, basis: Basis) -> Array:
         """Return `g' M g` of each alternative, (alternatives, parameters, parameters), M without a basis."""
         found = np.zeros((self.count, self.parameters, self.parameters))
-        step = max(_AT_ONCE // max(self.parameters, 1), 1)
         for part in self.parts:
-            absorbs = basis.at(part.rows)
-            for start in range(0, len(part.numbers), step):
-                values = self._at(part, slice(start, start + step))
-                turned = np.ascontiguousarray(np.moveaxis(values, 1, 0))
-                gram = np.matmul(np.swapaxes(turned, 1, 2), turned) - absorbs.grams(values)
-                found[part.numbers[start : start + step]] = gram
+            found[part.numbers] = part.grams(basis, self._kept_of(part))
         return found
 
     def norms(self) -> Array:
         """Return the norm of each whole column, (alternatives, parameters)."""
         found = np.zeros((self.count, self.parameters))
         for part in self.parts:
-            found[part.numbers] = np.linalg.norm(self._at(part, slice(None)), axis=0)
+            found[part.numbers] = part.norms(self._kept_of(part))
         return found
 
     def only(self, kept: Mask) -> Columns:
@@ -122,14 +264,11 @@ class Columns:
 
     def at(self, rows: Mask) -> Columns:
         """Return the columns at some rows only, which keep their numbers."""
-        parts = [(part, rows[part.rows]) for part in self.parts]
-        cut = (Part(part.rows[there], part.values[there], part.numbers) for part, there in parts if there.any())
-        return replace(self, parts=tuple(cut))
+        cut = (part.cut(there) for part in self.parts if (there := rows[part.rows]).any())
+        return replace(self, parts=tuple(part for part in cut if len(part.numbers)))
 
-    def _at(self, part: Part, chosen: slice | Index) -> Array:
-        """Return the columns of some alternatives of a part, (r, alternatives, parameters)."""
-        values = part.values[:, chosen]
-        return values if self.kept is None else values * self.kept[part.rows, None, None]
+    def _kept_of(self, part: Part | Steps) -> Mask | None:
+        return None if self.kept is None else self.kept[part.rows]
 
     def followed_by(self, values: Array) -> Columns:
         """Return the columns with one alternative more, of columns (rows, parameters)."""
@@ -138,32 +277,41 @@ class Columns:
         return replace(self, count=self.count + 1, parts=(*self.parts, part))
 
 
-def gathered(items: Iterable[tuple[object, Index, Array]]) -> Columns:
-    """Return the columns of alternatives, each with a label, its rows (r,) and its values (r, parameters).
+def gathered(items: Iterable[tuple[object, Own | Step]]) -> Columns:
+    """Return the columns of alternatives, each with a label.
 
-    Alternatives of equal labels, such as the times of a jump of one tracer, share a part with the rows of all of them.
+    Alternatives of equal labels, such as the periods of a wave in one tracer, share a part with the rows of all of
+    them. Steps of the same course share the course.
     """
-    by_label: dict[object, list[tuple[int, Index, Array]]] = {}
+    by_label: dict[object, list[tuple[int, Own]]] = {}
+    by_course: dict[int, list[tuple[int, Step]]] = {}
     count = 0
-    for number, (label, rows, values) in enumerate(items):
-        by_label.setdefault(label, []).append((number, rows, values))
-        count, parameters = number + 1, values.shape[1]
-    parts = []
+    for number, (label, one) in enumerate(items):
+        if isinstance(one, Step):
+            by_course.setdefault(id(one.course), []).append((number, one))
+        else:
+            by_label.setdefault(label, []).append((number, one))
+        count, parameters = number + 1, one.values.shape[1]
+    parts: list[Part | Steps] = []
+    for steps in by_course.values():
+        begins, numbers = np.array([[one.begin, number] for number, one in steps]).T
+        parts.append(Steps(steps[0][1].course, begins, numbers))
     for held in by_label.values():
-        union = np.unique(np.concatenate([rows for _, rows, _ in held]))
+        union = np.unique(np.concatenate([one.rows for _, one in held]))
         if not len(union):
             continue
         full = np.zeros((len(union), len(held), parameters))
-        for at, (_, rows, values) in enumerate(held):
-            full[np.searchsorted(union, rows), at] = values
-        parts.append(Part(union, full, np.array([number for number, _, _ in held])))
+        for at, (_, one) in enumerate(held):
+            full[np.searchsorted(union, one.rows), at] = one.values
+        parts.append(Part(union, full, np.array([number for number, _ in held])))
     return Columns(count, parameters, tuple(parts))
 
 
 def joined(several: Sequence[Columns]) -> Columns:
     """Return the columns of several families of as many parameters, none of them cut, one after the other."""
-    parts, count = [], 0
+    parts: list[Part | Steps] = []
+    count = 0
     for one in several:
-        parts += [Part(part.rows, part.values, part.numbers + count) for part in one.parts]
+        parts += [part.after(count) for part in one.parts]
         count += one.count
     return Columns(count, several[0].parameters, tuple(parts))

@@ -16,7 +16,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
 from metrocli.diagnosis.linear.candidates import Alternative, Family
-from metrocli.diagnosis.linear.columns import gathered
+from metrocli.diagnosis.linear.columns import Own, gathered
 from metrocli.diagnosis.linear.projection import System
 from metrocli.effects.effect import Effect, Parameter
 
@@ -76,7 +76,7 @@ def _family(system: System, name: str, items: Sequence[_Terms], covariate: Covar
     for label in dict.fromkeys(labels):
         own = [number for number, one in enumerate(labels) if one == label]
         shown |= zip(own, visible_directions(system, items[own[0]][1], [items[i][2] for i in own]), strict=True)
-    columns = gathered((label, items[i][1], shown[i]) for i, label in enumerate(labels))
+    columns = gathered((label, Own(items[i][1], shown[i])) for i, label in enumerate(labels))
     raw, gram = np.ones((columns.count, columns.parameters)), columns.grams(system.basis)
     return Family(name, tuple(alternative for alternative, _, _ in items), columns, raw, gram, covariate.name)
 
