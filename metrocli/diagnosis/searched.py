@@ -14,6 +14,8 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain, gain_of_model
 from metrocli.diagnosis.extended_fit import (
+    adjusted_with_all,
+    departure,
     extended_fit,
     readings_kept,
     relinearised,
@@ -48,6 +50,8 @@ _ROUNDS = 3
 """Largest number of noisier units that are reweighted, one after the other"""
 _SEARCHES = 5
 """Largest number of searches; each follows an adjustment with the effects that dominated the previous one"""
+_LINEAR = 0.01
+"""Departure of the adjusted residuals from the linear ones [sigma] below which they are the same for all tests"""
 _PROCESSES = 3
 """Largest number of smooth processes that are taken for noise, one after the other"""
 _KINDS = 2
@@ -134,7 +138,8 @@ def _search_beside_white_noise(job: AdjustedJob, say: Say) -> Searched:
     Why: decision 051.
 
     If effects dominate, the job is adjusted with them, and the search is repeated about that solution with them among
-    all other candidates. At the end the search continues about the job adjusted with all effects that were named.
+    all other candidates. At the end the search continues about the job adjusted with all effects that were named; where
+    the model is linear up to there, nothing is linearised again.
     """
     point = job
     earlier: ScoreTests | None = None
@@ -153,6 +158,10 @@ def _search_beside_white_noise(job: AdjustedJob, say: Say) -> Searched:
     fit = extended_fit(job, names, readings_kept(selection)) if names else None
     if fit is None:
         return replace(found, job=point, selection=selection)
+    if departure(selection, fit) < _LINEAR:
+        patient = adjusted_with_all(selection.test_set)
+        selection = refined_scans(point, continued(replace(selection, test_set=patient)))
+        return replace(found, tests=adjusted_with_all(found.tests), selection=selection)
     point = replace(relinearised(job, names, fit), patient=True)
     weights = weights_of(job, found.units)
     tests, not_tested = score_tests_of_job(point, weights, np.random.default_rng(SEED), earlier)

@@ -102,9 +102,9 @@ class Part:
         """Return the part at some of its rows (r,)."""
         return Part(self.rows[there], self.values[there], self.numbers)
 
-    def after(self, count: int) -> Part:
-        """Return the part behind so many other alternatives."""
-        return Part(self.rows, self.values, self.numbers + count)
+    def numbered(self, rows: Index, numbers: Index) -> Part:
+        """Return the part with other numbers of its rows and its alternatives."""
+        return Part(rows, self.values, numbers)
 
 
 @dataclass(frozen=True)
@@ -179,9 +179,9 @@ class Steps:
         acts = begins < there.sum()
         return Steps(Course(self.rows[there], self.course.values[there]), begins[acts], self.numbers[acts])
 
-    def after(self, count: int) -> Steps:
-        """Return the part behind so many other alternatives."""
-        return Steps(self.course, self.begins, self.numbers + count)
+    def numbered(self, rows: Index, numbers: Index) -> Steps:
+        """Return the part with other numbers of its rows and its alternatives."""
+        return Steps(Course(rows, self.course.values), self.begins, numbers)
 
 
 def _kept(values: Array, kept: Mask | None) -> Array:
@@ -267,6 +267,12 @@ class Columns:
         cut = (part.cut(there) for part in self.parts if (there := rows[part.rows]).any())
         return replace(self, parts=tuple(part for part in cut if len(part.numbers)))
 
+    def of_rows(self, rows: Mask) -> Columns:
+        """Return the columns of a system that has some rows only, which are numbered anew."""
+        new = np.cumsum(rows) - 1
+        cut = self.at(rows)
+        return replace(cut, parts=tuple(part.numbered(new[part.rows], part.numbers) for part in cut.parts))
+
     def _kept_of(self, part: Part | Steps) -> Mask | None:
         return None if self.kept is None else self.kept[part.rows]
 
@@ -312,6 +318,6 @@ def joined(several: Sequence[Columns]) -> Columns:
     parts: list[Part | Steps] = []
     count = 0
     for one in several:
-        parts += [part.after(count) for part in one.parts]
+        parts += [part.numbered(part.rows, part.numbers + count) for part in one.parts]
         count += one.count
     return Columns(count, several[0].parameters, tuple(parts))

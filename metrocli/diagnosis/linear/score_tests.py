@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -98,6 +99,11 @@ class ScoreTests:
         return replace(
             self, tests=(*(known[form] for form in forms), other.tests[-1]), causes=causes, unknowns=other.unknowns
         )
+
+    @cached_property
+    def shared_products(self) -> tuple[Array, ...]:
+        """Products of each family's columns with the shared columns of the basis, (alternatives, parameters, k)."""
+        return tuple(family.columns.products(self.system.basis.shared) for family in self.families)
 
     def scores(self, fitted: FittedColumns) -> list[Score]:
         """Return the tests of all families beside the fitted columns."""
