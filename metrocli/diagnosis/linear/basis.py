@@ -51,15 +51,10 @@ class Basis:
         ends = np.concatenate([[0], np.cumsum(there * q)])
         return csr_matrix((self.local[there].ravel(), columns, ends), shape=(rows, self.members * q))
 
-    @cached_property
-    def _turned(self) -> csr_matrix:
-        """The local columns transposed, (members*q, rows)."""
-        return self._sparse.T.tocsr()
-
     def coordinates(self, values: Array) -> Array:
         """Return `b' values`, (columns, ...), of values (rows, ...)."""
         flat = _flat(values)
-        found = np.concatenate([self._turned @ flat, self.shared.T @ flat])
+        found = np.concatenate([self._sparse.T @ flat, self.shared.T @ flat])
         return np.asarray(found.reshape(len(found), *values.shape[1:]))
 
     def combined(self, coordinates: Array) -> Array:
@@ -84,6 +79,11 @@ class Basis:
             parts = [self.coordinates(values)]
         turned = [np.moveaxis(one, 1, 0) for one in parts]
         return np.asarray(sum(np.matmul(np.swapaxes(one, 1, 2), one) for one in turned))
+
+    def gram_of(self, columns: csr_matrix) -> Array:
+        """Return `g' b b' g` of sparse columns (rows, k), (k, k): the products that the unknowns absorb."""
+        local, shared = columns.T @ self._sparse, columns.T @ self.shared
+        return np.asarray((local @ local.T).toarray() + shared @ shared.T)
 
     def growth_of_grams(self, rows: Index, values: Array, stretches: Iterable[slice]) -> Iterator[Array]:
         """Yield by how much `g' b b' g` (q, q) grows with each stretch of rows that a column g has more.
@@ -205,7 +205,7 @@ class Solver:
         found[self.places[1]] = shared
         if members:
             own = flat[: members * q].reshape(members, q, flat.shape[1])
-            own = np.matmul(self.inverses, own - np.matmul(self.coupling, shared[None]))
+            own = np.matmul(self.inverses, own - np.tensordot(self.coupling, shared, 1))
             free = self.places[0] >= 0
             found[self.places[0][free]] = own[free]
         if self.movements.shape[1]:

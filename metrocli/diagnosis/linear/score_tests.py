@@ -27,6 +27,8 @@ from metrocli.diagnosis.linear.quadratics import quadratic, quadratic_of
 
 _INSIDE = 0.5
 """An effect lies in smooth terms if they contain at least this share of its sum of squares"""
+_ROUNDING = 1e-9
+"""Relative difference of levels (ln) that is rounding: a jump at two times without a reading between is one jump"""
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,9 @@ class Score:
 
     @property
     def best(self) -> int:
-        """The alternative with the smallest p-value."""
-        return int(np.argmin(self.log_p))
+        """The alternative with the smallest p-value; the first of those that differ by rounding only."""
+        least = float(self.log_p.min())
+        return int(np.argmax(self.log_p <= least + _ROUNDING * abs(least)))
 
 
 @dataclass(frozen=True)
