@@ -88,7 +88,7 @@ def diagnose(
     kept = readings_kept(searched.selection)
     fit = extended_fit(job, names, kept) if names else None
     shifts = result_changes(job, names, fit, kept)
-    tests, fitted = score_tests_after(fit, white, searched.units, np.random.default_rng(SEED))
+    tests, fitted = score_tests_after(fit, white, names, searched.units, np.random.default_rng(SEED))
     structure, level = remaining_structure(white, names, tests, fitted)
     repeats = pure_error(job, tests.system, fitted)
     if structure is None and repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:

@@ -20,7 +20,7 @@ from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import System, by_rows
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.linear.smooth_terms import smooth_families
+from metrocli.diagnosis.linear.smooth_terms import beside_columns, smooth_families
 from metrocli.diagnosis.noise import Unit, reweighted
 from metrocli.diagnosis.selection.all_of_a_kind import AllOfAKind
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
@@ -31,6 +31,8 @@ from metrocli.effects.model import Added, Model
 
 _MOST_ADJUSTED = 6
 """Largest number of effects without each of which the extended job is adjusted"""
+_LINEAR = 0.01
+"""Departure of the adjusted residuals from the linear ones [sigma] below which they are the same for all tests"""
 
 
 def score_tests_of_job(
@@ -230,19 +232,33 @@ def departure(selection: Selection, fit: AdjustedJob) -> float:
     return float(np.sqrt(squares))
 
 
+def is_linear(selection: Selection, fit: AdjustedJob) -> bool:
+    """Return whether the adjusted residuals of an extended fit are those of the linear one for all tests."""
+    return departure(selection, fit) < _LINEAR
+
+
 def score_tests_after(
-    changed: AdjustedJob | None, selection: Selection, units: Sequence[Unit], rng: np.random.Generator
+    changed: AdjustedJob | None,
+    selection: Selection,
+    names: Sequence[NamedEffect],
+    units: Sequence[Unit],
+    rng: np.random.Generator,
 ) -> tuple[ScoreTests, FittedColumns]:
     """Return the score tests of smooth functions about the extended fit, and the fit of the outliers there.
 
-    Without an extended fit the linearised solution is used.
+    Without an extended fit the linearised solution is used; so it is, with the columns of the named effects as further
+    unknowns, where the model is linear up to the extended fit and all parameters of the effects are estimated.
     """
     if changed is None:
         return selection.test_set, selection.fitted()
-    system = linearised(changed.model, weights_of(changed, units))
-    test_set = score_tests_of(
-        system, smooth_families(changed, system), rng, changed.single_components, selection.test_set
-    )
+    if all(name.seen.all() for name in names) and is_linear(selection, changed):
+        named = selection.fitted(without=[*selection.unknown, *selection.outliers]).basis
+        system = selection.test_set.system.with_unknowns(named)
+        families = [beside_columns(family, named) for family in selection.test_set.families if family.unknown]
+    else:
+        system = linearised(changed.model, weights_of(changed, units))
+        families = smooth_families(changed, system)
+    test_set = score_tests_of(system, families, rng, changed.single_components, selection.test_set)
     wrong = [test_set.of_reading(one.number) for one in selection.outliers]
     fitted = nothing_fitted(system)
     return test_set, fitted.with_columns(np.concatenate(wrong, axis=1)) if wrong else fitted

@@ -15,8 +15,8 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain, gain_of_model
 from metrocli.diagnosis.extended_fit import (
     adjusted_with_all,
-    departure,
     extended_fit,
+    is_linear,
     readings_kept,
     relinearised,
     result_change,
@@ -50,8 +50,6 @@ _ROUNDS = 3
 """Largest number of noisier units that are reweighted, one after the other"""
 _SEARCHES = 5
 """Largest number of searches; each follows an adjustment with the effects that dominated the previous one"""
-_LINEAR = 0.01
-"""Departure of the adjusted residuals from the linear ones [sigma] below which they are the same for all tests"""
 _PROCESSES = 3
 """Largest number of smooth processes that are taken for noise, one after the other"""
 _KINDS = 2
@@ -158,7 +156,7 @@ def _search_beside_white_noise(job: AdjustedJob, say: Say) -> Searched:
     fit = extended_fit(job, names, readings_kept(selection)) if names else None
     if fit is None:
         return replace(found, job=point, selection=selection)
-    if departure(selection, fit) < _LINEAR:
+    if is_linear(selection, fit):
         patient = adjusted_with_all(selection.test_set)
         selection = refined_scans(point, continued(replace(selection, test_set=patient)))
         return replace(found, tests=adjusted_with_all(found.tests), selection=selection)

@@ -116,9 +116,11 @@ class Basis:
         """Return some rows of the basis, with the columns of the members that they use."""
         if len(rows) == len(self.local):
             return self
-        names, member = np.unique(self.member[rows], return_inverse=True)
-        none = int(names[0] < 0) if len(names) else 0
-        return Basis(self.local[rows], member - none, len(names) - none, self.shared[rows])
+        member, used = self.member[rows], np.zeros(self.members + 1, dtype=bool)
+        used[member] = True
+        # rows without a member have the number -1, that of the last entry
+        number = np.append(np.cumsum(used[:-1]) - 1, -1)
+        return Basis(self.local[rows], number[member], int(used[:-1].sum()), self.shared[rows])
 
     def products(self, rows: Index, others: Index) -> Array:
         """Return the products of rows (..., a) with other rows (..., b), (..., a, b); a row of number -1 is zero."""

@@ -239,7 +239,9 @@ def _scans(model: Model, effect: Effect, rows: int) -> list[tuple[tuple[str, flo
         if parameter.place:
             values = np.arange(1.0, len(model.places[parameter.place].names))
         elif parameter.grid is not None:
-            most = int(np.clip(_MOST_SCANNED / (rows * len(effect.parameters)), _FEWEST_SCANNED, parameter.tried))
+            most = parameter.tried
+            if not _is_step(effect):
+                most = int(np.clip(_MOST_SCANNED / (rows * len(effect.parameters)), _FEWEST_SCANNED, most))
             values = thinned(parameter.grid(model.readings[0].observations.conditions), most)
         grids.append([(parameter.name, float(value)) for value in values])
     return list(product(*grids))
@@ -255,7 +257,7 @@ def thinned(values: Array, most: int) -> Array:
 def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]) -> Iterator[_Columns]:
     """Yield for each place and scan the columns of its parameters."""
     scans = [dict(one) for one in _scans(job.model, effect, system.rows)]
-    if scans and len(effect.scanned) == 1 and effect.scanned[0].grid is change_points:
+    if scans and _is_step(effect):
         yield from _steps(job, system, effect, places, scans)
         return
     found = scan(job.model, system, effect, places, scans) if scans else ()
@@ -279,6 +281,11 @@ def _of_places(
         if not own.any():
             own = np.ones(len(member), dtype=bool) if len(places) == 1 else own
         yield place, tuple(block.columns[i] for i in column[own]), own
+
+
+def _is_step(effect: Effect) -> bool:
+    """Return whether an effect acts from a scanned time on."""
+    return len(effect.scanned) == 1 and effect.scanned[0].grid is change_points
 
 
 def _steps(

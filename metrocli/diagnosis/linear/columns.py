@@ -267,6 +267,14 @@ class Columns:
         cut = (part.cut(there) for part in self.parts if (there := rows[part.rows]).any())
         return replace(self, parts=tuple(part for part in cut if len(part.numbers)))
 
+    def turned(self, turn: Array) -> Columns:
+        """Return the columns of each alternative times a matrix of its own, (alternatives, parameters, parameters)."""
+        parts = (
+            Part(part.rows, np.einsum("rak,akj->raj", part.dense(), turn[part.numbers]), part.numbers)
+            for part in self.parts
+        )
+        return replace(self, parts=tuple(parts))
+
     def of_rows(self, rows: Mask) -> Columns:
         """Return the columns of a system that has some rows only, which are numbered anew."""
         new = np.cumsum(rows) - 1
@@ -303,13 +311,16 @@ def gathered(items: Iterable[tuple[object, Own | Step]]) -> Columns:
         begins, numbers = np.array([[one.begin, number] for number, one in steps]).T
         parts.append(Steps(steps[0][1].course, begins, numbers))
     for held in by_label.values():
-        union = np.unique(np.concatenate([one.rows for _, one in held]))
-        if not len(union):
+        numbers, first = np.array([number for number, _ in held]), held[0][1].rows
+        if all(np.array_equal(one.rows, first) for _, one in held):
+            if len(first):
+                parts.append(Part(first, np.stack([one.values for _, one in held], axis=1), numbers))
             continue
+        union = np.unique(np.concatenate([one.rows for _, one in held]))
         full = np.zeros((len(union), len(held), parameters))
         for at, (_, one) in enumerate(held):
             full[np.searchsorted(union, one.rows), at] = one.values
-        parts.append(Part(union, full, np.array([number for number, _ in held])))
+        parts.append(Part(union, full, numbers))
     return Columns(count, parameters, tuple(parts))
 
 

@@ -26,7 +26,7 @@ _MOST_AT_ONCE = 4_000_000
 """Largest number of elements of the noise that is drawn at once"""
 _SAMPLE = 12_000
 """Rows of the local members whose noise is drawn, if a measurement has more than twice as many"""
-_LOST = 0.02
+_LOST = 0.05
 """Largest share of the candidates that these members may not show"""
 _REDUNDANT = 1e-3
 """Smallest redundancy of a reading that can be named an outlier"""

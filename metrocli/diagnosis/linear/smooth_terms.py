@@ -6,6 +6,7 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import product
 from math import comb
 
@@ -112,6 +113,21 @@ def visible_directions(system: System, rows: Index, several: Sequence[Array]) ->
         np.asarray((basis @ turn[:, ::-1]) * (squares[::-1] > _SHOWS**2))
         for basis, turn, squares in zip(bases, vectors, values, strict=True)
     ]
+
+
+def beside_columns(family: Family, columns: Array) -> Family:
+    """Return a family of smooth functions beside further unknowns, of orthonormal visible columns (rows, k).
+
+    Directions of the functions that hardly show beside these become 0.
+    """
+    along = family.columns.products(columns)
+    left = family.gram - along @ np.swapaxes(along, 1, 2)
+    values, vectors = np.linalg.eigh(left)
+    shows = values > _SHOWS**2
+    if (shows.sum(axis=1) == (np.linalg.eigvalsh(family.gram) > _SHOWS**2).sum(axis=1)).all():
+        return replace(family, gram=left)
+    turned = family.columns.turned(vectors * shows[:, None, :])
+    return replace(family, columns=turned, gram=np.eye(left.shape[1]) * (values * shows)[:, None, :])
 
 
 def _together(job: AdjustedJob, system: System, covariate: Covariate) -> Family:
