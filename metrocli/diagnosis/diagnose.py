@@ -30,6 +30,7 @@ from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
+from metrocli.diagnosis.memory import must_fit
 from metrocli.diagnosis.noise import noise_of
 from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.residual_structure import (
@@ -71,8 +72,9 @@ def diagnose(
     The other half is for the searches of cross-validation. A search whose time is spent ends with what it has found;
     so does the search for laws when its budget is interrupted within `attended`.
     `ordered` computes the folds of cross-validation, perhaps on other processors; the diagnosis is the same there.
-    Raises UndeterminedError if the unknowns use up all readings.
+    Raises UndeterminedError if the unknowns use up all readings, InputError if it needs more memory than there is.
     """
+    must_fit(job)
     job = replace(job, budget=Budget(limit / 2))
     say("looking for structure")
     searched = first = search_about_solution(job, say)
@@ -166,7 +168,11 @@ def _structure_of(laws: Sequence[Law]) -> RemainingStructure | None:
 
 
 def what_can_be_seen(job: AdjustedJob) -> Design:
-    """Return what a measurement can detect; it does not depend on the residuals."""
+    """Return what a measurement can detect; it does not depend on the residuals.
+
+    Raises InputError if this needs more memory than there is.
+    """
+    must_fit(job)
     test_set, not_tested = score_tests_of_job(job, {}, np.random.default_rng(SEED))
     return design(job, test_set, not_tested)
 

@@ -124,11 +124,12 @@ class Basis:
 
     def products(self, rows: Index, others: Index) -> Array:
         """Return the products of rows (..., a) with other rows (..., b), (..., a, b); a row of number -1 is zero."""
-        same = (self.member[rows][..., :, None] == self.member[others][..., None, :]) & (
-            self.member[rows][..., :, None] >= 0
+        of_rows = self.member[rows], self.local[rows], self.shared[rows]
+        of_others = of_rows if others is rows else (self.member[others], self.local[others], self.shared[others])
+        same = (of_rows[0][..., :, None] == of_others[0][..., None, :]) & (of_rows[0][..., :, None] >= 0)
+        local, shared = (
+            np.einsum("...ak,...bk->...ab", one, other) for one, other in zip(of_rows[1:], of_others[1:], strict=True)
         )
-        local = np.einsum("...ak,...bk->...ab", self.local[rows], self.local[others])
-        shared = np.einsum("...ak,...bk->...ab", self.shared[rows], self.shared[others])
         there = (rows >= 0)[..., :, None] & (others >= 0)[..., None, :]
         return np.where(there, np.where(same, local, 0.0) + shared, 0.0)
 

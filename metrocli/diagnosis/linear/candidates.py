@@ -5,6 +5,7 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -125,6 +126,19 @@ def families_of(job: AdjustedJob, system: System) -> tuple[list[Family], list[No
     tested = {name for name, _ in families}
     seen = [one for one in missing if one.where or one.effect.name not in tested]
     return [_joined(parts) for parts in families.values()], seen
+
+
+def columns_of_effects(job: AdjustedJob) -> int:
+    """Return how many columns of effects each row has at most, those of a step once."""
+    sought = (one for one in job.effects if not one.of_one_reading and one.name not in job.not_sought)
+    return sum(len(one.parameters) * math.prod(_tried(job.model, one)) for one in sought)
+
+
+def _tried(model: Model, effect: Effect) -> Iterator[int]:
+    """Yield how many values of each scanned parameter are tried at most."""
+    for parameter in () if _is_step(effect) else effect.scanned:
+        place = model.places.get(parameter.place)
+        yield parameter.tried if place is None else len(place.names)
 
 
 def _joined(parts: Sequence[Family]) -> Family:

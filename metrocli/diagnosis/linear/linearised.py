@@ -48,6 +48,11 @@ def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> Syst
     return replace(system, residual=system.seen(residual))
 
 
+def shared_unknowns(model: Model) -> int:
+    """Return the number of unknowns that are not local."""
+    return _shared(model, _local(model)).width
+
+
 @dataclass(frozen=True)
 class _Local:
     """The members of a block whose unknowns are local: no reading uses two of them."""

@@ -27,6 +27,8 @@ from metrocli.diagnosis.linear.quadratics import quadratic, quadratic_of
 
 _INSIDE = 0.5
 """An effect lies in smooth terms if they contain at least this share of its sum of squares"""
+_MOST_RANKED = 10_000
+"""Readings that are tested as outliers, those with the largest gains"""
 _ROUNDING = 1e-9
 """Relative difference of levels (ln) that is rounding: a jump at two times without a reading between is one jump"""
 
@@ -140,9 +142,12 @@ class ScoreTests:
         return Score(gain, rank, log_levels(gain / max(fitted.squares, 1e-300), rank, fitted.dof))
 
     def outliers(self, fitted: FittedColumns) -> Score:
-        """Return the tests of single readings, each with all its components."""
+        """Return the tests of single readings, each with all its components; of many, those of the largest gains."""
         gain, rank = self.gains_of_readings(fitted)
         rank = np.where(self.excluded, 0, rank)
+        if len(gain) > _MOST_RANKED:
+            # the others are no outliers, so their levels are not computed
+            rank = np.where(gain < np.partition(gain, -_MOST_RANKED)[-_MOST_RANKED], 0, rank)
         return self._scored(np.where(rank > 0, gain, 0.0), rank, fitted)
 
     def gains_of_readings(self, fitted: FittedColumns) -> tuple[Array, Array]:
