@@ -32,7 +32,7 @@ FEWEST = 10
 FLAT = 1e-8
 """Smallest eigenvalue of a Gram matrix, relative to the largest, of a visible direction of the parameters"""
 MOST_NUMBERS = 60_000_000
-"""Largest number of elements of the dense system"""
+"""Largest number of elements of the shared derivatives, and of the columns that are fitted beside them"""
 
 
 @dataclass(frozen=True)
