@@ -100,8 +100,9 @@ def _calibrated(test_set: ScoreTests, rng: np.random.Generator) -> ScoreTests:
     levels = [log_family(one, count) for one, count in zip(least, tests, strict=True)]
     smooth = [level for level, family in zip(levels, test_set.families, strict=False) if family.unknown]
     unknowns = effective_number_of_tests(np.min(smooth, axis=0)) if smooth else 1.0
-    # outliers are nearly independent tests, so their number grows with the readings
-    tests[-1] *= float((~test_set.excluded).sum() / max((~drawn.excluded).sum(), 1))
+    if drawn is not test_set:
+        # outliers are nearly independent tests, so their number grows with the readings
+        tests[-1] *= max(float((~test_set.excluded).sum()), 1.0) / max(float((~drawn.excluded).sum()), 1.0)
     return replace(
         test_set, tests=tuple(tests), causes=effective_number_of_tests(np.min(levels, axis=0)), unknowns=unknowns
     )
