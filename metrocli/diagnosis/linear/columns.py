@@ -314,7 +314,7 @@ def gathered(items: Iterable[tuple[object, Own | Step]]) -> Columns:
         numbers, first = np.array([number for number, _ in held]), held[0][1].rows
         if all(np.array_equal(one.rows, first) for _, one in held):
             if len(first):
-                parts.append(Part(first, np.stack([one.values for _, one in held], axis=1), numbers))
+                parts.append(Part(first, side_by_side([one.values for _, one in held]), numbers))
             continue
         union = np.unique(np.concatenate([one.rows for _, one in held]))
         full = np.zeros((len(union), len(held), parameters))
@@ -322,6 +322,11 @@ def gathered(items: Iterable[tuple[object, Own | Step]]) -> Columns:
             full[np.searchsorted(union, one.rows), at] = one.values
         parts.append(Part(union, full, numbers))
     return Columns(count, parameters, tuple(parts))
+
+
+def side_by_side(several: Sequence[Array]) -> Array:
+    """Return the columns of alternatives (r, q) at the same rows side by side, (r, alternatives, q)."""
+    return several[0][:, None] if len(several) == 1 else np.stack(several, axis=1)
 
 
 def joined(several: Sequence[Columns]) -> Columns:

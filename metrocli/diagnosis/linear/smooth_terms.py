@@ -17,7 +17,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
 from metrocli.diagnosis.linear.candidates import Alternative, Family
-from metrocli.diagnosis.linear.columns import Own, gathered
+from metrocli.diagnosis.linear.columns import Own, gathered, side_by_side
 from metrocli.diagnosis.linear.projection import System
 from metrocli.effects.effect import Effect, Parameter
 
@@ -119,8 +119,7 @@ def visible_directions(system: System, rows: Index, several: Sequence[Array]) ->
     for columns in several:
         basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
         bases.append(basis * (sizes > _RANK * max(float(sizes[0]), 1e-300)))
-    stacked = np.stack(bases, axis=1)
-    visible = np.swapaxes(bases, 1, 2) @ np.stack(bases) - system.basis.at(rows).grams(stacked)
+    visible = np.stack([basis.T @ basis for basis in bases]) - system.basis.at(rows).grams(side_by_side(bases))
     values, vectors = np.linalg.eigh(visible)
     shows = values[:, ::-1] > _SHOWS**2
     return [
