@@ -27,10 +27,10 @@ from metrocli.diagnosis.laws.imitations import without_imitations
 from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.search import Law, laws_in
 from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
+from metrocli.diagnosis.linear.memory import must_fit
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.memory import must_fit
 from metrocli.diagnosis.noise import noise_of
 from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.residual_structure import (

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden import lengths
-from metrocli.diagnosis import diagnose, extended_fit, memory
+from metrocli.diagnosis import diagnose, extended_fit
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.extended_fit import score_tests_of_job
-from metrocli.diagnosis.linear import counted_tests
+from metrocli.diagnosis.linear import counted_tests, memory
 from metrocli.diagnosis.selection import forward_steps
 from metrocli.errors import InputError
 

@@ -5,20 +5,19 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.observations import Mask
+from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.linear.columns import Columns, Course, Own, Step, gathered, joined
+from metrocli.diagnosis.linear.column_parts import Course, Own, Step
+from metrocli.diagnosis.linear.columns import Columns, gathered, joined
 from metrocli.diagnosis.linear.projection import VISIBLE, System
-from metrocli.diagnosis.linear.signatures import scan
-from metrocli.effects.effect import Effect, change_points
+from metrocli.diagnosis.linear.signatures import of_places, scan
+from metrocli.effects.effect import Effect
 from metrocli.effects.extension import can_act, lacking, names_for, places_of
 from metrocli.effects.model import Model
 
@@ -126,19 +125,6 @@ def families_of(job: AdjustedJob, system: System) -> tuple[list[Family], list[No
     tested = {name for name, _ in families}
     seen = [one for one in missing if one.where or one.effect.name not in tested]
     return [_joined(parts) for parts in families.values()], seen
-
-
-def columns_of_effects(job: AdjustedJob) -> int:
-    """Return how many columns of effects each row has at most, those of a step once."""
-    sought = (one for one in job.effects if not one.of_one_reading and one.name not in job.not_sought)
-    return sum(len(one.parameters) * math.prod(_tried(job.model, one)) for one in sought)
-
-
-def _tried(model: Model, effect: Effect) -> Iterator[int]:
-    """Yield how many values of each scanned parameter are tried at most."""
-    for parameter in () if _is_step(effect) else effect.scanned:
-        place = model.places.get(parameter.place)
-        yield parameter.tried if place is None else len(place.names)
 
 
 def _joined(parts: Sequence[Family]) -> Family:
@@ -254,7 +240,7 @@ def _scans(model: Model, effect: Effect, rows: int) -> list[tuple[tuple[str, flo
             values = np.arange(1.0, len(model.places[parameter.place].names))
         elif parameter.grid is not None:
             most = parameter.tried
-            if not _is_step(effect):
+            if not effect.is_step:
                 most = int(np.clip(_MOST_SCANNED / (rows * len(effect.parameters)), _FEWEST_SCANNED, most))
             values = thinned(parameter.grid(model.readings[0].observations.conditions), most)
         grids.append([(parameter.name, float(value)) for value in values])
@@ -271,35 +257,17 @@ def thinned(values: Array, most: int) -> Array:
 def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]) -> Iterator[_Columns]:
     """Yield for each place and scan the columns of its parameters."""
     scans = [dict(one) for one in _scans(job.model, effect, system.rows)]
-    if scans and _is_step(effect):
+    if scans and effect.is_step:
         yield from _steps(job, system, effect, places, scans)
         return
     found = scan(job.model, system, effect, places, scans) if scans else ()
     for scanned, (full, block, chosen) in zip(scans, found, strict=True):
-        for place, names, own in _of_places(job.model, block, chosen, places):
+        for place, names, own in of_places(job.model, block, chosen, places):
             touched = np.flatnonzero(full[:, own].any(axis=1)) if own.any() else np.zeros(0, dtype=np.intp)
             if len(touched) >= job.fewest:
                 named = _scanned_places(job.model, effect, scanned)
                 alternative = Alternative(effect, place, tuple(scanned.items()), names, named)
                 yield _Columns(alternative, Own(touched, full[np.ix_(touched, own)]))
-
-
-def _of_places(
-    model: Model, block: Block, chosen: Mask, places: Sequence[tuple[str, ...]]
-) -> Iterator[tuple[tuple[str, ...], tuple[str, ...], Mask]]:
-    """Yield each place with its parameters, and which of the chosen entries of an effect's block are its own."""
-    member, column = np.nonzero(chosen)
-    before = model.blocks.get(block.name)
-    for number, place in enumerate(places if chosen.any() else ()):
-        own = member == (number + 1 if len(block.members) > 1 and before is None else _row(block.members, place))
-        if not own.any():
-            own = np.ones(len(member), dtype=bool) if len(places) == 1 else own
-        yield place, tuple(block.columns[i] for i in column[own]), own
-
-
-def _is_step(effect: Effect) -> bool:
-    """Return whether an effect acts from a scanned time on."""
-    return len(effect.scanned) == 1 and effect.scanned[0].grid is change_points
 
 
 def _steps(
@@ -313,10 +281,10 @@ def _steps(
 
     They are those of the effect that acts from the earliest time on, without the rows before.
     """
-    name, times = effect.scanned[0].name, _times(job.model, system)
+    name, times = effect.scanned[0].name, system.times
     full, block, chosen = next(scan(job.model, system, effect, places, [{name: float(np.nanmin(times))}]))
     courses = []
-    for place, names, own in _of_places(job.model, block, chosen, places):
+    for place, names, own in of_places(job.model, block, chosen, places):
         rows = np.flatnonzero(full[:, own].any(axis=1)) if own.any() else np.zeros(0, dtype=np.intp)
         rows = rows[np.argsort(times[rows], kind="stable")]
         courses.append((place, names, Course(rows, full[np.ix_(rows, own)])))
@@ -327,20 +295,6 @@ def _steps(
                 yield _Columns(Alternative(effect, place, tuple(scanned.items()), names), Step(course, begin))
 
 
-def _times(model: Model, system: System) -> Array:
-    """Return the time of each row's reading, (rows,); nan for readings without a time."""
-    times = np.full(system.rows, np.nan)
-    for group in model.readings:
-        own = group.observations.conditions.get("t")
-        if own is not None:
-            times[system.rows_of(group)] = np.repeat(own, len(group.observations.readings))
-    return times
-
-
 def _scanned_places(model: Model, effect: Effect, scanned: Mapping[str, float]) -> tuple[tuple[str, str], ...]:
     places = {parameter.name: parameter.place for parameter in effect.scanned if parameter.place}
     return tuple((key, model.places[place].names[int(scanned[key])]) for key, place in places.items())
-
-
-def _row(members: Sequence[str], place: tuple[str, ...]) -> int:
-    return members.index(place[0]) if place and place[0] in members else 0

@@ -99,6 +99,16 @@ class System:
             mask[start : start + group.observations.readings.size] = group.observations.unit == first
         return mask
 
+    @cached_property
+    def times(self) -> Array:
+        """The time of each row's reading (rows,); nan for readings without a time."""
+        times = np.full(self.rows, np.nan)
+        for group in self.model.readings:
+            own = group.observations.conditions.get("t")
+            if own is not None:
+                times[self.rows_of(group)] = np.repeat(own, len(group.observations.readings))
+        return times
+
     def seen(self, values: Array) -> Array:
         """Return `M values`, (rows, ...), the visible part; 0 where it is a rounding error."""
         return self.split(values)[0]

@@ -17,7 +17,8 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
 from metrocli.diagnosis.linear.candidates import Alternative, Family
-from metrocli.diagnosis.linear.columns import Own, gathered, side_by_side
+from metrocli.diagnosis.linear.column_parts import Own
+from metrocli.diagnosis.linear.columns import gathered, side_by_side
 from metrocli.diagnosis.linear.projection import System
 from metrocli.effects.effect import Effect, Parameter
 

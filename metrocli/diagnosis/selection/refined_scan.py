@@ -12,7 +12,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative, Family, thinned
-from metrocli.diagnosis.linear.columns import Own
+from metrocli.diagnosis.linear.column_parts import Own
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection

@@ -7,9 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from metrocli.diagnosis.linear import columns as module
+from metrocli.diagnosis.linear import column_parts
 from metrocli.diagnosis.linear.basis import Basis
-from metrocli.diagnosis.linear.columns import Columns, Course, Own, Step, gathered, joined
+from metrocli.diagnosis.linear.column_parts import Course, Own, Step
+from metrocli.diagnosis.linear.columns import Columns, gathered, joined
 
 ROWS, MEMBERS = 60, 12
 
@@ -60,7 +61,7 @@ def test_products_and_squares_are_those_of_the_projected_columns(
     made: Callable[[np.random.Generator], tuple[Columns, np.ndarray]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(module, "_SMALL", small)
+    monkeypatch.setattr(column_parts, "_SMALL", small)
     rng = np.random.default_rng(3)
     columns, dense = made(rng)
     own = basis(rng, repeats)
