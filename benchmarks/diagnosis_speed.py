@@ -24,7 +24,7 @@ from metrocli.tasks.calibrate_camera import task as calibrate_camera
 
 LENGTHS, COORDINATES, NETWORK = 5.0, 60.0, 60.0
 """CPU seconds allowed"""
-SIZES = {300: 1.0, 1000: 1.0, 3000: 5.0, 10000: 5.0}
+SIZES = {300: 1.0, 1000: 1.0, 3000: 5.0, 10000: 5.0, 100000: 30.0}
 """Points of larger networks of six tracers, and the CPU seconds allowed for each"""
 GROWTH = 1.1
 """Largest exponent of the time in the number of readings"""

@@ -100,12 +100,11 @@ class _Folds:
 
     def __call__(self, fold: int) -> tuple[list[tuple[Held, Held]], bool]:
         """Return the predictions of a fold without and with each group, and whether its time was spent."""
-        own = replace(self.test_set, budget=Budget(self.seconds))
-        out = self.rows == fold
-        trained = _trained(own, np.flatnonzero(out))
+        budget, out = Budget(self.seconds), self.rows == fold
+        trained = _trained(self.test_set, np.flatnonzero(out), budget)
         start = fitted_without(self.test_set, np.flatnonzero(out & self.spared))
         held = np.flatnonzero(out & ~self.spared)
-        return [_compared(self.test_set, start, trained, group, held) for group in self.groups], own.budget.ended
+        return [_compared(self.test_set, start, trained, group, held) for group in self.groups], budget.ended
 
 
 def gain_of_model(
@@ -120,9 +119,10 @@ def gain_of_model(
     return gain_of([(held_out_errors(*before, out), held_out_errors(*after, out)) for out in folds if out.size])
 
 
-def _trained(test_set: ScoreTests, out: Index) -> Selection:
-    """Return the selection without some rows."""
-    return search(*without(test_set, out))
+def _trained(test_set: ScoreTests, out: Index, budget: Budget) -> Selection:
+    """Return the selection without some rows, within a time for its search."""
+    fewer, start = without(test_set, out)
+    return search(replace(fewer, budget=budget), start)
 
 
 def without(test_set: ScoreTests, out: Index) -> tuple[ScoreTests, FittedColumns]:

@@ -13,7 +13,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.average_power import size_found, size_separated
-from metrocli.diagnosis.hidden_change import POWER, HiddenChange, hidden_by_readings, hidden_change
+from metrocli.diagnosis.hidden_change import POWER, HiddenChange, forms_for, hidden_by_readings, hidden_change
 from metrocli.diagnosis.linear.candidates import Alternative, NotTested, thinned
 from metrocli.diagnosis.linear.distributions import noncentrality, single_level
 from metrocli.diagnosis.linear.linearised import linearised
@@ -32,6 +32,8 @@ _ALIKE = 0.9
 """Correlation above which two candidates are reported as alike"""
 _SAME = 0.999
 """Correlation above which two candidates cannot be distinguished at all"""
+_OFFERED = 2
+"""Largest number of further measurements that are reported"""
 _HELPS = 0.98
 """Correlation above which a further measurement does not help enough to be reported"""
 _NAMED_ABSORBERS = 3
@@ -187,7 +189,8 @@ def _candidate(job: AdjustedJob, test_set: ScoreTests, family: int, chosen: Sequ
     unseen = size * np.sqrt(power[rank] / needed(test_set, family, rank)) / noise if rank else 0.0
     farthest = np.sqrt(own.columns.parameters) * max(1.0, unseen / alternative.effect.plausible)
     reach = np.array([(power[q], farthest) for q in ranks.tolist()])
-    hides = hidden_change(job, test_set.system, own, chosen, gram, reach)
+    some = thinned(np.arange(float(len(chosen))), forms_for(test_set.system, own.columns.parameters)).astype(int)
+    hides = hidden_change(job, test_set.system, own, np.array(chosen)[some].tolist(), gram, reach[some])
     absorbers = () if rank else _absorbers(test_set.system, _full(job, test_set.system, alternative))
     return Candidate(alternative, family, at, visible, size, hides, absorbers)
 
@@ -267,9 +270,11 @@ def separations(job: AdjustedJob, one: Alternative, other: Alternative) -> list[
             _unit(system.seen(signature(model, system, a.effect, a.instance, dict(a.scanned)))) for a in (one, other)
         ]
         found.append((float(np.linalg.norm(bases[0].T @ bases[1], 2)), words))
+        if sum(rho < _ALIKE for rho, _ in found) == _OFFERED:
+            break
     enough = [f"{words} (their correlation falls to {rho:.2f})" for rho, words in found if rho < _ALIKE]
     if enough:
-        return enough[:2]
+        return enough
     helping = [
         f"{words} (their correlation falls to {rho:.2f} only)" for rho, words in sorted(found)[:1] if rho < _HELPS
     ]

@@ -27,6 +27,7 @@ from metrocli.diagnosis.laws.imitations import without_imitations
 from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.search import Law, laws_in
 from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
+from metrocli.diagnosis.linear.memory import must_fit
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
@@ -71,8 +72,9 @@ def diagnose(
     The other half is for the searches of cross-validation. A search whose time is spent ends with what it has found;
     so does the search for laws when its budget is interrupted within `attended`.
     `ordered` computes the folds of cross-validation, perhaps on other processors; the diagnosis is the same there.
-    Raises UndeterminedError if the unknowns use up all readings.
+    Raises UndeterminedError if the unknowns use up all readings, InputError if it needs more memory than there is.
     """
+    must_fit(job)
     job = replace(job, budget=Budget(limit / 2))
     say("looking for structure")
     searched = first = search_about_solution(job, say)
@@ -88,7 +90,7 @@ def diagnose(
     kept = readings_kept(searched.selection)
     fit = extended_fit(job, names, kept) if names else None
     shifts = result_changes(job, names, fit, kept)
-    tests, fitted = score_tests_after(fit, white, searched.units, np.random.default_rng(SEED))
+    tests, fitted = score_tests_after(fit, white, names, searched.units, np.random.default_rng(SEED))
     structure, level = remaining_structure(white, names, tests, fitted)
     repeats = pure_error(job, tests.system, fitted)
     if structure is None and repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
@@ -166,7 +168,11 @@ def _structure_of(laws: Sequence[Law]) -> RemainingStructure | None:
 
 
 def what_can_be_seen(job: AdjustedJob) -> Design:
-    """Return what a measurement can detect; it does not depend on the residuals."""
+    """Return what a measurement can detect; it does not depend on the residuals.
+
+    Raises InputError if this needs more memory than there is.
+    """
+    must_fit(job)
     test_set, not_tested = score_tests_of_job(job, {}, np.random.default_rng(SEED))
     return design(job, test_set, not_tested)
 

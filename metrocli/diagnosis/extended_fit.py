@@ -17,10 +17,10 @@ from metrocli.diagnosis.linear.candidates import NotTested, families_of
 from metrocli.diagnosis.linear.counted_tests import score_tests_of
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.linearised import linearised
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import System, by_rows
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.linear.smooth_terms import smooth_families
+from metrocli.diagnosis.linear.smooth_terms import beside_columns, smooth_families
 from metrocli.diagnosis.noise import Unit, reweighted
 from metrocli.diagnosis.selection.all_of_a_kind import AllOfAKind
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
@@ -31,6 +31,8 @@ from metrocli.effects.model import Added, Model
 
 _MOST_ADJUSTED = 6
 """Largest number of effects without each of which the extended job is adjusted"""
+_LINEAR = 0.01
+"""Departure of the adjusted residuals from the linear ones [sigma] below which they are the same for all tests"""
 
 
 def score_tests_of_job(
@@ -44,8 +46,15 @@ def score_tests_of_job(
     families, not_tested = families_of(job, system)
     everything = [*families, *smooth_families(job, system)]
     test_set = score_tests_of(system, everything, rng, job.single_components, like)
-    spots = {one.spot for family in families for one in family.alternatives} if job.patient else set()
-    return replace(test_set, adjusted=job.adjusted | spots, budget=job.budget), not_tested
+    test_set = replace(test_set, adjusted=job.adjusted, budget=job.budget)
+    return adjusted_with_all(test_set) if job.patient else test_set, not_tested
+
+
+def adjusted_with_all(test_set: ScoreTests) -> ScoreTests:
+    """Return score tests in which no effect stops the selection."""
+    effects = (family for family in test_set.families if not family.unknown)
+    spots = {one.spot for family in effects for one in family.alternatives}
+    return replace(test_set, adjusted=test_set.adjusted | spots)
 
 
 def _with_standing(job: AdjustedJob, system: System) -> System:
@@ -205,19 +214,51 @@ def _value(block: Block, row: int, key: str) -> float:
     return float(block.values[row, block.column(key)]) if key in block.columns else 0.0
 
 
+def departure(selection: Selection, fit: AdjustedJob) -> float:
+    """Return the norm of what an extended fit leaves of the kept readings beside what the linear fit predicts [sigma].
+
+    It is 0 if the model is linear between the solution of the job and that of the extended fit. It bounds the square
+    root of what the difference adds to any test.
+    """
+    system = selection.test_set.system
+    wrong, squares = _wrong(selection), 0.0
+    predicted = selection.fitted(without=selection.unknown).residual
+    for group in fit.model.groups:
+        if group.name in system.first:
+            own = slice(system.first[group.name], system.first[group.name] + group.observations.readings.size)
+            factor = group.observations.deviations.T.ravel() / system.scale[own]
+            left = by_rows(group.linear(fit.model.blocks, frozenset())) * factor - predicted[own]
+            squares += float((left[~wrong[own]] ** 2).sum())
+    return float(np.sqrt(squares))
+
+
+def is_linear(selection: Selection, fit: AdjustedJob) -> bool:
+    """Return whether the adjusted residuals of an extended fit are those of the linear one for all tests."""
+    return departure(selection, fit) < _LINEAR
+
+
 def score_tests_after(
-    changed: AdjustedJob | None, selection: Selection, units: Sequence[Unit], rng: np.random.Generator
+    changed: AdjustedJob | None,
+    selection: Selection,
+    names: Sequence[NamedEffect],
+    units: Sequence[Unit],
+    rng: np.random.Generator,
 ) -> tuple[ScoreTests, FittedColumns]:
     """Return the score tests of smooth functions about the extended fit, and the fit of the outliers there.
 
-    Without an extended fit the linearised solution is used.
+    Without an extended fit the linearised solution is used; so it is, with the columns of the named effects as further
+    unknowns, where the model is linear up to the extended fit and all parameters of the effects are estimated.
     """
     if changed is None:
         return selection.test_set, selection.fitted()
-    system = linearised(changed.model, weights_of(changed, units))
-    test_set = score_tests_of(
-        system, smooth_families(changed, system), rng, changed.single_components, selection.test_set
-    )
+    if all(name.seen.all() for name in names) and is_linear(selection, changed):
+        named = selection.fitted(without=[*selection.unknown, *selection.outliers]).basis
+        system = selection.test_set.system.with_unknowns(named)
+        families = [beside_columns(family, named) for family in selection.test_set.families if family.unknown]
+    else:
+        system = linearised(changed.model, weights_of(changed, units))
+        families = smooth_families(changed, system)
+    test_set = score_tests_of(system, families, rng, changed.single_components, selection.test_set)
     wrong = [test_set.of_reading(one.number) for one in selection.outliers]
     fitted = nothing_fitted(system)
     return test_set, fitted.with_columns(np.concatenate(wrong, axis=1)) if wrong else fitted
@@ -225,13 +266,18 @@ def score_tests_after(
 
 def readings_kept(selection: Selection) -> dict[str, Mask]:
     """Return for each group a mask of the readings that are not outliers in any component."""
-    test_set = selection.test_set
-    wrong = np.zeros(test_set.system.rows)
-    for one in selection.outliers:
-        wrong[test_set.places[one.number][test_set.places[one.number] >= 0]] = 1.0
-    found = {}
+    test_set, wrong, found = selection.test_set, _wrong(selection), dict[str, Mask]()
     for group in test_set.system.model.readings:
         d, n = group.observations.readings.shape
         start = test_set.system.first[group.name]
-        found[group.name] = wrong[start : start + n * d].reshape(n, d).max(axis=1) == 0
+        found[group.name] = np.asarray(~wrong[start : start + n * d].reshape(n, d).any(axis=1))
     return found
+
+
+def _wrong(selection: Selection) -> Mask:
+    """Return which rows are those of outliers, (rows,)."""
+    test_set = selection.test_set
+    wrong = np.zeros(test_set.system.rows, dtype=bool)
+    for one in selection.outliers:
+        wrong[test_set.places[one.number][test_set.places[one.number] >= 0]] = True
+    return wrong

@@ -20,6 +20,10 @@ _WEIGHTS = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 
 """Weights of what the readings show against what is usual, of which the one with the lowest bound is taken"""
 POWER = 0.95
 """Probability with which an effect is found that changes the result by more"""
+_AT_ONCE = 500_000
+"""Numbers of the columns of alternatives that are held at once; a processor's cache holds as many"""
+_MOST_OF_FORMS, _FEWEST_FORMS = 1_000_000, 8
+"""Unknowns times columns of the forms (values of a scan) of an effect, and how many forms are looked at in any case"""
 _MOST_NUMBERS = 4_000_000
 """Unknowns times readings above which only the own member of each reading is considered"""
 _NOTHING = 1e-9
@@ -47,6 +51,23 @@ def hidden_change(
     readings hardly show end there. The change of member m is `S_m theta`. Its largest length under both conditions is
     at most the spectral norm of `S_m B^(-1/2)`, with `B = w A/(lambda s^2) + (1 - w) C` and any w (Lagrange).
     """
+    step = max(_AT_ONCE // (system.rows * gram.shape[1]), 1)
+    best = 0.0, 0
+    for start in range(0, len(chosen), step):
+        some = slice(start, start + step)
+        best = max(best, _of_some(job, system, family, chosen[some], gram, reach[some], best[0]))
+    return _at_member(job, *best)
+
+
+def forms_for(system: System, parameters: int) -> int:
+    """Return how many forms of an effect of so many parameters are looked at: fewer where there are many unknowns."""
+    return max(_MOST_OF_FORMS // (system.layout.width * parameters), _FEWEST_FORMS)
+
+
+def _of_some(
+    job: AdjustedJob, system: System, family: Family, chosen: Sequence[int], gram: Array, reach: Array, least: float
+) -> tuple[float, int]:
+    """Return the largest change by some alternatives, and its member; 0 if it is not above `least`."""
     at = list(chosen)
     scale = np.where(family.raw[at] > 0, family.raw[at], 1.0)
     scaled = gram[at] / (scale[:, :, None] * scale[:, None, :])
@@ -61,11 +82,11 @@ def hidden_change(
     turned = np.ascontiguousarray(np.moveaxis(shift, 2, 0))
     squares = np.swapaxes(turned, 2, 3) @ turned
     narrow = seen.all(axis=1) & (np.linalg.eigvalsh(shown - usual) >= 0).all(axis=1)
-    best = _largest(squares[narrow], shown[narrow][None])
+    best = _largest(squares[narrow], shown[narrow][None], least)
     if not narrow.all():
         wide = np.stack([(w * shown + (1 - w) * usual)[~narrow] for w in _WEIGHTS])
-        best = max(best, _largest(squares[~narrow], wide, best[0]))
-    return _at_member(job, *best)
+        best = max(best, _largest(squares[~narrow], wide, max(best[0], least)))
+    return best
 
 
 def hidden_by_readings(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:
@@ -118,7 +139,7 @@ def _largest(squares: Array, bounds: Array, least: float = 0.0) -> tuple[float, 
     `S_m theta` over `theta' B theta < 1` has as its largest length the root of the largest eigenvalue of
     `S_m'S_m B^-1`, for `squares` S'S (alternatives, members, q, q) and `bounds` B (bounds, alternatives, q, q). The
     trace is no less. So eigenvalues are needed only for members, bounds and alternatives whose traces exceed the
-    largest length that is known. An alternative that allows no more than `least` is not looked at.
+    largest length that is known. The length is 0 if none is above `least`.
     """
     k, m, q, _ = squares.shape
     values, vectors = np.linalg.eigh(bounds)
@@ -127,7 +148,7 @@ def _largest(squares: Array, bounds: Array, least: float = 0.0) -> tuple[float, 
     traces = np.stack([(squares.reshape(k, m, q * q) @ one.reshape(k, q * q, 1))[:, :, 0] for one in inverse])
     highest = traces.max(axis=2, initial=0.0)
     at_most = highest.min(axis=0)
-    best = least**2, 0
+    best = least**2, -1
     for at in np.argsort(-at_most).tolist():
         if at_most[at] <= best[0]:
             break
@@ -137,7 +158,7 @@ def _largest(squares: Array, bounds: Array, least: float = 0.0) -> tuple[float, 
             if lowest[0] > best[0] and highest[w, at] / q < lowest[0]:
                 lowest = min(lowest, _of_members(squares[at], traces[w, at], root[w, at]))
         best = max(best, lowest)
-    return float(np.sqrt(best[0])), best[1]
+    return (float(np.sqrt(best[0])), best[1]) if best[1] >= 0 else (0.0, 0)
 
 
 def _of_members(squares: Array, traces: Array, root: Array) -> tuple[float, int]:

@@ -75,20 +75,18 @@ def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> B
         return None
     functions, distances = around_circle(several, count) if covariate.angle else between_knots(several, labels, count)
     count = len(distances)
-    full, place = np.zeros((system.rows, copies * count)), 0
+    entries, place = list[tuple[Array, Index, Index]](), 0
     for group, values, label in zip(groups, functions, labels, strict=True):
-        every = np.arange(len(label))
-        terms = np.zeros((len(label), units, values.shape[1]))
-        terms[every, label] = values
+        every, knots = np.nonzero(values)
         for component, deviations in enumerate(group.observations.deviations):
             rows = system.first[group.name] + len(group.observations.readings) * every + component
             # in units of the declared noise, so that lengths and angles can share a variance
-            weights = deviations / system.scale[rows]
-            full[rows, place : place + units * count] = terms.reshape(len(label), -1) * weights[:, None]
+            weights = deviations[every] / system.scale[rows]
+            entries.append((values[every, knots] * weights, rows, place + label[every] * count + knots))
             place += units * count
-    inside = system.basis.coordinates(full)
-    columns = csr_matrix(full)
-    gram = (columns.T @ columns).toarray() - inside.T @ inside
+    terms, rows, numbers = (np.concatenate(one) for one in zip(*entries, strict=True))
+    columns = csr_matrix((terms, (rows, numbers)), shape=(system.rows, copies * count))
+    gram = (columns.T @ columns).toarray() - system.basis.gram_of(columns)
     return Basis(covariate.name, by, distances, _typical(job), columns, gram)
 
 

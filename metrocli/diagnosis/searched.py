@@ -14,7 +14,9 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain, gain_of_model
 from metrocli.diagnosis.extended_fit import (
+    adjusted_with_all,
     extended_fit,
+    is_linear,
     readings_kept,
     relinearised,
     result_change,
@@ -134,7 +136,8 @@ def _search_beside_white_noise(job: AdjustedJob, say: Say) -> Searched:
     Why: decision 051.
 
     If effects dominate, the job is adjusted with them, and the search is repeated about that solution with them among
-    all other candidates. At the end the search continues about the job adjusted with all effects that were named.
+    all other candidates. At the end the search continues about the job adjusted with all effects that were named; where
+    the model is linear up to there, nothing is linearised again.
     """
     point = job
     earlier: ScoreTests | None = None
@@ -153,6 +156,10 @@ def _search_beside_white_noise(job: AdjustedJob, say: Say) -> Searched:
     fit = extended_fit(job, names, readings_kept(selection)) if names else None
     if fit is None:
         return replace(found, job=point, selection=selection)
+    if is_linear(selection, fit):
+        patient = adjusted_with_all(selection.test_set)
+        selection = refined_scans(point, continued(replace(selection, test_set=patient)))
+        return replace(found, tests=adjusted_with_all(found.tests), selection=selection)
     point = replace(relinearised(job, names, fit), patient=True)
     weights = weights_of(job, found.units)
     tests, not_tested = score_tests_of_job(point, weights, np.random.default_rng(SEED), earlier)

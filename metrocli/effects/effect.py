@@ -119,6 +119,11 @@ class Effect:
         return tuple(key for key in self.where if key != "by")
 
     @property
+    def is_step(self) -> bool:
+        """Whether it acts on the readings from a scanned time on."""
+        return len(self.scanned) == 1 and self.scanned[0].grid is change_points
+
+    @property
     def common(self) -> Parameter | None:
         """The standard deviation of its parameters if it can act at all places of one kind at once, else None.
 

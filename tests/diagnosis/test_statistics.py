@@ -262,7 +262,7 @@ def test_in_noise_the_levels_are_what_they_say() -> None:
 def test_a_smooth_function_of_three_values_has_two_directions() -> None:
     system = field().system
     values = np.repeat([0.0, 1.0, 2.0], -(-system.rows // 3))[: system.rows]
-    (shown,) = visible_directions(system, np.arange(system.rows), [polynomials(values[None], 5)])
+    ((shown, _),) = visible_directions(system, np.arange(system.rows), [polynomials(values[None], 5)])
     assert int((np.linalg.norm(shown, axis=0) > 0).sum()) <= 2
 
 

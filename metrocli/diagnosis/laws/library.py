@@ -18,7 +18,8 @@ from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.laws.terms import Form, columns_of, forms_of
 from metrocli.diagnosis.linear.candidates import Alternative, Family
-from metrocli.diagnosis.linear.columns import Columns, Part
+from metrocli.diagnosis.linear.column_parts import Part
+from metrocli.diagnosis.linear.columns import Columns
 from metrocli.diagnosis.linear.projection import System
 from metrocli.effects.acting import Acting
 from metrocli.effects.effect import Effect, Parameter

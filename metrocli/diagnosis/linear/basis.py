@@ -9,7 +9,7 @@ Method: docs/algorithms/selection-and-levels.md (projection).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -51,15 +51,10 @@ class Basis:
         ends = np.concatenate([[0], np.cumsum(there * q)])
         return csr_matrix((self.local[there].ravel(), columns, ends), shape=(rows, self.members * q))
 
-    @cached_property
-    def _turned(self) -> csr_matrix:
-        """The local columns transposed, (members*q, rows)."""
-        return self._sparse.T.tocsr()
-
     def coordinates(self, values: Array) -> Array:
         """Return `b' values`, (columns, ...), of values (rows, ...)."""
         flat = _flat(values)
-        found = np.concatenate([self._turned @ flat, self.shared.T @ flat])
+        found = np.concatenate([self._sparse.T @ flat, self.shared.T @ flat])
         return np.asarray(found.reshape(len(found), *values.shape[1:]))
 
     def combined(self, coordinates: Array) -> Array:
@@ -85,21 +80,56 @@ class Basis:
         turned = [np.moveaxis(one, 1, 0) for one in parts]
         return np.asarray(sum(np.matmul(np.swapaxes(one, 1, 2), one) for one in turned))
 
+    def gram_of(self, columns: csr_matrix) -> Array:
+        """Return `g' b b' g` of sparse columns (rows, k), (k, k): the products that the unknowns absorb."""
+        local, shared = columns.T @ self._sparse, columns.T @ self.shared
+        return np.asarray((local @ local.T).toarray() + shared @ shared.T)
+
+    def growth_of_grams(self, rows: Index, values: Array, stretches: Iterable[slice]) -> Iterator[Array]:
+        """Yield by how much `g' b b' g` (q, q) grows with each stretch of rows that a column g has more.
+
+        The columns have values (r, q) at rows (r,); a stretch is a slice of these. Only the members that a stretch
+        uses have other coordinates after it.
+        """
+        member, local, shared = self.member[rows], self.local[rows], self.shared[rows]
+        of_members = np.zeros((self.members, self.local.shape[1], values.shape[1]))
+        of_shared = np.zeros((self.shared.shape[1], values.shape[1]))
+        for own in stretches:
+            used = member[own] >= 0
+            names, place = np.unique(member[own][used], return_inverse=True)
+            before = of_members[names]
+            added = np.zeros(before.shape)
+            np.add.at(added, place, local[own][used][:, :, None] * values[own][used][:, None, :])
+            after = before + added
+            of_members[names] = after
+            grown = of_shared + shared[own].T @ values[own]
+            # (a + d)'(a + d) - a'a without the difference of two large numbers
+            yield np.asarray(
+                np.einsum("mkp,mkq->pq", added, after)
+                + np.einsum("mkp,mkq->pq", before, added)
+                + grown.T @ grown
+                - of_shared.T @ of_shared
+            )
+            of_shared = grown
+
     def at(self, rows: Index) -> Basis:
         """Return some rows of the basis, with the columns of the members that they use."""
         if len(rows) == len(self.local):
             return self
-        names, member = np.unique(self.member[rows], return_inverse=True)
-        none = int(names[0] < 0) if len(names) else 0
-        return Basis(self.local[rows], member - none, len(names) - none, self.shared[rows])
+        member, used = self.member[rows], np.zeros(self.members + 1, dtype=bool)
+        used[member] = True
+        # rows without a member have the number -1, that of the last entry
+        number = np.append(np.cumsum(used[:-1]) - 1, -1)
+        return Basis(self.local[rows], number[member], int(used[:-1].sum()), self.shared[rows])
 
     def products(self, rows: Index, others: Index) -> Array:
         """Return the products of rows (..., a) with other rows (..., b), (..., a, b); a row of number -1 is zero."""
-        same = (self.member[rows][..., :, None] == self.member[others][..., None, :]) & (
-            self.member[rows][..., :, None] >= 0
+        of_rows = self.member[rows], self.local[rows], self.shared[rows]
+        of_others = of_rows if others is rows else (self.member[others], self.local[others], self.shared[others])
+        same = (of_rows[0][..., :, None] == of_others[0][..., None, :]) & (of_rows[0][..., :, None] >= 0)
+        local, shared = (
+            np.einsum("...ak,...bk->...ab", one, other) for one, other in zip(of_rows[1:], of_others[1:], strict=True)
         )
-        local = np.einsum("...ak,...bk->...ab", self.local[rows], self.local[others])
-        shared = np.einsum("...ak,...bk->...ab", self.shared[rows], self.shared[others])
         there = (rows >= 0)[..., :, None] & (others >= 0)[..., None, :]
         return np.where(there, np.where(same, local, 0.0) + shared, 0.0)
 
@@ -178,7 +208,7 @@ class Solver:
         found[self.places[1]] = shared
         if members:
             own = flat[: members * q].reshape(members, q, flat.shape[1])
-            own = np.matmul(self.inverses, own - np.matmul(self.coupling, shared[None]))
+            own = np.matmul(self.inverses, own - np.tensordot(self.coupling, shared, 1))
             free = self.places[0] >= 0
             found[self.places[0][free]] = own[free]
         if self.movements.shape[1]:

@@ -12,11 +12,11 @@ from itertools import product
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.linear.column_parts import Course, Own, Step
 from metrocli.diagnosis.linear.columns import Columns, gathered, joined
 from metrocli.diagnosis.linear.projection import VISIBLE, System
-from metrocli.diagnosis.linear.signatures import scan
+from metrocli.diagnosis.linear.signatures import of_places, scan
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import can_act, lacking, names_for, places_of
 from metrocli.effects.model import Model
@@ -87,16 +87,17 @@ class Family:
     """`G'MG` of each alternative, (alternatives, parameters, parameters)"""
     unknown: str = ""
     """Covariate of a family of smooth functions, whose cause is not known; "" for effects"""
-    absorbed: Mapping[int, Array] = field(default_factory=dict)
-    """Coordinates (unknowns, parameters) of what the unknowns absorb of alternatives stored by their visible parts"""
+    whole: Mapping[int, Own | Step] = field(default_factory=dict)
+    """Whole signatures of the alternatives whose columns are their visible parts"""
 
     def absorbed_by(self, system: System, chosen: Sequence[int]) -> Array:
         """Return the coordinates of what the unknowns absorb of some alternatives, (unknowns, chosen, parameters)."""
-        found = system.basis.coordinates(self.columns.whole(chosen, system.rows))
+        full = self.columns.whole(chosen, system.rows)
         for at, number in enumerate(chosen):
-            if number in self.absorbed:
-                found[:, at] = self.absorbed[number]
-        return found
+            if number in self.whole:
+                full[:, at] = 0.0
+                full[self.whole[number].rows, at] = self.whole[number].values
+        return system.basis.coordinates(full)
 
 
 @dataclass(frozen=True)
@@ -136,10 +137,10 @@ def _joined(parts: Sequence[Family]) -> Family:
         joined([part.columns for part in parts]),
         np.concatenate([part.raw for part in parts]),
         np.concatenate([part.gram for part in parts]),
-        absorbed={
-            first + number: inside
+        whole={
+            first + number: own
             for first, part in zip(firsts.tolist(), parts, strict=False)
-            for number, inside in part.absorbed.items()
+            for number, own in part.whole.items()
         },
     )
 
@@ -168,7 +169,7 @@ def _of_effect(job: AdjustedJob, system: System, effect: Effect) -> Iterator[Fam
     for chosen in [places] if together else [[place] for place in places]:
         by_size: dict[int, list[_Columns]] = {}
         for item in _columns(job, system, effect, chosen) if chosen else ():
-            by_size.setdefault(item.values.shape[1], []).append(item)
+            by_size.setdefault(item.own.values.shape[1], []).append(item)
         for items in by_size.values():
             yield _family(system, items)
 
@@ -181,36 +182,33 @@ def _family(system: System, items: Sequence[_Columns]) -> Family:
     the time of a step that lies before all affected readings is such a value.
     """
     columns = _gathered(items)
-    raw = columns.norms()
-    shown = np.einsum("kqq->kq", columns.grams(system.basis)) / np.where(raw > 0, raw, 1.0) ** 2
+    raw, gram = columns.norms(), columns.grams(system.basis)
+    shown = np.einsum("kqq->kq", gram) / np.where(raw > 0, raw, 1.0) ** 2
     visible = ~(shown < VISIBLE**2).all(axis=1)
     weak = visible & (shown < _SMALL).any(axis=1)
-    changed, found, absorbed = ~visible | weak, list(items), dict[int, Array]()
+    changed, found = ~visible | weak, list(items)
     for number in np.flatnonzero(changed).tolist():
         seen = np.zeros((system.rows, raw.shape[1]))
         if weak[number]:
-            seen, absorbed[number] = system.split(columns.whole([number], system.rows)[:, 0])
+            seen = system.seen(columns.whole([number], system.rows)[:, 0])
         rows = np.flatnonzero(seen.any(axis=1))
-        found[number] = replace(found[number], rows=rows, values=seen[rows])
+        found[number] = replace(found[number], own=Own(rows, seen[rows]))
+        gram[number] = seen.T @ seen
         visible[number] = len(rows) > 0
     somewhere = {items[int(number)].alternative.instance for number in np.flatnonzero(visible)}
     kept = [i for i, item in enumerate(items) if visible[i] or item.alternative.instance not in somewhere]
-    for number in {*kept} & {*np.flatnonzero(changed & ~weak).tolist()}:
-        absorbed[number] = system.basis.coordinates(columns.whole([number], system.rows)[:, 0])
-    if changed.any():
-        columns = _gathered([found[number] for number in kept])
     return Family(
         items[0].alternative.effect.name,
         tuple(items[number].alternative for number in kept),
-        columns,
+        _gathered([found[number] for number in kept]) if changed.any() else columns,
         raw[kept],
-        columns.grams(system.basis),
-        absorbed={at: absorbed[number] for at, number in enumerate(kept) if number in absorbed},
+        gram[kept],
+        whole={at: items[number].own for at, number in enumerate(kept) if changed[number]},
     )
 
 
 def _gathered(items: Sequence[_Columns]) -> Columns:
-    return gathered((item.alternative.instance, item.rows, item.values) for item in items)
+    return gathered((item.alternative.instance, item.own) for item in items)
 
 
 @dataclass(frozen=True)
@@ -218,8 +216,7 @@ class _Columns:
     """One alternative with its columns at the rows that they change."""
 
     alternative: Alternative
-    rows: Index
-    values: Array
+    own: Own | Step
 
 
 def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
@@ -242,7 +239,9 @@ def _scans(model: Model, effect: Effect, rows: int) -> list[tuple[tuple[str, flo
         if parameter.place:
             values = np.arange(1.0, len(model.places[parameter.place].names))
         elif parameter.grid is not None:
-            most = int(np.clip(_MOST_SCANNED / (rows * len(effect.parameters)), _FEWEST_SCANNED, parameter.tried))
+            most = parameter.tried
+            if not effect.is_step:
+                most = int(np.clip(_MOST_SCANNED / (rows * len(effect.parameters)), _FEWEST_SCANNED, most))
             values = thinned(parameter.grid(model.readings[0].observations.conditions), most)
         grids.append([(parameter.name, float(value)) for value in values])
     return list(product(*grids))
@@ -258,26 +257,44 @@ def thinned(values: Array, most: int) -> Array:
 def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]) -> Iterator[_Columns]:
     """Yield for each place and scan the columns of its parameters."""
     scans = [dict(one) for one in _scans(job.model, effect, system.rows)]
+    if scans and effect.is_step:
+        yield from _steps(job, system, effect, places, scans)
+        return
     found = scan(job.model, system, effect, places, scans) if scans else ()
     for scanned, (full, block, chosen) in zip(scans, found, strict=True):
-        member, column = np.nonzero(chosen)
-        before = job.model.blocks.get(block.name)
-        for number, place in enumerate(places if chosen.any() else ()):
-            own = member == (number + 1 if len(block.members) > 1 and before is None else _row(block.members, place))
-            if not own.any():
-                own = np.ones(len(member), dtype=bool) if len(places) == 1 else own
+        for place, names, own in of_places(job.model, block, chosen, places):
             touched = np.flatnonzero(full[:, own].any(axis=1)) if own.any() else np.zeros(0, dtype=np.intp)
             if len(touched) >= job.fewest:
-                names = tuple(block.columns[i] for i in column[own])
                 named = _scanned_places(job.model, effect, scanned)
                 alternative = Alternative(effect, place, tuple(scanned.items()), names, named)
-                yield _Columns(alternative, touched, full[np.ix_(touched, own)])
+                yield _Columns(alternative, Own(touched, full[np.ix_(touched, own)]))
+
+
+def _steps(
+    job: AdjustedJob,
+    system: System,
+    effect: Effect,
+    places: Sequence[tuple[str, ...]],
+    scans: Sequence[Mapping[str, float]],
+) -> Iterator[_Columns]:
+    """Yield for each place and time the columns of an effect that acts from this time on.
+
+    They are those of the effect that acts from the earliest time on, without the rows before.
+    """
+    name, times = effect.scanned[0].name, system.times
+    full, block, chosen = next(scan(job.model, system, effect, places, [{name: float(np.nanmin(times))}]))
+    courses = []
+    for place, names, own in of_places(job.model, block, chosen, places):
+        rows = np.flatnonzero(full[:, own].any(axis=1)) if own.any() else np.zeros(0, dtype=np.intp)
+        rows = rows[np.argsort(times[rows], kind="stable")]
+        courses.append((place, names, Course(rows, full[np.ix_(rows, own)])))
+    for scanned in scans:
+        for place, names, course in courses:
+            begin = int(np.searchsorted(times[course.rows], scanned[name]))
+            if len(course.rows) - begin >= job.fewest:
+                yield _Columns(Alternative(effect, place, tuple(scanned.items()), names), Step(course, begin))
 
 
 def _scanned_places(model: Model, effect: Effect, scanned: Mapping[str, float]) -> tuple[tuple[str, str], ...]:
     places = {parameter.name: parameter.place for parameter in effect.scanned if parameter.place}
     return tuple((key, model.places[place].names[int(scanned[key])]) for key, place in places.items())
-
-
-def _row(members: Sequence[str], place: tuple[str, ...]) -> int:
-    return members.index(place[0]) if place and place[0] in members else 0

@@ -16,26 +16,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.linear.basis import Basis
-
-_AT_ONCE = 256
-"""Columns whose coordinates are computed at once"""
-
-
-@dataclass(frozen=True)
-class Part:
-    """Alternatives that change the same rows."""
-
-    rows: Index
-    """The rows that they change, (r,)"""
-    values: Array
-    """Columns at these rows, (r, alternatives, parameters)"""
-    numbers: Index
-    """Numbers of the alternatives in their family, (alternatives,)"""
-
-    @property
-    def flat(self) -> Array:
-        """The columns side by side, (r, alternatives*parameters)."""
-        return self.values.reshape(len(self.rows), -1)
+from metrocli.diagnosis.linear.column_parts import Own, Part, Step, Steps, kept_of
 
 
 @dataclass(frozen=True)
@@ -46,7 +27,7 @@ class Columns:
     """Number of alternatives"""
     parameters: int
     """Number of columns of each"""
-    parts: tuple[Part, ...]
+    parts: tuple[Part | Steps, ...]
     kept: Mask | None = None
     """The rows at which they are not zero (rows,), None for all; shared by the folds without a copy of the values"""
 
@@ -61,16 +42,14 @@ class Columns:
 
         `chosen` limits them to some alternatives, in this order.
         """
-        m = visible.shape[1]
         if chosen is None:
-            found = np.zeros((self.count, self.parameters, m))
+            found = np.zeros((self.count, self.parameters, visible.shape[1]))
             for part in self.parts:
-                found[part.numbers] = (part.flat.T @ visible[part.rows]).reshape(len(part.numbers), self.parameters, m)
+                found[part.numbers] = part.products(visible)
             return found
-        found = np.zeros((len(chosen), self.parameters, m))
+        found = np.zeros((len(chosen), self.parameters, visible.shape[1]))
         for part, own, at in self._among(chosen):
-            values = part.values[:, at].reshape(len(part.rows), -1)
-            found[own] = (values.T @ visible[part.rows]).reshape(len(at), self.parameters, m)
+            found[own] = part.products(visible, at)
         return found
 
     @cached_property
@@ -81,7 +60,7 @@ class Columns:
             part_of[part.numbers], place[part.numbers] = number, np.arange(len(part.numbers))
         return part_of, place
 
-    def _among(self, chosen: Sequence[int]) -> Iterator[tuple[Part, Mask, Index]]:
+    def _among(self, chosen: Sequence[int]) -> Iterator[tuple[Part | Steps, Mask, Index]]:
         """Yield the parts that hold some of the alternatives: which of `chosen` these are, and their place in it."""
         numbers = np.asarray(chosen, dtype=np.intp)
         part_of, place = (held[numbers] for held in self._held)
@@ -93,27 +72,21 @@ class Columns:
         """Return the whole columns of some alternatives, (rows, alternatives, parameters)."""
         full = np.zeros((rows, len(numbers), self.parameters))
         for part, own, at in self._among(numbers):
-            full[np.ix_(part.rows, np.flatnonzero(own))] = self._at(part, at)
+            full[np.ix_(part.rows, np.flatnonzero(own))] = kept_of(part.dense(at), self._kept_of(part))
         return full
 
     def grams(self, basis: Basis) -> Array:
         """Return `g' M g` of each alternative, (alternatives, parameters, parameters), M without a basis."""
         found = np.zeros((self.count, self.parameters, self.parameters))
-        step = max(_AT_ONCE // max(self.parameters, 1), 1)
         for part in self.parts:
-            absorbs = basis.at(part.rows)
-            for start in range(0, len(part.numbers), step):
-                values = self._at(part, slice(start, start + step))
-                turned = np.ascontiguousarray(np.moveaxis(values, 1, 0))
-                gram = np.matmul(np.swapaxes(turned, 1, 2), turned) - absorbs.grams(values)
-                found[part.numbers[start : start + step]] = gram
+            found[part.numbers] = part.grams(basis, self._kept_of(part))
         return found
 
     def norms(self) -> Array:
         """Return the norm of each whole column, (alternatives, parameters)."""
         found = np.zeros((self.count, self.parameters))
         for part in self.parts:
-            found[part.numbers] = np.linalg.norm(self._at(part, slice(None)), axis=0)
+            found[part.numbers] = part.norms(self._kept_of(part))
         return found
 
     def only(self, kept: Mask) -> Columns:
@@ -122,14 +95,25 @@ class Columns:
 
     def at(self, rows: Mask) -> Columns:
         """Return the columns at some rows only, which keep their numbers."""
-        parts = [(part, rows[part.rows]) for part in self.parts]
-        cut = (Part(part.rows[there], part.values[there], part.numbers) for part, there in parts if there.any())
-        return replace(self, parts=tuple(cut))
+        cut = (part.cut(there) for part in self.parts if (there := rows[part.rows]).any())
+        return replace(self, parts=tuple(part for part in cut if len(part.numbers)))
 
-    def _at(self, part: Part, chosen: slice | Index) -> Array:
-        """Return the columns of some alternatives of a part, (r, alternatives, parameters)."""
-        values = part.values[:, chosen]
-        return values if self.kept is None else values * self.kept[part.rows, None, None]
+    def turned(self, turn: Array) -> Columns:
+        """Return the columns of each alternative times a matrix of its own, (alternatives, parameters, parameters)."""
+        parts = (
+            Part(part.rows, np.einsum("rak,akj->raj", part.dense(), turn[part.numbers]), part.numbers)
+            for part in self.parts
+        )
+        return replace(self, parts=tuple(parts))
+
+    def of_rows(self, rows: Mask) -> Columns:
+        """Return the columns of a system that has some rows only, which are numbered anew."""
+        new = np.cumsum(rows) - 1
+        cut = self.at(rows)
+        return replace(cut, parts=tuple(part.numbered(new[part.rows], part.numbers) for part in cut.parts))
+
+    def _kept_of(self, part: Part | Steps) -> Mask | None:
+        return None if self.kept is None else self.kept[part.rows]
 
     def followed_by(self, values: Array) -> Columns:
         """Return the columns with one alternative more, of columns (rows, parameters)."""
@@ -138,32 +122,49 @@ class Columns:
         return replace(self, count=self.count + 1, parts=(*self.parts, part))
 
 
-def gathered(items: Iterable[tuple[object, Index, Array]]) -> Columns:
-    """Return the columns of alternatives, each with a label, its rows (r,) and its values (r, parameters).
+def gathered(items: Iterable[tuple[object, Own | Step]]) -> Columns:
+    """Return the columns of alternatives, each with a label.
 
-    Alternatives of equal labels, such as the times of a jump of one tracer, share a part with the rows of all of them.
+    Alternatives of equal labels, such as the periods of a wave in one tracer, share a part with the rows of all of
+    them. Steps of the same course share the course.
     """
-    by_label: dict[object, list[tuple[int, Index, Array]]] = {}
+    by_label: dict[object, list[tuple[int, Own]]] = {}
+    by_course: dict[int, list[tuple[int, Step]]] = {}
     count = 0
-    for number, (label, rows, values) in enumerate(items):
-        by_label.setdefault(label, []).append((number, rows, values))
-        count, parameters = number + 1, values.shape[1]
-    parts = []
+    for number, (label, one) in enumerate(items):
+        if isinstance(one, Step):
+            by_course.setdefault(id(one.course), []).append((number, one))
+        else:
+            by_label.setdefault(label, []).append((number, one))
+        count, parameters = number + 1, one.values.shape[1]
+    parts: list[Part | Steps] = []
+    for steps in by_course.values():
+        begins, numbers = np.array([[one.begin, number] for number, one in steps]).T
+        parts.append(Steps(steps[0][1].course, begins, numbers))
     for held in by_label.values():
-        union = np.unique(np.concatenate([rows for _, rows, _ in held]))
-        if not len(union):
+        numbers, first = np.array([number for number, _ in held]), held[0][1].rows
+        if all(np.array_equal(one.rows, first) for _, one in held):
+            if len(first):
+                parts.append(Part(first, side_by_side([one.values for _, one in held]), numbers))
             continue
+        union = np.unique(np.concatenate([one.rows for _, one in held]))
         full = np.zeros((len(union), len(held), parameters))
-        for at, (_, rows, values) in enumerate(held):
-            full[np.searchsorted(union, rows), at] = values
-        parts.append(Part(union, full, np.array([number for number, _, _ in held])))
+        for at, (_, one) in enumerate(held):
+            full[np.searchsorted(union, one.rows), at] = one.values
+        parts.append(Part(union, full, numbers))
     return Columns(count, parameters, tuple(parts))
+
+
+def side_by_side(several: Sequence[Array]) -> Array:
+    """Return the columns of alternatives (r, q) at the same rows side by side, (r, alternatives, q)."""
+    return several[0][:, None] if len(several) == 1 else np.stack(several, axis=1)
 
 
 def joined(several: Sequence[Columns]) -> Columns:
     """Return the columns of several families of as many parameters, none of them cut, one after the other."""
-    parts, count = [], 0
+    parts: list[Part | Steps] = []
+    count = 0
     for one in several:
-        parts += [Part(part.rows, part.values, part.numbers + count) for part in one.parts]
+        parts += [part.numbered(part.rows, part.numbers + count) for part in one.parts]
         count += one.count
     return Columns(count, several[0].parameters, tuple(parts))

@@ -14,15 +14,20 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.linear.candidates import Family
 from metrocli.diagnosis.linear.distributions import log_family
-from metrocli.diagnosis.linear.fitted_columns import PRIOR
+from metrocli.diagnosis.linear.fitted_columns import PRIOR, orthonormal
 from metrocli.diagnosis.linear.multiple_tests import effective_number_of_tests, smallest_in_noise, smallest_of_family
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import VISIBLE, System
+from metrocli.diagnosis.linear.quadratics import ranks_of, roots
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 
 _DRAWS = 1000
 _MOST_WORK = 4e9
 _MOST_AT_ONCE = 4_000_000
 """Largest number of elements of the noise that is drawn at once"""
+_SAMPLE = 12_000
+"""Rows of the local members whose noise is drawn, if a measurement has more than twice as many"""
+_LOST = 0.05
+"""Largest share of the candidates that these members may not show"""
 _REDUNDANT = 1e-3
 """Smallest redundancy of a reading that can be named an outlier"""
 
@@ -41,12 +46,17 @@ def score_tests_of(
     """
     places = _places(system)
     places = places[places >= 0][:, None] if apart else places
+    test_set = _with_readings(system, families, places)
+    counted = None if like is None else test_set.counted_as(like)
+    return _calibrated(test_set, rng) if counted is None else counted
+
+
+def _with_readings(system: System, families: Sequence[Family], places: Index) -> ScoreTests:
+    """Return uncounted tests of families and of single readings, whose rows are `places` (readings, d)."""
     there = (places >= 0).astype(float)
     blocks = np.eye(places.shape[1]) * there[:, :, None] - system.basis.products(places, places)
     weak = np.einsum("iaa->ia", blocks).sum(axis=1) < _REDUNDANT
-    test_set = ScoreTests(system, tuple(families), blocks, places, excluded=weak)
-    counted = None if like is None else test_set.counted_as(like)
-    return _calibrated(test_set, rng) if counted is None else counted
+    return ScoreTests(system, tuple(families), blocks, places, excluded=weak)
 
 
 def _places(system: System) -> Index:
@@ -79,16 +89,52 @@ def _smallest(test_set: ScoreTests, rng: np.random.Generator, draws: int) -> lis
 
 
 def _calibrated(test_set: ScoreTests, rng: np.random.Generator) -> ScoreTests:
-    system = test_set.system
-    columns = sum(f.columns.count * f.columns.parameters for f in test_set.families)
+    drawn = _of_some_members(test_set, rng) or test_set
+    system = drawn.system
+    columns = sum(f.columns.count * f.columns.parameters for f in drawn.families)
     draws = int(np.clip(_MOST_WORK / (system.rows * max(columns, 1)), 300, _DRAWS))
     together = int(np.clip(_MOST_AT_ONCE // system.rows, 1, draws))
-    parts = [_smallest(test_set, rng, min(together, draws - start)) for start in range(0, draws, together)]
+    parts = [_smallest(drawn, rng, min(together, draws - start)) for start in range(0, draws, together)]
     least = [np.concatenate(one) for one in zip(*parts, strict=True)]
     tests = [effective_number_of_tests(one) for one in least]
     levels = [log_family(one, count) for one, count in zip(least, tests, strict=True)]
     smooth = [level for level, family in zip(levels, test_set.families, strict=False) if family.unknown]
     unknowns = effective_number_of_tests(np.min(smooth, axis=0)) if smooth else 1.0
+    if drawn is not test_set:
+        # outliers are nearly independent tests, so their number grows with the readings
+        tests[-1] *= max(float((~test_set.excluded).sum()), 1.0) / max(float((~drawn.excluded).sum()), 1.0)
     return replace(
         test_set, tests=tuple(tests), causes=effective_number_of_tests(np.min(levels, axis=0)), unknowns=unknowns
     )
+
+
+def _of_some_members(test_set: ScoreTests, rng: np.random.Generator) -> ScoreTests | None:
+    """Return the tests of some local members with all their rows, such as one point in ten, drawn evenly.
+
+    The correlations of tests, and so their effective number, follow from the shape of a measurement and not from its
+    size. None if there are few rows, or if the members do not show nearly all candidates.
+    """
+    system = test_set.system
+    basis = system.basis
+    if system.rows <= 2 * _SAMPLE or basis.members < 2:
+        return None
+    ends = np.linspace(0, basis.members, basis.members * _SAMPLE // system.rows + 1).astype(int)
+    there = np.zeros(basis.members + 1, dtype=bool)
+    there[rng.integers(ends[:-1], ends[1:])] = there[-1] = True
+    kept = there[basis.member]
+    rows = np.flatnonzero(kept)
+    own = basis.at(rows)
+    # whole members: their local columns stay orthonormal, and orthogonal to the shared ones
+    own = replace(own, shared=orthonormal(own.shared, VISIBLE))
+    families, lost = [], 0
+    for family in test_set.families:
+        columns = family.columns.of_rows(kept)
+        raw, gram = columns.norms(), columns.grams(own)
+        lost += int((ranks_of(roots(gram, raw)) < ranks_of(roots(family.gram, family.raw))).sum())
+        families.append(replace(family, columns=columns, raw=raw, gram=gram))
+    if lost > _LOST * sum(family.columns.count for family in families):
+        return None
+    small = replace(system, residual=np.zeros(len(rows)), basis=own, scale=system.scale[rows], idle=0)
+    number = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
+    places = number[test_set.places[kept[test_set.places].any(axis=1)]]
+    return _with_readings(small, families, places)

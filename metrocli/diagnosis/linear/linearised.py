@@ -39,13 +39,18 @@ def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> Syst
         first[group.name] = place
         place += n * d
         residuals.append(by_rows(linear) * factor)
-        parts.append(_Rows.of(local, layout, linear).times(factor))
+        parts.append(_Rows.of(local, layout, linear).times(None if own is None else factor))
         scales.append(group.observations.deviations.T.ravel() / factor)
     rows = _Rows.joined(parts)
     basis, solver, sizes = _factored(model, local, layout, whole, rows)
     residual = np.concatenate(residuals)
     system = System(model, whole, residual, basis, solver, first, np.concatenate(scales), sizes)
     return replace(system, residual=system.seen(residual))
+
+
+def shared_unknowns(model: Model) -> int:
+    """Return the number of unknowns that are not local."""
+    return _shared(model, _local(model)).width
 
 
 @dataclass(frozen=True)
@@ -111,13 +116,17 @@ class _Rows:
                 scatter(shared, touch.jacobian, layout.columns[touch.block][touch.index])
         return cls(own.reshape(n * d, own.shape[2]), np.repeat(member, d), shared.reshape(n * d, layout.width))
 
-    def times(self, factor: Array) -> _Rows:
-        """Return the rows multiplied by factors."""
+    def times(self, factor: Array | None) -> _Rows:
+        """Return the rows multiplied by factors, None for 1."""
+        if factor is None:
+            return self
         return _Rows(self.local * factor[:, None], self.member, self.shared * factor[:, None])
 
     @staticmethod
     def joined(parts: Sequence[_Rows]) -> _Rows:
         """Return the rows of all groups."""
+        if len(parts) == 1:
+            return parts[0]
         return _Rows(
             np.concatenate([one.local for one in parts]),
             np.concatenate([one.member for one in parts]),

@@ -10,7 +10,7 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -32,7 +32,7 @@ FEWEST = 10
 FLAT = 1e-8
 """Smallest eigenvalue of a Gram matrix, relative to the largest, of a visible direction of the parameters"""
 MOST_NUMBERS = 60_000_000
-"""Largest number of elements of the dense system"""
+"""Largest number of elements of the shared derivatives, and of the columns that are fitted beside them"""
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,16 @@ class System:
             mask[start : start + group.observations.readings.size] = group.observations.unit == first
         return mask
 
+    @cached_property
+    def times(self) -> Array:
+        """The time of each row's reading (rows,); nan for readings without a time."""
+        times = np.full(self.rows, np.nan)
+        for group in self.model.readings:
+            own = group.observations.conditions.get("t")
+            if own is not None:
+                times[self.rows_of(group)] = np.repeat(own, len(group.observations.readings))
+        return times
+
     def seen(self, values: Array) -> Array:
         """Return `M values`, (rows, ...), the visible part; 0 where it is a rounding error."""
         return self.split(values)[0]
@@ -112,6 +122,11 @@ class System:
         left = values - self.basis.combined(inside)
         shown = np.linalg.norm(left, axis=0) > VISIBLE * np.linalg.norm(values, axis=0)
         return np.asarray(np.where(shown, left, 0.0)), inside
+
+    def with_unknowns(self, columns: Array) -> System:
+        """Return the system with further unknowns of orthonormal visible columns (rows, k)."""
+        left = self.residual - columns @ (columns.T @ self.residual)
+        return replace(self, basis=self.basis.with_shared(columns), residual=left)
 
     def is_local(self, block: str) -> bool:
         """Return whether the unknowns of a block are removed member by member."""

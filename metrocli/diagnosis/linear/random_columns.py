@@ -13,7 +13,6 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.basis import Basis, Solver
-from metrocli.diagnosis.linear.candidates import Family
 from metrocli.diagnosis.linear.counted_tests import score_tests_of
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests
@@ -62,20 +61,6 @@ def beside_random_columns(test_set: ScoreTests, columns: Array, rng: np.random.G
     `apart` tests each component of a reading on its own. The effective numbers of tests are those of white noise.
     """
     system = with_random_columns(test_set.system, columns)
-    families = [_beside(system, family) for family in test_set.families]
+    families = [replace(one, gram=one.columns.grams(system.basis)) for one in test_set.families]
     found = score_tests_of(system, families, rng, apart, test_set)
     return replace(found, adjusted=test_set.adjusted, budget=test_set.budget)
-
-
-def _beside(system: System, family: Family) -> Family:
-    numbers = list(family.absorbed)
-    added = np.zeros((0, 0, 0))
-    if numbers:
-        # what is stored is visible, so only the new columns take up a part of it
-        found = system.basis.coordinates(family.columns.whole(numbers, system.rows))
-        added = np.moveaxis(found, 1, 0)
-    absorbed = {
-        number: np.concatenate([family.absorbed[number], own[len(family.absorbed[number]) :]])
-        for number, own in zip(numbers, added, strict=True)
-    }
-    return replace(family, gram=family.columns.grams(system.basis), absorbed=absorbed)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -26,6 +27,10 @@ from metrocli.diagnosis.linear.quadratics import quadratic, quadratic_of
 
 _INSIDE = 0.5
 """An effect lies in smooth terms if they contain at least this share of its sum of squares"""
+_MOST_RANKED = 10_000
+"""Readings that are tested as outliers, those with the largest gains"""
+_ROUNDING = 1e-9
+"""Relative difference of levels (ln) that is rounding: a jump at two times without a reading between is one jump"""
 
 
 @dataclass(frozen=True)
@@ -41,8 +46,9 @@ class Score:
 
     @property
     def best(self) -> int:
-        """The alternative with the smallest p-value."""
-        return int(np.argmin(self.log_p))
+        """The alternative with the smallest p-value; the first of those that differ by rounding only."""
+        least = float(self.log_p.min())
+        return int(np.argmax(self.log_p <= least + _ROUNDING * abs(least)))
 
 
 @dataclass(frozen=True)
@@ -99,6 +105,11 @@ class ScoreTests:
             self, tests=(*(known[form] for form in forms), other.tests[-1]), causes=causes, unknowns=other.unknowns
         )
 
+    @cached_property
+    def shared_products(self) -> tuple[Array, ...]:
+        """Products of each family's columns with the shared columns of the basis, (alternatives, parameters, k)."""
+        return tuple(family.columns.products(self.system.basis.shared) for family in self.families)
+
     def scores(self, fitted: FittedColumns) -> list[Score]:
         """Return the tests of all families beside the fitted columns."""
         return [self.score(number, fitted) for number in range(len(self.families))]
@@ -131,9 +142,12 @@ class ScoreTests:
         return Score(gain, rank, log_levels(gain / max(fitted.squares, 1e-300), rank, fitted.dof))
 
     def outliers(self, fitted: FittedColumns) -> Score:
-        """Return the tests of single readings, each with all its components."""
+        """Return the tests of single readings, each with all its components; of many, those of the largest gains."""
         gain, rank = self.gains_of_readings(fitted)
         rank = np.where(self.excluded, 0, rank)
+        if len(gain) > _MOST_RANKED:
+            # the others are no outliers, so their levels are not computed
+            rank = np.where(gain < np.partition(gain, -_MOST_RANKED)[-_MOST_RANKED], 0, rank)
         return self._scored(np.where(rank > 0, gain, 0.0), rank, fitted)
 
     def gains_of_readings(self, fitted: FittedColumns) -> tuple[Array, Array]:

@@ -57,6 +57,23 @@ def scan(
         yield full, block, chosen
 
 
+def of_places(
+    model: Model, block: Block, chosen: Mask, places: Sequence[tuple[str, ...]]
+) -> Iterator[tuple[tuple[str, ...], tuple[str, ...], Mask]]:
+    """Yield each place with its parameters, and which of the chosen entries of an effect's block are its own."""
+    member, column = np.nonzero(chosen)
+    before = model.blocks.get(block.name)
+    for number, place in enumerate(places if chosen.any() else ()):
+        own = member == (number + 1 if len(block.members) > 1 and before is None else _row(block.members, place))
+        if not own.any():
+            own = np.ones(len(member), dtype=bool) if len(places) == 1 else own
+        yield place, tuple(block.columns[i] for i in column[own]), own
+
+
+def _row(members: Sequence[str], place: tuple[str, ...]) -> int:
+    return members.index(place[0]) if place and place[0] in members else 0
+
+
 def _at(block: Block, values: Mapping[str, float]) -> Block:
     """Return the block of an effect with new values of its scanned parameters at all its places."""
     moved = block.values.copy()

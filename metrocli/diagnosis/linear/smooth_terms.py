@@ -6,6 +6,7 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import product
 from math import comb
 
@@ -16,7 +17,8 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
 from metrocli.diagnosis.linear.candidates import Alternative, Family
-from metrocli.diagnosis.linear.columns import gathered
+from metrocli.diagnosis.linear.column_parts import Own
+from metrocli.diagnosis.linear.columns import gathered, side_by_side
 from metrocli.diagnosis.linear.projection import System
 from metrocli.effects.effect import Effect, Parameter
 
@@ -48,6 +50,18 @@ def smooth_families(job: AdjustedJob, system: System) -> list[Family]:
     return smooth + waves
 
 
+def columns_of_smooth(job: AdjustedJob) -> int:
+    """Return how many columns of smooth functions each row has: those of all readings and of its unit, and sines."""
+    found = 0
+    for covariate in job.covariates:
+        values = [one for name, one in covariate.values.items() if name in job.model.measured]
+        if not values or covariate.together:
+            continue
+        terms = _terms(len(np.atleast_2d(values[0])), covariate.degree, covariate.angle)
+        found += terms * (1 + len(job.units)) + (4 * int(_MOST_PERIODS) if covariate.periodic else 0)
+    return found * max(len(group.observations.components) for group in job.model.readings)
+
+
 def _of(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Family]:
     found: list[_Terms] = []
     for group in job.model.readings:
@@ -72,12 +86,13 @@ def _of(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Fami
 def _family(system: System, name: str, items: Sequence[_Terms], covariate: Covariate) -> Family:
     """Return the family of some terms, by the directions that are visible."""
     labels = [rows.tobytes() for _, rows, _ in items]
-    shown: dict[int, Array] = {}
+    shown: dict[int, tuple[Array, Array]] = {}
     for label in dict.fromkeys(labels):
         own = [number for number, one in enumerate(labels) if one == label]
         shown |= zip(own, visible_directions(system, items[own[0]][1], [items[i][2] for i in own]), strict=True)
-    columns = gathered((label, items[i][1], shown[i]) for i, label in enumerate(labels))
-    raw, gram = np.ones((columns.count, columns.parameters)), columns.grams(system.basis)
+    columns = gathered((label, Own(items[i][1], shown[i][0])) for i, label in enumerate(labels))
+    raw = np.ones((columns.count, columns.parameters))
+    gram = np.eye(columns.parameters) * np.stack([shown[i][1] for i in range(len(items))])[:, None, :]
     return Family(name, tuple(alternative for alternative, _, _ in items), columns, raw, gram, covariate.name)
 
 
@@ -95,23 +110,38 @@ def _terms(coordinates: int, degree: int, angle: bool) -> int:
     return 2 * degree if angle else comb(coordinates + degree, degree) - 1
 
 
-def visible_directions(system: System, rows: Index, several: Sequence[Array]) -> list[Array]:
-    """Return the spaces of some terms (r, k) at the same rows by unit directions; those that hardly show are 0.
+def visible_directions(system: System, rows: Index, several: Sequence[Array]) -> list[tuple[Array, Array]]:
+    """Return the spaces of some terms (r, k) at the same rows by unit directions, with their visible squares (k,).
 
     A visible part of a thousandth of a function would fit any pattern, and mean an error a thousand times its size.
-    The visible squares of unit columns b are the eigenvalues of `b' M b`.
+    So directions that hardly show are 0. The visible squares of unit columns b are the eigenvalues of `b' M b`.
     """
     bases = []
     for columns in several:
         basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
         bases.append(basis * (sizes > _RANK * max(float(sizes[0]), 1e-300)))
-    stacked = np.stack(bases, axis=1)
-    visible = np.swapaxes(bases, 1, 2) @ np.stack(bases) - system.basis.at(rows).grams(stacked)
+    visible = np.stack([basis.T @ basis for basis in bases]) - system.basis.at(rows).grams(side_by_side(bases))
     values, vectors = np.linalg.eigh(visible)
+    shows = values[:, ::-1] > _SHOWS**2
     return [
-        np.asarray((basis @ turn[:, ::-1]) * (squares[::-1] > _SHOWS**2))
-        for basis, turn, squares in zip(bases, vectors, values, strict=True)
+        (basis @ (turn[:, ::-1] * one), squares[::-1] * one)
+        for basis, turn, squares, one in zip(bases, vectors, values, shows, strict=True)
     ]
+
+
+def beside_columns(family: Family, columns: Array) -> Family:
+    """Return a family of smooth functions beside further unknowns, of orthonormal visible columns (rows, k).
+
+    Directions of the functions that hardly show beside these become 0.
+    """
+    along = family.columns.products(columns)
+    left = family.gram - along @ np.swapaxes(along, 1, 2)
+    values, vectors = np.linalg.eigh(left)
+    shows = values > _SHOWS**2
+    if (shows.sum(axis=1) == (np.linalg.eigvalsh(family.gram) > _SHOWS**2).sum(axis=1)).all():
+        return replace(family, gram=left)
+    turned = family.columns.turned(vectors * shows[:, None, :])
+    return replace(family, columns=turned, gram=np.eye(left.shape[1]) * (values * shows)[:, None, :])
 
 
 def _together(job: AdjustedJob, system: System, covariate: Covariate) -> Family:

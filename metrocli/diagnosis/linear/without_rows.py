@@ -37,9 +37,9 @@ def without_rows(test_set: ScoreTests, out: Index) -> ScoreTests:
         inside = np.where(kept.reshape(-1, *[1] * (values.ndim - 1)), values, 0.0)
         return np.asarray(inside - np.tensordot(shared, np.tensordot(shared.T, inside, 1), 1))
 
-    def cut(family: Family) -> Family:
+    def cut(family: Family, along: Array) -> Family:
         own = family.columns.at(~kept)
-        along, gone = (one.products(system.basis.shared) for one in (family.columns, own))
+        gone = own.products(system.basis.shared)
         left = (along - gone) @ turn
         gram = family.gram + along @ np.swapaxes(along, 1, 2) - own.grams(local) - left @ np.swapaxes(left, 1, 2)
         # what only the rows left out show is zero, not the rounding of a difference
@@ -53,7 +53,7 @@ def without_rows(test_set: ScoreTests, out: Index) -> ScoreTests:
     return replace(
         test_set,
         system=replace(system, basis=basis, residual=rest(system.residual), idle=system.idle + len(out)),
-        families=tuple(map(cut, test_set.families)),
+        families=tuple(map(cut, test_set.families, test_set.shared_products)),
         blocks=unit - basis.products(test_set.places, test_set.places),
         excluded=test_set.excluded | ~there.any(axis=1),
         remembered={},

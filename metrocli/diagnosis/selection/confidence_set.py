@@ -14,8 +14,8 @@ from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.projection import FLAT, VISIBLE
-from metrocli.diagnosis.linear.rival_tests import Named, against
 from metrocli.diagnosis.selection.backward_steps import evidence
+from metrocli.diagnosis.selection.rival_tests import Named, against
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection, levels_of
 
 _ODDS = 1 / 20

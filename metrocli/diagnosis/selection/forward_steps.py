@@ -12,6 +12,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.distributions import log_tail
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
+from metrocli.diagnosis.linear.projection import MOST_NUMBERS
 from metrocli.diagnosis.linear.score_tests import Score, ScoreTests
 from metrocli.diagnosis.selection.selection_state import Chosen, Drop, Selection, levels_of, special
 from metrocli.diagnosis.selection.thresholds import (
@@ -22,6 +23,7 @@ from metrocli.diagnosis.selection.thresholds import (
     entry_level,
     has_dominant_effect,
 )
+from metrocli.errors import InputError
 
 _SHARE = 0.1
 """Largest share of the readings that can be named outliers"""
@@ -193,9 +195,21 @@ def _with_outliers(selection: Selection, wrong: Score, fitted: FittedColumns) ->
             break
         if reading not in there and all(_alike(test_set, reading, other) < _ALIKE for other in batch):
             batch.append(reading)
+    _must_be_held(test_set, fitted.basis.shape[1] + len(batch) * test_set.places.shape[1])
     for reading in batch:
         selection = selection.with_one(Chosen(-1, reading, test_set.of_reading(reading)))
     return selection
+
+
+def _must_be_held(test_set: ScoreTests, columns: int) -> None:
+    """Raise InputError if so many fitted columns need more memory than a diagnosis may take."""
+    rows = test_set.system.rows
+    if rows * columns > MOST_NUMBERS:
+        raise InputError(
+            f"diagnose finds more than {MOST_NUMBERS // rows} wrong readings and effects in {rows} readings: "
+            "it fits them together, which needs too much memory\n"
+            "remove the wrong readings first: write `outliers: remove` in the job"
+        )
 
 
 def _alike(test_set: ScoreTests, reading: int, other: int) -> float:

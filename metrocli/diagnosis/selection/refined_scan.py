@@ -12,6 +12,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative, Family, thinned
+from metrocli.diagnosis.linear.column_parts import Own
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
@@ -55,23 +56,20 @@ def _closer(job: AdjustedJob, selection: Selection, one: Chosen, name: str) -> S
     if not len(values):
         return selection
     fitted = selection.beside(one)
-    best, most, parts = (
-        alternative,
-        test_set.score(one.family, fitted, [one.number]).gain[0],
-        (one.columns, one.columns),
-    )
+    best, most = alternative, test_set.score(one.family, fitted, [one.number]).gain[0]
+    shown = whole = one.columns
     for value in values.tolist():
         scanned = tuple((key, value if key == name else old) for key, old in alternative.scanned)
         tried = replace(alternative, scanned=scanned)
         full = signature(job.model, test_set.system, tried.effect, tried.instance, dict(scanned))
-        seen, inside = test_set.system.split(full)
+        seen = test_set.system.seen(full)
         gain = fitted.squares - fitted.with_columns(seen).squares
         if gain > most * (1 + 1e-9):
-            best, most, parts = tried, gain, (seen, inside)
+            best, most, shown, whole = tried, gain, seen, full
     if best is alternative:
         return selection
-    grown = _with_alternative(test_set, one.family, best, *parts)
-    new = Chosen(one.family, len(family.alternatives), parts[0])
+    grown = _with_alternative(test_set, one.family, best, shown, whole)
+    new = Chosen(one.family, len(family.alternatives), shown)
     return replace(selection, test_set=grown).with_one(new, instead=one)
 
 
@@ -88,9 +86,9 @@ def _between(job: AdjustedJob, family: Family, alternative: Alternative, name: s
 
 
 def _with_alternative(
-    test_set: ScoreTests, number: int, alternative: Alternative, columns: Array, inside: Array
+    test_set: ScoreTests, number: int, alternative: Alternative, columns: Array, whole: Array
 ) -> ScoreTests:
-    """Return the score tests with one more alternative of a family, of visible columns and coordinates in the basis."""
+    """Return the score tests with one more alternative of a family, of visible and whole columns."""
     family = test_set.families[number]
     grown = replace(
         family,
@@ -98,7 +96,7 @@ def _with_alternative(
         columns=family.columns.followed_by(columns),
         raw=np.concatenate([family.raw, np.linalg.norm(columns, axis=0)[None]]),
         gram=np.concatenate([family.gram, (columns.T @ columns)[None]]),
-        absorbed={**family.absorbed, family.columns.count: inside},
+        whole={**family.whole, family.columns.count: Own(np.arange(len(whole)), whole)},
     )
     families = (*test_set.families[:number], grown, *test_set.families[number + 1 :])
     return replace(test_set, families=families, remembered={})

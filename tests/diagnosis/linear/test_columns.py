@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
+from metrocli.diagnosis.linear import column_parts
 from metrocli.diagnosis.linear.basis import Basis
+from metrocli.diagnosis.linear.column_parts import Course, Own, Step
 from metrocli.diagnosis.linear.columns import Columns, gathered, joined
 
 ROWS, MEMBERS = 60, 12
@@ -31,14 +35,35 @@ def some(rng: np.random.Generator) -> tuple[Columns, np.ndarray]:
     for number, (first, last) in enumerate([(0, 20), (10, 20), (20, 55), (0, 60), (30, 31)]):
         rows = np.arange(first, last)
         dense[rows, number] = rng.normal(size=(len(rows), 2))
-        items.append((number // 2, rows, dense[rows, number]))
+        items.append((number // 2, Own(rows, dense[rows, number])))
     return gathered(items), dense
 
 
+def steps(rng: np.random.Generator) -> tuple[Columns, np.ndarray]:
+    """Return five alternatives of two parameters: two courses from three and two times on, and the same dense."""
+    courses = [
+        Course(rng.permutation(np.arange(0, 40)), rng.normal(size=(40, 2))),
+        Course(rng.permutation(np.arange(20, ROWS)), rng.normal(size=(40, 2))),
+    ]
+    several = [Step(courses[0], 7), Step(courses[1], 3), Step(courses[0], 0), Step(courses[1], 39), Step(courses[0], 7)]
+    dense = np.zeros((ROWS, 5, 2))
+    for number, one in enumerate(several):
+        dense[one.rows, number] = one.values
+    return gathered(("", one) for one in several), dense
+
+
+@pytest.mark.parametrize("made", [some, steps], ids=["columns of their own", "steps"])
+@pytest.mark.parametrize("small", [0, 100_000], ids=["stretch by stretch", "at once"])
 @pytest.mark.parametrize("repeats", [True, False], ids=["members read five times", "members read once"])
-def test_products_and_squares_are_those_of_the_projected_columns(repeats: bool) -> None:
+def test_products_and_squares_are_those_of_the_projected_columns(
+    repeats: bool,
+    small: int,
+    made: Callable[[np.random.Generator], tuple[Columns, np.ndarray]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(column_parts, "_SMALL", small)
     rng = np.random.default_rng(3)
-    columns, dense = some(rng)
+    columns, dense = made(rng)
     own = basis(rng, repeats)
     b = own.rows(np.arange(ROWS))
     project = np.eye(ROWS) - b @ b.T
@@ -50,11 +75,18 @@ def test_products_and_squares_are_those_of_the_projected_columns(repeats: bool) 
     assert np.allclose(columns.whole([4, 1], ROWS), dense[:, [4, 1]])
 
 
-def test_rows_left_out_and_alternatives_added_are_those_of_the_dense_array() -> None:
+@pytest.mark.parametrize("made", [some, steps], ids=["columns of their own", "steps"])
+def test_rows_left_out_and_alternatives_added_are_those_of_the_dense_array(
+    made: Callable[[np.random.Generator], tuple[Columns, np.ndarray]],
+) -> None:
     rng = np.random.default_rng(4)
-    columns, dense = some(rng)
+    columns, dense = made(rng)
     kept = rng.uniform(size=ROWS) < 0.5
     kept[30] = False
+    cut = columns.at(kept).whole(range(5), ROWS)
+    assert np.allclose(cut, np.where(kept[:, None, None], dense, 0.0))
+    nothing = Basis(np.zeros((ROWS, 1)), np.full(ROWS, -1), 0, np.zeros((ROWS, 0)))
+    assert np.allclose(columns.at(kept).grams(nothing), np.einsum("rkp,rkq->kpq", cut, cut))
     left = columns.only(kept)
     assert np.allclose(left.whole(range(5), ROWS), np.where(kept[:, None, None], dense, 0.0))
     assert np.allclose(left.norms(), np.linalg.norm(np.where(kept[:, None, None], dense, 0.0), axis=0))

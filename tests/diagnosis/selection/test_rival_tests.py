@@ -9,8 +9,8 @@ from scipy import stats
 from benchmarks.hidden import lengths
 from metrocli.diagnosis.extended_fit import score_tests_of_job
 from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
-from metrocli.diagnosis.linear.rival_tests import Named, against
 from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.diagnosis.selection.rival_tests import Named, against
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,187 @@
+"""Parts of the columns of a family: alternatives at the same rows, and steps that share one course of columns.
+
+Method: docs/algorithms/selection-and-levels.md (projection).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index, Mask
+from metrocli.diagnosis.linear.basis import Basis
+
+_AT_ONCE = 256
+"""Columns whose coordinates are computed at once"""
+_SMALL = 100_000
+"""Number of products up to which all are held to sum them, which then is faster than stretch by stretch"""
+
+
+@dataclass(frozen=True)
+class Own:
+    """The columns of one alternative at the rows that they change."""
+
+    rows: Index
+    """(r,)"""
+    values: Array
+    """(r, parameters)"""
+
+
+@dataclass(frozen=True)
+class Course:
+    """Columns in the order of time, of which a step has the rows from some time on."""
+
+    rows: Index
+    """(r,)"""
+    values: Array
+    """(r, parameters)"""
+
+
+@dataclass(frozen=True)
+class Step:
+    """The columns of one alternative that acts from some time on."""
+
+    course: Course
+    begin: int
+    """The first row of the course on which it acts"""
+
+    @property
+    def rows(self) -> Index:
+        """The rows that it changes, (r,)."""
+        return self.course.rows[self.begin :]
+
+    @property
+    def values(self) -> Array:
+        """Its columns at these rows, (r, parameters)."""
+        return self.course.values[self.begin :]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Alternatives that change the same rows."""
+
+    rows: Index
+    """The rows that they change, (r,)"""
+    values: Array
+    """Columns at these rows, (r, alternatives, parameters)"""
+    numbers: Index
+    """Numbers of the alternatives in their family, (alternatives,)"""
+
+    def products(self, visible: Array, at: Index | slice = slice(None)) -> Array:
+        """Return the products of some alternatives with visible vectors (rows, m), (alternatives, parameters, m)."""
+        chosen = self.values[:, at]
+        found = chosen.reshape(len(self.rows), -1).T @ visible[self.rows]
+        return np.asarray(found.reshape(*chosen.shape[1:], visible.shape[1]))
+
+    def dense(self, at: Index | slice = slice(None)) -> Array:
+        """Return the columns of some alternatives at the rows, (r, alternatives, parameters)."""
+        return self.values[:, at]
+
+    def norms(self, kept: Mask | None) -> Array:
+        """Return the norm of each column at the kept rows, (alternatives, parameters)."""
+        return np.asarray(np.linalg.norm(kept_of(self.values, kept), axis=0))
+
+    def grams(self, basis: Basis, kept: Mask | None) -> Array:
+        """Return `g' M g` of each alternative with zeros at rows that are not kept (r,), M without a basis."""
+        _, count, q = self.values.shape
+        step, absorbs, found = max(_AT_ONCE // max(q, 1), 1), basis.at(self.rows), np.zeros((count, q, q))
+        for start in range(0, count, step):
+            values = kept_of(self.values[:, start : start + step], kept)
+            turned = np.ascontiguousarray(np.moveaxis(values, 1, 0))
+            found[start : start + step] = np.matmul(np.swapaxes(turned, 1, 2), turned) - absorbs.grams(values)
+        return found
+
+    def cut(self, there: Mask) -> Part:
+        """Return the part at some of its rows (r,)."""
+        return Part(self.rows[there], self.values[there], self.numbers)
+
+    def numbered(self, rows: Index, numbers: Index) -> Part:
+        """Return the part with other numbers of its rows and its alternatives."""
+        return Part(rows, self.values, numbers)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Alternatives that are the same columns, each from a time of its own on: the times of a jump of one tracer.
+
+    Whatever is summed over the rows of one is the sum over the stretches between the times, from its own time on. So
+    the columns are stored once for all times.
+    """
+
+    course: Course
+    begins: Index
+    """The first row of the course for each alternative, (alternatives,)"""
+    numbers: Index
+    """Numbers of the alternatives in their family, (alternatives,)"""
+
+    @property
+    def rows(self) -> Index:
+        """The rows of the course, (r,)."""
+        return self.course.rows
+
+    @cached_property
+    def _stretches(self) -> tuple[Index, Index]:
+        """First rows of the stretches between the times, and the stretch with which each alternative begins."""
+        first, own = np.unique(self.begins, return_inverse=True)
+        return first, own
+
+    def _from_each_on(self, sums: Iterable[Array]) -> Array:
+        """Return the sums from each alternative's time on, of those over the stretches, the last stretch first."""
+        first, own = self._stretches
+        found = np.cumsum(sums if isinstance(sums, np.ndarray) else np.stack(list(sums)), axis=0)
+        return np.asarray(found[len(first) - 1 - own])
+
+    def _slices(self) -> Iterator[slice]:
+        """Yield the rows of each stretch, the last stretch first."""
+        first, _ = self._stretches
+        ends = np.append(first[1:], len(self.rows))
+        yield from (slice(int(a), int(b)) for a, b in zip(first[::-1], ends[::-1], strict=True))
+
+    def products(self, visible: Array, at: Index | slice = slice(None)) -> Array:
+        """Return the products of some alternatives with visible vectors (rows, m), (alternatives, parameters, m)."""
+        return np.asarray(self._from_each_on(self._sums(self.course.values, visible[self.rows]))[at])
+
+    def _sums(self, values: Array, others: Array) -> Iterable[Array]:
+        """Return the products of values (r, q) with others (r, m) over each stretch, (q, m), the last stretch first."""
+        shape = values.shape[1], others.shape[1]
+        if len(values) * math.prod(shape) > _SMALL:
+            return (values[own].T @ others[own] for own in self._slices())
+        every = (values[:, :, None] * others[:, None, :]).reshape(len(values), -1)
+        first, _ = self._stretches
+        return np.asarray(np.add.reduceat(every, first, axis=0)[::-1].reshape(len(first), *shape))
+
+    def dense(self, at: Index | slice = slice(None)) -> Array:
+        """Return the columns of some alternatives at the rows, (r, alternatives, parameters)."""
+        later = np.arange(len(self.rows))[:, None] >= self.begins[at]
+        return np.asarray(self.course.values[:, None] * later[:, :, None])
+
+    def norms(self, kept: Mask | None) -> Array:
+        """Return the norm of each column at the kept rows, (alternatives, parameters)."""
+        squares = kept_of(self.course.values, kept) ** 2
+        return np.asarray(np.sqrt(self._from_each_on(self._sums(squares, np.ones((len(squares), 1))))[:, :, 0]))
+
+    def grams(self, basis: Basis, kept: Mask | None) -> Array:
+        """Return `g' M g` of each alternative with zeros at rows that are not kept (r,), M without a basis."""
+        values = kept_of(self.course.values, kept)
+        absorbed = self._from_each_on(basis.growth_of_grams(self.rows, values, self._slices()))
+        return np.asarray(self._from_each_on(self._sums(values, values)) - absorbed)
+
+    def cut(self, there: Mask) -> Steps:
+        """Return the part at some of its rows (r,)."""
+        begins = np.concatenate([[0], np.cumsum(there)])[self.begins]
+        acts = begins < there.sum()
+        return Steps(Course(self.rows[there], self.course.values[there]), begins[acts], self.numbers[acts])
+
+    def numbered(self, rows: Index, numbers: Index) -> Steps:
+        """Return the part with other numbers of its rows and its alternatives."""
+        return Steps(Course(rows, self.course.values), self.begins, numbers)
+
+
+def kept_of(values: Array, kept: Mask | None) -> Array:
+    """Return values (r, ...) with zeros at the rows that are not kept (r,); None keeps all."""
+    return values if kept is None else values * kept.reshape(-1, *[1] * (values.ndim - 1))

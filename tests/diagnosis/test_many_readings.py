@@ -1,0 +1,95 @@
+"""What a diagnosis does differently where there are many readings gives what it gives for few."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden import lengths
+from metrocli.diagnosis import diagnose, extended_fit
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.extended_fit import score_tests_of_job
+from metrocli.diagnosis.linear import counted_tests, memory
+from metrocli.diagnosis.selection import forward_steps
+from metrocli.errors import InputError
+
+DRIFT = {"rate": 3e-6}
+
+
+def job(points: int, drift: bool = False, wrong: float = 0.0) -> AdjustedJob:
+    """Return a network of six tracers."""
+    rng = np.random.default_rng(5)
+    m = lengths.measurement(rng, points)
+    if drift:
+        m = replace(m, length=m.length + lengths.signature("dead-path-drift", 1, DRIFT)(m))
+    return (lengths.spoilt(m, rng, wrong)[0] if wrong else m).adjusted()
+
+
+def test_effective_numbers_of_tests_are_those_of_part_of_the_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, _ = score_tests_of_job(job(300), {}, np.random.default_rng(1))
+    monkeypatch.setattr(counted_tests, "_SAMPLE", 600)
+    some = counted_tests._of_some_members(whole, np.random.default_rng(2))
+    assert some is not None
+    assert 590 <= some.system.rows <= 610
+    drawn = counted_tests._calibrated(whole, np.random.default_rng(1))
+    ratios = np.array(drawn.tests) / np.array(whole.tests)
+    assert (ratios > 1 / 2).all()
+    assert (ratios < 2).all()
+    assert drawn.causes == pytest.approx(whole.causes, rel=0.4)
+
+
+def test_part_of_the_points_is_a_measurement_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, _ = score_tests_of_job(job(300), {}, np.random.default_rng(1))
+    monkeypatch.setattr(counted_tests, "_SAMPLE", 600)
+    some = counted_tests._of_some_members(whole, np.random.default_rng(2))
+    assert some is not None
+    system = some.system
+    basis = system.basis.rows(np.arange(system.rows))
+    np.testing.assert_allclose(basis.T @ basis @ basis.T, basis.T, atol=1e-9)
+    for family in some.families:
+        shown = system.seen(family.columns.whole(range(family.columns.count), system.rows))
+        np.testing.assert_allclose(
+            family.gram, np.einsum("rkp,rkq->kpq", shown, shown), atol=1e-6 * family.raw.max() ** 2
+        )
+
+
+def test_a_second_linearisation_changes_nothing_where_the_model_is_linear(monkeypatch: pytest.MonkeyPatch) -> None:
+    network = job(60, drift=True, wrong=0.01)
+    once = diagnose.diagnose(network)
+    monkeypatch.setattr(extended_fit, "_LINEAR", 0.0)
+    twice = diagnose.diagnose(network)
+    assert [str(one.effect.alternative) for one in once.findings] == ["dead-path-drift T1"]
+    assert [str(one.effect.alternative) for one in twice.findings] == ["dead-path-drift T1"]
+    assert [one.keys for one in once.outliers] == [one.keys for one in twice.outliers]
+    for one, other in zip(once.findings, twice.findings, strict=True):
+        assert one.sizes[0].value == pytest.approx(other.sizes[0].value, rel=1e-4)
+        assert one.effect.log_level == pytest.approx(other.effect.log_level, rel=1e-4)
+        assert one.gain.log_score == pytest.approx(other.gain.log_score, rel=1e-3)
+        assert one.other_shape_from == pytest.approx(other.other_shape_from, rel=1e-3)
+    assert once.after == pytest.approx(twice.after, rel=1e-3)
+    assert once.noise.ratio == pytest.approx(twice.noise.ratio, rel=1e-6)
+
+
+def test_a_diagnosis_that_needs_more_memory_than_there_is_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    network = job(60)
+    assert 0 < memory.at_hand() <= 4e9
+    monkeypatch.setattr(memory, "at_hand", lambda: memory.needed(network) / 3.5)
+    with pytest.raises(InputError, match=r"needs about 0\.3 GB for 360 readings(.|\n)*one point or pose in 4"):
+        diagnose.diagnose(network)
+    with pytest.raises(InputError, match="needs about"):
+        diagnose.what_can_be_seen(network)
+
+
+def test_memory_grows_with_the_readings() -> None:
+    few, many = job(30), job(300)
+    fixed = memory._FIXED
+    assert memory.needed(many) - fixed == pytest.approx(10 * (memory.needed(few) - fixed), rel=0.01)
+
+
+def test_more_wrong_readings_than_can_be_held_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    network = job(60, wrong=0.03)
+    monkeypatch.setattr(forward_steps, "MOST_NUMBERS", 2 * 360)
+    with pytest.raises(InputError, match="more than 2 wrong readings(.|\n)*outliers: remove"):
+        diagnose.diagnose(network)
