@@ -106,10 +106,6 @@ def measurement(rng: np.random.Generator, n: int) -> Measurement:
 Signature = Callable[[Measurement], Array]
 
 
-def _here(at: int) -> Signature:
-    return lambda m: (m.tracer == at).astype(float)
-
-
 def signature(name: str, at: int, values: Mapping[str, float]) -> Signature:
     """Return by how much an effect of these values changes each reading, (n,), from the formulas of the contract."""
 

@@ -155,7 +155,7 @@ def _structure_of_processes(processes: Sequence[Process], before: float) -> Rema
         return None
     level = float(np.exp(strongest.log_level))
     level = min(level, before) if strongest.instead_of else level
-    return RemainingStructure(level, (strongest.covariate,), (), strongest.std)
+    return RemainingStructure(level, (strongest.covariate,), (), 0.0)
 
 
 def _structure_of(laws: Sequence[Law]) -> RemainingStructure | None:

@@ -5,7 +5,7 @@ Method: docs/algorithms/selection-and-levels.md (smooth processes).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -41,8 +41,10 @@ class Basis:
     """Key of the units, or empty"""
     distances: Array
     """Between knots, as shares of the range, (knots, knots)"""
-    sigma: float
-    """Median of the declared standard deviations, in the internal unit of the readings"""
+    units: tuple[str, ...]
+    """Internal unit of the readings of each component and unit, (copies,)"""
+    sigmas: Mapping[str, float]
+    """Median of the declared standard deviations of the readings of each internal unit"""
     columns: csr_matrix
     """Whitened columns, (rows, components*units*knots)"""
     gram: Array
@@ -75,7 +77,7 @@ def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> B
         return None
     functions, distances = around_circle(several, count) if covariate.angle else between_knots(several, labels, count)
     count = len(distances)
-    entries, place = list[tuple[Array, Index, Index]](), 0
+    entries, place, of_copies = list[tuple[Array, Index, Index]](), 0, list[str]()
     for group, values, label in zip(groups, functions, labels, strict=True):
         every, knots = np.nonzero(values)
         for component, deviations in enumerate(group.observations.deviations):
@@ -84,16 +86,17 @@ def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> B
             weights = deviations[every] / system.scale[rows]
             entries.append((values[every, knots] * weights, rows, place + label[every] * count + knots))
             place += units * count
+            of_copies += [group.observations.unit] * units
     terms, rows, numbers = (np.concatenate(one) for one in zip(*entries, strict=True))
     columns = csr_matrix((terms, (rows, numbers)), shape=(system.rows, copies * count))
     gram = (columns.T @ columns).toarray() - system.basis.gram_of(columns)
-    return Basis(covariate.name, by, distances, _typical(job), columns, gram)
+    sigmas = {unit: _typical(job, unit) for unit in of_copies}
+    return Basis(covariate.name, by, distances, tuple(of_copies), sigmas, columns, gram)
 
 
-def _typical(job: AdjustedJob) -> float:
-    """Return the median of the declared standard deviations, for readings in the unit of the first group."""
-    first = job.model.readings[0].observations.unit
-    alike = [group.observations for group in job.model.readings if group.observations.unit == first]
+def _typical(job: AdjustedJob, unit: str) -> float:
+    """Return the median of the declared standard deviations of the readings in a unit."""
+    alike = [group.observations for group in job.model.readings if group.observations.unit == unit]
     return float(np.median(np.concatenate([one.deviations.ravel() for one in alike])))
 
 

@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from metrocli import units
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative
@@ -49,15 +50,25 @@ class Process:
     length: float
     """Length of its correlation, as a share of the largest range of the covariate in a unit"""
     std: float
-    """Its standard deviation, in the internal unit of the readings"""
+    """Its standard deviation, in the unit of the readings that show most of it"""
     spread: float
     """Standard uncertainty of `std`"""
+    unit: str
+    """Internal unit of these readings"""
     log_level: float
     """ln of the level against no such process, counted over the covariates that were tried"""
     columns: Array
     """Columns Z of its covariance `Z Z'` in units of the noise, (rows, k)"""
     instead_of: tuple[Alternative, ...] = ()
     """The effects that are named without it, and not beside it"""
+
+    def shown(self, unit: str, dimension: str) -> tuple[float, float, str]:
+        """Return its standard deviation, the standard uncertainty of that, and their unit: this one if it is theirs."""
+        if self.unit in ("", units.internal_unit(dimension)):
+            of_readings = units.find_unit(unit, dimension)
+            return of_readings.outside(self.std), of_readings.outside(self.spread), of_readings.symbol
+        size, symbol = units.column_unit(self.std, self.unit)
+        return self.std / size, self.spread / size, symbol
 
 
 def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
@@ -231,7 +242,9 @@ class _Tried:
         vectors = vectors[:, values > _VISIBLE].reshape(len(size), knots, -1) * size[:, None, None]
         columns = basis.columns @ np.einsum("ij,ajk->aik", one.root, vectors).reshape(-1, vectors.shape[2])
         seen = self.likelihood
-        std = float(np.sqrt((size**2).mean() * seen.squares(self.log_ratio) / seen.dof)) * basis.sigma
+        means = {unit: self.ratios[np.array(basis.units) == unit].mean() for unit in basis.sigmas}
+        unit = max(means, key=lambda unit: means[unit])
+        std = float(np.sqrt(means[unit] * seen.squares(self.log_ratio) / seen.dof)) * basis.sigmas[unit]
         level = min(log_level_of(self.gain) + float(np.log(tried)), 0.0)
         spread = std * seen.relative_spread(self.log_ratio)
-        return Process(basis.name, basis.by, one.length, std, spread, level, columns)
+        return Process(basis.name, basis.by, one.length, std, spread, unit, level, columns)

@@ -154,7 +154,10 @@ def other_shape_from(name: NamedEffect, test_set: ScoreTests, noise: float) -> f
 
 
 def _size(test_set: ScoreTests, without: FittedColumns, beside: FittedColumns) -> float:
-    """Return the visible size of terms in the readings that they change: root mean square, in the unit of these."""
-    shown = ((without.residual - beside.residual) * test_set.system.scale)[test_set.system.alike]
-    heavy = np.abs(shown) > _NEGLIGIBLE * np.abs(shown).max(initial=0.0)
-    return float(np.sqrt((shown[heavy] ** 2).mean())) if heavy.any() else 0.0
+    """Return the visible size of terms in the readings of the first unit that they change: root mean square.
+
+    It is 0 where they change readings of another unit above all.
+    """
+    change = without.residual - beside.residual
+    heavy = (np.abs(change) > _NEGLIGIBLE * np.abs(change).max(initial=0.0)) & test_set.system.alike
+    return float(np.sqrt(((change * test_set.system.scale)[heavy] ** 2).mean())) if heavy.any() else 0.0

@@ -61,12 +61,12 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def _process(job: AdjustedJob, process: Process) -> dict[str, Any]:
-    unit = units.find_unit(*job.reading)
+    value, std, symbol = process.shown(*job.reading)
     return {
         "depends_on": process.covariate,
         "of_each": process.by or None,
         "length": process.length,
-        "std": {"value": unit.outside(process.std), "std": unit.outside(process.spread), "unit": unit.symbol},
+        "std": {"value": value, "std": std, "unit": symbol},
         "p_value": float(np.exp(process.log_level)),
         "instead_of": [{"name": one.effect.name, "where": _where(one)} for one in process.instead_of],
     }

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.hidden import lengths
+from benchmarks.hidden import launch, lengths
 from benchmarks.hidden.rest import of_each
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.diagnose import diagnose
@@ -65,6 +65,19 @@ def test_what_a_process_stands_for_stays_detected() -> None:
     assert found.left is not None and found.left.p_value < 1e-3
     assert as_data(found)["processes"][0]["instead_of"] == [{"name": "tracer-drift", "where": dict(hidden.where)}]
     assert "likelier than what fits as well without it: tracer-drift T4" in of_diagnosis(found, None)
+
+
+def test_the_size_of_a_process_is_in_the_unit_of_the_readings_that_show_it() -> None:
+    """Distances that waver by three times their noise, beside encoders that do not."""
+    rng = np.random.default_rng([93, 0])
+    m = launch.measurement(rng, True)
+    share = (m.t - m.t.min()) / np.ptp(m.t)
+    wave = sum(np.cos(2 * np.pi * k * share + rng.uniform(0, 6)) for k in (1, 2, 3))
+    off = np.zeros_like(m.read)
+    off[4] = 3 * launch.DISTANCE * wave / np.std(wave)
+    (shown,) = as_data(diagnose(replace(m, read=m.read + off).adjusted()))["processes"]
+    assert shown["std"]["unit"] == "um"
+    assert shown["std"]["value"] == pytest.approx(3e3 * launch.DISTANCE, abs=3 * shown["std"]["std"])
 
 
 def test_white_noise_has_no_process() -> None:

@@ -153,14 +153,15 @@ def _structure(diagnosis: Diagnosis) -> Iterator[str]:
 
 def _processes(diagnosis: Diagnosis) -> Iterator[str]:
     for one in diagnosis.processes:
-        size = units.sized(one.std, diagnosis.job.reading[1])
+        std, _, symbol = one.shown(*diagnosis.job.reading)
+        size = f"{units.two_digits(std)} {symbol}"
         each = f" of each {one.by} by itself" if one.by else ""
         yield f"error that varies smoothly with {one.covariate}{each}: {size} (standard deviation)"
         if one.instead_of:
             yield f"  It is likelier than what fits as well without it: {', '.join(map(str, one.instead_of))}."
     if diagnosis.processes:
         counted = "the named effects and detectable sizes hold" if diagnosis.findings else "detectable sizes hold"
-        yield f"  It is chance, not a cause, and counts as noise: {counted} beside it."
+        yield f"  Chance explains it as well as any cause. It counts as noise: {counted} beside it."
 
 
 def _noise(diagnosis: Diagnosis) -> Iterator[str]:
