@@ -82,7 +82,7 @@ def report(
         title="",
         estimates=found,
         covariance=solution.joint((t.TRACER, *blocks_of(solution), *free_blocks(added))),
-        statistics=with_found(_statistics(solved, solution), noise),
+        statistics=with_found(_statistics(solved, solution), noise) | ({} if part is None else part.facts),
         tables=tables,
         arrays=arrays,
         warnings=(
