@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Solution
 from metrocli.errors import InputError
@@ -65,16 +66,9 @@ def length_errors(tests: Table, solution: Solution, seen: Index, limit: LengthLi
         raise InputError([tests.fault("the network has no scale that lengths could test", hint)])
     block = solution.blocks[TARGET]
     ends = ends_of(tests, block.members, seen, "test length")
-    away = block.values[ends[1]] - block.values[ends[0]]
-    measured = np.linalg.norm(away, axis=1)
-    along = away / measured[:, None]
-    covariance = solution.covariance_or_raise()
-    each = covariance.members(TARGET)
-    between = covariance.apart(TARGET, *ends)
-    whole = each[ends[0]] + each[ends[1]] - between - np.swapaxes(between, 1, 2)
-    of_network = np.einsum("na,nab,nb->n", along, whole, along)
+    measured, variance = _measured(solution, ends)
     calibrated = tests.numbers("length")
-    error, std = measured - calibrated, np.sqrt(np.maximum(of_network, 0.0) + tests.numbers("sigma") ** 2)
+    error, std = measured - calibrated, np.sqrt(np.maximum(variance, 0.0) + tests.numbers("sigma") ** 2)
     columns = {
         "from": np.array(tests.texts("from")),
         "to": np.array(tests.texts("to")),
@@ -108,6 +102,17 @@ def length_errors(tests: Table, solution: Solution, seen: Index, limit: LengthLi
     placed = block.values[seen > 1]
     notes += list(_short_of_the_guideline(table, float(np.linalg.norm(np.ptp(placed, axis=0)))))
     return LengthErrors(table, statistics, tuple(notes))
+
+
+def _measured(solution: Solution, ends: Index) -> tuple[Array, Array]:
+    """Return the lengths between targets of a network and their variances, (n,)."""
+    values, covariance = solution.blocks[TARGET].values, solution.covariance_or_raise()
+    away = values[ends[1]] - values[ends[0]]
+    measured = np.linalg.norm(away, axis=1)
+    along = away / measured[:, None]
+    each, between = covariance.members(TARGET), covariance.apart(TARGET, *ends)
+    whole = each[ends[0]] + each[ends[1]] - between - np.swapaxes(between, 1, 2)
+    return measured, np.einsum("na,nab,nb->n", along, whole, along)
 
 
 def _lines(tests: Table) -> list[str]:

@@ -78,10 +78,10 @@ def scale_bars(bars: Table | None, names: tuple[str, ...], seen: Index) -> list[
     return [Group("scale bars", Chain((DistanceBetween(camera.TARGET),)), observations)]
 
 
-def ends_of(lengths: Table, names: tuple[str, ...], seen: Index, what: str) -> Index:
+def ends_of(lengths: Table, names: tuple[str, ...], seen: Index | None, what: str) -> Index:
     """Return the targets at both ends of calibrated lengths, (2, n).
 
-    Raises InputError as `scale_bars`; `what` names a length in its messages.
+    Raises InputError as `scale_bars`; `what` names a length in its messages. Without `seen` no images are needed.
     """
     place = {name: i for i, name in enumerate(names)}
     ends = [lengths.texts("from"), lengths.texts("to")]
@@ -89,7 +89,7 @@ def ends_of(lengths: Table, names: tuple[str, ...], seen: Index, what: str) -> I
         (row, f"{what} end '{name}' is {'seen in fewer than two images' if name in place else _STRANGE}")
         for column in ends
         for row, name in enumerate(column)
-        if name not in place or seen[place[name]] < 2
+        if name not in place or (seen is not None and seen[place[name]] < 2)
     ]
     wrong += [
         (row, f"the {what} is from '{one}' to itself")

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
 from metrocli.effects.model import Model, Place
 from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_euler, rotation_from_vector
 from metrocli.instruments import camera
+from metrocli.table import Table
+from metrocli.tasks.calibrate_camera.readings import ends_of
 from metrocli.tasks.calibrate_camera.settings import CameraSimulation
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.planted_effects import image_group
@@ -21,6 +24,13 @@ from metrocli.tasks.shared.images.target_list import Targets
 
 _FIRST_TEMPERATURE = 20.0
 """At the first image [degC] (ISO 1)"""
+_UNKNOWN = 100.0
+"""Standard deviation of a place that is listed as unknown [mm]: calibrated lengths between such places decide"""
+_ITERATIONS = 20
+_ROUGH = 0.2
+"""Error of a listed distance relative to its calibrated length, beyond which one of the two is a mistake"""
+_SETTLED = 1e-9
+"""Move of a place [mm] at which the iteration ends"""
 
 
 def conditions(truth: CameraSimulation, images: int) -> dict[str, Array]:
@@ -30,6 +40,59 @@ def conditions(truth: CameraSimulation, images: int) -> dict[str, Array]:
     if truth.warming:
         found["temp"] = _FIRST_TEMPERATURE + truth.warming * turn / max(images - 1, 1)
     return found
+
+
+def with_lengths(places: Targets, lengths: Sequence[tuple[str, Table | None]], rng: np.random.Generator) -> Targets:
+    """Return true targets between which calibrated lengths are right, but for their errors of calibration.
+
+    Places x0 with standard deviations S move to the least `|(x - x0) / S|^2 + |(L - l(x)) / s|^2`. L are the lengths,
+    drawn about the calibrated ones. So places in a rough list give way, and those that are known exactly stay.
+    `lengths` are pairs of what a length is, in words, and its table. Raises InputError for ends that are no targets,
+    and for lengths that are far from what the list has.
+    """
+    tables = [(table, ends_of(table, places.names, None, what)) for what, table in lengths if table is not None]
+    if not tables:
+        return places
+    _must_be_near(tables, places)
+    ends = np.concatenate([pair for _, pair in tables], axis=1)
+    sigma = np.concatenate([table.numbers("sigma") for table, _ in tables])
+    drawn = np.concatenate([table.numbers("length") for table, _ in tables]) + rng.normal(0.0, 1.0, len(sigma)) * sigma
+    used, number = np.unique(ends, return_inverse=True)
+    one, other = number.reshape(ends.shape)
+    begun = places.points[used]
+    variance = np.where(np.isnan(places.sigma[used]), _UNKNOWN, places.sigma[used]).ravel() ** 2
+    moved, rows = np.zeros_like(begun), np.arange(len(drawn))
+    for _ in range(_ITERATIONS):
+        away = (begun + moved)[other] - (begun + moved)[one]
+        now = np.maximum(np.linalg.norm(away, axis=1), 1e-300)
+        slopes = np.zeros((len(drawn), *begun.shape))
+        slopes[rows, other] = away / now[:, None]
+        slopes[rows, one] = -slopes[rows, other]
+        slope = slopes.reshape(len(drawn), -1)
+        weight = np.linalg.pinv((slope * variance) @ slope.T + np.diag(sigma**2), rcond=1e-14, hermitian=True)
+        before, moved = moved, (variance * (slope.T @ (weight @ (drawn - now + slope @ moved.ravel())))).reshape(-1, 3)
+        if np.abs(moved - before).max() < _SETTLED:
+            break
+    points = places.points.copy()
+    points[used] += moved
+    return replace(places, points=points)
+
+
+def _must_be_near(tables: Sequence[tuple[Table, Index]], places: Targets) -> None:
+    """Raise InputError that names every length which differs from its distance in the list by far."""
+    faults = []
+    for table, (one, other) in tables:
+        listed = np.linalg.norm(places.points[other] - places.points[one], axis=1)
+        known = table.numbers("length")
+        faults += table.faults_at(
+            np.flatnonzero(np.abs(listed - known) > _ROUGH * known),
+            lambda row, listed=listed, known=known: (  # type: ignore[misc]
+                f"the calibrated length is {known[row]:g} mm, the list of targets has {listed[row]:g} mm"
+            ),
+            lambda row: "correct the one that is wrong: `simulate` starts from both",
+        )
+    if faults:
+        raise InputError(faults)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
 from metrocli.tasks.calibrate_camera.problem import Problem, build, robustly_started
 from metrocli.tasks.calibrate_camera.report import report
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
-from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_views, true_model
+from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_views, true_model, with_lengths
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.camera_parameters import delivered
@@ -33,6 +33,7 @@ from metrocli.tasks.shared.images.rendering import Draw, pictures
 from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
 from metrocli.tasks.shared.images.simulation import Shown, sightings_table, sights, true_targets
 from metrocli.tasks.shared.images.target_list import known_targets
+from metrocli.tasks.shared.known_places import listed_places
 
 _FEWEST = {"board": 4, "cmm": 1, "network": 4}
 """Fewest targets of an image, for each rig"""
@@ -118,7 +119,10 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
             "simulate needs the truth: give `simulation: {lens: {f: 2800 px, ...}}` and camera: image_size"
         )
     rng = np.random.default_rng(options.seed)
-    known = true_targets(known_targets(settings.pattern, job.files.targets, 0.0), rng)
+    network = settings.rig == "network"
+    known = true_targets(known_targets(settings.pattern, job.files.targets, np.nan if network else 0.0), rng)
+    calibrated = (("scale bar", job.files.scale_bars), ("test length", job.files.test_lengths))
+    known = with_lengths(known, calibrated, rng)
     views = simulated_views(settings.rig, truth, known, rng)
     lens = {"cx": (size[0] - 1) / 2, "cy": (size[1] - 1) / 2, **truth.lens.given()}
     times = conditions(truth, len(views.images))
@@ -134,7 +138,10 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     true = dict(lens)
     if truth.extrinsics is not None:
         true |= {name: float(getattr(truth.extrinsics, name)) for name in poses.EULER}
-    return Simulation({"observations.csv": table}, true | values, drawn)
+    files = {"observations.csv": table}
+    if network:
+        files["true_points.csv"] = listed_places("point", known.names, known.points)
+    return Simulation(files, true | values, drawn)
 
 
 TASK = Task(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from metrocli.errors import UndeterminedError
 from metrocli.geometry.surfaces import Array
-from metrocli.tasks.fit_part.fit import LEAST_MOTION, most, most_of_many
+from metrocli.tasks.fit_part.fit import LEAST_MOTION, most_of_many
 from metrocli.tasks.fit_part.stock import Local, Stock
 from metrocli.words import in_a_row
 
@@ -36,8 +36,8 @@ class Contradiction:
     """Largest least overstock that they allow [mm]"""
     points: tuple[int, ...]
     """Points that hold it"""
-    without: tuple[float, ...]
-    """Largest least overstock of the whole part without each of the surfaces [mm], inf without limit"""
+    without: tuple[float, ...] = ()
+    """Largest least overstock of the part without each of the surfaces [mm]: inf without limit, nan if none is left"""
 
 
 def feasible(least: float, minimum: float) -> bool:
@@ -48,52 +48,65 @@ def feasible(least: float, minimum: float) -> bool:
 def contradictions(stock: Stock, duals: Array, minimum: float, into: Array) -> list[Contradiction]:
     """Return sets of contradicting surfaces that share none, until the other surfaces have the minimum together.
 
-    The first one holds the largest least overstock of all. There are at most `_SETS`.
+    The first one holds the largest least overstock of all, and has what the part leaves without its surfaces. There are
+    at most `_SETS`.
     """
-    found = [contradiction(stock, duals, minimum, into)]
+    begun = stock.at(into)
+    first = contradiction(stock, duals, minimum, into, begun)
+    left_out = (stock.surface != stock.nominal.names.index(name) for name in first.surfaces)
+    found = [replace(first, without=tuple(_least(stock, rows, into, begun)[0] for rows in left_out))]
     while len(found) < _SETS:
         named = {name for one in found for name in one.surfaces}
-        stock = stock.of(~np.isin(stock.surface, [stock.nominal.names.index(name) for name in named]))
-        if not len(stock.measured):
+        others = ~np.isin(stock.surface, [stock.nominal.names.index(name) for name in named])
+        if not others.any():
             break
-        into, least, duals = most_of_many(stock, into)
+        stock, begun = stock.of(others), begun.of(others)
+        _, least, duals = most_of_many(stock, into, begun=begun)
         if feasible(least, minimum):
             break
-        found.append(contradiction(stock, duals, minimum, into))
+        further = contradiction(stock, duals, minimum, into, begun)
+        if feasible(further.least, minimum):
+            break
+        found.append(further)
     return found
 
 
-def contradiction(stock: Stock, duals: Array, minimum: float, into: Array) -> Contradiction:
+def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun: Local) -> Contradiction:
     """Return the smallest set of contradicting surfaces; without any one of them the others have the minimum.
 
     The surfaces that hold the largest least overstock contradict each other. Each is left out in turn, and stays out if
-    the rest still does (deletion filter of Chinneck and Dravnieks 1991). Then smaller sets of them are tried.
+    the rest still does (deletion filter of Chinneck and Dravnieks 1991). Then smaller sets of them are tried. `begun`
+    is the overstock at the pose from which all are sought.
     """
+
+    def together(surfaces: Sequence[int]) -> bool:
+        return feasible(_least(stock, np.isin(stock.surface, surfaces), into, begun, minimum)[0], minimum)
+
     holding = np.unique(stock.surface[duals > 0]).tolist()
     chosen = holding
     for one in holding:
         rest = [other for other in chosen if other != one]
-        if rest and not feasible(_least(stock, rest, into, minimum)[0], minimum):
+        if rest and not together(rest):
             chosen = rest
     smaller = (some for size in range(1, len(chosen)) for some in combinations(holding, size))
-    for some in smaller:
-        if not feasible(_least(stock, some, into, minimum)[0], minimum):
-            chosen = list(some)
+    chosen = next((list(some) for some in smaller if not together(some)), chosen)
+    # the search is local, and may get round on a mesh where it goes on beyond the minimum
+    for surfaces in (chosen, holding):
+        rows = np.isin(stock.surface, surfaces)
+        least, held = _least(stock, rows, into, begun)
+        if not feasible(least, minimum):
             break
-    least, held = _least(stock, chosen, into)
-    without = tuple(_least_without(stock, one, into) for one in chosen)
-    return Contradiction(tuple(stock.nominal.names[one] for one in chosen), least, held, without)
+    points = tuple(np.flatnonzero(rows)[held > 0].tolist())
+    return Contradiction(tuple(stock.nominal.names[one] for one in surfaces), least, points)
 
 
-def _least(stock: Stock, surfaces: Sequence[int], into: Array, enough: float = np.inf) -> tuple[float, tuple[int, ...]]:
-    rows = np.flatnonzero(np.isin(stock.surface, surfaces))
-    _, least, duals = most(stock.of(rows), into, enough)
-    return least, tuple(rows[duals > 0].tolist())
-
-
-def _least_without(stock: Stock, surface: int, into: Array) -> float:
-    others = stock.of(stock.surface != surface)
-    return most_of_many(others, into)[1] if len(others.measured) else np.inf
+def _least(
+    stock: Stock, rows: npt.NDArray[np.bool_], into: Array, begun: Local, enough: float = np.inf
+) -> tuple[float, Array]:
+    """Return the largest least overstock of some points and their duals, nan without points."""
+    if not rows.any():
+        return np.nan, np.zeros(0)
+    return most_of_many(stock.of(rows), into, enough, begun.of(rows))[1:]
 
 
 def refuse(
@@ -117,6 +130,7 @@ def refuse(
     each = [
         f"{least:.3f} mm without {name}" if np.isfinite(least) else f"unlimited overstock without {name}"
         for name, least in zip(found.surfaces, found.without, strict=True)
+        if not np.isnan(least)
     ]
     lines = [
         f"no pose of the ideal part leaves {minimum:g} mm of overstock everywhere",
@@ -124,7 +138,7 @@ def refuse(
         f"  by how much: they leave at most {found.least:.3f} mm at their lowest points, "
         f"{minimum - found.least:.3f} mm less than required (points {points})",
         *(["  without any one of these surfaces the others of them have the minimum"] if several else []),
-        f"  the whole part leaves {in_a_row(each)}",
+        *([f"  the whole part leaves {in_a_row(each)}"] if each else ["  the part has no other surface"]),
         *(f"  beside them: {in_a_row(one.surfaces)} (at most {one.least:.3f} mm)" for one in further),
         f"  {what}",
     ]

@@ -19,6 +19,8 @@ EVEN, MOST, LEAST_MOTION = "even", "most", "least-motion"
 _ITERATIONS = 100
 _LOWEST = 1000
 """Points with the least overstock among which its largest value is sought"""
+_OF_GAIN = 0.999
+"""Share of the gain of a linear programme that its shortest step has"""
 _STEP = 1e-9
 """Step [mm] at which the iteration ends"""
 _WELL = 1e-9
@@ -29,6 +31,8 @@ _ROUNDING = 1e-12
 """Growth of the aim that rounding explains, relative to 1 mm^2 and more"""
 _MET = 1e-10
 """What an overstock may miss of the minimum [mm]"""
+_FIRST_REACH = 0.1
+"""Reach of the first linear programme [mm], at least"""
 _SMALLEST_REACH = 1e-4
 """Reach of a linear programme [mm] at which the search for the largest least overstock ends: it is then off by less
 than reach^2 over the smallest radius"""
@@ -92,53 +96,79 @@ class Fit:
     """Largest component of `gradient - sum duals rows`, relative to the root mean square of what the aim makes small"""
 
 
-def most(stock: Stock, into: Array, enough: float = np.inf) -> tuple[Array, float, Array]:
+def most(
+    stock: Stock, into: Array, enough: float = np.inf, limit: float | None = None, reach: float | None = None
+) -> tuple[Array, float, Array]:
     """Return the pose with the largest least overstock, that overstock, and the duals of the points (n,).
 
     Linear programmes within a reach that grows where the prediction holds and shrinks where it fails. The search ends
-    as soon as the least overstock is `enough`; without limit it is inf.
+    as soon as the least overstock is `enough`. Beyond `limit`, twice the size of the point cloud unless given, there is
+    none, and it is inf. The first reach is a fifth of that size unless given.
     """
     local = stock.at(into)
-    least, reach = float(local.overstock.min()), local.lever / 5
+    least = float(local.overstock.min())
+    reach = local.lever / 5 if reach is None else reach
     duals = np.zeros(len(stock.measured))
-    limit = UNBOUNDED * local.lever
+    limit = UNBOUNDED * local.lever if limit is None else limit
     while reach > _SMALLEST_REACH:
         if least >= enough:
             break
         if least > limit:
             return into, np.inf, duals
         found, expected = highest(local.rows, local.overstock, reach)
-        tried = local.moved(into, found.x)
+        hoped, duals = expected - least, found.duals
+        step = _shortest(local, least + _OF_GAIN * hoped, found.x)
+        tried = local.moved(into, step)
         other = stock.at(tried)
-        gain, hoped = float(other.overstock.min()) - least, expected - least
-        duals = found.duals
+        gain = float(other.overstock.min()) - least
         if gain > 0.1 * hoped:
             into, local, least = tried, other, least + gain
-            reach = reach * 2 if gain > 0.9 * hoped and np.abs(found.x).max() > 0.99 * reach else reach
+            reach = reach * 2 if gain > 0.9 * hoped and np.abs(step).max() > 0.99 * reach else reach
         reach = reach if gain > 0.5 * hoped and hoped > _STEP else reach / 4
     return into, least, duals
 
 
-def most_of_many(stock: Stock, into: Array) -> tuple[Array, float, Array]:
+def _shortest(local: Local, least: float, other: Array) -> Array:
+    """Return the shortest step to a least overstock, where the linear programme has many; `other` is one of them.
+
+    What changes no overstock that counts stays as it is: a part does not slide out of a mesh along walls that hold it.
+    """
+    solved = quadratic(np.eye(6), np.zeros(6), local.rows, least - local.overstock)
+    return other if solved is None else solved.x
+
+
+def most_of_many(
+    stock: Stock, into: Array, enough: float = np.inf, begun: Local | None = None
+) -> tuple[Array, float, Array]:
     """Return what `most` returns, from the lowest points alone, and those that are lower at their optimum.
 
     The overstock of a point changes by no more than the point moves, so only points that can have come below that
-    optimum are looked at there.
+    optimum are looked at there. Where the lowest points have no limit, those follow that hold against their motion.
+    `begun` is the overstock at the pose, if it is known from a search. The first reach is then what differs in it:
+    far from a mesh the nearest triangles are many.
     """
-    chosen = np.zeros(len(stock.measured), dtype=bool)
-    local = stock.at(into)
-    places, overstock = local.points.copy(), local.overstock.copy()
+    reach = None if begun is None else max(2 * float(np.ptp(begun.overstock)), _FIRST_REACH)
+    begun = stock.at(into) if begun is None else begun
+    places, overstock = begun.points.copy(), begun.overstock.copy()
+    limit = UNBOUNDED * begun.lever
+    best, lowest, chosen = into, smallest(overstock, _LOWEST), np.zeros(len(overstock), dtype=bool)
     for _ in range(_ITERATIONS):
-        chosen[smallest(overstock, _LOWEST)] = True
+        chosen[lowest] = True
         rows = np.flatnonzero(chosen)
-        best, least, held = most(stock.of(rows), into)
+        best, least, held = most(stock.of(rows), best, enough, limit, reach)
         placed = poses.apply(best, stock.measured)
-        moved = np.linalg.norm(placed - places, axis=1)
-        doubtful = np.flatnonzero(overstock - moved < least - _STEP)
-        if np.isfinite(least) and doubtful.size:
-            places[doubtful] = placed[doubtful]
-            overstock[doubtful] = stock.of(doubtful).at(best).overstock
-        if not np.isfinite(least) or overstock[doubtful].min(initial=np.inf) >= least - _STEP:
+        if np.isfinite(least):
+            doubtful = np.flatnonzero(overstock - np.linalg.norm(placed - places, axis=1) < least - _STEP)
+            if doubtful.size:
+                places[doubtful] = placed[doubtful]
+                overstock[doubtful] = stock.of(doubtful).at(best).overstock
+            lowest = smallest(overstock, _LOWEST)
+            ended = overstock[doubtful].min(initial=np.inf) >= least - _STEP
+        else:
+            ahead = begun.overstock + np.einsum("nk,nk->n", begun.shape.normal, placed - begun.points)
+            lowest, best = smallest(ahead, _LOWEST), into
+            ended = bool(chosen[lowest].all())
+        if ended:
             duals = np.zeros(len(overstock))
             duals[rows] = held
             return best, least, duals

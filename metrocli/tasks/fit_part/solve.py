@@ -16,7 +16,7 @@ from metrocli.table import Table
 from metrocli.tasks.fit_part import contradiction as c
 from metrocli.tasks.fit_part import readings as r
 from metrocli.tasks.fit_part.draws import sensitivity_with_exchanges
-from metrocli.tasks.fit_part.fit import MOST, SLACK, Aim, Fit, aimed, fit, most_of_many
+from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION, MOST, SLACK, Aim, Fit, aimed, fit, most_of_many
 from metrocli.tasks.fit_part.ideal import ideal, must_be_of_one_size
 from metrocli.tasks.fit_part.levels import Levels, levels
 from metrocli.tasks.fit_part.nominals import OfMesh, OfSurfaces
@@ -106,9 +106,9 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
         raise InputError(doubts[0])
     if name == MOST and not np.isfinite(largest):
         raise UndeterminedError("the least overstock has no limit: no surface faces the others; use another aim")
-    # the even fit of the levels is nearer to what is sought than the largest least overstock, where it is allowed
-    allowed = name != MOST and stock.at(settled.into).overstock.min() >= minimum
-    begin = settled.into if allowed else highest
+    # nearer to what is sought than the largest least overstock, where they are allowed: no motion, and the even fit
+    near = {LEAST_MOTION: (prepared.start, settled.into), EVEN: (settled.into,)}.get(name, ())
+    begin = next((into for into in near if stock.at(into).overstock.min() >= minimum), highest)
     aim, fitted = fitted_part(stock, name, minimum, (begin, largest, holding), prepared.start)
     sense = sensitivity_with_exchanges(fitted, aim, prepared.start, places.of(used).places)
     warnings = (*prepared.readings.warnings, *open_motions, *doubts)

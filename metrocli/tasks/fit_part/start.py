@@ -93,9 +93,15 @@ def _candidates(
 
 
 def unturned(nominal: Sought, measured: Array, start: Array) -> Array:
-    """Return the pose (6,) with the rotation of `start` and the middles of points and part on each other."""
+    """Return `start`, or the pose with its rotation and the middles of points and part on each other (6,).
+
+    The one that leaves the points nearer to the part: the middle of points on one side is not that of the part.
+    """
     given = poses.rotation_of(start)
-    return poses.pose(given, _middle_on_middle(nominal, measured, given[None])[0])
+    tried = [start, poses.pose(given, _middle_on_middle(nominal, measured, given[None])[0])]
+    rows = _spread(len(measured), None, np.random.default_rng(1))
+    distance, _ = nominal.quick(np.stack([poses.apply(one, measured[rows]) for one in tried]), None)
+    return tried[int(np.median(np.abs(distance), axis=1).argmin())]
 
 
 def _middle_on_middle(nominal: Sought, points: Array, rotations: Array) -> Array:

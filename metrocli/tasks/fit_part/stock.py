@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix, rotation_from_vector
@@ -83,6 +84,10 @@ class Local:
         bent: Array = np.einsum("nai,nab,nbj->ij", moves, bend, moves, optimize=True)
         return bent + self.turning(self.shape.normal * weights[:, None])
 
+    def of(self, rows: npt.NDArray[np.bool_]) -> Local:
+        """Return some of the points, with the same centre and lever."""
+        return replace(self, points=self.points[rows], shape=self.shape.of(np.flatnonzero(rows)))
+
     def moved(self, into: Array, step: Array) -> Array:
         """Return a pose into the part frame (6,) after a step (6,)."""
         turn = rotation_from_vector(step[3:] / self.lever)
@@ -111,6 +116,6 @@ class Stock:
         """Return the derivative of each overstock by the step, (n, 6), but for what the facets of a mesh bring."""
         return local.rows_along(self.nominal.smooth_normals(local.points, self.surface))
 
-    def of(self, rows: Index | np.typing.NDArray[np.bool_]) -> Stock:
+    def of(self, rows: Index | npt.NDArray[np.bool_]) -> Stock:
         """Return the stock of some of the points."""
         return replace(self, measured=self.measured[rows], surface=self.surface[rows])

@@ -23,6 +23,7 @@ from metrocli.tasks.multilaterate.problem import LENGTHS
 from metrocli.tasks.multilaterate.readings import matched
 from metrocli.tasks.multilaterate.settings import LengthSimulation, Settings
 from metrocli.tasks.shared.environment import Air, air_of
+from metrocli.tasks.shared.known_places import listed_places
 from metrocli.tasks.shared.lengths import LengthNoise, PathNoise, stops_of
 
 if TYPE_CHECKING:
@@ -70,8 +71,8 @@ def simulated(
     names = planned.tracers.texts("tracer")
     files = {
         "lengths.csv": Table(columns, {name: unit for name, unit in _UNITS.items() if name in columns}),
-        "tracers.csv": _listed("tracer", names, said),
-        "true_points.csv": _listed("point", planned.points.texts("point"), actual),
+        "tracers.csv": listed_places("tracer", names, said),
+        "true_points.csv": listed_places("point", planned.points.texts("point"), actual),
     }
     return Simulation(files, _named(names, stations) | true_values(model))
 
@@ -116,9 +117,3 @@ def _model(design: Table, planned: Planned, points: Array, stations: Array, air:
     if air is not None:
         blocks[t.AIR] = air.block.with_values(np.array([[error]]))
     return Model(blocks, (group,), None, (LENGTHS,), places, t.aspects(t.reach()), nominal=nominal)
-
-
-def _listed(key: str, names: list[str], places: Array) -> Table:
-    columns: dict[str, Values] = {key: np.array(names)}
-    columns |= {axis: places[:, i] for i, axis in enumerate("xyz")}
-    return Table(columns, dict.fromkeys("xyz", "mm"))

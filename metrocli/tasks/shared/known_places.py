@@ -1,12 +1,18 @@
-"""How well the places in a list are known: the columns of standard deviations, and how they are read."""
+"""Lists of places: the columns of standard deviations, how they are read, and how a list is made."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.errors import InputError
 from metrocli.table import Column, Table
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
 
 SIGMAS = tuple(
     Column(name, "length", required=False, may_be_empty=True) for name in ("sigma", "sigma_x", "sigma_y", "sigma_z")
@@ -25,3 +31,10 @@ def sigmas(table: Table, without: float = float("nan")) -> Array:
     if negative.size:
         raise InputError(table.faults_at(negative, lambda row: "a standard deviation is negative"))
     return sigma
+
+
+def listed_places(key: str, names: Sequence[str], places: Array) -> Table:
+    """Return the table of named places (n, 3) mm, with the names in the column `key`."""
+    columns: dict[str, Values] = {key: np.array(names)}
+    columns |= {axis: places[:, i] for i, axis in enumerate("xyz")}
+    return Table(columns, dict.fromkeys("xyz", "mm"))
