@@ -1,7 +1,8 @@
 """Ideal features: time of the fits of 1,000 points, and how minimum zones scatter against what is stated.
 
 Each shape has 25 points in a zone of 10 um, measured 60 times with noise in each coordinate. Scatter over stated is
-that of each number that the shape has; the form is compared with that of the points without noise.
+that of each number that the shape has; the form is compared with that of the points without noise. The last column is
+how often value +- 1.96 std, of each measurement, holds the number of the points without noise.
 
     python -m benchmarks.features [MEASUREMENTS]
 """
@@ -44,19 +45,23 @@ def times(shape: Shape) -> tuple[float, float]:
     return found[0], found[1]
 
 
-def scatter(shape: Shape, noise: float, measurements: int) -> tuple[Array, float]:
-    """Return scatter over stated of each number, and by how many standard uncertainties the form is too large."""
+def scatter(shape: Shape, noise: float, measurements: int) -> tuple[Array, float, float]:
+    """Return scatter over stated of each number, by how many of them the form is too large, and the coverage."""
     rng = np.random.default_rng(2)
     points = cloud(shape, POINTS, ZONE, rng)
-    true, found = minimum_zone(shape, points), []
+    true, found, spread = minimum_zone(shape, points), [], []
     derivative = true.by_points(points).reshape(9, -1)
     for _ in range(measurements):
         measured = points + noise * rng.normal(size=points.shape)
-        found.append(numbers(minimum_zone(shape, measured), measured))
+        fit = minimum_zone(shape, measured)
+        found.append(numbers(fit, measured))
+        spread.append(noise * np.sqrt((fit.by_points(measured).reshape(9, -1) ** 2).sum(axis=1)))
     stated = noise * np.sqrt((derivative**2).sum(axis=1))
     known = stated > 1e-9 * noise
     ratios = np.std(found, axis=0, ddof=1)[known] / stated[known]
-    return ratios, float((np.mean(found, axis=0)[8] - true.form) / stated[8])
+    off = np.abs(np.array(found) - numbers(true, points))[:, known]
+    inside = float((off < 1.96 * np.array(spread)[:, known]).mean())
+    return ratios, float((np.mean(found, axis=0)[8] - true.form) / stated[8]), inside
 
 
 def main() -> None:
@@ -65,11 +70,13 @@ def main() -> None:
     print(f"{MANY} points, CPU s: least squares, minimum zone")
     for shape in Shape:
         print(f"  {shape:10s} {times(shape)[0]:6.3f} {times(shape)[1]:6.3f}")
-    print(f"{POINTS} points in zones of {2e3 * ZONE:g} um, {measurements} measurements: scatter over stated, form")
+    print(f"{POINTS} points in zones of {2e3 * ZONE:g} um, {measurements} measurements:")
+    print("  noise, shape, scatter over stated, form, inside 95 %")
     for noise in (0.0002, 0.001):
         for shape in Shape:
-            ratios, form = scatter(shape, noise, measurements)
-            print(f"  {1e3 * noise:3.1f} um {shape:10s} {ratios.min():5.2f} to {ratios.max():5.2f} {form:+6.2f}")
+            ratios, form, inside = scatter(shape, noise, measurements)
+            spread = f"{ratios.min():5.2f} to {ratios.max():5.2f}"
+            print(f"  {1e3 * noise:3.1f} um {shape:10s} {spread} {form:+6.2f} {inside:6.1%}")
 
 
 if __name__ == "__main__":

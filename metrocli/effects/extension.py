@@ -142,6 +142,22 @@ def with_effect(
     return replace(model, blocks=blocks, groups=groups, datum=datum, added=(*model.added, added))
 
 
+def with_known_effect(model: Model, effect: Effect, values: Mapping[str, float], std: Mapping[str, float]) -> Model:
+    """Return the model with an effect on all readings whose parameters are known with a standard uncertainty.
+
+    They are unknowns that have been observed; one with the uncertainty 0 is fixed.
+    """
+    model = with_effect(model, effect, [()], {key: value for key, value in values.items() if not std[key]})
+    added = model.added[-1]
+    block = model.blocks[added.block]
+    row = np.array([[values[name] for name in block.columns]])
+    block = replace(block, values=row)
+    columns = tuple(block.columns.index(name) for name in added.columns)
+    sigma = np.array([[std[name] for name in added.columns]])
+    known = (prior(block, np.zeros(1, dtype=np.intp), sigma, columns=columns),) if columns else ()
+    return replace(model, blocks={**model.blocks, block.name: block}, groups=(*model.groups, *known))
+
+
 def can_act_everywhere(model: Model, effect: Effect) -> bool:
     """Whether an effect can have sizes of its own at all places of its kind, which readings must distinguish."""
     return effect.common is not None and bool(model.places[effect.keys[0]].index) and bool(places_of(model, effect))

@@ -73,14 +73,19 @@ class Section:
 
 
 def read_sections(node: Node, sections: Sequence[type], faults: list[Fault]) -> list[Any]:
-    """Read one mapping into several dataclasses, each with its own keys; the value is BAD for each with a fault."""
+    """Read one mapping into several dataclasses, each with its own keys; the value is BAD for each with a fault.
+
+    The mapping ELSEWHERE of a class has keys that belong to other jobs, and what to write instead.
+    """
     if node.kind != "mapping":
         return [refuse(Section(section), node, faults) for section in sections]
     known = [wanted.key for section in sections for wanted, _ in settings_of(section).values()]
     place = f" in '{node.path}'" if node.path else ""
+    reasons = {key: why for section in sections for key, why in getattr(section, "ELSEWHERE", {}).items()}
     unknown = [key for key, _ in node.entries if key.text not in known]
     for key in unknown[:MOST_FAULTS]:
-        faults.append(key.fault(f"unknown key '{key.text}'{place}", _hint_for_key(key.text, known)))
+        hint = reasons.get(key.text) or _hint_for_key(key.text, known)
+        faults.append(key.fault(f"unknown key '{key.text}'{place}", hint))
     if len(unknown) > MOST_FAULTS:
         faults.append(unknown[MOST_FAULTS].fault(f"and {len(unknown) - MOST_FAULTS} more unknown keys from here on"))
     return [_read_section(node, section, faults) for section in sections]

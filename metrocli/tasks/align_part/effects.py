@@ -17,6 +17,9 @@ _MENDIKUTE = "Mendikute et al."
 _PART, _MACHINE, _TAPER = Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_TAPER
 
 
+EXPANSION = "part-expansion"
+
+
 def _size(name: str, dimension: str, plausible: str) -> Parameter:
     return Parameter(name, dimension, parse_quantity(plausible, dimension))
 
@@ -68,7 +71,7 @@ EFFECTS: tuple[Effect, ...] = (
         source="ISO 26623: repeatability of the seat",
     ),
     Effect(
-        "part-expansion",
+        EXPANSION,
         "the part is warmer or colder than when its targets were measured",
         (_size("scale", "ratio", "500 ppm"),),
         lambda block, where: Growth(block, _PART),

@@ -18,8 +18,13 @@ from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.shared.images.simulation import true_targets
 from metrocli.tasks.shared.images.target_list import Targets
+from metrocli.tasks.shared.part import Part, growth_of
 
 FEWEST = 3
+_AT_20 = (
+    "the targets of the fit-part result are at 20 degC, and so is the part in the machine without `part:`; "
+    "give its temperature there and its expansion"
+)
 _NO_ERROR = 1e-5
 """Standard deviation that every coordinate has besides, relative to the mean of all: targets whose errors follow from
 those of others would have a covariance without inverse"""
@@ -32,6 +37,7 @@ class TargetList:
     table: Table
     covariance: Array | None = None
     """Joint covariance of all coordinates (m, 3, m, 3) [mm^2]; None for a list from a file: independent"""
+    warnings: tuple[str, ...] = ()
 
     def priors(self, block: Block, sigma: Array, free: Mask) -> list[Group]:
         """Return what is known beforehand of the free coordinates (m, 3) of a block of these targets.
@@ -54,10 +60,20 @@ class TargetList:
         return replace(known, points=known.points + (root @ rng.normal(size=size)).reshape(-1, 3))
 
 
-def target_list(targets: Table | Result) -> TargetList:
-    """Return the targets of a list or of a fit-part result; raises InputError if the result has fewer than three."""
+def target_list(targets: Table | Result, part: Part | None = None) -> TargetList:
+    """Return the targets of a list or of a fit-part result.
+
+    Raises InputError if the result has fewer than three, or if they are not at 20 degC for a part of known temperature.
+    """
     if isinstance(targets, Table):
         return TargetList(targets)
+    cold = bool(growth_of(targets))
+    if part is not None and not cold:
+        raise InputError(
+            "part: the targets of the fit-part result are not at 20 degC, and nobody knows how warm they were; give "
+            "`part:` in its job too, with the temperature at which its points were measured"
+        )
+    warnings = () if part is not None or not cold else (_AT_20,)
     found = targets.tables["targets"]
     if len(found) < FEWEST:
         raise InputError(
@@ -70,7 +86,7 @@ def target_list(targets: Table | Result) -> TargetList:
     columns |= {f"sigma_{axis}": std[:, k] for k, axis in enumerate("xyz")}
     units = {name: "mm" for name in columns if name != "target"}
     table = Table(columns, units, "the targets of the fit-part result")
-    return TargetList(table, covariance if std.any() else None)
+    return TargetList(table, covariance if std.any() else None, warnings)
 
 
 def _joint(own: Array, common: Array) -> Array:

@@ -11,6 +11,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
+from metrocli.effects.extension import with_known_effect
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
 from metrocli.errors import Fault, InputError
@@ -20,10 +21,12 @@ from metrocli.instruments.camera import TARGET, lens_link, target_block
 from metrocli.instruments.lens import ideal_point
 from metrocli.table import Table
 from metrocli.tasks.align_part.camera import CameraModel
+from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION
 from metrocli.tasks.align_part.fitted_targets import TargetList
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside
+from metrocli.tasks.shared.part import Part
 
 _ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
 """Clamping angles [rad] to start from, if the start at 0 fails"""
@@ -38,6 +41,15 @@ class Problem(Modelled):
     camera: CameraModel
     sighted: Sighted
     warnings: tuple[str, ...] = ()
+    part: Part | None = None
+    """The part in the machine, where its temperature is known"""
+
+    def with_part(self, part: Part) -> Problem:
+        """Return a copy whose part has grown from 20 degC, by an unknown that its temperature observes."""
+        expansion = next(one for one in EFFECTS if one.name == EXPANSION)
+        size = expansion.parameters[0].name
+        model = with_known_effect(self.model, expansion, {size: part.growth}, {size: part.std})
+        return replace(self, model=model, part=part)
 
     @property
     def images(self) -> Group:
@@ -97,7 +109,7 @@ def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool,
     places = places_of(sighted.images, targets.names)
     nominal = {TARGET: targets.points}
     model = Model(blocks, (group, *others), None, (IMAGES,), places, nominal=nominal)
-    return Problem(model, camera, sighted, warnings)
+    return Problem(model, camera, sighted, (*listed.warnings, *warnings))
 
 
 def _spindle_poses(sighted: Sighted, table: Table) -> tuple[Array, tuple[str, ...], Sighted]:

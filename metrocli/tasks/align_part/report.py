@@ -21,6 +21,7 @@ from metrocli.instruments.camera import TARGET
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.align_part import KIND
+from metrocli.tasks.align_part.effects import EXPANSION
 from metrocli.tasks.align_part.fixturing import corrections
 from metrocli.tasks.align_part.gauging import predicted_points
 from metrocli.tasks.align_part.problem import Problem
@@ -134,7 +135,9 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
     tables |= fixture.tables
     if files.points is not None:
         pose = solution.blocks[spindle.PART].values[0]
-        tables["points"], of_points = predicted_points(files.points, pose, covariance[:6, :6])
+        known = [*range(6), *(k for k, name in enumerate(names) if name.startswith(f"{EXPANSION}."))]
+        joint = covariance[np.ix_(known, known)]
+        tables["points"], of_points = predicted_points(files.points, pose, joint, _growth(problem, solution))
         arrays |= of_points
     return Result(
         kind=KIND.name,
@@ -146,10 +149,21 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
         arrays=arrays,
         warnings=(*_warnings(problem, adjusted, views, prediction), *fixture.warnings),
         shown=(ShownTable("views", ("image", "readings", "rms", "largest", "largest_target")),),
-        notes=(*_notes(solution, adjusted, prediction), *fixture.notes, *in_words(hidden)),
+        notes=(
+            *_notes(solution, adjusted, prediction),
+            *([] if problem.part is None else [problem.part.note_of_listed]),
+            *fixture.notes,
+            *in_words(hidden),
+        ),
         details=adjusted.structured.details(names) if adjusted.structured is not None else {},
         plain=("dof",),
     )
+
+
+def _growth(problem: Problem, solution: Solution) -> float:
+    """Return by how much the part has grown in all, by what is known and what is estimated."""
+    grown = (solution.blocks[one.block].values[-1, 0] for one in problem.effects if one.effect.name == EXPANSION)
+    return float(sum(grown))
 
 
 def _statistics(problem: Problem, adjusted: Adjusted, found: Residuals, prediction: Prediction | None) -> Statistics:

@@ -18,6 +18,7 @@ from metrocli.tasks.shared.images.camera_settings import CameraFile, Extrinsics
 from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
+from metrocli.tasks.shared.part import Part
 from metrocli.tasks.shared.structured_noise import NOISE_HELP
 from metrocli.units.ranges import Range, range_of
 
@@ -105,6 +106,9 @@ class Settings:
         "unknowns: the 6D or the 7D job",
         default=("part-pose", "clamping-angle"),
     )
+    part: Part | None = setting(
+        Section(Part), "temperature and expansion of the part in the machine; its targets are listed at 20 degC", None
+    )
     pattern: Pattern | None = setting(Section(Pattern), "what the images show", default=None)
     outliers: str = setting(
         Choice("report", "remove"), "name outliers, or leave them out and list them", default="report"
@@ -124,4 +128,5 @@ class Settings:
 def figures(settings: Settings) -> dict[str, str]:
     """Return the units of the figures; `gamma_s` is there only with rotated poses or a free clamping angle."""
     statistics = ("readings", "rejected", "images", "noise", "predicted_std_gamma_s", "predicted_correlation_gamma_s")
-    return adjusted(POSE | {"gamma_s": "rad"}, statistics, ["px"])
+    estimates = POSE | {"gamma_s": "rad", "part-expansion.scale": "1"}
+    return adjusted(estimates, statistics, ["px"])

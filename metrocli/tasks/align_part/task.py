@@ -17,7 +17,7 @@ from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.align_part.camera import camera_of
 from metrocli.tasks.align_part.diagnosis import adjusted_job
-from metrocli.tasks.align_part.effects import EFFECTS, PLACES
+from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION, PLACES
 from metrocli.tasks.align_part.fitted_targets import target_list
 from metrocli.tasks.align_part.fixturing import must_level
 from metrocli.tasks.align_part.problem import Problem, build, spindle_poses
@@ -61,9 +61,10 @@ def prepared(job: Job[Settings, Files]) -> Problem:
     model = camera_of(files.camera)
     if files.images is not None:
         model.must_fit(files.images)
-    listed = target_list(files.targets)
+    listed = target_list(files.targets, settings.part)
     sighted = sightings(settings, files.observations, listed.table, files.images, Needs(fewest=1))
     problem = build(model, sighted, files.poses, "clamping-angle" in settings.estimate, listed)
+    problem = problem if settings.part is None else problem.with_part(settings.part)
     return problem.with_effects(job.effects)
 
 
@@ -76,7 +77,7 @@ def check(job: Job[Settings, Files]) -> None:
     together(
         lambda: None if files.supports is None else must_level(files.supports),
         lambda: camera_of(files.camera).must_fit(images),
-        lambda: target_list(files.targets),
+        lambda: target_list(files.targets, job.settings.part),
     )
 
 
@@ -105,8 +106,10 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
         raise InputError("simulate needs the truth: give `simulation: {part: {x: 10 mm, ...}, clamping_angle: 1 mm/m}`")
     model = camera_of(files.camera)
     rng = np.random.default_rng(options.seed)
-    listed = target_list(files.targets)
+    listed = target_list(files.targets, settings.part)
     known = listed.drawn(known_targets(settings.pattern, listed.table, 0.0), rng)
+    growth = 0.0 if settings.part is None else settings.part.growth + settings.part.std * float(rng.normal())
+    known = replace(known, points=known.points * (1 + growth))
     at = np.array([getattr(truth.part, name) for name in EULER])
     held = spindle_poses(poses, range(len(poses)))
     part = pose_from_euler(at[:3], at[3:])
@@ -122,6 +125,7 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
         refuse_pictures(effects)
         drawn = pictures(shown, settings.pattern, rng)
     true = dict(zip(EULER, at.tolist(), strict=True)) | {"gamma_s": truth.clamping_angle}
+    true |= {} if settings.part is None else {f"{EXPANSION}.scale": growth}
     return Simulation({"observations.csv": table}, true | values, drawn)
 
 

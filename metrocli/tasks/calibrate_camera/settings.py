@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from metrocli.adjust.cluster_robust import FROM_RESIDUALS
 from metrocli.imageset import ImageSet
@@ -156,6 +156,10 @@ class Files:
 @dataclass(frozen=True)
 class Settings:
     """Calibrate a camera: focal length, principal point and distortion, with their covariance."""
+
+    ELSEWHERE: ClassVar[Mapping[str, str]] = {
+        "part": "a network gives points as warm as they were: give `part:` in the fit-part job that reads them"
+    }
 
     rig: str = setting(
         Choice("board", "cmm", "network"),

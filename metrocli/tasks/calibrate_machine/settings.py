@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, ClassVar
 
 from metrocli.instruments.machine import ALL_NAMES, SQUARENESS_NAMES, axis_order, canonical
 from metrocli.settings import (
@@ -200,6 +200,10 @@ class MachineSimulation:
 @dataclass(frozen=True)
 class Settings:
     """Estimate the 21 geometric errors of a machine with three linear axes, and report which the data determine."""
+
+    ELSEWHERE: ClassVar[Mapping[str, str]] = {
+        "part": "no part is measured here; the scale of an axis has `scale: {temperature: .., expansion: ..}` in `axes`"
+    }
 
     method: str = setting(Choice(ON_THE_FLY, STANDSTILL, SIX_DOF, LENGTHS), "how the machine was measured")
     machine: MachineSettings = setting(Section(MachineSettings), "axes and tools")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -14,6 +15,7 @@ from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.fit_part.settings import Settings
 from metrocli.tasks.shared.known_places import sigmas
+from metrocli.tasks.shared.part import growth_of
 from metrocli.uncertainty.predicted import Places, independent, points_of
 from metrocli.words import listed, suggestion
 
@@ -57,6 +59,8 @@ class Readings:
     surface: Index | None
     """Surface of each surface point (n,), None if it has to be found"""
     targets: Points
+    growth: Mapping[str, float] = field(default_factory=dict)
+    """Growth of the part from 20 degC, empty if the points are as they were measured"""
     warnings: tuple[str, ...] = ()
 
 
@@ -99,10 +103,32 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
         warnings.append(
             "the points are taken as exact: give a column sigma_mm, or `noise: 0.05 mm`, to get uncertainties"
         )
-    return Readings(places.of(~target & ~apart), surface, places.of(target), tuple(warnings))
+    growth = _growth(settings, points)
+    return Readings(places.of(~target & ~apart), surface, places.of(target), growth, tuple(warnings))
+
+
+def _growth(settings: Settings, points: Table | Result) -> dict[str, float]:
+    """Return the growth of the part from 20 degC that the points are free of, of this job or of theirs."""
+    if settings.part is not None:
+        return settings.part.facts
+    return growth_of(points) if isinstance(points, Result) else {}
 
 
 def _points(settings: Settings, points: Table | Result, table: Table) -> Points:
+    """Return all points, at 20 degC where the job has the temperature of the part.
+
+    The middle of the points stays, so that the growth moves neither the pose nor the overstock of a part far from the
+    origin. Raises InputError for points that are at 20 degC already.
+    """
+    if settings.part is not None and isinstance(points, Result) and growth_of(points):
+        raise InputError("part: the points of the result are at 20 degC already: its own job has `part:`; leave it out")
+    found = _measured(settings, points, table)
+    if settings.part is None:
+        return found
+    return Points(found.names, settings.part.of_places(found.places, found.points.mean(axis=0)))
+
+
+def _measured(settings: Settings, points: Table | Result, table: Table) -> Points:
     names = tuple(table.texts("point"))
     if isinstance(points, Result):
         return Points(names, points_of(points))

@@ -63,6 +63,7 @@ def report(solved: Solved, check: Check | None = None) -> Result:
         "active": int((fit.duals > 0).sum()),
         "rejected": len(tables["rejected"]),
         "targets": len(targets),
+        **solved.prepared.readings.growth,
         **({} if check is None else check.statistics),
     }
     shown = [ShownTable("surfaces")] + ([ShownTable("rejected")] if len(tables["rejected"]) else [])
@@ -210,6 +211,8 @@ def _notes(solved: Solved, holding: Table) -> Iterator[str]:
         yield f"held by: {listed(each)}; without these points the aim '{solved.aim.name}' would be better met"
     else:
         yield "held by: no point; the best pose has more than the minimum everywhere"
+    if solved.prepared.part is not None:
+        yield solved.prepared.part.note
     if solved.sensitivity.drawn:
         yield (
             f"the covariance of the pose is that of {DRAWS} fits to points with drawn errors, since errors exchange "

@@ -27,6 +27,7 @@ from metrocli.table import ABSENT, TEXT, Column, Columns, Table
 from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION, MOST
 from metrocli.tasks.shared.figures import POSE, with_std
 from metrocli.tasks.shared.known_places import SIGMAS
+from metrocli.tasks.shared.part import FIGURES, Part
 from metrocli.words import in_a_row
 
 POINTS = Columns(
@@ -174,6 +175,9 @@ class Settings:
         Quantity("length", positive=True), "standard deviation of a coordinate, for points without one", default=None
     )
     start: Start = setting(Section(Start), "where the ideal part lies, roughly", default=Start())
+    part: Part | None = setting(
+        Section(Part), "temperature and expansion of the raw part when its points were measured", default=None
+    )
     nominal_unit: str = setting(Choice(*SIZES), "unit of the coordinates in a mesh", default="mm")
     outliers: str = setting(
         Choice("report", "remove"), "chips and flash: name them, or leave them out and list them", default="remove"
@@ -186,7 +190,7 @@ class Settings:
 _STATISTICS = (
     "observations", "unknowns", "dof", "iterations", "minimum", "least_overstock", "mean_overstock",
     "largest_overstock", "variation", "largest_least_overstock", "optimality", "active", "rejected", "targets",
-    "monte_carlo_trials", "monte_carlo_failed",
+    "monte_carlo_trials", "monte_carlo_failed", *FIGURES,
 )  # fmt: skip
 
 

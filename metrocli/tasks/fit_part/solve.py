@@ -24,6 +24,7 @@ from metrocli.tasks.fit_part.settings import NominalFile, Settings, Start
 from metrocli.tasks.fit_part.start import found, unturned
 from metrocli.tasks.fit_part.stock import Stock
 from metrocli.tasks.fit_part.uncertainty import Sensitivity
+from metrocli.tasks.shared.part import Part
 
 _EVENER = 0.5
 """Ratio of the variations of the overstock below which a surface is taken as turned over"""
@@ -39,6 +40,8 @@ class Prepared:
     readings: r.Readings
     start: Array
     """Pose into the part frame that the job gives (6,)"""
+    part: Part | None = None
+    """The raw part at the measurement of its points"""
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ def prepare(settings: Settings, nominal: NominalFile | Triangles, points: Table 
     readings = r.read(settings, points, names, of_mesh)
     if isinstance(part, OfMesh):
         must_be_of_one_size(part.triangles, readings.surface_points.points, settings.nominal_unit)
-    return Prepared(part, readings, start_of(settings.start))
+    return Prepared(part, readings, start_of(settings.start), settings.part)
 
 
 def start_of(start: Start) -> Array:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 from metrocli.settings import Choice, Flag, ListOf, Quantity, Section, TableFile, setting
 from metrocli.table import ABSENT, Table
@@ -63,6 +64,10 @@ class Truth:
 @dataclass(frozen=True)
 class Settings:
     """Find the launch unit of an interferometer from aligned poses (Kuprin et al.), and plan its measurements."""
+
+    ELSEWHERE: ClassVar[Mapping[str, str]] = {
+        "part": "no points of a part are measured here; the machine's growth is the effect machine-scale"
+    }
 
     inputs: Inputs = setting(Section(Inputs), "the files of the job")
     noise: Noise = setting(Section(Noise), "standard deviations of the readings")

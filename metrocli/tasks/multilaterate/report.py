@@ -17,7 +17,7 @@ from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
 from metrocli.tasks.multilaterate.blunders import Reason
 from metrocli.tasks.multilaterate.correction import Probing, astray, corrected, distant, wrong_entries
-from metrocli.tasks.multilaterate.features.report import FEATURES, SHOWN, fitted
+from metrocli.tasks.multilaterate.features.report import FEATURES, SHOWN, exchanging, fitted
 from metrocli.tasks.multilaterate.features.wanted import Wanted
 from metrocli.tasks.multilaterate.reliability import UNITS as RELIABILITY_UNITS
 from metrocli.tasks.multilaterate.reliability import reliability
@@ -82,7 +82,7 @@ def report(
         title="",
         estimates=found,
         covariance=solution.joint((t.TRACER, *blocks_of(solution), *free_blocks(added))),
-        statistics=with_found(_statistics(solved, solution), noise),
+        statistics=with_found(_statistics(solved, solution), noise) | ({} if part is None else part.facts),
         tables=tables,
         arrays=arrays,
         warnings=(
@@ -97,6 +97,7 @@ def report(
             *solved.network.noise.notes,
             *found_notes(noise),
             *noise_notes(solution, cures=(REMOVE,)),
+            *exchanging(tables),
             *in_words(hidden),
         ),
         details=noise.details([one.name for one in found]),

@@ -11,7 +11,7 @@ from metrocli.tasks.shared.environment import WEATHER, Environment
 from metrocli.tasks.shared.figures import adjusted
 from metrocli.tasks.shared.known_places import SIGMAS
 from metrocli.tasks.shared.lengths import LengthNoise, Scale
-from metrocli.tasks.shared.part import Part
+from metrocli.tasks.shared.part import FIGURES, Part
 
 SHAPES = ("line", "plane", "circle", "sphere", "cylinder", "cone")
 _PLACE = tuple(Column(axis, "length") for axis in "xyz")
@@ -173,7 +173,9 @@ class Settings:
     )
 
 
-_STATISTICS = ("rejected", "critical_w", "weakness", "noise_factor", "repeatability", "repeatability_std")
+_STATISTICS = (
+    "rejected", "critical_w", "weakness", "noise_factor", "repeatability", "repeatability_std", *FIGURES,
+)  # fmt: skip
 
 
 def figures(settings: Settings) -> dict[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from metrocli.errors import Fault
 from metrocli.tasks.report_uncertainty.entries import Entries
@@ -13,6 +14,10 @@ from metrocli.tasks.shared.figures import with_std
 @dataclass(frozen=True)
 class Settings(Entries):
     """Propagate uncertainties of inputs and of other jobs' results to measurands or a volume, and to a decision."""
+
+    ELSEWHERE: ClassVar[Mapping[str, str]] = {
+        "part": "the growth of a part belongs to the job that measures it; here it is an entry with `expansion`"
+    }
 
     def faults(self) -> Iterable[tuple[str, ...] | Fault]:
         """Yield the faults that show without the files of the job."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -141,6 +142,10 @@ class GridSimulation:
 @dataclass(frozen=True)
 class Settings:
     """Find the errors of machine and artefact from views of an artefact that nobody calibrated."""
+
+    ELSEWHERE: ClassVar[Mapping[str, str]] = {
+        "part": "no part is measured here; the growth of the artefact is the effect artefact-expansion"
+    }
 
     inputs: Inputs = setting(Section(Inputs), "the files of the job")
     grid: GridSettings = setting(Section(GridSettings), "the artefact")

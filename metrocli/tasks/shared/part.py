@@ -9,8 +9,12 @@ import numpy as np
 
 from metrocli import units
 from metrocli.adjust.model.blocks import Array
+from metrocli.result import Result
 from metrocli.settings import Known, Limits, Uncertain, setting
+from metrocli.uncertainty.predicted import Places
 
+FIGURES = ("growth", "growth_std")
+"""Statistics of a result whose points or targets are at 20 degC"""
 REFERENCE = 20.0
 """Temperature at which sizes are stated [degC]"""
 _SOLIDS = Limits(-1e-3, 1e-3, "what solids expand by: write e.g. 11.5e-6 1/K")
@@ -55,8 +59,21 @@ class Part(Warm):
     @property
     def note(self) -> str:
         """What was done, in a sentence."""
-        size = units.sized(self.growth, "ratio")
-        return f"points are given at 20 degC: the part had grown by {size} ± {units.sized(self.std, 'ratio')}"
+        return f"points are given at 20 degC: the part had grown by {self._size}"
+
+    @property
+    def note_of_listed(self) -> str:
+        """The same for points that are listed at 20 degC and seen on the warm part."""
+        return f"targets and points are listed at 20 degC: by its temperature the part has grown by {self._size}"
+
+    @property
+    def _size(self) -> str:
+        return f"{units.sized(self.growth, 'ratio')} ± {units.sized(self.std, 'ratio')}"
+
+    @property
+    def facts(self) -> dict[str, float]:
+        """The growth and its standard uncertainty, for the statistics of a result."""
+        return dict(zip(FIGURES, (self.growth, self.std), strict=True))
 
     def of_points(self, places: Array, covariance: Array) -> tuple[Array, Array]:
         """Return points (n, 3) and their covariances (n, 3, 3) at 20 degC.
@@ -75,3 +92,20 @@ class Part(Warm):
         wider = np.zeros((k + 1, k + 1))
         wider[:k, :k], wider[k, k] = core, self.std**2
         return np.concatenate([common * self.shrinkage, at[:, :, None]], axis=2), wider
+
+    def of_places(self, places: Places, about: Array) -> Places:
+        """Return places at 20 degC, with the growth that they share; the point `about` (3,) stays."""
+        at = (places.values - about) * self.shrinkage
+        common, core = self.of_factors(at, places.common, places.core)
+        return Places(at + about, common, core, places.own * self.shrinkage**2)
+
+
+def growth_of(result: Result) -> dict[str, float]:
+    """Return the growth that the points of a result, or its targets, are free of; empty if they are as measured.
+
+    A result with corrected points has these at 20 degC, and leaves those of its network as measured.
+    """
+    if "corrected" in result.tables:
+        return {}
+    found = {name: result.statistics.get(name) for name in FIGURES}
+    return {name: value for name, value in found.items() if isinstance(value, float)}

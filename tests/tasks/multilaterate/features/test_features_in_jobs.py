@@ -181,6 +181,22 @@ def test_a_job_gives_both_fits_of_each_shape() -> None:
         assert of_points.numbers("contact")[own].sum() == pytest.approx(row % 2)
 
 
+def test_minimum_zones_that_other_points_can_hold_are_named() -> None:
+    """A twisted square of 40 um holds a plane; of two points inside, one is 10 um from the limit and one 20 um."""
+    rng = np.random.default_rng(4)
+    at = np.array([[0, 0, 0], [90, 0, 0.04], [90, 90, 0], [0, 90, 0.04], [45, 45, 0.03], [40, 45, 0.02]])
+    points = np.concatenate([at + [500, 300, 250], rng.uniform(0, 1, (14, 3)) * [900, 600, 500]])
+    net = replace(network(20, 6, seed=6), points=points, nominal=points.copy()).read(rng, 0.0)
+    for probe, expected in ((1e-5, 0), (3.6e-3, 1), (7e-3, 2)):
+        wanted = asked(A=Feature("plane", "both"))
+        result = run(net, points[:6], ["A"] * 6, wanted, correction=Correction(0.0, probe))
+        found = result.tables["features"]
+        assert found.numbers("may_touch").tolist() == [0, expected]
+        said = [line for line in result.notes if "errors can lay on other points" in line]
+        assert len(said) == (expected > 0)
+        assert not said or f"A ({expected} more)" in said[0]
+
+
 def test_a_job_can_ask_for_every_shape() -> None:
     assert tuple(Shape) == SHAPES
 
