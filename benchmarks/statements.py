@@ -2,9 +2,9 @@
 
 Reports are those of sample projects (gear-m3d3, xm60-launch-unit, raw-part, ball-cube, machine-lengths, gauge-block),
 made by the command line. A sort of claim is drawn first, then a statement of that sort. The measurement behind it is a
-plain function of its unknowns (benchmarks/apart), adjusted by least squares with derivatives from differences. Statements of
-`diagnose` on power are held against how often it notices what plain formulas put into readings. A simulated number has
-its interval of 99.9 %; the statement holds if it reaches the claim.
+plain function of its unknowns (benchmarks/apart), adjusted by least squares with derivatives from differences.
+Statements of `diagnose` on power are held against how often it notices what plain formulas put into readings. A
+simulated number has its interval of 99.9 %; the statement holds if it reaches the claim.
 
     python -m benchmarks statements [COUNT] [SEED]
 """
@@ -91,10 +91,12 @@ def _of_casting(folder: Path) -> Iterator[list[Statement]]:
     _reported(folder, "raw-part", "calibrate-camera", "jobs/photogrammetry.yaml")
     _reported(folder, "raw-part", "fit-part", "jobs/fit.yaml")
     # a minimum that the least overstock exceeds by no more than its uncertainty leaves the best pose as it is
-    words = ("--set", f"overstock.minimum={_MINIMUM} mm", "--set", f"require.least_overstock=> {_MINIMUM}")
-    _reported(folder, "raw-part", "fit-part", "jobs/fit.yaml", *words, "--output", "results/close.h5")
-    result = place / "results/close.h5"
-    yield from part.statements("raw-part", part.Casting(place, result), result, _MINIMUM)
+    words = ("--set", f"overstock.minimum={_MINIMUM} mm", "--output", "results/close.h5")
+    _reported(folder, "raw-part", "fit-part", "jobs/fit.yaml", *words)
+    result = place / "results/fit.h5"
+    yield from part.statements("raw-part", part.Casting(place, result), result)
+    close = part.Casting(place, place / "results/close.h5")
+    yield list(part.unclean("raw-part", close, samples.stated(place / "results/close.h5", "surfaces"), _MINIMUM))
 
     report = _reported(folder, "raw-part", "align-part", "jobs/align.yaml")
     named, model, result = ("align-part", "raw-part"), alignment.alignment(place), place / "results/align.h5"

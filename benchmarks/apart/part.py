@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -72,6 +73,10 @@ class Casting:
         """Return places (n, 3) in the frame of the part."""
         return np.asarray((places - pose[:3]) @ rotation(pose[3:]))
 
+    def now(self, places: Array) -> Array:
+        """Return the overstock (n,) of places where the part is machined as reported."""
+        return overstock(self.in_part(self.pose, places[: len(self.names)]), self.surface)
+
     def fitted(self, places: Array) -> Array:
         """Return the pose with the least variation of the overstock (6,), by two Gauss-Newton steps."""
         n, pose = len(self.names), self.pose.copy()
@@ -95,7 +100,7 @@ class Casting:
             places = self.drawn(rng)
             poses.append(self.fitted(places))
             targets.append(self.in_part(poses[-1], places[n:]))
-            left.append(overstock(self.in_part(self.pose, places[:n]), self.surface))
+            left.append(self.now(places))
         return np.array(poses), np.array(targets), np.array(left)
 
 
@@ -103,8 +108,8 @@ def _spread(of: Callable[[], Array], claimed: float) -> Callable[[Rng], Simulate
     return lambda _: of_spread(of(), claimed)
 
 
-def statements(place: str, one: Casting, result: Path, minimum: float) -> Iterable[list[Statement]]:
-    """Yield what a report of fit-part states: uncertainties, overstock, and the chance that a surface stays unclean."""
+def statements(place: str, one: Casting, result: Path) -> Iterable[list[Statement]]:
+    """Yield what a report of fit-part states: uncertainties and overstock."""
 
     def said(claim: str, text: str, check: Callable[[Rng], Simulated]) -> Statement:
         return Statement("fit-part", place, claim, text, check)
@@ -136,7 +141,7 @@ def statements(place: str, one: Casting, result: Path, minimum: float) -> Iterab
         )
         for name, row in surfaces.items()
     ]
-    now = overstock(one.in_part(one.pose, one.places[: len(one.names)]), one.surface)
+    now = one.now(one.places)
     yield [
         said(
             f"least overstock of {name}",
@@ -146,15 +151,20 @@ def statements(place: str, one: Casting, result: Path, minimum: float) -> Iterab
         for name, row in surfaces.items()
     ]
 
-    def unclean(name: str, chance: float) -> Callable[[Rng], Simulated]:
-        def check(_: Rng) -> Simulated:
-            below = one.simulated[2][:, rows[name]].min(axis=1) < minimum
-            return of_share(int(below.sum()), TRIALS, chance, chance)
 
-        return check
+def unclean(place: str, one: Casting, surfaces: Iterable[Mapping[str, Any]], minimum: float) -> Iterable[Statement]:
+    """Yield the chances that a surface has less than the minimum somewhere, where the part is machined as reported."""
 
-    yield [
-        said(f"chance that {name} has less than {minimum:g} mm", f"{row['below']:.1%}", unclean(name, row["below"]))
-        for name, row in surfaces.items()
-        if row["below"] > 0
-    ]
+    def check(name: str, chance: float) -> Callable[[Rng], Simulated]:
+        rows = np.array([of == name for of in one.surface])
+
+        def simulated(rng: Rng) -> Simulated:
+            hits = sum((one.now(one.drawn(rng))[rows] < minimum).any() for _ in range(TRIALS))
+            return of_share(int(hits), TRIALS, chance, chance)
+
+        return simulated
+
+    for row in surfaces:
+        if row["below"] > 0:
+            claim, chance = f"chance that {row['surface']} has less than {minimum:g} mm", float(row["below"])
+            yield Statement("fit-part", place, claim, f"{chance:.1%}", check(row["surface"], chance))

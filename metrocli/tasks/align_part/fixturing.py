@@ -75,7 +75,7 @@ def tilt_not_exceeded(covariance: Array) -> float:
     """Return the tilt [rad] that errors of alpha and beta with this covariance (2, 2) exceed in 5 % of measurements.
 
     A tilt is the length of a vector, so no multiple of a standard uncertainty covers it. Along the direction
-    phi of the ellipse of errors it has a Rayleigh distribution of parameter g: `P(tilt > t) = mean exp(-t^2 / (2 g^2))`.
+    phi of the ellipse of errors it has a Rayleigh distribution of parameter g, `P(tilt > t) = mean exp(-t^2/(2 g^2))`.
     """
     from scipy.optimize import brentq
 

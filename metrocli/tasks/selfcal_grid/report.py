@@ -262,8 +262,8 @@ def _statistics(
     reach = " apart from the common scale" if found.scale else ""
     value = with_std(um.outside(length.error), um.outside(std))
     note = (
-        f"largest length error between sites{reach}: {value} um (standard uncertainty of this length), from ({ends[0]}) to ({ends[1]}); noise raises the largest of all pairs of "
-        f"{length.sites} sites"
+        f"largest length error between sites{reach}: {value} um (standard uncertainty of this length), "
+        f"from ({ends[0]}) to ({ends[1]}); noise raises the largest of all pairs of {length.sites} sites"
     )
     return statistics, (note,)
 
