@@ -114,14 +114,14 @@ def statements(place: str, one: Casting, result: Path) -> Iterable[list[Statemen
     def said(claim: str, text: str, check: Callable[[Rng], Simulated]) -> Statement:
         return Statement("fit-part", place, claim, text, check)
 
-    def std(claim: str, value: float, of: Callable[[], Array]) -> Statement:
-        return said(f"standard uncertainty of {claim}", f"{value:.3g}", _spread(of, value))
+    def std(claim: str, value: float, of: Callable[[], Array], unit: str = "mm") -> Statement:
+        return said(f"standard uncertainty of {claim}", f"{value:.3g} {unit}", _spread(of, value))
 
     points = {row["point"]: row for row in stated(result, "overstock")}
     surfaces: Mapping[str, Mapping[str, float]] = {row["surface"]: row for row in stated(result, "surfaces")}
     rows = {name: np.array([one == name for one in one.surface]) for name in surfaces}
     yield [
-        std(f"the pose, {row['name']}", row["std"], lambda i=i: one.simulated[0][:, i])
+        std(f"the pose, {row['name']}", row["std"], lambda i=i: one.simulated[0][:, i], row["unit"])
         for i, row in enumerate(stated(result, "parameters"))
     ]
     yield [

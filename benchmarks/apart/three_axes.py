@@ -143,7 +143,7 @@ def volume(kind: str, place: str, model: Model, stated: Iterable[Mapping[str, An
 
     def said(tool: str, claim: str, value: float, of: Callable[[], float]) -> Statement:
         def check(_: Rng) -> Simulated:
-            return of_value(of(), value)
+            return of_value(1e3 * of(), 1e3 * value)
 
         return Statement(kind, place, f"{claim} of {tool}", f"{1e3 * value:.4g} um", check)
 
