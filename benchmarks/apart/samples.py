@@ -38,7 +38,8 @@ def stated(result: Path, name: str) -> list[dict[str, Any]]:
     ]
 
 
-def _numbers(rows: list[dict[str, str]], *keys: str) -> Array:
+def numbers(rows: list[dict[str, str]], *keys: str) -> Array:
+    """Return columns of rows as numbers (n, k)."""
     return np.array([[float(row[key]) for key in keys] for row in rows])
 
 
@@ -55,7 +56,7 @@ def gear(folder: Path) -> Model:
     result = folder / "results/tip3.h5"
     tracers, found = stated(result, "tracers"), stated(result, "points")
     names = [row["point"] for row in table(folder / "data/points.csv")]
-    nominal = _numbers(table(folder / "data/points.csv"), "x_mm", "y_mm", "z_mm")
+    nominal = numbers(table(folder / "data/points.csv"), "x_mm", "y_mm", "z_mm")
     point = np.array([names.index(row["point"]) for row in read])
     tracer = np.array([[one["tracer"] for one in tracers].index(row["tracer"]) for row in read])
     n, k = len(names), len(tracers)
@@ -82,7 +83,7 @@ def gear(folder: Path) -> Model:
 def launch_unit(folder: Path) -> Model:
     """Two encoders each of two units that look at each other, and distances where they were read."""
     poses = table(folder / "data/table.csv")
-    receivers, psi = _numbers(poses, "x_mm", "y_mm", "z_mm"), _numbers(poses, "spindle_rad")[:, 0]
+    receivers, psi = numbers(poses, "x_mm", "y_mm", "z_mm"), numbers(poses, "spindle_rad")[:, 0]
     has = [bool(row["distance_mm"]) for row in poses]
     truth = np.array([one["value"] for one in stated(folder / "results/table.h5", "parameters")])
     m = Measurement(truth, receivers, psi, psi, psi, True, np.zeros(0))
@@ -104,7 +105,7 @@ def camera(folder: Path) -> Model:
     """Image points of a dot that a measuring machine carries to places that it knows within a sigma."""
     seen, places = table(folder / "cmm/observations.csv"), table(folder / "cmm/targets.csv")
     target = np.array([[one["target"] for one in places].index(row["target"]) for row in seen])
-    listed, known = _numbers(places, "x_mm", "y_mm", "z_mm"), _numbers(places, "sigma_mm")
+    listed, known = numbers(places, "x_mm", "y_mm", "z_mm"), numbers(places, "sigma_mm")
     found = {one["name"]: one["value"] for one in stated(folder / "results/camera.h5", "parameters")}
     names = [*LENS, *(name for name in found if name not in LENS)]
     k = len(names)
@@ -156,7 +157,7 @@ def diagnosed_gear(folder: Path, job: str, model: Model) -> Diagnosed:
 def diagnosed_launch_unit(folder: Path, job: str, model: Model) -> Diagnosed:
     """Return the launch unit on a table as it is diagnosed with other readings."""
     poses = table(folder / "data/table.csv")
-    receivers, psi = _numbers(poses, "x_mm", "y_mm", "z_mm"), _numbers(poses, "spindle_rad")[:, 0]
+    receivers, psi = numbers(poses, "x_mm", "y_mm", "z_mm"), numbers(poses, "spindle_rad")[:, 0]
     has = np.array([bool(row["distance_mm"]) for row in poses])
     kept = np.concatenate([np.ones(4 * len(poses), dtype=bool), has])
     seen = Measurement(model.truth, receivers, psi, psi, psi, True, np.zeros(0))

@@ -155,3 +155,18 @@ def moved_points(
     for key, (size, move) in stated.items():
         claim = f"{size:.3g} mm in {'/'.join(key)} moves the point by"
         yield Statement(kind, place, claim, f"{move:.4g} mm", check(key))
+
+
+def redundancies(kind: str, place: str, model: Model, stated: Mapping[tuple[str, ...], float]) -> Iterable[Statement]:
+    """Yield the redundancies: the share of an error of a reading that stays in its residual."""
+
+    def check(key: tuple[str, ...]) -> Callable[[Rng], Simulated]:
+        def simulated(_: Rng) -> Simulated:
+            readings, row = model.predict(model.truth), model.rows[key]
+            readings[row] += model.sigma[row]
+            return of_value(float(model.adjusted(readings)[1][row]), stated[key])
+
+        return simulated
+
+    for key, share in stated.items():
+        yield Statement(kind, place, f"redundancy of {'/'.join(key)}", f"{share:.4f}", check(key))

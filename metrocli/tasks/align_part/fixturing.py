@@ -30,6 +30,8 @@ _ON_A_LINE = 1e-3
 """Extent of the supports across their line, relative to that along it, up to which they cannot level a part"""
 _LEVEL = 1e-9
 """Tilt [rad] that no screw can take away; rounding leaves less"""
+_BEYOND, _DIRECTIONS = 0.05, 90
+"""Share of measurements that leave a larger tilt, and directions over which the tilt is averaged"""
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6])
 """Steps of a difference [mm, rad]"""
 _ORDER = (("shift x", 0), ("shift y", 1), ("shift z", 2), ("turn about z", 5), ("turn about y", 4), ("turn about x", 3))
@@ -62,18 +64,38 @@ def corrections(values: Array, covariance: Array, supports: Table | None) -> Cor
         return Corrections({"zero_point": _zero_point(values, std)}, tuple(_zero_in_words(values, std)), steep)
     found = _screws(values, covariance, supports)
     stays = supports.texts("support").index(found.texts("support")[-1])
-    level = _propagated(levelling(values, supports, stays), values, covariance)
+    after, spread = _propagated(levelling(values, supports, stays), values, covariance)
+    level = after, np.sqrt(np.diag(spread))
     tables = {"zero_point": _zero_point(values, std, level), "supports": found}
-    return Corrections(tables, (*_zero_in_words(values, std), *_in_words(found, level)))
+    words = _in_words(found, level, tilt_not_exceeded(spread[3:5, 3:5]))
+    return Corrections(tables, (*_zero_in_words(values, std), *words))
+
+
+def tilt_not_exceeded(covariance: Array) -> float:
+    """Return the tilt [rad] that errors of alpha and beta with this covariance (2, 2) exceed in 5 % of measurements.
+
+    A tilt is the length of a vector, so no multiple of a standard uncertainty covers it. Along the direction
+    phi of the ellipse of errors it has a Rayleigh distribution of parameter g, `P(tilt > t) = mean exp(-t^2/(2 g^2))`.
+    """
+    from scipy.optimize import brentq
+
+    across, along = np.linalg.eigvalsh(covariance).clip(0.0)
+    if along == 0:
+        return 0.0
+    phi = (np.arange(_DIRECTIONS) + 0.5) * (np.pi / 2 / _DIRECTIONS)
+    squares = np.cos(phi) ** 2 + across / along * np.sin(phi) ** 2
+    # at 4 standard deviations of the larger one less than 5 % are beyond, at 1 more
+    times = brentq(lambda t: float(np.exp(-(t**2) / (2 * squares)).mean()) - _BEYOND, 1.0, 4.0)
+    return float(times * np.sqrt(along))
 
 
 def _propagated(function: Callable[[Array], Array], values: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return the values of a function of the pose, and their standard uncertainties."""
+    """Return the values of a function of the pose, and their covariance."""
     by = np.stack(
         [(function(values + h) - function(values - h)) / (2 * h.sum()) for h in np.diag(_STEPS)],
         axis=1,
     )
-    return function(values), np.sqrt(np.einsum("na,ab,nb->n", by, covariance, by))
+    return function(values), np.asarray(by @ covariance @ by.T)
 
 
 def _zero_point(values: Array, std: Array, level: tuple[Array, Array] | None = None) -> Table:
@@ -149,7 +171,7 @@ def _screws(values: Array, covariance: Array, supports: Table) -> Table:
         found = raises(at[3:6], places)
         return np.asarray(found - found[lowest])
 
-    _, std = _propagated(relative, values, covariance)
+    std = np.sqrt(np.diag(_propagated(relative, values, covariance)[1]))
     order = np.argsort(-size, kind="stable")
     # column j: what is left to raise after the screws up to j
     left = np.tril(size[order][:, None] * np.ones(len(size)), -1)
@@ -176,7 +198,7 @@ def _moves(values: Array, std: Array, moves: tuple[tuple[str, int], ...]) -> str
     return ", ".join(f"{name} {format_quantity(float(values[k]), units[k], float(std[k]))}" for name, k in moves)
 
 
-def _in_words(found: Table, level: tuple[Array, Array]) -> Iterator[str]:
+def _in_words(found: Table, level: tuple[Array, Array], tilt_left: float) -> Iterator[str]:
     """Yield what the operator does, and what is left for the zero point of the machine."""
     steps = zip(*(found.columns[name] for name in ("support", "raise", "raise_std", "tilt_left")), strict=True)
     yield "to level the part, raise the supports in this order:"
@@ -187,5 +209,7 @@ def _in_words(found: Table, level: tuple[Array, Array]) -> Iterator[str]:
         else:
             yield f"    {name}: stays"
     yield f"then, if the part does not slip, its zero point is: {_moves(*level, _ORDER[:4])}"
-    worst = float(level[1][3:5].max())
-    yield f"tilt that may be left: {2e3 * worst:.3f} mm/m (k = 2); measure again if it matters that nothing slips"
+    yield (
+        f"tilt that may be left: {1e3 * tilt_left:.2g} mm/m (95 % of measurements leave less); "
+        "measure again if it matters that nothing slips"
+    )

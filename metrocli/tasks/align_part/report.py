@@ -46,7 +46,6 @@ from metrocli.tasks.shared.statistics import (
     with_noise,
 )
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
-from metrocli.units import format_quantity
 
 _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad", "rad")
 
@@ -196,7 +195,7 @@ def _notes(solution: Solution, adjusted: Adjusted, prediction: Prediction | None
     lines += ["    " + "  ".join(f"{entry:+.8f}" for entry in row) for row in rotation]
     if prediction is not None:
         lines.append(
-            f"predicted from the poses before solving: s(gamma_s) = {format_quantity(prediction.std, 'rad', None)}, "
+            f"predicted from the poses before solving: s(gamma_s) = {prediction.std:.2g} rad, "
             f"correlation with {prediction.partner} {prediction.correlation:+.3f}"
         )
     lines += noise_notes(solution) if adjusted.noise is None else []

@@ -36,7 +36,7 @@ def report(solved: Solved, check: Check | None = None) -> Result:
     values = poses.euler_form(poses.inverse(fit.into)) + 0.0  # a part that stays has 0, not -0
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     overstock = _overstock(solved)
-    surfaces = _surfaces(solved, overstock)
+    surfaces = _surfaces(solved, overstock, _std_of_means(solved))
     holding = _holding(solved)
     targets, arrays = _targets(solved)
     tables = {
@@ -111,10 +111,26 @@ def _overstock(solved: Solved) -> Table:
     return Table(columns, dict.fromkeys(("overstock", "s_overstock", "x", "y", "z"), "mm"))
 
 
-def _surfaces(solved: Solved, overstock: Table) -> Table:
+def _std_of_means(solved: Solved) -> Array:
+    """Return the standard uncertainty of the mean overstock of each surface that has points, in order [mm].
+
+    Errors that points share, of scale say, do not average out.
+    """
+    places = solved.prepared.readings.surface_points.places
+    outward = solved.levels.stock.at(solved.fit.into).shape.normal @ poses.rotation_of(solved.fit.into)
+    used, (present, of_point) = solved.used, np.unique(solved.levels.stock.surface[solved.used], return_inverse=True)
+    counts = np.bincount(of_point)
+    own = np.einsum("na,nab,nb->n", outward, places.own, outward)[used]
+    share = np.zeros((len(present), places.common.shape[2]))
+    np.add.at(share, of_point, np.einsum("na,nak->nk", outward, places.common)[used])
+    variance = np.bincount(of_point, own) + np.einsum("sk,kl,sl->s", share, places.core, share)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)) / counts)
+
+
+def _surfaces(solved: Solved, overstock: Table, std_of_means: Array) -> Table:
     """Return /surfaces: least, mean and largest overstock, and the chance that a surface stays unclean."""
     of_point, value = solved.levels.stock.surface[solved.used], overstock.numbers("overstock")[solved.used]
-    names = np.array(overstock.texts("point"))[solved.used]
+    names, std = np.array(overstock.texts("point"))[solved.used], overstock.numbers("s_overstock")[solved.used]
     clean = np.log1p(-np.minimum(overstock.numbers("below")[solved.used], 1 - 1e-12))
     order = np.lexsort((value, of_point))
     present, first, counts = np.unique(of_point[order], return_index=True, return_counts=True)
@@ -124,12 +140,14 @@ def _surfaces(solved: Solved, overstock: Table) -> Table:
         "surface": np.array(solved.stock.nominal.names, dtype=str)[present],
         "points": counts,
         "least": value[order][first],
+        "s_least": std[order][first],
         "mean": total / counts,
+        "s_mean": std_of_means,
         "largest": value[order][first + counts - 1],
         "least_at": names[order][first],
         "below": np.where(chance > _NO_CHANCE, chance, 0.0),
     }
-    return Table(columns, dict.fromkeys(("least", "mean", "largest"), "mm"))
+    return Table(columns, dict.fromkeys(("least", "s_least", "mean", "s_mean", "largest"), "mm"))
 
 
 def _holding(solved: Solved) -> Table:

@@ -25,7 +25,8 @@ from metrocli.tasks.selfcal_grid.solve import LeftOut, Solved
 from metrocli.tasks.selfcal_grid.uncontrolled import uncontrolled
 from metrocli.tasks.shared.statistics import Statistics, basic_statistics, noise_notes, residual_table
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
-from metrocli.units import find_unit
+from metrocli.units import find_unit, with_std
+from metrocli.words import in_a_row
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -259,9 +260,10 @@ def _statistics(
     statistics |= {"largest_length_error": {"mm": length.error}, "largest_length_error_std": {"mm": std}}
     ends = [", ".join(map(str, machine.indices[n].tolist())) for n in (length.first, length.second)]
     reach = " apart from the common scale" if found.scale else ""
+    value = with_std(um.outside(length.error), um.outside(std))
     note = (
-        f"largest length error between sites{reach}: {um.outside(length.error):.2f} um, standard uncertainty "
-        f"{um.outside(std):.2f} um, from ({ends[0]}) to ({ends[1]}); all pairs of {length.sites} sites"
+        f"largest length error between sites{reach}: {value} um (standard uncertainty of this length), "
+        f"from ({ends[0]}) to ({ends[1]}); noise raises the largest of all pairs of {length.sites} sites"
     )
     return statistics, (note,)
 
@@ -280,6 +282,12 @@ def _smooth_note(form: Smooth | None) -> tuple[str, ...]:
     if form is None:
         return ()
     um = find_unit("um", "length")
-    misfit = ", ".join(f"{um.outside(value):.2f}" for value in form.misfit)
-    words = f"rms error at sites left out of the fit, without noise: {misfit} um in x, y, z"
+    beyond = [
+        f"{um.outside(value):.2g} um in {axis}"
+        for axis, value in zip("xyz", form.misfit.tolist(), strict=True)
+        if value
+    ]
+    words = (
+        f"rms error at sites left out of the fit, beyond their noise: {in_a_row(beyond) if beyond else 'none shows'}"
+    )
     return (f"smooth form: polynomial of degree {form.degree}, {words}",)

@@ -8,7 +8,7 @@ from simulated.castings import Array, turn
 
 from metrocli.errors import InputError
 from metrocli.table import Table
-from metrocli.tasks.align_part.fixturing import corrections, must_level
+from metrocli.tasks.align_part.fixturing import corrections, must_level, tilt_not_exceeded
 
 PLACES = np.array([[0.0, 0], [1500, 50], [1400, 1000], [-20, 900]])
 POSE = np.array([120.0, 80, 35, 2.1e-3, -1.3e-3, 0.4])
@@ -96,6 +96,14 @@ def test_the_zero_point_after_the_screws(height: float | None) -> None:
     assert after[2] - there[2] == pytest.approx(screws.numbers("raise")[0], abs=1e-4)
     # the tilt that may be left is the uncertainty of the tilt that was measured, about the part's own axes
     assert np.allclose(sorted(zero.numbers("levelled_std")[4:]), [1e-5, 2e-5], rtol=0.2)
+
+
+@pytest.mark.parametrize("covariance", [[[4.0, 0.0], [0.0, 4.0]], [[4.0, 1.5], [1.5, 1.0]], [[4.0, 2.0], [2.0, 1.0]]])
+def test_the_tilt_that_may_be_left_is_exceeded_in_five_percent(covariance: list[list[float]]) -> None:
+    spread = 1e-10 * np.array(covariance)
+    drawn = np.random.default_rng(3).multivariate_normal(np.zeros(2), spread, 100_000, method="eigh")
+    beyond = np.hypot(*drawn.T) > tilt_not_exceeded(spread)
+    assert beyond.mean() == pytest.approx(0.05, abs=0.003)
 
 
 def heights_at(pose: Array, place: Array) -> float:

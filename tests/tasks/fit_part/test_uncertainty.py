@@ -244,3 +244,20 @@ def test_exact_points_have_no_uncertainty_and_a_warning(tmp_path: Path, metrocli
     assert ran.code == 0 and "the points are taken as exact" in ran.err
     result = fitted(job, metrocli, "--set", "noise=0.05 mm")
     assert all(one.std > 0 for one in result.estimates)
+
+
+def test_the_uncertainty_of_a_mean_overstock_keeps_what_the_points_share(tmp_path: Path) -> None:
+    """Independent errors average out over a surface; those of a common shift do not."""
+    one = casting(33)
+    solved = solved_of(one, file_of(tmp_path))
+    points = solved.prepared.readings.surface_points
+    shift = np.broadcast_to(np.eye(3), (len(points.names), 3, 3))
+    places = Places(points.points, shift, 0.04 * np.eye(3), 9e-4 * shift)
+    shared = replace(solved.prepared.readings, surface_points=replace(points, places=places))
+    surfaces = report(replace(solved, prepared=replace(solved.prepared, readings=shared))).tables["surfaces"]
+    count = dict(zip(surfaces.texts("surface"), surfaces.numbers("points"), strict=True))
+    std = dict(zip(surfaces.texts("surface"), surfaces.numbers("s_mean"), strict=True))
+    assert std["top"] == pytest.approx(np.sqrt(0.04 + 9e-4 / count["top"]), rel=1e-6)
+    # of a whole circle the shift cancels; of one that is measured unevenly a little is left
+    assert std["boss"] < std["top"]
+    assert surfaces.numbers("s_least") == pytest.approx(np.sqrt(0.04 + 9e-4), rel=1e-6)
