@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 
 
 NOT_CONTAINED = (
-    "volumetric: errors after the shift and rotation of the whole that fit best, and the standard uncertainty of their "
-    "vectors, root mean square over the volume; it is that of the estimated tables alone: "
-    "the machine's repeatability and its errors between knots add to it"
+    "volumetric: errors without shift and rotation of the whole, and the standard uncertainty of their vectors (RMS). "
+    "It is that of the estimated tables alone: the machine's repeatability and its errors between knots add to it"
 )
 """What the reader of /volumetric has to know of its uncertainty"""
 
