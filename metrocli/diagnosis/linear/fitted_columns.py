@@ -22,8 +22,8 @@ PRIOR = 2.0
 class FittedColumns:
     """Columns fitted in addition to the unknowns: an orthonormal basis of their visible part, and the residual."""
 
-    basis: Array
-    """(rows, k)"""
+    columns: Array
+    """Orthonormal, (rows, k)"""
     residual: Array
     squares: float
     """Sum of squares of the residual, with the part that the declared noise adds (`prior`)"""
@@ -34,8 +34,18 @@ class FittedColumns:
     """The larger model from which columns were removed to give this one, if any"""
     freed: Array | None = None
     """Orthonormal basis of the removed columns, (rows, p)"""
+    turned: tuple[Array, Array] | None = None
+    """More of the basis: directions (rows, m) and what turns them into it (m, j), which few questions need"""
     remembered: dict[tuple[int, int], Array] = field(default_factory=dict, compare=False, repr=False)
     """Cache of the candidates' Gram matrices after the fit"""
+
+    @cached_property
+    def basis(self) -> Array:
+        """The orthonormal basis, (rows, k + j)."""
+        if self.turned is None:
+            return self.columns
+        directions, turn = self.turned
+        return np.concatenate([self.columns, directions @ turn], axis=1)
 
     def with_columns(self, columns: Array) -> FittedColumns:
         """Return the fit with more columns (rows, q); directions not visible beside the others are ignored."""
@@ -92,13 +102,14 @@ class FittedParts:
         directions = self.basis @ freed
         along = directions.T @ start.residual
         return FittedColumns(
-            np.concatenate([start.basis, self.basis @ kept], axis=1),
+            start.basis,
             larger.residual + directions @ along,
             larger.squares + float(along @ along),
             larger.dof + freed.shape[1],
             start.prior,
             larger,
             directions,
+            (self.basis, kept),
         )
 
     def only(self, numbers: Collection[int]) -> FittedParts:

@@ -27,6 +27,8 @@ from metrocli.diagnosis.linear.quadratics import quadratic, quadratic_of
 
 _INSIDE = 0.5
 """An effect lies in smooth terms if they contain at least this share of its sum of squares"""
+_READINGS = (-1, 0)
+"""Key of the readings in the cache of Gram matrices"""
 _MOST_RANKED = 10_000
 """Readings that are tested as outliers, those with the largest gains"""
 _ROUNDING = 1e-9
@@ -121,7 +123,7 @@ class ScoreTests:
             gram = self.left(number, fitted)
         else:
             scale = scale[list(chosen)]
-            gram = self.families[number].gram[list(chosen)] - _inside(columns, fitted.basis, chosen)
+            gram = self._left_of(number, fitted, chosen)
         right = columns.products(fitted.residual[:, None], chosen)[:, :, 0]
         gain, rank = quadratic(gram, right, scale)
         return self._scored(gain, rank, fitted)
@@ -138,6 +140,13 @@ class ScoreTests:
             fitted.remembered[key] = left
         return fitted.remembered[key]
 
+    def _left_of(self, number: int, fitted: FittedColumns, chosen: Sequence[int]) -> Array:
+        """Return the Gram matrices of some alternatives of a family without the fitted columns."""
+        family = self.families[number]
+        if fitted.larger is None or fitted.freed is None:
+            return np.asarray(family.gram[list(chosen)] - _inside(family.columns, fitted.basis, chosen))
+        return self._left_of(number, fitted.larger, chosen) + _inside(family.columns, fitted.freed, chosen)
+
     def _scored(self, gain: Array, rank: Array, fitted: FittedColumns) -> Score:
         return Score(gain, rank, log_levels(gain / max(fitted.squares, 1e-300), rank, fitted.dof))
 
@@ -153,10 +162,22 @@ class ScoreTests:
     def gains_of_readings(self, fitted: FittedColumns) -> tuple[Array, Array]:
         """Return the reduction of the sum of squares by an error of each reading, and the rank of that error."""
         rows = self.places
-        u = np.where((rows >= 0)[:, :, None], fitted.basis[rows], 0.0)
-        gram = self.blocks - np.einsum("iak,ibk->iab", u, u)
         right = np.where(rows >= 0, fitted.residual[rows], 0.0)
-        return quadratic(gram, right, np.ones(rows.shape))
+        return quadratic(self._left_of_readings(fitted), right, np.ones(rows.shape))
+
+    def _left_of_readings(self, fitted: FittedColumns) -> Array:
+        """Return the Gram matrices of the readings' unit errors without the fitted columns, (readings, d, d)."""
+        if _READINGS not in fitted.remembered:
+            if fitted.larger is None or fitted.freed is None:
+                left = self.blocks - self._of_readings(fitted.basis)
+            else:
+                left = self._left_of_readings(fitted.larger) + self._of_readings(fitted.freed)
+            fitted.remembered[_READINGS] = left
+        return fitted.remembered[_READINGS]
+
+    def _of_readings(self, basis: Array) -> Array:
+        u = np.where((self.places >= 0)[:, :, None], basis[self.places], 0.0)
+        return np.asarray(np.einsum("iak,ibk->iab", u, u))
 
     def lying_in(self, family: int, number: int) -> tuple[Mask, ...]:
         """Return for each family which of its alternatives lie in smooth terms; False for smooth functions."""
