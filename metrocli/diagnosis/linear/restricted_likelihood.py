@@ -65,7 +65,9 @@ class RestrictedLikelihood:
         return np.asarray(-(self.dof * np.log(self._squares(log_ratios)) + grown) / 2)
 
     def best(self) -> float:
-        """Return ln of the ratio of variances with the largest likelihood."""
+        """Return ln of the ratio of variances with the largest likelihood; the least one if no column is visible."""
+        if len(self.eigenvalues) == 0:
+            return float(_GRID[0])
         tried = _GRID - float(np.log(np.median(self.eigenvalues)))
         at = int(np.argmax(self._likelihoods(tried)))
         low, high = float(tried[max(at - 1, 0)]), float(tried[min(at + 1, len(tried) - 1)])

@@ -32,3 +32,10 @@ def test_a_scatter_that_every_reading_shows_alike_gains_no_more() -> None:
     base = FittedColumns(np.zeros((9, 0)), residual, float(residual @ residual) + PRIOR, 9 + PRIOR, PRIOR)
     scatter = RestrictedLikelihood.beside(base, np.diag(np.full(9, 2.5)))
     assert scatter.gain(scatter.best()) == pytest.approx(gain_of_larger_noise(base), abs=1e-6)
+
+
+def test_columns_of_which_nothing_is_visible_gain_nothing() -> None:
+    residual = np.ones(5)
+    base = FittedColumns(np.zeros((5, 0)), residual, 5 + PRIOR, 5 + PRIOR, PRIOR)
+    likelihood = RestrictedLikelihood.of(base, np.zeros((2, 2)), np.zeros(2))
+    assert likelihood.gain(likelihood.best()) == pytest.approx(0.0, abs=1e-12)
