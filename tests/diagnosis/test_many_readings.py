@@ -75,11 +75,24 @@ def test_a_second_linearisation_changes_nothing_where_the_model_is_linear(monkey
 def test_a_diagnosis_that_needs_more_memory_than_there_is_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     network = job(60)
     assert 0 < memory.at_hand() <= 4e9
-    monkeypatch.setattr(memory, "at_hand", lambda: memory.needed(network) / 3.5)
-    with pytest.raises(InputError, match=r"needs about 0\.3 GB for 360 readings(.|\n)*one point or pose in 4"):
+    monkeypatch.setattr(memory, "at_hand", lambda: 1e9)
+    monkeypatch.setattr(memory, "needed", lambda job: 3.5e9)
+    with pytest.raises(InputError, match=r"needs about 3\.5 GB for 360 readings(.|\n)*one point or pose in 4"):
         diagnose.diagnose(network)
     with pytest.raises(InputError, match="needs about"):
         diagnose.what_can_be_seen(network)
+
+
+def test_a_few_readings_are_diagnosed_however_little_memory_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "at_hand", lambda: 1e8)
+    memory.must_fit(lengths.measurement(np.random.default_rng(1), 60).adjusted())
+
+
+def test_files_kept_in_memory_do_not_count_as_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A container fills its memory with the files that it has read; these give way."""
+    texts = {"max": "2000000000\n", "current": "1900000000\n", "stat": "anon 5\ninactive_file 1500000000\n"}
+    monkeypatch.setattr(memory, "_text", lambda path: texts.get(path.rpartition(".")[2], ""))
+    assert memory.at_hand() == 1.6e9
 
 
 def test_memory_grows_with_the_readings() -> None:

@@ -64,7 +64,7 @@ def test_what_a_process_stands_for_stays_detected() -> None:
     assert not found.findings and found.verdict == "unexplained"
     assert found.left is not None and found.left.p_value < 1e-3
     assert as_data(found)["processes"][0]["instead_of"] == [{"name": "tracer-drift", "where": dict(hidden.where)}]
-    assert "likelier than what fits as well without it: tracer-drift T4" in of_diagnosis(found, None)
+    assert "Without it these would be named: tracer-drift T4" in of_diagnosis(found, None)
 
 
 def test_the_size_of_a_process_is_in_the_unit_of_the_readings_that_show_it() -> None:

@@ -158,7 +158,7 @@ def _processes(diagnosis: Diagnosis) -> Iterator[str]:
         each = f" of each {one.by} by itself" if one.by else ""
         yield f"error that varies smoothly with {one.covariate}{each}: {size} (standard deviation)"
         if one.instead_of:
-            yield f"  It is likelier than what fits as well without it: {', '.join(map(str, one.instead_of))}."
+            yield f"  Without it these would be named: {listed([str(each) for each in one.instead_of], _SHOWN)}."
     if diagnosis.processes:
         counted = "the named effects and detectable sizes hold" if diagnosis.findings else "detectable sizes hold"
         yield f"  Chance explains it as well as any cause. It counts as noise: {counted} beside it."

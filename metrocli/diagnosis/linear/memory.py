@@ -24,12 +24,14 @@ _FIXED = 0.3e9
 _COPIES = 4
 """Times that the derivatives by the shared unknowns are held at once, and candidates beside their own making"""
 _HELD = 2.5
+_STATISTICS = "/sys/fs/cgroup/memory.stat"
 
 
 def must_fit(job: AdjustedJob) -> None:
-    """Raise InputError, with the numbers, if a diagnosis would take more memory than there is."""
+    """Raise InputError, with the numbers, if a diagnosis of many readings would take more memory than there is."""
     need, most = needed(job), at_hand()
-    if need > most:
+    # few readings take what the program takes anyhow, so that fewer of them would not help
+    if need > max(most, 2 * _FIXED):
         readings = sum(group.observations.readings.size for group in job.model.readings)
         raise InputError(
             f"diagnose needs about {need / 1e9:.1f} GB for {readings} readings, and can take {most / 1e9:.1f} GB\n"
@@ -74,7 +76,9 @@ def _free() -> list[float]:
             found.append(float(line.split()[1]) * 1024)
     most, taken = (_text(f"/sys/fs/cgroup/memory.{name}").strip() for name in ("max", "current"))
     if most.isdigit() and taken.isdigit():
-        found.append(float(most) - float(taken))
+        # files that were read stay in memory until it is needed
+        kept = [float(line.split()[1]) for line in _text(_STATISTICS).splitlines() if line.startswith("inactive_file ")]
+        found.append(float(most) - float(taken) + sum(kept))
     return found
 
 
