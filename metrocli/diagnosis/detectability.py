@@ -5,6 +5,7 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -32,6 +33,8 @@ _ALIKE = 0.9
 """Correlation above which two candidates are reported as alike"""
 _SAME = 0.999
 """Correlation above which two candidates cannot be distinguished at all"""
+_DEPENDENT = 1e-8
+"""Eigenvalue of the Gram matrix of unit columns below which a direction depends on the others"""
 _OFFERED = 2
 """Largest number of further measurements that are reported"""
 _HELPS = 0.98
@@ -237,25 +240,30 @@ def _absorbers(system: System, full: Array) -> tuple[str, ...]:
 def _pairs(test_set: ScoreTests, candidates: Sequence[Candidate], noise: float) -> Iterable[Pair]:
     """Yield the pairs of testable candidates of different causes or places that correlate by more than 0.9."""
     testable = [one for one in candidates if one.testable]
-    columns = [test_set.visible(one.family, one.number) for one in testable]
-    bases = [_unit(one) for one in columns]
-    ends = np.cumsum([basis.shape[1] for basis in bases])
-    whole = np.concatenate(bases, axis=1) if bases else np.zeros((0, 0))
-    products = whole.T @ whole
+    ends = np.cumsum([0, *(test_set.families[one.family].columns.parameters for one in testable)])
+    whole = np.empty((test_set.system.rows, int(ends[-1])))
+    own = [slice(int(first), int(last)) for first, last in itertools.pairwise(ends)]
+    for one, its in zip(testable, own, strict=True):
+        whole[:, its] = test_set.visible(one.family, one.number)
+    gram = whole.T @ whole
+    turns = [_unit(gram[its, its]) for its in own]
     for i, one in enumerate(testable):
         for j in range(i):
-            product = products[ends[i] - bases[i].shape[1] : ends[i], ends[j] - bases[j].shape[1] : ends[j]]
+            imitated = turns[j].T @ gram[own[j], own[i]]
+            product = imitated @ turns[i]
             # the largest singular value cannot exceed the root of the sum of squares, so most pairs need no SVD
             rho = float(np.linalg.norm(product, 2)) if (product**2).sum() > _ALIKE**2 else 0.0
             if rho > _ALIKE:
-                size = noise * size_separated(columns[i], bases[j], _SEPARATED)
+                size = noise * size_separated(gram[own[i], own[i]], imitated, _SEPARATED)
                 yield Pair(one.name, testable[j].name, min(rho, 1.0), size, one.unit, one.dimension)
 
 
-def _unit(columns: Array) -> Array:
-    u, s, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False)
-    basis: Array = u[:, s > 1e-4]
-    return basis
+def _unit(gram: Array) -> Array:
+    """Return the turn (q, k) that makes columns of a Gram matrix (q, q) orthonormal, without those that depend."""
+    norms = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(norms, norms))
+    kept = values > _DEPENDENT
+    return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) / norms[:, None])
 
 
 def separations(job: AdjustedJob, one: Alternative, other: Alternative) -> list[str]:
@@ -266,10 +274,10 @@ def separations(job: AdjustedJob, one: Alternative, other: Alternative) -> list[
     found = []
     for words, model in job.offers(job.model):
         system = linearised(model)
-        bases = [
-            _unit(system.seen(signature(model, system, a.effect, a.instance, dict(a.scanned)))) for a in (one, other)
-        ]
-        found.append((float(np.linalg.norm(bases[0].T @ bases[1], 2)), words))
+        columns = [system.seen(signature(model, system, a.effect, a.instance, dict(a.scanned))) for a in (one, other)]
+        turns = [_unit(its.T @ its) for its in columns]
+        cosines = turns[0].T @ (columns[0].T @ columns[1]) @ turns[1]
+        found.append((float(np.linalg.norm(cosines, 2)), words))
         if sum(rho < _ALIKE for rho, _ in found) == _OFFERED:
             break
     enough = [f"{words} (their correlation falls to {rho:.2f})" for rho, words in found if rho < _ALIKE]

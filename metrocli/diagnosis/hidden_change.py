@@ -78,7 +78,7 @@ def _of_some(
     farthest = np.stack([_plausible(family.alternatives[i]) for i in at]) * reach[:, 1, None] * scale
     usual = np.eye(farthest.shape[1]) / farthest[:, :, None] ** 2
     shift = _shifts(job, system, family.absorbed_by(system, at))
-    shift = np.where(_is_rounding(system, shift, scale), 0.0, shift) / scale
+    shift *= np.where(_is_rounding(system, shift, scale), 0.0, 1 / scale)
     turned = np.ascontiguousarray(np.moveaxis(shift, 2, 0))
     squares = np.swapaxes(turned, 2, 3) @ turned
     narrow = seen.all(axis=1) & (np.linalg.eigvalsh(shown - usual) >= 0).all(axis=1)
@@ -125,12 +125,14 @@ def _shifts(job: AdjustedJob, system: System, absorbed: Array) -> Array:
     entries = [system.entries(name)[:, list(job.delivered.columns)] for name in job.delivered.blocks]
     places = np.concatenate(entries)
     moved = system.solver.change(absorbed)[np.maximum(places, 0)]
-    return np.where((places >= 0)[:, :, None, None], moved, 0.0)
+    moved[places < 0] = 0.0
+    return np.asarray(moved)
 
 
 def _is_rounding(system: System, shift: Array, scale: Array) -> Array:
     typical = float(np.median(system.scale[system.measured]))
-    return np.asarray(np.linalg.norm(shift, axis=(0, 1)) < _NOTHING * typical * scale)
+    size = np.sqrt(np.einsum("mckq,mckq->kq", shift, shift))
+    return np.asarray(size < _NOTHING * typical * scale)
 
 
 def _largest(squares: Array, bounds: Array, least: float = 0.0) -> tuple[float, int]:

@@ -15,7 +15,7 @@ def test_an_effect_of_the_size_is_taken_for_itself_in_95_of_100_cases(parameters
     visible = rng.normal(size=(40, parameters)) * np.array([3.0, 1.0, 0.3])[:parameters]
     like = visible / np.linalg.norm(visible, axis=0) + 0.07 * rng.normal(size=visible.shape)
     own, other = np.linalg.qr(visible)[0], np.linalg.qr(like)[0]
-    size = size_separated(visible, other, 0.95)
+    size = size_separated(visible.T @ visible, other.T @ visible, 0.95)
     count = 20_000
     towards = rng.normal(size=(parameters, count))
     readings = size * visible @ (towards / np.linalg.norm(towards, axis=0)) + rng.normal(size=(40, count))
@@ -26,4 +26,4 @@ def test_an_effect_of_the_size_is_taken_for_itself_in_95_of_100_cases(parameters
 
 def test_what_another_imitates_entirely_is_never_distinguished() -> None:
     column = np.arange(1.0, 9.0)[:, None]
-    assert size_separated(column, column / np.linalg.norm(column), 0.95) > 1e4
+    assert size_separated(column.T @ column, column.T @ column / np.linalg.norm(column), 0.95) > 1e4

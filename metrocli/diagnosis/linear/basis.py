@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -66,7 +67,8 @@ class Basis:
 
     def squares(self, rows: Index | Mask | slice = slice(None)) -> Array:
         """Return the sum of squares of each row, the share of a reading that the unknowns absorb."""
-        return np.asarray((self.local[rows] ** 2).sum(axis=1) + (self.shared[rows] ** 2).sum(axis=1))
+        local, shared = self.local[rows], self.shared[rows]
+        return np.asarray(np.einsum("rk,rk->r", local, local) + np.einsum("rk,rk->r", shared, shared))
 
     def grams(self, values: Array) -> Array:
         """Return `g' b b' g` of columns (rows, k, q), k at a time, (k, q, q): the squares that the unknowns absorb."""
@@ -124,6 +126,8 @@ class Basis:
 
     def products(self, rows: Index, others: Index) -> Array:
         """Return the products of rows (..., a) with other rows (..., b), (..., a, b); a row of number -1 is zero."""
+        if others is rows and rows.ndim == 2 and rows.shape[1] == 1:
+            return np.where(rows >= 0, self.squares(rows[:, 0])[:, None], 0.0)[:, :, None]
         of_rows = self.member[rows], self.local[rows], self.shared[rows]
         of_others = of_rows if others is rows else (self.member[others], self.local[others], self.shared[others])
         same = (of_rows[0][..., :, None] == of_others[0][..., None, :]) & (of_rows[0][..., :, None] >= 0)
@@ -145,8 +149,10 @@ class Basis:
         """Return the Gram matrix of some rows (mask)."""
         _, q = self.local.shape
         own = rows & (self.member >= 0)
-        local = np.zeros((self.members, q, q))
-        np.add.at(local, self.member[own], self.local[own][:, :, None] * self.local[own][:, None, :])
+        values, member = self.local[own], self.member[own]
+        local = np.empty((self.members, q, q))
+        for i, j in product(range(q), repeat=2):
+            local[:, i, j] = np.bincount(member, values[:, i] * values[:, j], self.members)
         return GramOfRows(local, self._sparse[rows].T @ self.shared[rows], self.shared[rows].T @ self.shared[rows])
 
     def holds_whole_members(self, rows: Index) -> bool:

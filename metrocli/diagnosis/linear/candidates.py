@@ -263,11 +263,11 @@ def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[
     found = scan(job.model, system, effect, places, scans) if scans else ()
     for scanned, (full, block, chosen) in zip(scans, found, strict=True):
         for place, names, own in of_places(job.model, block, chosen, places):
-            touched = np.flatnonzero(full[:, own].any(axis=1)) if own.any() else np.zeros(0, dtype=np.intp)
-            if len(touched) >= job.fewest:
+            changed = Own.of(full, own)
+            if len(changed.rows) >= job.fewest:
                 named = _scanned_places(job.model, effect, scanned)
                 alternative = Alternative(effect, place, tuple(scanned.items()), names, named)
-                yield _Columns(alternative, Own(touched, full[np.ix_(touched, own)]))
+                yield _Columns(alternative, changed)
 
 
 def _steps(
@@ -285,12 +285,13 @@ def _steps(
     full, block, chosen = next(scan(job.model, system, effect, places, [{name: float(np.nanmin(times))}]))
     courses = []
     for place, names, own in of_places(job.model, block, chosen, places):
-        rows = np.flatnonzero(full[:, own].any(axis=1)) if own.any() else np.zeros(0, dtype=np.intp)
-        rows = rows[np.argsort(times[rows], kind="stable")]
-        courses.append((place, names, Course(rows, full[np.ix_(rows, own)])))
+        changed = Own.of(full, own)
+        order = np.argsort(times[changed.rows], kind="stable")
+        rows = changed.rows[order]
+        courses.append((place, names, Course(rows, changed.values[order]), times[rows]))
     for scanned in scans:
-        for place, names, course in courses:
-            begin = int(np.searchsorted(times[course.rows], scanned[name]))
+        for place, names, course, ordered in courses:
+            begin = int(np.searchsorted(ordered, scanned[name]))
             if len(course.rows) - begin >= job.fewest:
                 yield _Columns(Alternative(effect, place, tuple(scanned.items()), names), Step(course, begin))
 

@@ -31,6 +31,16 @@ class Own:
     values: Array
     """(r, parameters)"""
 
+    @classmethod
+    def of(cls, full: Array, own: Mask) -> Own:
+        """Return some of the columns (rows, k), chosen by a mask (k,), at the rows where any of them is not zero."""
+        columns = np.flatnonzero(own)
+        there = np.zeros(len(full), dtype=bool)
+        for column in columns:
+            there |= full[:, column] != 0
+        rows = np.flatnonzero(there)
+        return cls(rows, full[np.ix_(rows, columns)])
+
 
 @dataclass(frozen=True)
 class Course:
@@ -84,7 +94,8 @@ class Part:
 
     def norms(self, kept: Mask | None) -> Array:
         """Return the norm of each column at the kept rows, (alternatives, parameters)."""
-        return np.asarray(np.linalg.norm(kept_of(self.values, kept), axis=0))
+        values = kept_of(self.values, kept)
+        return np.asarray(np.sqrt(np.einsum("raq,raq->aq", values, values)))
 
     def grams(self, basis: Basis, kept: Mask | None) -> Array:
         """Return `g' M g` of each alternative with zeros at rows that are not kept (r,), M without a basis."""
@@ -98,7 +109,8 @@ class Part:
 
     def cut(self, there: Mask) -> Part:
         """Return the part at some of its rows (r,)."""
-        return Part(self.rows[there], self.values[there], self.numbers)
+        own = np.flatnonzero(there)
+        return Part(self.rows[own], self.values.take(own, axis=0), self.numbers)
 
     def numbered(self, rows: Index, numbers: Index) -> Part:
         """Return the part with other numbers of its rows and its alternatives."""
@@ -175,7 +187,8 @@ class Steps:
         """Return the part at some of its rows (r,)."""
         begins = np.concatenate([[0], np.cumsum(there)])[self.begins]
         acts = begins < there.sum()
-        return Steps(Course(self.rows[there], self.course.values[there]), begins[acts], self.numbers[acts])
+        own = np.flatnonzero(there)
+        return Steps(Course(self.rows[own], self.course.values.take(own, axis=0)), begins[acts], self.numbers[acts])
 
     def numbered(self, rows: Index, numbers: Index) -> Steps:
         """Return the part with other numbers of its rows and its alternatives."""

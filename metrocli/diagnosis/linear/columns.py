@@ -8,8 +8,9 @@ and only those that enter a model are projected. Method: docs/algorithms/selecti
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +18,46 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.column_parts import Own, Part, Step, Steps, kept_of
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
+
+
+_MANY, _SMALL = 12, 2000
+"""Number of parts from which those with fewer rows are held as one sparse matrix: one product instead of many"""
+
+
+@dataclass(frozen=True)
+class Stacked:
+    """Many small parts as one sparse matrix, such as those of single images, and the other parts."""
+
+    columns: csr_matrix
+    """Transposed columns of the small parts, (alternatives*parameters, rows up to the last that they change)"""
+    numbers: Index
+    """Numbers of their alternatives"""
+    others: tuple[Part | Steps, ...]
+
+    @classmethod
+    def of(cls, parts: Sequence[Part | Steps]) -> Stacked:
+        """Return the parts, apart by their size."""
+        from scipy.sparse import csc_matrix
+
+        small = [part for part in parts if isinstance(part, Part) and len(part.rows) < _SMALL]
+        values = [np.moveaxis(part.values, 0, 2).ravel() for part in small]
+        counts = [len(part.numbers) * part.values.shape[2] for part in small]
+        places = [np.tile(part.rows, count) for part, count in zip(small, counts, strict=True)]
+        lengths = np.repeat([len(part.rows) for part in small], counts)
+        ends = np.concatenate([[0], np.cumsum(lengths)])
+        entries = (np.concatenate([*values, np.zeros(0)]), np.concatenate([*places, np.zeros(0, np.intp)]), ends)
+        last = max((int(part.rows.max()) + 1 for part in small if len(part.rows)), default=0)
+        columns = csc_matrix(entries, shape=(last, len(lengths)))
+        numbers = np.concatenate([*(part.numbers for part in small), np.zeros(0, np.intp)])
+        return cls(columns.T, numbers, tuple(part for part in parts if not any(part is one for one in small)))
+
+    def products(self, visible: Array, parameters: int) -> Array:
+        """Return the products with visible vectors (rows, m), (alternatives, parameters, m)."""
+        found = self.columns @ visible[: self.columns.shape[1]]
+        return np.asarray(found.reshape(len(self.numbers), parameters, visible.shape[1]))
 
 
 @dataclass(frozen=True)
@@ -30,6 +71,8 @@ class Columns:
     parts: tuple[Part | Steps, ...]
     kept: Mask | None = None
     """The rows at which they are not zero (rows,), None for all; shared by the folds without a copy of the values"""
+    stacked: list[Stacked] = field(default_factory=list, compare=False, repr=False)
+    """Cache: many small parts as one sparse matrix; shared by the folds"""
 
     @classmethod
     def of(cls, values: Array) -> Columns:
@@ -44,7 +87,14 @@ class Columns:
         """
         if chosen is None:
             found = np.zeros((self.count, self.parameters, visible.shape[1]))
-            for part in self.parts:
+            parts = self.parts
+            if len(parts) > _MANY:
+                if not self.stacked:
+                    self.stacked.append(Stacked.of(parts))
+                stacked = self.stacked[0]
+                found[stacked.numbers] = stacked.products(visible, self.parameters)
+                parts = stacked.others
+            for part in parts:
                 found[part.numbers] = part.products(visible)
             return found
         found = np.zeros((len(chosen), self.parameters, visible.shape[1]))
@@ -96,7 +146,7 @@ class Columns:
     def at(self, rows: Mask) -> Columns:
         """Return the columns at some rows only, which keep their numbers."""
         cut = (part.cut(there) for part in self.parts if (there := rows[part.rows]).any())
-        return replace(self, parts=tuple(part for part in cut if len(part.numbers)))
+        return replace(self, parts=tuple(part for part in cut if len(part.numbers)), stacked=[])
 
     def turned(self, turn: Array) -> Columns:
         """Return the columns of each alternative times a matrix of its own, (alternatives, parameters, parameters)."""
@@ -104,13 +154,14 @@ class Columns:
             Part(part.rows, np.einsum("rak,akj->raj", part.dense(), turn[part.numbers]), part.numbers)
             for part in self.parts
         )
-        return replace(self, parts=tuple(parts))
+        return replace(self, parts=tuple(parts), stacked=[])
 
     def of_rows(self, rows: Mask) -> Columns:
         """Return the columns of a system that has some rows only, which are numbered anew."""
         new = np.cumsum(rows) - 1
         cut = self.at(rows)
-        return replace(cut, parts=tuple(part.numbered(new[part.rows], part.numbers) for part in cut.parts))
+        parts = tuple(part.numbered(new[part.rows], part.numbers) for part in cut.parts)
+        return replace(cut, parts=parts, stacked=[])
 
     def _kept_of(self, part: Part | Steps) -> Mask | None:
         return None if self.kept is None else self.kept[part.rows]
@@ -119,7 +170,7 @@ class Columns:
         """Return the columns with one alternative more, of columns (rows, parameters)."""
         rows = np.flatnonzero(values.any(axis=1))
         part = Part(rows, values[rows][:, None], np.array([self.count]))
-        return replace(self, count=self.count + 1, parts=(*self.parts, part))
+        return replace(self, count=self.count + 1, parts=(*self.parts, part), stacked=[])
 
 
 def gathered(items: Iterable[tuple[object, Own | Step]]) -> Columns:

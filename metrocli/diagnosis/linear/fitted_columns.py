@@ -5,7 +5,7 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -14,8 +14,58 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 
+_EVEN = 0.01
+"""Eigenvalue of a Gram matrix, relative to the largest, above which its eigenvectors need no second step"""
 PRIOR = 2.0
 """Weight of the declared noise in degrees of freedom: it matters with few readings, not with many"""
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a fit leaves of the candidates of a family."""
+
+    gram: Array
+    """Gram matrices of their columns without the fitted ones, (alternatives, q, q)"""
+    right: Array
+    """Products of their columns with the residual, (alternatives, q)"""
+
+    def of(self, chosen: Sequence[int]) -> Left:
+        """Return that of some alternatives."""
+        return Left(self.gram[list(chosen)], self.right[list(chosen)])
+
+    def with_columns(self, along: Array, amounts: Array) -> Left:
+        """Return what is left beside more orthonormal columns b.
+
+        `along` are the products of the candidates with b, (alternatives, q, p), `amounts` those of b with the residual
+        before, (p,).
+        """
+        return Left(self.gram - along @ np.swapaxes(along, 1, 2), self.right - along @ amounts)
+
+    def without_columns(self, along: Array, amounts: Array) -> Left:
+        """Return what is left without some of the columns b; `amounts` are their products with the residual after."""
+        return Left(self.gram + along @ np.swapaxes(along, 1, 2), self.right + along @ amounts)
+
+
+@dataclass
+class Known:
+    """What a fit leaves of the candidates, as far as it was computed."""
+
+    families: dict[tuple[int, int], Left] = field(default_factory=dict)
+    """By the number of the family and its alternatives"""
+    readings: Array | None = None
+    """Gram matrices of the readings' unit errors, (readings, d, d)"""
+
+
+@dataclass(frozen=True)
+class Grown:
+    """How a fit grew from a smaller one, without that fit: its columns would take memory."""
+
+    known: Known
+    """What the smaller fit leaves"""
+    added: Array
+    """Orthonormal columns that it has not, (rows, p)"""
+    amounts: Array
+    """Their products with its residual, (p,)"""
 
 
 @dataclass(frozen=True)
@@ -36,8 +86,10 @@ class FittedColumns:
     """Orthonormal basis of the removed columns, (rows, p)"""
     turned: tuple[Array, Array] | None = None
     """More of the basis: directions (rows, m) and what turns them into it (m, j), which few questions need"""
-    remembered: dict[tuple[int, int], Array] = field(default_factory=dict, compare=False, repr=False)
-    """Cache of the candidates' Gram matrices after the fit"""
+    grown: Grown | None = field(default=None, compare=False, repr=False)
+    """How it grew from a smaller fit, if it did"""
+    known: Known = field(default_factory=Known, compare=False, repr=False)
+    """Cache of what the fit leaves of the candidates"""
 
     @cached_property
     def basis(self) -> Array:
@@ -69,6 +121,8 @@ class FittedParts:
     """Orthonormal basis of all parts, (rows, k)"""
     parts: tuple[Array, ...] = ()
     """Coordinates of each part's unit columns, (k, q)"""
+    smaller: tuple[Known, int] | None = None
+    """What a fit of fewer parts leaves, and how many columns of the basis it has; None for the start"""
 
     @cached_property
     def fitted(self) -> FittedColumns:
@@ -76,10 +130,17 @@ class FittedParts:
         if not self.parts:
             return self.start
         start = self.start
-        residual = start.residual - self.basis @ (self.basis.T @ start.residual)
+        amounts = self.basis.T @ start.residual
+        residual = start.residual - self.basis @ amounts
         squares = float(residual @ residual) + start.prior
         basis = np.concatenate([start.basis, self.basis], axis=1)
-        return FittedColumns(basis, residual, squares, start.dof - self.basis.shape[1], start.prior)
+        known, first = self._smaller
+        grown = Grown(known, self.basis[:, first:], amounts[first:])
+        return FittedColumns(basis, residual, squares, start.dof - len(amounts), start.prior, grown=grown)
+
+    @property
+    def _smaller(self) -> tuple[Known, int]:
+        return (self.start.known, 0) if self.smaller is None else self.smaller
 
     def with_part(self, columns: Array) -> FittedParts:
         """Return the fit with one more part (rows, q); directions not visible beside the others are ignored."""
@@ -93,7 +154,10 @@ class FittedParts:
         new = orthonormal(left, VISIBLE)
         grown = [np.pad(part, ((0, new.shape[1]), (0, 0))) for part in self.parts]
         part = np.concatenate([inside, new.T @ left])
-        return FittedParts(self.start, np.concatenate([basis, new], axis=1), (*grown, part))
+        # the columns of the basis stay, so what a fit without the new ones leaves is of use
+        asked = "fitted" in self.__dict__ and self.fitted.known.families
+        smaller = (self.fitted.known, basis.shape[1]) if asked and self.parts else self._smaller
+        return FittedParts(self.start, np.concatenate([basis, new], axis=1), (*grown, part), smaller)
 
     def without(self, numbers: Collection[int]) -> FittedColumns:
         """Return the model without some parts."""
@@ -137,8 +201,8 @@ def orthonormal(columns: Array, least: float) -> Array:
 def orthonormalised(columns: Array, least: float) -> tuple[Array, Array]:
     """Return an orthonormal basis (rows, k) of the span of columns (rows, q), and the turn (q, k) that gives it.
 
-    It uses the eigenvectors of the Gram matrix twice (as Cholesky QR does), which is far faster than an SVD for many
-    rows. Directions of singular values below `least` are left out.
+    It uses the eigenvectors of the Gram matrix (as Cholesky QR does), which is far faster than an SVD for many rows;
+    twice where their sizes differ much. Directions of singular values below `least` are left out.
     """
     bound, turn = least**2, np.eye(columns.shape[1])
     for _ in range(2):
@@ -146,6 +210,8 @@ def orthonormalised(columns: Array, least: float) -> tuple[Array, Array]:
         kept = values > bound
         step = vectors[:, kept] / np.sqrt(values[kept])
         columns, turn, bound = columns @ step, turn @ step, 0.0
+        if not kept.any() or values[kept][0] > _EVEN * values[-1]:
+            break
     return columns, turn
 
 

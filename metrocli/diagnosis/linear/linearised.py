@@ -16,9 +16,13 @@ from metrocli.adjust.model.groups import Linear
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout, single_touch, without_elimination
 from metrocli.diagnosis.linear.basis import Basis, Solver, datum_of, orthonormal_members
+from metrocli.diagnosis.linear.fitted_columns import orthonormalised
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS, System, by_rows, scatter
 from metrocli.effects.model import Model
 from metrocli.errors import InputError
+
+_WELL = 1e-5
+"""Singular value of unit columns above which the Gram matrix tells them from those that a datum leaves open"""
 
 
 def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> System:
@@ -158,10 +162,9 @@ def _factored(model: Model, local: _Local, layout: Layout, whole: Layout, rows: 
     frame = None if model.datum is None else open_frame(model.datum, model.blocks, layout, _unscaled(gram, sizes))
     # a free network leaves as many directions open as its frame has movements
     open_ones = 0 if frame is None else frame.reduced.shape[1]
-    u, s, vt = np.linalg.svd(left, full_matrices=False)
-    kept = len(s) - open_ones
+    unit, turn = _orthonormal(left, left.shape[1] - open_ones)
     factor = np.where(sizes > 0, 1 / np.where(sizes > 0, sizes, 1.0), 0.0)
-    shared = factor[:, None] * vt[:kept].T / s[:kept]
+    shared = factor[:, None] * turn
     by_member = coupling[: own.shape[1] * members].reshape(members, own.shape[1], layout.width) * np.where(
         sizes > 0, sizes, 1.0
     )
@@ -179,7 +182,16 @@ def _factored(model: Model, local: _Local, layout: Layout, whole: Layout, rows: 
     squares = np.zeros((members + 1, rows.local.shape[1]))
     np.add.at(squares, rows.member, rows.local**2)
     norms[places[places >= 0]] = np.sqrt(squares[:members][places >= 0])
-    return Basis(own, rows.member, members, u[:, :kept]), solver, norms
+    return Basis(own, rows.member, members, unit), solver, norms
+
+
+def _orthonormal(columns: Array, rank: int) -> tuple[Array, Array]:
+    """Return an orthonormal basis (rows, rank) of columns (rows, q), and the turn (q, rank) that gives it."""
+    unit, turn = orthonormalised(columns, _WELL)
+    if turn.shape[1] != rank:
+        u, s, vt = np.linalg.svd(columns, full_matrices=False)
+        unit, turn = u[:, :rank], vt[:rank].T / s[:rank]
+    return unit, turn
 
 
 def _unscaled(gram: Array, sizes: Array) -> Array:

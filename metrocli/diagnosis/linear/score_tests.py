@@ -9,7 +9,7 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -21,16 +21,16 @@ from metrocli.diagnosis.adjusted_job import Budget
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.columns import Columns
 from metrocli.diagnosis.linear.distributions import log_family, log_levels
-from metrocli.diagnosis.linear.fitted_columns import FittedColumns, orthonormal
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns, Left, orthonormal
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 from metrocli.diagnosis.linear.quadratics import quadratic, quadratic_of
 
 _INSIDE = 0.5
 """An effect lies in smooth terms if they contain at least this share of its sum of squares"""
-_READINGS = (-1, 0)
-"""Key of the readings in the cache of Gram matrices"""
 _MOST_RANKED = 10_000
 """Readings that are tested as outliers, those with the largest gains"""
+_MOST_REMEMBERED = 10_000_000
+"""Numbers of visible columns that are kept, so that they are not projected again for each question"""
 _ROUNDING = 1e-9
 """Relative difference of levels (ln) that is rounding: a jump at two times without a reading between is one jump"""
 
@@ -51,6 +51,29 @@ class Score:
         """The alternative with the smallest p-value; the first of those that differ by rounding only."""
         least = float(self.log_p.min())
         return int(np.argmax(self.log_p <= least + _ROUNDING * abs(least)))
+
+
+@dataclass
+class Remembered:
+    """Visible columns of candidates, and effects that lie in smooth terms, as far as they were computed.
+
+    It is empty where tests travel to another processor.
+    """
+
+    lying_in: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict)
+    visible: dict[tuple[int, int], Array] = field(default_factory=dict)
+
+    def columns(self, key: tuple[int, int], computed: Callable[[], Array]) -> Array:
+        """Return visible columns, computed if they are not remembered; the oldest are forgotten for new ones."""
+        found = self.visible.pop(key, None)
+        found = computed() if found is None else found
+        self.visible[key] = found
+        while sum(one.size for one in self.visible.values()) > _MOST_REMEMBERED and len(self.visible) > 1:
+            del self.visible[next(iter(self.visible))]
+        return found
+
+    def __reduce__(self) -> tuple[type[Remembered], tuple[()]]:
+        return Remembered, ()
 
 
 @dataclass(frozen=True)
@@ -75,8 +98,7 @@ class ScoreTests:
     """Cause and place of the effects with which the unknowns were adjusted; these do not stop the selection"""
     budget: Budget = field(default_factory=Budget)
     """CPU time for a search"""
-    remembered: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict, compare=False, repr=False)
-    """Cache of the effects that lie in smooth terms"""
+    remembered: Remembered = field(default_factory=Remembered, compare=False, repr=False)
 
     def alternative(self, family: int, number: int) -> Alternative:
         """Return an alternative of a family."""
@@ -118,34 +140,34 @@ class ScoreTests:
 
     def score(self, number: int, fitted: FittedColumns, chosen: Sequence[int] | None = None) -> Score:
         """Return the tests of one family beside the fitted columns; `chosen` limits them to some alternatives."""
-        columns, scale = self.families[number].columns, self.families[number].raw
-        if chosen is None:
-            gram = self.left(number, fitted)
-        else:
-            scale = scale[list(chosen)]
-            gram = self._left_of(number, fitted, chosen)
-        right = columns.products(fitted.residual[:, None], chosen)[:, :, 0]
-        gain, rank = quadratic(gram, right, scale)
+        left, scale = self.left(number, fitted, chosen), self.families[number].raw
+        gain, rank = quadratic(left.gram, left.right, scale if chosen is None else scale[list(chosen)])
         return self._scored(gain, rank, fitted)
 
-    def left(self, number: int, fitted: FittedColumns) -> Array:
-        """Return the Gram matrices of a family without the fitted columns, (alternatives, q, q)."""
-        family = self.families[number]
-        columns, key = family.columns, (number, family.columns.count)
-        if key not in fitted.remembered:
-            if fitted.larger is None or fitted.freed is None:
-                left = family.gram - _inside(columns, fitted.basis)
-            else:
-                left = self.left(number, fitted.larger) + _inside(columns, fitted.freed)
-            fitted.remembered[key] = left
-        return fitted.remembered[key]
+    def left(self, number: int, fitted: FittedColumns, chosen: Sequence[int] | None = None) -> Left:
+        """Return what a fit leaves of a family, or of some of its alternatives.
 
-    def _left_of(self, number: int, fitted: FittedColumns, chosen: Sequence[int]) -> Array:
-        """Return the Gram matrices of some alternatives of a family without the fitted columns."""
+        It follows from what a larger or a smaller fit leaves by the columns in which they differ.
+        """
         family = self.families[number]
-        if fitted.larger is None or fitted.freed is None:
-            return np.asarray(family.gram[list(chosen)] - _inside(family.columns, fitted.basis, chosen))
-        return self._left_of(number, fitted.larger, chosen) + _inside(family.columns, fitted.freed, chosen)
+        key, known = (number, family.columns.count), fitted.known.families
+        if key in known:
+            return known[key] if chosen is None else known[key].of(chosen)
+        if fitted.larger is not None and fitted.freed is not None:
+            along = family.columns.products(fitted.freed, chosen)
+            left = self.left(number, fitted.larger, chosen)
+            left = left.without_columns(along, fitted.freed.T @ fitted.residual)
+        elif fitted.grown is not None and key in fitted.grown.known.families:
+            before = fitted.grown.known.families[key]
+            along = family.columns.products(fitted.grown.added, chosen)
+            left = (before if chosen is None else before.of(chosen)).with_columns(along, fitted.grown.amounts)
+        else:
+            products = family.columns.products(np.column_stack([fitted.basis, fitted.residual]), chosen)
+            gram = family.gram if chosen is None else family.gram[list(chosen)]
+            left = Left(gram, products[:, :, -1]).with_columns(products[:, :, :-1], np.zeros(fitted.basis.shape[1]))
+        if chosen is None:
+            known[key] = left
+        return left
 
     def _scored(self, gain: Array, rank: Array, fitted: FittedColumns) -> Score:
         return Score(gain, rank, log_levels(gain / max(fitted.squares, 1e-300), rank, fitted.dof))
@@ -167,13 +189,15 @@ class ScoreTests:
 
     def _left_of_readings(self, fitted: FittedColumns) -> Array:
         """Return the Gram matrices of the readings' unit errors without the fitted columns, (readings, d, d)."""
-        if _READINGS not in fitted.remembered:
-            if fitted.larger is None or fitted.freed is None:
-                left = self.blocks - self._of_readings(fitted.basis)
+        known = fitted.known
+        if known.readings is None:
+            if fitted.larger is not None and fitted.freed is not None:
+                known.readings = self._left_of_readings(fitted.larger) + self._of_readings(fitted.freed)
+            elif fitted.grown is not None and fitted.grown.known.readings is not None:
+                known.readings = fitted.grown.known.readings - self._of_readings(fitted.grown.added)
             else:
-                left = self._left_of_readings(fitted.larger) + self._of_readings(fitted.freed)
-            fitted.remembered[_READINGS] = left
-        return fitted.remembered[_READINGS]
+                known.readings = self.blocks - self._of_readings(fitted.basis)
+        return known.readings
 
     def _of_readings(self, basis: Array) -> Array:
         u = np.where((self.places >= 0)[:, :, None], basis[self.places], 0.0)
@@ -182,13 +206,13 @@ class ScoreTests:
     def lying_in(self, family: int, number: int) -> tuple[Mask, ...]:
         """Return for each family which of its alternatives lie in smooth terms; False for smooth functions."""
         key = family, number
-        if key not in self.remembered:
+        if key not in self.remembered.lying_in:
             basis = _unit(self.visible(family, number))
-            self.remembered[key] = tuple(
+            self.remembered.lying_in[key] = tuple(
                 np.zeros(len(f.alternatives), dtype=bool) if f.unknown else lies_in(f.columns, f.gram, basis)
                 for f in self.families
             )
-        return self.remembered[key]
+        return self.remembered.lying_in[key]
 
     def around(self, family: int, number: int) -> list[tuple[int, int]]:
         """Return the smooth terms in which an effect lies, each by its family and number."""
@@ -216,7 +240,7 @@ class ScoreTests:
 
     def visible(self, family: int, number: int) -> Array:
         """Return the visible columns of an alternative, (rows, parameters)."""
-        return self.all_visible(family, [number])[:, 0]
+        return self.remembered.columns((family, number), lambda: self.all_visible(family, [number])[:, 0])
 
     def all_visible(self, family: int, numbers: Sequence[int]) -> Array:
         """Return the visible columns of some alternatives of a family, (rows, alternatives, parameters)."""
@@ -232,6 +256,9 @@ class ScoreTests:
 
     def of_reading(self, reading: int) -> Array:
         """Return the visible columns of an error of one reading, (rows, d)."""
+        return self.remembered.columns((-1, reading), lambda: self._of_reading(reading))
+
+    def _of_reading(self, reading: int) -> Array:
         rows = self.places[reading]
         rows = rows[rows >= 0]
         unit = np.zeros((self.system.rows, len(rows)))
@@ -254,7 +281,7 @@ def _unit(columns: Array) -> Array:
     return orthonormal(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), VISIBLE)
 
 
-def _inside(columns: Columns, basis: Array, chosen: Sequence[int] | None = None) -> Array:
+def _inside(columns: Columns, basis: Array) -> Array:
     """Return the part of the Gram matrices of columns inside a visible basis (rows, m), (alternatives, q, q)."""
-    along = columns.products(basis, chosen)
+    along = columns.products(basis)
     return np.asarray(along @ np.swapaxes(along, 1, 2))

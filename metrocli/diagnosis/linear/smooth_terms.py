@@ -19,14 +19,15 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.column_parts import Own
 from metrocli.diagnosis.linear.columns import gathered, side_by_side
+from metrocli.diagnosis.linear.fitted_columns import orthonormal
 from metrocli.diagnosis.linear.projection import System
 from metrocli.effects.effect import Effect, Parameter
 
 _FEWEST_STEPS = 6
 """Least number of different values of a covariate for sines of it"""
 _MOST_PERIODS = 60.0
-_RANK = 1e-9
-"""Smallest singular value of independent terms of a smooth function, relative to the largest"""
+_RANK = 1e-7
+"""Smallest singular value of independent terms of a smooth function, relative to the largest norm of a term"""
 _SHOWS = 0.02
 """Smallest share of a smooth function that must be visible beside the unknowns"""
 _MOST_OF_UNITS, _LEAST_DEGREE = 2000, 2
@@ -68,6 +69,7 @@ def _of(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Fami
         values = covariate.values.get(group.name)
         if values is None:
             continue
+        weights = _weights(system, group)
         for where, mask in _parts(job, group):
             if not mask.any():
                 continue
@@ -75,7 +77,8 @@ def _of(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Fami
             terms = (harmonics if covariate.angle else polynomials)(np.atleast_2d(values)[:, mask], degree)
             if mask.sum() < _FEWEST_FOR * terms.shape[1]:
                 continue
-            found.append((_alternative(covariate, where), *_components(system, group, np.flatnonzero(mask), terms)))
+            chosen = np.flatnonzero(mask)
+            found.append((_alternative(covariate, where), *_components(system, group, weights, chosen, terms)))
     by_size: dict[int, list[_Terms]] = {}
     for item in found:
         by_size.setdefault(item[2].shape[1], []).append(item)
@@ -118,8 +121,8 @@ def visible_directions(system: System, rows: Index, several: Sequence[Array]) ->
     """
     bases = []
     for columns in several:
-        basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-        bases.append(basis * (sizes > _RANK * max(float(sizes[0]), 1e-300)))
+        basis = orthonormal(columns / max(float(np.linalg.norm(columns, axis=0).max()), 1e-300), _RANK)
+        bases.append(np.pad(basis, ((0, 0), (0, columns.shape[1] - basis.shape[1]))))
     visible = np.stack([basis.T @ basis for basis in bases]) - system.basis.at(rows).grams(side_by_side(bases))
     values, vectors = np.linalg.eigh(visible)
     shows = values[:, ::-1] > _SHOWS**2
@@ -167,10 +170,10 @@ def _waves(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[F
             continue
         turns = 2 * np.pi * (values - steps[0]) / np.ptp(steps)
         items: list[_Terms] = []
-        every = np.arange(len(values))
+        every, weights = np.arange(len(values)), _weights(system, group)
         for periods in np.arange(1.0, min((len(steps) - 1) / 2, _MOST_PERIODS) + 0.1, 0.5):
             terms = np.stack([np.cos(periods * turns), np.sin(periods * turns)], axis=1)
-            rows, full = _components(system, group, every, terms)
+            rows, full = _components(system, group, weights, every, terms)
             for i, component in enumerate(group.observations.components):
                 name = _alternative(covariate, (component, f"{periods:g} periods"))
                 items.append((name, rows, full[:, 2 * i : 2 * i + 2]))
@@ -189,22 +192,25 @@ def _parts(job: AdjustedJob, group: Group) -> Iterator[tuple[tuple[str, ...], Ar
                 yield (name,), index == number
 
 
-def _components(system: System, group: Group, chosen: Index, terms: Array) -> tuple[Index, Array]:
+def _weights(system: System, group: Group) -> Array:
+    """Return by how much a function in each component changes each row of a reading, (n, rows, components)."""
+    observations = group.observations
+    d, n = observations.readings.shape
+    unit = observations.whitened(np.broadcast_to(np.eye(d)[:, :, None], (d, d, n)))
+    start = system.first[group.name]
+    factor = observations.deviations.T / system.scale[start : start + n * d].reshape(n, d)
+    return np.asarray(np.moveaxis(unit, -1, 0) * factor[:, :, None])
+
+
+def _components(system: System, group: Group, weights: Array, chosen: Index, terms: Array) -> tuple[Index, Array]:
     """Return whitened terms (n, k) of some readings for each component of these separately, (r, k components).
 
     The rows (r,) come first.
     """
-    d, k = len(group.observations.readings), terms.shape[1]
-    observations = group.observations.without_keys(chosen)
+    d = weights.shape[1]
     rows = (system.first[group.name] + d * chosen[:, None] + np.arange(d)).ravel()
-    factor = observations.deviations.T.ravel() / system.scale[rows]
-    full = np.zeros((len(rows), k * d))
-    for i in range(d):
-        change = np.zeros((d, k, len(chosen)))
-        change[i] = terms.T
-        whitened = np.moveaxis(observations.whitened(change), -1, 0).reshape(len(rows), k)
-        full[:, i * k : (i + 1) * k] = whitened * factor[:, None]
-    return rows, full
+    full = weights[chosen][:, :, :, None] * terms[:, None, None, :]
+    return rows, full.reshape(len(rows), -1)
 
 
 def polynomials(values: Array, degree: int) -> Array:

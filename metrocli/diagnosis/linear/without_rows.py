@@ -14,7 +14,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.linear.candidates import Family
 from metrocli.diagnosis.linear.fitted_columns import orthonormalised
 from metrocli.diagnosis.linear.projection import VISIBLE
-from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.diagnosis.linear.score_tests import Remembered, ScoreTests
 
 
 def without_rows(test_set: ScoreTests, out: Index) -> ScoreTests:
@@ -30,8 +30,10 @@ def without_rows(test_set: ScoreTests, out: Index) -> ScoreTests:
     system = test_set.system
     kept = np.ones(system.rows, dtype=bool)
     kept[out] = False
+    shared = system.basis.shared.copy()
+    shared[out] = 0.0
     # directions that only the rows left out show are no longer there
-    shared, turn = orthonormalised(np.where(kept[:, None], system.basis.shared, 0.0), VISIBLE)
+    shared, turn = orthonormalised(shared, VISIBLE)
 
     def rest(values: Array) -> Array:
         inside = np.where(kept.reshape(-1, *[1] * (values.ndim - 1)), values, 0.0)
@@ -47,7 +49,7 @@ def without_rows(test_set: ScoreTests, out: Index) -> ScoreTests:
         return replace(family, columns=family.columns.only(kept), gram=gram * seen[:, :, None] * seen[:, None, :])
 
     local = replace(system.basis, shared=system.basis.shared[:, :0])
-    basis = replace(system.basis, local=np.where(kept[:, None], system.basis.local, 0.0), shared=shared)
+    basis = replace(system.basis, local=system.basis.local * kept[:, None], shared=shared)
     there = np.where(test_set.places >= 0, kept[test_set.places], False)
     unit = np.eye(test_set.places.shape[1]) * there[:, :, None]
     return replace(
@@ -56,5 +58,5 @@ def without_rows(test_set: ScoreTests, out: Index) -> ScoreTests:
         families=tuple(map(cut, test_set.families, test_set.shared_products)),
         blocks=unit - basis.products(test_set.places, test_set.places),
         excluded=test_set.excluded | ~there.any(axis=1),
-        remembered={},
+        remembered=Remembered(),
     )

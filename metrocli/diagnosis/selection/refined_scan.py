@@ -13,7 +13,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative, Family, thinned
 from metrocli.diagnosis.linear.column_parts import Own
-from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.diagnosis.linear.score_tests import Remembered, ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 
@@ -99,4 +99,4 @@ def _with_alternative(
         whole={**family.whole, family.columns.count: Own(np.arange(len(whole)), whole)},
     )
     families = (*test_set.families[:number], grown, *test_set.families[number + 1 :])
-    return replace(test_set, families=families, remembered={})
+    return replace(test_set, families=families, remembered=Remembered())

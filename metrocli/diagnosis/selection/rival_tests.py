@@ -37,7 +37,7 @@ def against(test_set: ScoreTests, family: int, fitted: FittedColumns, named: Nam
     one = test_set.families[family]
     right = np.concatenate([named.columns, fitted.residual[:, None], named.explained[:, None]], axis=1)
     products = one.columns.products(right)
-    root = roots(test_set.left(family, fitted), one.raw)
+    root = roots(test_set.left(family, fitted).gram, one.raw)
     # coordinates of N, of the residual and of v in an orthonormal basis of G
     along = np.swapaxes(root, 1, 2) @ products
     inside, gains = along[:, :, :-2], (along[:, :, -2] ** 2).sum(axis=1)
