@@ -24,7 +24,7 @@ from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.extended_fit import score_tests_of_job
 from metrocli.diagnosis.linear.candidates import families_of
 from metrocli.diagnosis.linear.distributions import chi_interval, log_family, log_tail, noncentrality, single_level
-from metrocli.diagnosis.linear.fitted_columns import PRIOR, nothing_fitted
+from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.multiple_tests import effective_number_of_tests
 from metrocli.diagnosis.linear.projection import System
@@ -254,8 +254,9 @@ def test_in_noise_the_levels_are_what_they_say() -> None:
     named = 0
     for _ in range(200):
         r = chosen.system.seen(rng.normal(size=chosen.system.rows))
-        start = nothing_fitted(chosen.system)
-        named += bool(search(chosen, replace(start, residual=r, squares=float(r @ r) + PRIOR)).chosen)
+        dof = nothing_fitted(chosen.system).dof
+        start = FittedColumns(np.zeros((len(r), 0)), r, float(r @ r) + PRIOR, dof)
+        named += bool(search(chosen, start).chosen)
     assert named <= 14
 
 

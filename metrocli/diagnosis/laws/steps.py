@@ -17,7 +17,7 @@ from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.columns import Columns
 from metrocli.diagnosis.linear.counted_tests import score_tests_of
 from metrocli.diagnosis.linear.distributions import log_tail
-from metrocli.diagnosis.linear.fitted_columns import FittedColumns, Known, nothing_fitted
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.quadratics import grams_of, quadratic
 from metrocli.diagnosis.linear.score_tests import Remembered, ScoreTests
 from metrocli.diagnosis.selection.selection_state import Selection
@@ -66,7 +66,7 @@ def tests_of_terms(selection: Selection, library: Library) -> tuple[ScoreTests, 
 
 def plain_tests(selection: Selection, library: Library) -> tuple[FittedColumns, ScoreTests]:
     """Return the fit of what was named, and tests of the terms without the exact count of them."""
-    fitted = replace(selection.fitted(without=selection.unknown), larger=None, freed=None, grown=None, known=Known())
+    fitted = selection.fitted(without=selection.unknown).alone()
     return fitted, replace(selection.test_set, families=library.families, remembered=Remembered())
 
 

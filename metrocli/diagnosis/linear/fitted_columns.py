@@ -5,15 +5,21 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 
+if TYPE_CHECKING:
+    from metrocli.diagnosis.linear.columns import Columns
+
+Key = tuple[int, int]
+"""Number of a family and of its alternatives"""
 _EVEN = 0.01
 """Eigenvalue of a Gram matrix, relative to the largest, above which its eigenvectors need no second step"""
 PRIOR = 2.0
@@ -36,36 +42,19 @@ class Left:
     def with_columns(self, along: Array, amounts: Array) -> Left:
         """Return what is left beside more orthonormal columns b.
 
-        `along` are the products of the candidates with b, (alternatives, q, p), `amounts` those of b with the residual
-        before, (p,).
+        `along` are the products of the candidates with b, (alternatives, q, p), and `amounts` those of b with the
+        residual before, (p,).
         """
         return Left(self.gram - along @ np.swapaxes(along, 1, 2), self.right - along @ amounts)
-
-    def without_columns(self, along: Array, amounts: Array) -> Left:
-        """Return what is left without some of the columns b; `amounts` are their products with the residual after."""
-        return Left(self.gram + along @ np.swapaxes(along, 1, 2), self.right + along @ amounts)
 
 
 @dataclass
 class Known:
     """What a fit leaves of the candidates, as far as it was computed."""
 
-    families: dict[tuple[int, int], Left] = field(default_factory=dict)
-    """By the number of the family and its alternatives"""
+    families: dict[Key, Left] = field(default_factory=dict)
     readings: Array | None = None
     """Gram matrices of the readings' unit errors, (readings, d, d)"""
-
-
-@dataclass(frozen=True)
-class Grown:
-    """How a fit grew from a smaller one, without that fit: its columns would take memory."""
-
-    known: Known
-    """What the smaller fit leaves"""
-    added: Array
-    """Orthonormal columns that it has not, (rows, p)"""
-    amounts: Array
-    """Their products with its residual, (p,)"""
 
 
 @dataclass(frozen=True)
@@ -73,31 +62,36 @@ class FittedColumns:
     """Columns fitted in addition to the unknowns: an orthonormal basis of their visible part, and the residual."""
 
     columns: Array
-    """Orthonormal, (rows, k)"""
-    residual: Array
+    """Orthonormal columns that are no parts, (rows, k)"""
+    whole: Array | None
+    """The residual (rows,); None if it follows from that of the larger fit"""
     squares: float
     """Sum of squares of the residual, with the part that the declared noise adds (`prior`)"""
     dof: float
     prior: float = PRIOR
     """The part of the squares that the declared noise adds"""
-    larger: FittedColumns | None = None
-    """The larger model from which columns were removed to give this one, if any"""
-    freed: Array | None = None
-    """Orthonormal basis of the removed columns, (rows, p)"""
-    turned: tuple[Array, Array] | None = None
-    """More of the basis: directions (rows, m) and what turns them into it (m, j), which few questions need"""
-    grown: Grown | None = field(default=None, compare=False, repr=False)
-    """How it grew from a smaller fit, if it did"""
+    parts: FittedParts | None = None
+    """The parts of which it has all, or some"""
+    turns: tuple[Array, Array] | None = None
+    """From the basis of all parts to that of the parts in the fit (k, j), and to that of those removed (k, p)"""
     known: Known = field(default_factory=Known, compare=False, repr=False)
     """Cache of what the fit leaves of the candidates"""
 
     @cached_property
     def basis(self) -> Array:
         """The orthonormal basis, (rows, k + j)."""
-        if self.turned is None:
+        if self.parts is None:
             return self.columns
-        directions, turn = self.turned
-        return np.concatenate([self.columns, directions @ turn], axis=1)
+        own = self.parts.basis if self.turns is None else self.parts.basis @ self.turns[0]
+        return np.concatenate([self.columns, own], axis=1) if self.columns.shape[1] else own
+
+    @cached_property
+    def residual(self) -> Array:
+        """The residual, (rows,)."""
+        if self.whole is not None or self.parts is None or self.turns is None:
+            return np.zeros(0) if self.whole is None else self.whole
+        removed = self.turns[1]
+        return np.asarray(self.parts.fitted.residual + self.parts.basis @ (removed @ (removed.T @ self.parts.amounts)))
 
     def with_columns(self, columns: Array) -> FittedColumns:
         """Return the fit with more columns (rows, q); directions not visible beside the others are ignored."""
@@ -107,13 +101,17 @@ class FittedColumns:
         """Return columns (rows, q) without their part in the fitted basis."""
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))
 
+    def alone(self) -> FittedColumns:
+        """Return the fit for other candidates: without what is known of these, and of its parts."""
+        return FittedColumns(self.basis, self.residual, self.squares, self.dof, self.prior)
+
 
 @dataclass(frozen=True)
 class FittedParts:
     """Parts of several columns each, fitted together in addition to a model.
 
     Each part is stored by its coordinates in a common orthonormal basis, so that the basis without some parts follows
-    by a rotation.
+    by a rotation. So do the products of the candidates with it, which need all rows once for each column of the basis.
     """
 
     start: FittedColumns
@@ -121,8 +119,15 @@ class FittedParts:
     """Orthonormal basis of all parts, (rows, k)"""
     parts: tuple[Array, ...] = ()
     """Coordinates of each part's unit columns, (k, q)"""
-    smaller: tuple[Known, int] | None = None
-    """What a fit of fewer parts leaves, and how many columns of the basis it has; None for the start"""
+    before: tuple[Mapping[Key, Array], Array] | None = field(default=None, compare=False, repr=False)
+    """Products of the candidates with another basis, and the turn (m, j) from it to the first j columns of this one"""
+    products: dict[Key, Array] = field(default_factory=dict, compare=False, repr=False)
+    """Cache of the products of candidates with the basis, (alternatives, q, k)"""
+
+    @cached_property
+    def amounts(self) -> Array:
+        """The products of the basis with the residual at the start, (k,)."""
+        return np.asarray(self.basis.T @ self.start.residual)
 
     @cached_property
     def fitted(self) -> FittedColumns:
@@ -130,17 +135,19 @@ class FittedParts:
         if not self.parts:
             return self.start
         start = self.start
-        amounts = self.basis.T @ start.residual
-        residual = start.residual - self.basis @ amounts
+        residual = start.residual - self.basis @ self.amounts
         squares = float(residual @ residual) + start.prior
-        basis = np.concatenate([start.basis, self.basis], axis=1)
-        known, first = self._smaller
-        grown = Grown(known, self.basis[:, first:], amounts[first:])
-        return FittedColumns(basis, residual, squares, start.dof - len(amounts), start.prior, grown=grown)
+        return FittedColumns(start.basis, residual, squares, start.dof - len(self.amounts), start.prior, self)
 
-    @property
-    def _smaller(self) -> tuple[Known, int]:
-        return (self.start.known, 0) if self.smaller is None else self.smaller
+    def along(self, key: Key, columns: Columns) -> Array:
+        """Return the products of the columns of a family with the basis, (alternatives, q, k)."""
+        if key not in self.products:
+            known = np.zeros((columns.count, columns.parameters, 0))
+            if self.before is not None and key in self.before[0]:
+                known = self.before[0][key] @ self.before[1]
+            new = columns.products(self.basis[:, known.shape[2] :])
+            self.products[key] = np.concatenate([known, new], axis=2)
+        return self.products[key]
 
     def with_part(self, columns: Array) -> FittedParts:
         """Return the fit with one more part (rows, q); directions not visible beside the others are ignored."""
@@ -154,34 +161,28 @@ class FittedParts:
         new = orthonormal(left, VISIBLE)
         grown = [np.pad(part, ((0, new.shape[1]), (0, 0))) for part in self.parts]
         part = np.concatenate([inside, new.T @ left])
-        # the columns of the basis stay, so what a fit without the new ones leaves is of use
-        asked = "fitted" in self.__dict__ and self.fitted.known.families
-        smaller = (self.fitted.known, basis.shape[1]) if asked and self.parts else self._smaller
-        return FittedParts(self.start, np.concatenate([basis, new], axis=1), (*grown, part), smaller)
+        before = (self.products, np.eye(basis.shape[1])) if self.products else self.before
+        return FittedParts(self.start, np.concatenate([basis, new], axis=1), (*grown, part), before)
 
     def without(self, numbers: Collection[int]) -> FittedColumns:
         """Return the model without some parts."""
-        kept, freed = self._turned(numbers)
-        larger, start = self.fitted, self.start
-        directions = self.basis @ freed
-        along = directions.T @ start.residual
-        return FittedColumns(
-            start.basis,
-            larger.residual + directions @ along,
-            larger.squares + float(along @ along),
-            larger.dof + freed.shape[1],
-            start.prior,
-            larger,
-            directions,
-            (self.basis, kept),
-        )
+        turns = self._turned(numbers)
+        along = turns[1].T @ self.amounts
+        larger = self.fitted
+        squares, dof = larger.squares + float(along @ along), larger.dof + len(along)
+        return FittedColumns(self.start.basis, None, squares, dof, self.start.prior, self, turns)
 
     def only(self, numbers: Collection[int]) -> FittedParts:
         """Return the fit of some of the parts."""
         gone = set(range(len(self.parts))) - set(numbers)
         kept, _ = self._turned(gone)
         parts = tuple(kept.T @ part for number, part in enumerate(self.parts) if number not in gone)
-        return FittedParts(self.start, self.basis @ kept, parts) if parts else FittedParts(self.start)
+        if not parts:
+            return FittedParts(self.start)
+        before = (self.products, kept) if self.products else self.before
+        if before is not None and before[0] is not self.products:
+            before = (before[0], before[1] @ kept) if before[1].shape[1] == len(kept) else None
+        return FittedParts(self.start, self.basis @ kept, parts, before)
 
     def _turned(self, gone: Collection[int]) -> tuple[Array, Array]:
         """Return orthonormal directions of the basis that stay without the parts `gone`, and those that are removed."""

@@ -147,26 +147,28 @@ class ScoreTests:
     def left(self, number: int, fitted: FittedColumns, chosen: Sequence[int] | None = None) -> Left:
         """Return what a fit leaves of a family, or of some of its alternatives.
 
-        It follows from what a larger or a smaller fit leaves by the columns in which they differ.
+        It follows from what the start of the fit leaves, by the products with the columns that were fitted since.
         """
         family = self.families[number]
-        key, known = (number, family.columns.count), fitted.known.families
-        if key in known:
-            return known[key] if chosen is None else known[key].of(chosen)
-        if fitted.larger is not None and fitted.freed is not None:
-            along = family.columns.products(fitted.freed, chosen)
-            left = self.left(number, fitted.larger, chosen)
-            left = left.without_columns(along, fitted.freed.T @ fitted.residual)
-        elif fitted.grown is not None and key in fitted.grown.known.families:
-            before = fitted.grown.known.families[key]
-            along = family.columns.products(fitted.grown.added, chosen)
-            left = (before if chosen is None else before.of(chosen)).with_columns(along, fitted.grown.amounts)
-        else:
-            products = family.columns.products(np.column_stack([fitted.basis, fitted.residual]), chosen)
+        key, parts = (number, family.columns.count), fitted.parts
+        if key in fitted.known.families:
+            left = fitted.known.families[key]
+            return left if chosen is None else left.of(chosen)
+        if parts is None:
             gram = family.gram if chosen is None else family.gram[list(chosen)]
-            left = Left(gram, products[:, :, -1]).with_columns(products[:, :, :-1], np.zeros(fitted.basis.shape[1]))
+            along, right = (family.columns.products(one, chosen) for one in (fitted.basis, fitted.residual[:, None]))
+            left = Left(gram, right[:, :, 0]).with_columns(along, np.zeros(along.shape[2]))
+        else:
+            if chosen is None:
+                along = parts.along(key, family.columns)
+            elif key in parts.products:
+                along = parts.products[key][list(chosen)]
+            else:
+                along = family.columns.products(parts.basis, chosen)
+            turn = np.eye(len(parts.amounts)) if fitted.turns is None else fitted.turns[0]
+            left = self.left(number, parts.start, chosen).with_columns(along @ turn, turn.T @ parts.amounts)
         if chosen is None:
-            known[key] = left
+            fitted.known.families[key] = left
         return left
 
     def _scored(self, gain: Array, rank: Array, fitted: FittedColumns) -> Score:
@@ -189,14 +191,15 @@ class ScoreTests:
 
     def _left_of_readings(self, fitted: FittedColumns) -> Array:
         """Return the Gram matrices of the readings' unit errors without the fitted columns, (readings, d, d)."""
-        known = fitted.known
+        known, parts = fitted.known, fitted.parts
         if known.readings is None:
-            if fitted.larger is not None and fitted.freed is not None:
-                known.readings = self._left_of_readings(fitted.larger) + self._of_readings(fitted.freed)
-            elif fitted.grown is not None and fitted.grown.known.readings is not None:
-                known.readings = fitted.grown.known.readings - self._of_readings(fitted.grown.added)
-            else:
+            if parts is None:
                 known.readings = self.blocks - self._of_readings(fitted.basis)
+            elif fitted.turns is None:
+                known.readings = self._left_of_readings(parts.start) - self._of_readings(parts.basis)
+            else:
+                removed = self._of_readings(parts.basis @ fitted.turns[1])
+                known.readings = self._left_of_readings(parts.fitted) + removed
         return known.readings
 
     def _of_readings(self, basis: Array) -> Array:
