@@ -285,10 +285,8 @@ def _steps(
     full, block, chosen = next(scan(job.model, system, effect, places, [{name: float(np.nanmin(times))}]))
     courses = []
     for place, names, own in of_places(job.model, block, chosen, places):
-        changed = Own.of(full, own)
-        order = np.argsort(times[changed.rows], kind="stable")
-        rows = changed.rows[order]
-        courses.append((place, names, Course(rows, changed.values[order]), times[rows]))
+        course = Course.of(Own.of(full, own), times)
+        courses.append((place, names, course, times[course.rows]))
     for scanned in scans:
         for place, names, course, ordered in courses:
             begin = int(np.searchsorted(ordered, scanned[name]))

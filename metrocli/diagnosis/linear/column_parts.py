@@ -51,6 +51,12 @@ class Course:
     values: Array
     """(r, parameters)"""
 
+    @classmethod
+    def of(cls, own: Own, times: Array) -> Course:
+        """Return columns by the times of all rows, (rows,)."""
+        order = np.argsort(times[own.rows], kind="stable")
+        return cls(own.rows[order], own.values[order])
+
 
 @dataclass(frozen=True)
 class Step:
