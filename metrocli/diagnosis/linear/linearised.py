@@ -22,7 +22,7 @@ from metrocli.effects.model import Model
 from metrocli.errors import InputError
 
 _WELL = 1e-5
-"""Singular value of unit columns above which the Gram matrix tells them from those that a datum leaves open"""
+"""Singular value of unit columns that the Gram matrix still resolves; those that a datum leaves open are 0"""
 
 
 def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> System:
