@@ -33,7 +33,7 @@ _MOST_COLUMNS, _MOST_NUMBERS = 600, 20_000_000
 
 
 @dataclass(frozen=True)
-class Basis:
+class Functions:
     """Piecewise linear functions of a covariate between knots, for each unit and each component of the readings."""
 
     name: str
@@ -51,7 +51,7 @@ class Basis:
     """Their products without what the unknowns absorb, (columns, columns)"""
 
 
-def process_bases(job: AdjustedJob, system: System) -> Iterator[Basis]:
+def process_bases(job: AdjustedJob, system: System) -> Iterator[Functions]:
     """Yield the functions of each covariate, independent in the units of each kind, and one for all readings."""
     for covariate in job.covariates:
         if covariate.together or not all(group.name in covariate.values for group in job.model.readings):
@@ -62,7 +62,7 @@ def process_bases(job: AdjustedJob, system: System) -> Iterator[Basis]:
                 yield basis
 
 
-def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> Basis | None:
+def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> Functions | None:
     from scipy.sparse import csr_matrix
 
     groups = job.model.readings
@@ -91,7 +91,7 @@ def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> B
     columns = csr_matrix((terms, (rows, numbers)), shape=(system.rows, copies * count))
     gram = (columns.T @ columns).toarray() - system.basis.gram_of(columns)
     sigmas = {unit: _typical(job, unit) for unit in of_copies}
-    return Basis(covariate.name, by, distances, tuple(of_copies), sigmas, columns, gram)
+    return Functions(covariate.name, by, distances, tuple(of_copies), sigmas, columns, gram)
 
 
 def _typical(job: AdjustedJob, unit: str) -> float:

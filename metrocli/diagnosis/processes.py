@@ -20,7 +20,7 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood, gain_of_larger_noise, log_level_of
-from metrocli.diagnosis.process_columns import Basis, process_bases
+from metrocli.diagnosis.process_columns import Functions, process_bases
 from metrocli.diagnosis.selection.backward_steps import evidence_of
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 
@@ -106,14 +106,14 @@ def _weakest_first(selection: Selection, named: FittedColumns) -> Iterator[tuple
     yield from (tuple(ordered[: count + 1]) for count in range(len(ordered)))
 
 
-def _best(bases: Sequence[Basis], base: FittedColumns) -> _Tried | None:
+def _best(bases: Sequence[Functions], base: FittedColumns) -> _Tried | None:
     """Return the process of the largest likelihood beside a fit, of those with the largest scores; None without one."""
     scored = [one for basis in bases for one in _scored(basis, base)]
     noticed = sorted((one for one in scored if one.excess > _NOTICED), key=lambda one: -one.excess)
     return max((one.estimated() for one in noticed[:_MOST_TRIED]), key=lambda one: one.gain, default=None)
 
 
-def _scored(basis: Basis, base: FittedColumns) -> Iterator[_Scored]:
+def _scored(basis: Functions, base: FittedColumns) -> Iterator[_Scored]:
     """Yield the processes of all lengths beside a fit."""
     knots = len(basis.distances)
     copies = basis.columns.shape[1] // knots
@@ -146,7 +146,7 @@ def _root(distances: Array) -> Array:
 class _Scored:
     """A process by the products of its columns `Z = H L` beside a fit, H being those of the knots."""
 
-    basis: Basis
+    basis: Functions
     length: float
     root: Array
     """L, (knots, knots)"""

@@ -26,7 +26,7 @@ _FIRST_TEMPERATURE = 20.0
 """At the first image [degC] (ISO 1)"""
 _UNKNOWN = 100.0
 """Standard deviation of a place that is listed as unknown [mm]: calibrated lengths between such places decide"""
-_ITERATIONS = 20
+_ITERATIONS = 50
 _ROUGH = 0.2
 """Error of a listed distance relative to its calibrated length, beyond which one of the two is a mistake"""
 _SETTLED = 1e-9
@@ -48,7 +48,7 @@ def with_lengths(places: Targets, lengths: Sequence[tuple[str, Table | None]], r
     Places x0 with standard deviations S move to the least `|(x - x0) / S|^2 + |(L - l(x)) / s|^2`. L are the lengths,
     drawn about the calibrated ones. So places in a rough list give way, and those that are known exactly stay.
     `lengths` are pairs of what a length is, in words, and its table. Raises InputError for ends that are no targets,
-    and for lengths that are far from what the list has.
+    for lengths that are far from what the list has, and where no places settle.
     """
     tables = [(table, ends_of(table, places.names, None, what)) for what, table in lengths if table is not None]
     if not tables:
@@ -73,6 +73,11 @@ def with_lengths(places: Targets, lengths: Sequence[tuple[str, Table | None]], r
         before, moved = moved, (variance * (slope.T @ (weight @ (drawn - now + slope @ moved.ravel())))).reshape(-1, 3)
         if np.abs(moved - before).max() < _SETTLED:
             break
+    else:
+        raise InputError(
+            f"no places of the targets give the calibrated lengths: after {_ITERATIONS} steps they still move by "
+            f"{np.abs(moved - before).max():.1e} mm\ncompare the lengths with the list of targets"
+        )
     points = places.points.copy()
     points[used] += moved
     return replace(places, points=points)

@@ -106,6 +106,14 @@ def test_exact_places_stay_and_ends_that_are_no_targets_are_named() -> None:
         with_lengths(listed, [("scale bar", lengths(("A", "X", 1.0, 0.1)))], Centred())  # type: ignore[arg-type]
 
 
+def test_lengths_that_no_places_have_are_refused() -> None:
+    """Three lengths on a line of which one is longer than the others together, all known better than the places."""
+    listed = targets([[0, 0, 0], [100, 0, 0], [200, 0, 0]], [0.001, 0.001, 0.001])
+    bars = lengths(("A", "B", 100.0, 1e-6), ("B", "C", 100.0, 1e-6), ("A", "C", 230.0, 1e-6))
+    with pytest.raises(InputError, match="no places of the targets give the calibrated lengths"):
+        with_lengths(listed, [("bar", bars)], Centred())  # type: ignore[arg-type]
+
+
 def test_a_length_far_from_the_list_is_a_mistake(tmp_path: Path, metrocli: Metrocli) -> None:
     job = network(tmp_path)
     job.write_text(job.read_text() + TRUTH)
