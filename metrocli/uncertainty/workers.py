@@ -17,13 +17,14 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 from metrocli import __version__
-from metrocli.errors import InputError
+from metrocli.errors import Fault, InputError
 
 T = TypeVar("T")
 PATIENCE_S = 2.5
 """Longest time for a scheduler to answer [s]"""
 PATIENCE_WITH_WORKERS_S = 60.0
 """Longest time until the first worker of a cluster appears [s]"""
+_ADDRESSES, _ENCRYPTED = ("tcp://", "tls://", "ucx://", "ws://", "wss://"), ("tls://", "wss://")
 
 
 class Finished(Protocol):
@@ -103,12 +104,15 @@ def _window(submit: Callable[[int], Any], numbers: Iterable[int], most: int) -> 
 
 
 @contextmanager
-def cluster(address: str) -> Iterator[Any]:
-    """Yield a client of a Dask cluster that has workers; raises InputError without them or if their versions differ."""
+def cluster(address: str, more: Callable[[], str] | None = None) -> Iterator[Any]:
+    """Yield a client of a Dask cluster that has workers; raises InputError without them or if their versions differ.
+
+    `more` states in words what else must be the same there as here.
+    """
     client = _client(address)
     try:
         _await_worker(client, address)
-        _refuse_other_versions(client, address)
+        _refuse_other_versions(client, address, more)
         yield client
     finally:
         client.close()
@@ -137,15 +141,17 @@ def first_finished(client: Any, futures: set[Any]) -> set[Any]:
 
 
 @contextmanager
-def ordered_on(address: str) -> Iterator[Callable[[Callable[[int], Any], Iterable[int]], Iterable[Any]]]:
+def ordered_on(
+    address: str, more: Callable[[], str] | None = None
+) -> Iterator[Callable[[Callable[[int], Any], Iterable[int]], Iterable[Any]]]:
     """Yield what `map` does with a function and numbers, on a cluster; without an address yield `map` itself.
 
-    Raises InputError if the cluster cannot be used, and where it ends before the work does.
+    `more` is that of `cluster`. Raises InputError if the cluster cannot be used, or ends before the work does.
     """
     if not address:
         yield map
         return
-    with cluster(address) as client:
+    with cluster(address, more) as client:
         yield lambda work, numbers: _on_cluster(client, address, work, numbers)
 
 
@@ -192,23 +198,24 @@ def _await_worker(client: Any, address: str) -> None:
         ) from error
 
 
-def _refuse_other_versions(client: Any, address: str) -> None:
+def _refuse_other_versions(client: Any, address: str, more: Callable[[], str] | None) -> None:
     """Raise InputError if a worker could give other numbers than this process."""
-    answers = client.run(_versions, on_error="return").values()
+    answers = client.run(_versions, more, on_error="return").values()
     # an OSError is that of a worker which has just died; the scheduler will drop it
-    others = {str(one) for one in answers if not isinstance(one, OSError)} - {_versions()}
+    others = {str(one) for one in answers if not isinstance(one, OSError)} - {_versions(more)}
     if others:
-        message = f"--scheduler {address}: workers have {'; '.join(sorted(others))}, and this is {_versions()}"
+        message = f"--scheduler {address}: workers have {'; '.join(sorted(others))}, and this is {_versions(more)}"
         raise InputError(f"{message}: install the same versions everywhere")
 
 
-def _versions() -> str:
+def _versions(more: Callable[[], str] | None) -> str:
     import platform
 
     import numpy as np
 
     python = ".".join(platform.python_version_tuple()[:2])
-    return f"metrocli {__version__} with numpy {np.__version__} and Python {python}"
+    found = f"metrocli {__version__} with numpy {np.__version__} and Python {python}"
+    return found if more is None else f"{found}, {more()}"
 
 
 def _do(work: Callable[[int], T], number: int) -> tuple[T | None, Exception | None]:
@@ -228,7 +235,25 @@ def _must_listen(address: str) -> None:
         place = urlsplit(address)
         socket.create_connection((place.hostname, place.port or 8786), PATIENCE_S).close()
     except (OSError, ValueError) as error:
-        raise InputError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error
+        raise _unanswered(address, error) from error
+
+
+def _unanswered(address: str, error: Exception) -> InputError:
+    hint = "one with TLS has an address tls://HOST:PORT" if address.startswith("tcp://") else None
+    return InputError([Fault(f"--scheduler {address}: no Dask scheduler answers there ({error})", hint=hint)])
+
+
+def _in_file(path: str) -> str:
+    """Return the address that a scheduler file holds."""
+    import json
+
+    if not os.path.isfile(path):
+        raise InputError(f"--scheduler {path}: no such scheduler file; write tcp://HOST:PORT or the path of one")
+    try:
+        with open(path, encoding="utf-8") as file:
+            return str(json.load(file)["address"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"--scheduler {path}: this is no scheduler file of Dask ({error})") from error
 
 
 def _silence() -> None:
@@ -241,8 +266,26 @@ def _silence() -> None:
             logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
-def _client(address: str) -> Any:
+def _security(library: Any, address: str) -> Any:
+    """Return the security of Dask's own configuration; raise InputError if it lacks what an encrypted address needs."""
+    security = library.Security()
+    hint = "state ca-file, client.cert and client.key under distributed.comm.tls in the configuration of Dask"
+    try:
+        context = security.get_connection_args("client").get("ssl_context")
+    except OSError as error:
+        files = ", ".join(filter(None, (security.tls_ca_file, security.tls_client_cert, security.tls_client_key)))
+        message = f"--scheduler {address}: the certificates {files} cannot be used ({error})"
+        raise InputError([Fault(message, hint=hint)]) from error
+    if address.startswith(_ENCRYPTED) and context is None:
+        raise InputError(
+            [Fault(f"--scheduler {address}: the scheduler uses TLS, and no certificate is given", hint=hint)]
+        )
+    return security
+
+
+def _client(scheduler: str) -> Any:
     """Return a client of a running cluster, or raise InputError in a few seconds."""
+    address = scheduler if scheduler.startswith(_ADDRESSES) else _in_file(scheduler)
     if address.startswith(("tcp://", "tls://")):
         _must_listen(address)
     try:
@@ -251,12 +294,7 @@ def _client(address: str) -> Any:
         raise InputError("--scheduler needs the library 'distributed': pip install 'metrocli[cluster]'") from error
     library: Any = distributed
     _silence()
-    file = not address.startswith(("tcp://", "tls://", "ucx://", "ws://", "wss://"))
-    if file and not os.path.isfile(address):
-        raise InputError(f"--scheduler {address}: no such scheduler file; write tcp://HOST:PORT or the path of one")
     try:
-        if file:
-            return library.Client(scheduler_file=address, timeout=PATIENCE_S)
-        return library.Client(address, timeout=PATIENCE_S)
+        return library.Client(address, timeout=PATIENCE_S, security=_security(library, address))
     except (OSError, TimeoutError, ValueError) as error:
-        raise InputError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error
+        raise _unanswered(address, error) from error
