@@ -90,7 +90,7 @@ def _once(
     from metrocli.project import diagnosed
     from metrocli.project.own_effects import alike_for
     from metrocli.record import NOT_MET
-    from metrocli.uncertainty.workers import ordered_on
+    from metrocli.uncertainty.workers.dask_cluster import ordered_on
 
     console, limit = Console(wanted["quiet"] or as_json, wanted["verbose"]), _seconds(wanted["limit"])
     with ordered_on(wanted["scheduler"], alike_for([(loaded.kind, loaded.own.packages)])) as ordered:
@@ -153,7 +153,7 @@ def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> i
     from metrocli.project.own_effects import alike_for
     from metrocli.project.until_clean import until_clean
     from metrocli.record import NOT_MET
-    from metrocli.uncertainty.workers import ordered_on
+    from metrocli.uncertainty.workers.dask_cluster import ordered_on
 
     console = Console(wanted["quiet"] or as_json, wanted["verbose"])
     limit = _seconds(wanted["limit"])

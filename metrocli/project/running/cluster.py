@@ -15,7 +15,8 @@ from metrocli.formats.file_bytes import read_bytes
 from metrocli.project.job import JobFile, Wishes, load
 from metrocli.project.own_effects import alike_for
 from metrocli.project.running.crew import Outcome, attempt
-from metrocli.uncertainty.workers import Workers, cluster, ends_in_words, first_finished
+from metrocli.uncertainty.workers import Workers
+from metrocli.uncertainty.workers.dask_cluster import cluster, ends_in_words, first_finished
 
 _MOST_AT_ONCE = 25
 """Most jobs in one task of the cluster, so that its overhead of some milliseconds does not count"""

@@ -9,7 +9,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,7 @@ from tasks.report_uncertainty.jobs import carry_out, write
 
 from metrocli.errors import InputError
 from metrocli.formats import hdf5
-from metrocli.uncertainty import workers
+from metrocli.uncertainty.workers import dask_cluster
 
 JOB: dict[str, Any] = {
     "quantities": {
@@ -69,9 +71,9 @@ def test_a_cluster_that_loses_all_workers_is_not_waited_for(monkeypatch: pytest.
         raise TimeoutError
 
     monkeypatch.setattr(distributed, "wait", never)
-    monkeypatch.setattr(workers, "PATIENCE_WITH_WORKERS_S", 0.05)
+    monkeypatch.setattr(dask_cluster, "PATIENCE_WITH_WORKERS_S", 0.05)
     with pytest.raises(ConnectionError, match="lost all workers"):
-        workers.first_finished(Deserted(), {"a future"})
+        dask_cluster.first_finished(Deserted(), {"a future"})
 
 
 class OfAnotherVersion:
@@ -93,7 +95,7 @@ def test_workers_of_other_versions_are_refused(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(distributed, "Client", lambda *arguments, **options: OfAnotherVersion())
     with (
         pytest.raises(InputError, match=r"workers have metrocli 0\.0\.1 with numpy 1\.0 and Python 3\.4, and this is"),
-        workers.cluster("ucx://anywhere"),
+        dask_cluster.cluster("ucx://anywhere"),
     ):
         pass
 
@@ -124,12 +126,48 @@ def test_a_cluster_that_ends_in_the_middle_is_an_error_in_words(monkeypatch: pyt
         yield Gone()
 
     monkeypatch.setattr(distributed, "wait", never)
-    monkeypatch.setattr(workers, "cluster", gone)
+    monkeypatch.setattr(dask_cluster, "cluster", gone)
     with (
         pytest.raises(InputError, match=r"tcp://there: the cluster has ended \(ConnectionError\); run again"),
-        workers.ordered_on("tcp://there") as ordered,
+        dask_cluster.ordered_on("tcp://there") as ordered,
     ):
         list(ordered(abs, [1, 2]))
+
+
+@dataclass
+class AtOnce:
+    """A client with one worker that computes each task when it is sent, and lists how many numbers each has."""
+
+    sizes: list[int] = field(default_factory=list)
+
+    def scatter(self, work: object, **options: object) -> object:
+        return work
+
+    def nthreads(self) -> dict[str, int]:
+        return {"worker": 1}
+
+    def submit(self, do: Callable[..., object], work: object, numbers: list[int], **options: object) -> Future[object]:
+        self.sizes.append(len(numbers))
+        found: Future[object] = Future()
+        found.set_result(do(work, numbers))
+        return found
+
+
+def test_short_chunks_travel_together_and_come_back_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dask_cluster, "first_finished", lambda client, futures: futures)
+    client = AtOnce()
+    found = dask_cluster._on_cluster(client, "tcp://there", lambda number: number * number, range(60))
+    assert list(found) == [number * number for number in range(60)]
+    assert client.sizes == [1, 1, 1, 1, 25, 25, 6]
+
+    failing = dask_cluster._on_cluster(client, "tcp://there", lambda number: 1 // (11 - number), range(60))
+    assert [next(failing) for _ in range(11)] == [0] * 10 + [1], "what comes before an error is kept"
+    with pytest.raises(ZeroDivisionError):
+        next(failing)
+    client.sizes.clear()
+    monkeypatch.setattr(dask_cluster, "_TASK_S", 1e-9)
+    assert list(dask_cluster._on_cluster(client, "tcp://there", abs, range(9))) == list(range(9))
+    assert client.sizes == [1] * 9, "long ones travel alone"
 
 
 SCHEDULER = ["-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
@@ -139,7 +177,7 @@ def test_a_scheduler_without_workers_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-    monkeypatch.setattr(workers, "PATIENCE_WITH_WORKERS_S", 0.5)
+    monkeypatch.setattr(dask_cluster, "PATIENCE_WITH_WORKERS_S", 0.5)
     file = tmp_path / "scheduler.json"
     with (tmp_path / "log.txt").open("wb") as log:
         alone = _start([sys.executable, *SCHEDULER, "--scheduler-file", str(file)], log, tmp_path)

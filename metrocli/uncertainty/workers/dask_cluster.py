@@ -1,6 +1,4 @@
-"""Workers for the chunks of a long computation: threads of this process, or a Dask cluster.
-
-A chunk is a pure function of its number, so the outcome does not depend on the workers.
+"""A Dask cluster that runs already: is it there, is it the same metrocli, and what it makes of numbers, in order.
 
 Method: docs/algorithms/monte-carlo-chunks.md.
 """
@@ -10,11 +8,11 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from itertools import islice
+from typing import Any, Generic, TypeVar
 
 from metrocli import __version__
 from metrocli.errors import Fault, InputError
@@ -24,83 +22,9 @@ PATIENCE_S = 2.5
 """Longest time for a scheduler to answer [s]"""
 PATIENCE_WITH_WORKERS_S = 60.0
 """Longest time until the first worker of a cluster appears [s]"""
+_TASK_S, _MOST_AT_ONCE = 1.0, 25
+"""Time that a task of a cluster should take [s], so that sending it does not count, and the most numbers in one"""
 _ADDRESSES, _ENCRYPTED = ("tcp://", "tls://", "ucx://", "ws://", "wss://"), ("tls://", "wss://")
-
-
-class Finished(Protocol):
-    """Store of chunks that an earlier run has finished, by the key of the computation and their number."""
-
-    def get(self, key: str, number: int) -> dict[str, Any] | None:
-        """Return the stored arrays of a chunk, or None."""
-
-    def put(self, key: str, number: int, value: dict[str, Any]) -> None:
-        """Store the arrays of a finished chunk."""
-
-    def clear(self) -> None:
-        """Remove all chunks, after the computation is complete."""
-
-
-@dataclass(frozen=True)
-class Nothing:
-    """Store that keeps no chunks."""
-
-    def get(self, key: str, number: int) -> dict[str, Any] | None:
-        return None
-
-    def put(self, key: str, number: int, value: dict[str, Any]) -> None:
-        return None
-
-    def clear(self) -> None:
-        return None
-
-
-@dataclass(frozen=True)
-class Workers:
-    """Where chunks are computed: threads or a Dask cluster, with progress and store."""
-
-    count: int = 0
-    """Number of threads; 0 for one per core"""
-    scheduler: str = ""
-    """Address of a Dask scheduler, tcp://..., or the path of its scheduler file; "" for this process"""
-    finished: Finished = Nothing()
-    tell: Callable[[int, int | None], None] = lambda done, of: None
-    """Progress function: takes the number of finished chunks and the total"""
-
-    def ordered(self, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
-        """Yield work(number) in the order of the numbers, while workers compute later ones in advance."""
-        if self.scheduler:
-            with ordered_on(self.scheduler) as ordered:
-                yield from ordered(work, numbers)
-        elif self.threads == 1:
-            yield from map(work, numbers)
-        else:
-            yield from _on_threads(self.threads, work, numbers)
-
-    @property
-    def threads(self) -> int:
-        """Threads that work at once."""
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        return self.count or cores
-
-
-def _on_threads(count: int, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
-    pool = ThreadPoolExecutor(count)
-    try:
-        yield from _window(lambda number: pool.submit(work, number), numbers, 2 * count)
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _window(submit: Callable[[int], Any], numbers: Iterable[int], most: int) -> Iterator[Any]:
-    """Yield results in order, with at most `most` of them in progress."""
-    # in order, so that sums have the same rounding and an adaptive run stops at the same chunk for any count
-    waiting: deque[Any] = deque()
-    for number in numbers:
-        waiting.append(submit(number))
-        if len(waiting) >= most:
-            yield waiting.popleft().result()
-    while waiting:
-        yield waiting.popleft().result()
 
 
 @contextmanager
@@ -156,25 +80,26 @@ def ordered_on(
 
 
 def _on_cluster(client: Any, address: str, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
-    def finished(future: Any) -> T:
+    def finished(future: Any) -> _Done[T]:
         with ends_in_words(address, ""):
             first_finished(client, {future})
-            value, error = future.result()
-        if error is not None:
-            raise error
-        found: T = value
+            found: _Done[T] = future.result()
         return found
 
     with ends_in_words(address, ""):
         scattered = client.scatter(work, broadcast=True, hash=False)
         threads = max(sum(client.nthreads().values()), 1)
     waiting: deque[Any] = deque()
-    for number in numbers:
-        waiting.append(client.submit(_do, scattered, number, pure=False))
-        if len(waiting) >= 4 * threads:
-            yield finished(waiting.popleft())
-    while waiting:
-        yield finished(waiting.popleft())
+    left, size = iter(numbers), 1
+    while (batch := list(islice(left, size))) or waiting:
+        if batch:
+            waiting.append(client.submit(_do, scattered, batch, pure=False))
+        if not batch or len(waiting) >= 4 * threads:
+            done = finished(waiting.popleft())
+            yield from done.values
+            if done.error is not None:
+                raise done.error
+            size = min(max(int(len(done.values) * _TASK_S / max(done.seconds, 1e-3)), 1), _MOST_AT_ONCE)
 
 
 @contextmanager
@@ -218,12 +143,24 @@ def _versions(more: Callable[[], str] | None) -> str:
     return found if more is None else f"{found}, {more()}"
 
 
-def _do(work: Callable[[int], T], number: int) -> tuple[T | None, Exception | None]:
-    """Return what work gives, or its error, so that it does not look like an error of the cluster."""
+@dataclass(frozen=True)
+class _Done(Generic[T]):
+    """What became of numbers on a worker; an error ends it, and does not look like an error of the cluster."""
+
+    values: list[T]
+    error: Exception | None
+    seconds: float
+
+
+def _do(work: Callable[[int], T], numbers: Sequence[int]) -> _Done[T]:
+    """Return what work gives for numbers, up to its first error."""
+    begun, values = time.monotonic(), list[T]()
     try:
-        return work(number), None
+        for number in numbers:
+            values.append(work(number))
     except Exception as error:
-        return None, error
+        return _Done(values, error, time.monotonic() - begun)
+    return _Done(values, None, time.monotonic() - begun)
 
 
 def _must_listen(address: str) -> None:
