@@ -14,7 +14,7 @@ from metrocli import __version__, tasks
 from metrocli.doubt import doubts_of
 from metrocli.effects.wanted import planted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError, UsageError
-from metrocli.formats.hdf5 import refuse_foreign
+from metrocli.formats.hdf5 import refuse_foreign, refuse_unwritable
 from metrocli.formats.images import ImageFiles
 from metrocli.plan import Plan
 from metrocli.project import meaning
@@ -59,6 +59,7 @@ def carry_out(
 
     The chunks that `workers` finish are kept beside the output until the job is done: a killed run then continues.
     """
+    refuse_unwritable(file.output)
     if not force:
         refuse_foreign(file.output, file.kind)
     return write(file, *compute(file, progress, workers, strict))
