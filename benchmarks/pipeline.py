@@ -1,7 +1,7 @@
 """Projects that never lie: changes, damages, kills, hard edges, a cluster, and the cost of having nothing to do.
 
-python -m benchmarks pipeline [changes N | damages N | kills N | edges 1 | cluster N | overhead N | diagnosis 1 |
-    idle N | campaign N ...]
+python -m benchmarks pipeline [changes N | damages N | kills N | edges 1 | cluster N | overhead N |
+    trials MILLIONS | diagnosis 1 | idle N | campaign N ...]
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from pathlib import Path
 
 from benchmarks.projects.hard_ends import edges, kills
 from benchmarks.projects.many_jobs import idle, idle_campaign
-from benchmarks.projects.on_cluster import cluster_runs, diagnosis_on_cluster, overhead
+from benchmarks.projects.on_cluster import cluster_runs, diagnosis_on_cluster, overhead, trials_overhead
 from benchmarks.projects.six_jobs import changes, damages
 
 FULL = (
     ("changes", 1000), ("damages", 2000), ("kills", 200), ("edges", 1), ("cluster", 200), ("overhead", 200),
-    ("diagnosis", 1), ("idle", 50), ("idle", 1000), ("idle", 10_000), ("campaign", 10_000),
+    ("trials", 200), ("diagnosis", 1), ("idle", 50), ("idle", 1000), ("idle", 10_000), ("campaign", 10_000),
 )  # fmt: skip
 Line = tuple[str, bool]
 """What to print, and whether anything lied"""
@@ -72,6 +72,13 @@ def of_overhead(count: int) -> Iterator[Line]:
     yield text, there > 1.05 * here
 
 
+def of_trials(millions: int) -> Iterator[Line]:
+    """Yield the line of one large Monte Carlo job on a cluster of one worker."""
+    here, there, wrong = trials_overhead(millions)
+    text = f"{millions} million trials of one job, CPU of all processes: {here:.2f} s here, {there:.2f} s on one worker"
+    yield f"{text} ({there / here - 1:+.1%}), {wrong or 'the same result'}", bool(wrong) or there > 1.05 * here
+
+
 def of_diagnosis(_: int) -> Iterator[Line]:
     """Yield a line for each diagnosis whose folds go to a cluster."""
     for name, wrong in diagnosis_on_cluster():
@@ -99,6 +106,7 @@ CAMPAIGNS: dict[str, Callable[[int], Iterator[Line]]] = {
     "edges": of_edges,
     "cluster": of_cluster,
     "overhead": of_overhead,
+    "trials": of_trials,
     "diagnosis": of_diagnosis,
     "idle": of_idle,
     "campaign": of_campaign,

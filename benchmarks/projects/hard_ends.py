@@ -45,7 +45,7 @@ def kills(count: int, seed: int = 0) -> Iterator[Kills]:
     hits all processes of the run, as a job scheduler does; the others hit only the one that was asked.
     """
     chance = random.Random(seed)
-    write(JOBS, trials=2_000_000)  # so that a run is long beside its start, and each job has chunks that are kept
+    write(JOBS, trials=3_000_000)  # more than are kept in memory, so that each job has files of finished chunks
     commands = [[*RUN, "--jobs", str(jobs)] for jobs in (1, 4)]
     spans = [min(_times(command) for _ in range(2)) for command in commands]
     wanted = [hdf5.read_label(path).content for path in _results()]

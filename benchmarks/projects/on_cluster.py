@@ -20,7 +20,7 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.verdict import as_data
 from metrocli.formats import hdf5
-from metrocli.uncertainty.workers import ordered_on
+from metrocli.uncertainty.workers.dask_cluster import ordered_on
 
 TRIALS = 100_000
 LONG_TRIALS = 1_000_000
@@ -29,8 +29,8 @@ WORKER = ["-m", "distributed.cli.dask_worker", "--nthreads", "1", "--no-dashboar
 
 
 @contextlib.contextmanager
-def cluster() -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """Yield the scheduler file of a cluster in a folder of its own, and its processes: scheduler, worker, worker."""
+def cluster(workers: int = 2) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """Yield the scheduler file of a cluster in a folder of its own, and its processes: the scheduler, then workers."""
     with tempfile.TemporaryDirectory() as elsewhere, open(os.devnull, "wb") as log:
         file = Path(elsewhere) / "scheduler.json"
 
@@ -41,7 +41,7 @@ def cluster() -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
         begun = [start(SCHEDULER)]
         while not file.is_file():
             time.sleep(0.1)
-        begun += [start([*WORKER, "--local-directory", elsewhere]) for _ in range(2)]
+        begun += [start([*WORKER, "--local-directory", elsewhere]) for _ in range(workers)]
         try:
             yield str(file), begun
         finally:
@@ -90,6 +90,34 @@ def overhead(count: int) -> tuple[float, float, float, float]:
     (here, there), (all_here, all_there) = sizes.values()
     own, sent = (all_here - here) / count, (all_there - there) / count
     return own, sent, here - few * own, there - few * sent
+
+
+def trials_overhead(millions: int) -> tuple[float, float, str]:
+    """Return the CPU time [s] of millions of trials of one job here and on one worker, and what went wrong.
+
+    All processes count. A job of a million trials separates what is the same for any number, above all imports. The
+    least of three times counts.
+    """
+    spent: dict[tuple[int, str], float] = {}
+    bits = {}
+    with cluster(1) as (file, processes):
+        for trials in (1, millions + 1) * 3:
+            for how in (("--workers", "1"), ("--scheduler", file)):
+                job = f"big-{trials}{how[0]}.yaml"
+                Path(job).write_text(
+                    "metrocli: 1\njob: report-uncertainty\n"
+                    "quantities: {a: {value: 1 mm, std: 1 um}, b: {value: 2 mm, half_width: 3 um}}\n"
+                    "measurands: {l: {model: a + sqrt(a**2 + b**2), unit: mm}}\n"
+                    f"monte_carlo: {{trials: {trials}000000}}\noutput: {job}.h5\n"
+                )
+                before = sum(map(_cpu, processes))
+                asking = cpu_of([*RUN[:-1], "report-uncertainty", job, "--force", *how])
+                used = asking / 1e3 + sum(map(_cpu, processes)) - before
+                spent[trials, how[0]] = min(spent.get((trials, how[0]), used), used)
+                bits[trials, how[0]] = hdf5.read(Path(f"{job}.h5"))[0].details
+    here, there = (spent[millions + 1, how] - spent[1, how] for how in ("--workers", "--scheduler"))
+    alike = all(repr(bits[trials, "--workers"]) == repr(bits[trials, "--scheduler"]) for trials in (1, millions + 1))
+    return here, there, "" if alike else "other results than here"
 
 
 def diagnosis_on_cluster() -> Iterator[tuple[str, str]]:

@@ -29,7 +29,7 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
     """
     from metrocli.cli.summary import as_json as json_text
     from metrocli.errors import Fault, InputError, UsageError
-    from metrocli.formats.hdf5 import refuse_foreign
+    from metrocli.formats.hdf5 import refuse_foreign, refuse_unwritable
     from metrocli.project import PROJECT_FILE
     from metrocli.project.job import Wishes, load_parts
     from metrocli.project.runner import verify
@@ -43,7 +43,8 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
         jobs = load_parts(place, Wishes(overrides, accept_doubtful=accept_doubtful))
     faults: list[Fault] = []
     for job in jobs:
-        for look in (partial(verify, job), partial(refuse_foreign, job.output, job.kind)):
+        foreign = partial(refuse_foreign, job.output, job.kind)
+        for look in (partial(verify, job), partial(refuse_unwritable, job.output), foreign):
             try:
                 look()
             except InputError as error:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import click
 
@@ -116,3 +117,17 @@ class Console:
             over.set()
             thread.join()
             click.echo(f"\r{'':{length}}\r" if length else "", err=True, nl=False)
+
+
+def print_files(paths: Iterable[Path], as_json: bool, quiet: bool, **more: str) -> int:
+    """Print the paths of files that were written, or with more keys as JSON; return the exit code 0."""
+    written = [str(path) for path in paths]  # all are written before the reader of this output closes it at any line
+    if as_json:
+        from metrocli.cli.summary import as_json as json_text
+
+        echo(json_text({**more, "files": written}))
+    else:
+        console = Console(quiet)
+        for path in written:
+            console.print(path)
+    return 0

@@ -88,11 +88,12 @@ def _once(
     from metrocli.cli.shell.signals import first_interrupt
     from metrocli.diagnosis.next_readings.choice import as_data, next_readings
     from metrocli.project import diagnosed
+    from metrocli.project.own_effects import alike_for
     from metrocli.record import NOT_MET
-    from metrocli.uncertainty.workers import ordered_on
+    from metrocli.uncertainty.workers.dask_cluster import ordered_on
 
     console, limit = Console(wanted["quiet"] or as_json, wanted["verbose"]), _seconds(wanted["limit"])
-    with ordered_on(wanted["scheduler"]) as ordered:
+    with ordered_on(wanted["scheduler"], alike_for([(loaded.kind, loaded.own.packages)])) as ordered:
         diagnosis = diagnosed.carry_out(loaded, console.waiting, limit, first_interrupt, ordered)
     extended = _extended(loaded, diagnosis, output, force)
     proposed = None if following is None else next_readings(diagnosis, following)
@@ -149,13 +150,14 @@ def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> i
     from metrocli.cli import summary
     from metrocli.cli.diagnosis_report.loop import loop_data, of_loop
     from metrocli.project.job import Wishes, load
+    from metrocli.project.own_effects import alike_for
     from metrocli.project.until_clean import until_clean
     from metrocli.record import NOT_MET
-    from metrocli.uncertainty.workers import ordered_on
+    from metrocli.uncertainty.workers.dask_cluster import ordered_on
 
     console = Console(wanted["quiet"] or as_json, wanted["verbose"])
     limit = _seconds(wanted["limit"])
-    with ordered_on(wanted["scheduler"]) as ordered:
+    with ordered_on(wanted["scheduler"], alike_for([(job.kind, job.own.packages)])) as ordered:
         loop = until_clean(job, wanted["most"], console.waiting, limit, force, ordered)
     if as_json:
         echo(summary.as_json(loop_data(loop)))

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console, echo
+from metrocli.cli.console import print_files
 from metrocli.exports import FORMATS
 
 SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items())
@@ -32,7 +32,6 @@ def command(
     Raises InputError if the result is not fit for use, unless that is accepted; the files then state it. Files that
     metrocli did not write are replaced with `force` only.
     """
-    from metrocli.cli.summary import as_json as json_text
     from metrocli.errors import Fault, InputError
     from metrocli.exports import export
     from metrocli.formats import csv, hdf5
@@ -49,10 +48,4 @@ def command(
     for name, content in export(form, found, record).items():
         path = inside(out, name) if out is not None else inside(result.parent, f"{result.stem}.{name}")
         contents[path] = (csv.to_text(content) if isinstance(content, Table) else content).encode()
-    written = list(write_all(contents, force))
-    if as_json:
-        echo(json_text({"status": record.status, "files": list(map(str, written))}))
-        return 0
-    for path in written:  # after all are written: the reader of this output may close it at any line
-        Console(quiet).print(str(path))
-    return 0
+    return print_files(write_all(contents, force), as_json, quiet, status=record.status)

@@ -102,7 +102,7 @@ def _run(steps: Sequence[Step], order: Order, console: Console, jobs: int, sched
     from metrocli.project import pipeline
 
     watched = has_terminal() and not (console.quiet or console.verbose)
-    with live_table(len(steps), watched) as table, _crew(console, jobs, scheduler) as crew:
+    with live_table(len(steps), watched) as table, _crew(console, jobs, scheduler, steps) as crew:
 
         def finished(report: Report) -> None:
             with table.end(report.step.name, report.action):
@@ -115,13 +115,13 @@ def _run(steps: Sequence[Step], order: Order, console: Console, jobs: int, sched
     return reports
 
 
-def _crew(console: Console, jobs: int, scheduler: str) -> AbstractContextManager[Crew]:
+def _crew(console: Console, jobs: int, scheduler: str, steps: Sequence[Step]) -> AbstractContextManager[Crew]:
     from metrocli.project.running.crew import Alone, processes
 
     if scheduler:
         from metrocli.project.running.cluster import on_cluster
 
-        return on_cluster(scheduler)
+        return on_cluster(scheduler, [step.job for step in steps])
     return nullcontext(Alone(console.detail)) if jobs == 1 else processes(jobs)
 
 

@@ -65,7 +65,7 @@ def _doubt_lines(record: Record) -> list[str]:
 
 
 def estimates_text(estimates: Sequence[Estimate], job_text: str = "") -> str:
-    """Return a line for each estimate: name, value, standard uncertainty and unit.
+    """Return a heading, and a line for each estimate: name, value, standard uncertainty and unit.
 
     The parameters of effects are in the unit that the job states for them, else in one that suits their uncertainty;
     those of one name share it.
@@ -74,7 +74,8 @@ def estimates_text(estimates: Sequence[Estimate], job_text: str = "") -> str:
     for estimate in estimates:
         groups.setdefault(_alike(estimate), []).append(estimate)
     found = {alike: _unit(group, job_text) for alike, group in groups.items()}
-    return columns_text([_estimate_row(estimate, *found[_alike(estimate)]) for estimate in estimates])
+    rows = columns_text([_estimate_row(estimate, *found[_alike(estimate)]) for estimate in estimates])
+    return f"value {units.SPREAD}:\n{rows}"
 
 
 def _alike(estimate: Estimate) -> tuple[str, str]:

@@ -96,6 +96,7 @@ def add_estimates(to: ET.Element, result: Result, known: Sequence[Estimate]) -> 
         dsi.real(quantity, estimate.value, estimate.unit, spread, k, _probability(result, k, estimate.name))
         _conformity(quantity, estimate, result.details.get(estimate.name, {}).get("tolerance", {}))
         _pixels(quantity, estimate.unit)
+        _against_trials(quantity, result, estimate.name)
     if len(known) <= _MOST_CORRELATED:
         _correlation(to, result, known)
 
@@ -119,11 +120,14 @@ def _correlation(to: ET.Element, result: Result, known: Sequence[Estimate]) -> N
 def _probability(result: Result, k: float, name: str = "") -> float:
     """Return the coverage probability: the stated one, else that of k for normal errors.
 
-    Where the noise was estimated it is that of Student's distribution with the degrees of freedom (GUM G.3).
+    Where Monte Carlo contradicts it, it is the share of the trials within U. Where the noise was estimated it is that
+    of Student's distribution with the degrees of freedom (GUM G.3).
     """
     from scipy.special import ndtr, stdtr
 
-    stated = result.details.get(name, {}).get("probability")
+    trials, stated = _contradicting(result, name), result.details.get(name, {}).get("probability")
+    if trials is not None:
+        return min(float(trials["covered"]), 1 - 1 / float(trials["trials"]))
     if stated is not None:
         return float(stated)
     dof = result.statistics.get("dof")
@@ -146,6 +150,25 @@ def add_table(to: ET.Element, result: Result, name: str, table: Table) -> None:
         unit, spreads = table.units.get(column) or "1", K * table.numbers(pairs[column]) if column in pairs else None
         dsi.real_list(quantity, table.numbers(column), unit, spreads, K, probability)
         _pixels(quantity, unit)
+
+
+def _contradicting(result: Result, name: str) -> Mapping[str, Any] | None:
+    """Return the Monte Carlo result of an estimate where it contradicts the GUM (JCGM 101, 8), None elsewhere."""
+    details = result.details.get(name, {})
+    trials = details.get("mc")
+    contradicts = trials is not None and details.get("gum_valid") == 0 and np.isfinite(trials["covered"])
+    return trials if contradicts else None
+
+
+def _against_trials(quantity: ET.Element, result: Result, name: str) -> None:
+    """Add where the coverage probability of an estimate is that of Monte Carlo, and which one the GUM gives."""
+    trials = _contradicting(result, name)
+    if trials is not None:
+        remark, by_gum = _remark(quantity), 100 * float(result.details[name]["probability"])
+        text = f"The coverage probability is the share of {trials['trials']:.0f} Monte Carlo trials within U, which"
+        named(remark, "name", "Coverage by Monte Carlo")
+        named(remark, "description", f"{text} contradict the {by_gum:.4g} % of the law of propagation.")
+        add(remark, "norm", "JCGM 101:2008")
 
 
 def _list(to: ET.Element, index: str | None) -> ET.Element:

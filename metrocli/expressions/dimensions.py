@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 
 from metrocli import units
 from metrocli.expressions.expression import NEGATIVE, NUMBER, Expression, ExpressionError, Part
@@ -37,6 +38,7 @@ class Compound:
         return not self.powers
 
 
+@lru_cache(1024)
 def compound(text: str) -> Compound:
     """Return the unit of a text such as "kg/m^3", "mPa s" or "1/K"; raises QuantityError if it is not a unit."""
     text = text.strip()

@@ -52,10 +52,15 @@ class JobFile:
         return (*(path for item in self.inputs for path in item.paths), *self.own.files)
 
     @property
+    def effects_of_packages(self) -> tuple[str, ...]:
+        """The names of the effects of packages that it uses."""
+        return tuple(sorted({one.name for one in self.effects} & self.own.packages.keys()))
+
+    @property
     def packages(self) -> tuple[Package, ...]:
         """The packages whose effects it uses."""
-        used = {one.name for one in self.effects}
-        return tuple({one.state: one for name, one in sorted(self.own.packages.items()) if name in used}.values())
+        used = (self.own.packages[name] for name in self.effects_of_packages)
+        return tuple({one.state: one for one in used}.values())
 
     @property
     def accept_doubtful(self) -> bool:

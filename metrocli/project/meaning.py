@@ -116,39 +116,53 @@ def digest(value: Any, folder: Path = Path()) -> str:
     return found.hexdigest()
 
 
-_PLAIN = frozenset((str, float, int, bool, type(None)))
-_HOLDERS, _SCALARS = frozenset((list, tuple, dict)), (Enum, Number, bytes)
+_FORMS: dict[str, Callable[[type], bool]] = {
+    "scalar": lambda kind: kind in (str, type(None)) or issubclass(kind, (Enum, Number, bytes)),
+    "list": lambda kind: issubclass(kind, (list, tuple)),
+    "path": lambda kind: issubclass(kind, Path),
+    "node": lambda kind: issubclass(kind, Node),
+    "fields": is_dataclass,
+    "mapping": lambda kind: issubclass(kind, Mapping),
+    "set": lambda kind: issubclass(kind, Set),
+    "array": lambda kind: hasattr(kind, "tobytes"),
+}
+"""What a digest has of values of a type; the first form that fits counts"""
+
+
+@cache
+def _form(kind: type) -> str:
+    return next((name for name, fits in _FORMS.items() if fits(kind)), "")
 
 
 def _add(value: Any, add: Callable[[bytes], object], folder: Path) -> None:
     """Feed a value to a digest, each part with its type and length, so that no two values give the same bytes."""
-    kind = type(value)
-    # the first three are nearly all values of a job, and quick to tell apart
-    if kind in _PLAIN or (kind not in _HOLDERS and isinstance(value, _SCALARS)):
+    kind: type = type(value)
+    form = _form(kind)
+    if form == "scalar":
         text = value if isinstance(value, bytes) else repr(value).encode()
         add(f"{kind.__name__}{len(text)}:".encode() + text)
-    elif isinstance(value, list | tuple):
+    elif form == "list":
         if value and all(isinstance(item, Path) for item in value):
             value = ()  # the images that a pattern matches, which are inputs with a digest of their own
         add(f"list{len(value)}:".encode())
         for item in value:
             _add(item, add, folder)
-    elif isinstance(value, Path):
+    elif form == "path":
         _add(Path(os.path.relpath(value, folder)).as_posix(), add, folder)
-    elif isinstance(value, Node):
+    elif form == "node":
         _add([value.kind, value.text, value.items, {key.text: below for key, below in value.entries}], add, folder)
-    elif is_dataclass(kind):
+    elif form == "fields":
         kept = {name: getattr(value, name) for name in _meant(kind)}
         _add([kind.__qualname__, kept], add, folder)
-    elif isinstance(value, Mapping):
+    elif form == "mapping":
         add(f"list{len(value)}:".encode())
         for key in sorted(value, key=str):
             name = repr(str(key)).encode()
             add(b"list2:str%d:%b" % (len(name), name))  # as of a list of pairs, without making one
             _add(value[key], add, folder)
-    elif isinstance(value, Set):
+    elif form == "set":
         _add(sorted(value, key=str), add, folder)
-    elif hasattr(value, "tobytes"):
+    elif form == "array":
         words = value.dtype.kind == "U"  # whose bytes depend on the longest of them
         data = "\0".join(value.tolist()).encode() if words else value.tobytes()
         add(f"array{'text' if words else value.dtype.str}{value.shape}{len(data)}:".encode() + data)

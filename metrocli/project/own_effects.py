@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,7 @@ from metrocli.project import PROJECT_FILE, yaml_text
 from metrocli.project.heading import Heading
 from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import path_beside
-from metrocli.words import suggestion
+from metrocli.words import listed, suggestion
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -33,10 +33,17 @@ _KEY = "define"
 class Package:
     """A package that offers effects, as it is installed."""
 
-    state: str
-    """Its name and version, and the digest of the module that offers them"""
+    name: str
+    """With its version"""
+    digest: str
+    """Of the module that offers them, where it is a file"""
     file: Path | None
-    """That module, where it is a file"""
+    """That module"""
+
+    @property
+    def state(self) -> str:
+        """What changes whenever its effects may."""
+        return f"{self.name} {self.digest}"
 
 
 @dataclass(frozen=True)
@@ -167,4 +174,22 @@ def _package(point: EntryPoint) -> Package:
     place = getattr(sys.modules[point.module], "__file__", None)
     version = f"{point.dist.name} {point.dist.version}" if point.dist is not None else point.value
     file = Path(place) if place is not None and Path(place).is_file() else None
-    return Package(f"{version} {read_bytes(file).sha256 if file is not None else ''}", file)
+    return Package(version, read_bytes(file).sha256 if file is not None else "", file)
+
+
+def alike_for(used: Iterable[tuple[str, Collection[str]]]) -> Callable[[], str] | None:
+    """Return what states the packages behind effects in words wherever it is called, None if there are none.
+
+    `used` has a kind of job with names of effects. Other computers that compute such jobs need the same packages.
+    """
+    effects = sorted({(kind, name) for kind, names in used for name in names})
+    return partial(_in_words, effects) if effects else None
+
+
+def _in_words(effects: Iterable[tuple[str, str]]) -> str:
+    words = []
+    for kind, name in effects:
+        package = {effect.name: package for effect, package in with_packages(kind)}.get(name)
+        module = f" (module {package.digest[:8]})" if package is not None and package.digest else ""
+        words.append(f"no package with the effect '{name}'" if package is None else f"{package.name}{module}")
+    return listed(list(dict.fromkeys(words)))

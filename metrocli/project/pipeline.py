@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from metrocli.errors import InputError
 from metrocli.formats.aside import sweep
+from metrocli.formats.hdf5 import refuse_unwritable
 from metrocli.formats.seal import Label
 from metrocli.project.staleness import State, refuse_lost, state_of, unfit_words
 from metrocli.project.steps import Step
@@ -122,6 +123,10 @@ class _Run:
             return self.report(Report(step, Action.FAILED, "", InputError.exit_code, error=state.reason))
         if not state.reason and state.label is not None:
             return self.report(Report(step, Action.UP_TO_DATE, "", state.label.exit_code, label=state.label))
+        try:
+            refuse_unwritable(step.job.output)
+        except InputError as error:
+            return self.report(Report(step, Action.FAILED, state.reason, error.exit_code, error=str(error)))
         self.working[step.name] = state
         self.begun(step)
         self.crew.begin(step.name, step.job, self.order.strict)

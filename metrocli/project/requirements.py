@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,6 +86,19 @@ class Requirement:
                 hint = "write the limit without a unit" if unit in ("", "1") else error.hint
                 raise units.QuantityError(f"{self.name} has the unit '{unit}', not '{self.unit}'", hint) from error
         return units.find_unit(self.unit, dimension).inside(self.limit)
+
+
+def by_names(known: Mapping[str, str], names: Mapping[str, Collection[str]]) -> dict[str, str]:
+    """Return known figures with the names that stand for their braces, those of `tracer` for `{tracer}.x`.
+
+    A figure whose braces stand for something else stays as it is.
+    """
+    found: dict[str, str] = {}
+    for figure, unit in known.items():
+        braces = _BRACES.findall(figure)
+        key = braces[0][1:-1] if len(braces) == 1 else ""
+        found |= {figure.replace(braces[0], name): unit for name in names[key]} if key in names else {figure: unit}
+    return found
 
 
 def units_among(name: str, known: Mapping[str, str]) -> list[str]:

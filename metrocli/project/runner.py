@@ -14,12 +14,13 @@ from metrocli import __version__, tasks
 from metrocli.doubt import doubts_of
 from metrocli.effects.wanted import planted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError, UsageError
-from metrocli.formats.hdf5 import refuse_foreign
+from metrocli.formats.hdf5 import refuse_foreign, refuse_unwritable
 from metrocli.formats.images import ImageFiles
 from metrocli.plan import Plan
 from metrocli.project import meaning
 from metrocli.project.inputs import read_inputs, read_with_files, unfit_inputs
-from metrocli.project.job import JobFile
+from metrocli.project.job import JobFile, figures_of
+from metrocli.project.requirements import by_names
 from metrocli.project.running.chunks import ChunkFolder
 from metrocli.record import Record, Verdict
 from metrocli.result import Result
@@ -58,6 +59,7 @@ def carry_out(
 
     The chunks that `workers` finish are kept beside the output until the job is done: a killed run then continues.
     """
+    refuse_unwritable(file.output)
     if not force:
         refuse_foreign(file.output, file.kind)
     return write(file, *compute(file, progress, workers, strict))
@@ -82,6 +84,7 @@ def compute(
     progress(f"{file.file}: reading its inputs")
     held, files = read_with_files(file)
     held = {key: replace(one, tell=workers.tell) if isinstance(one, ImageFiles) else one for key, one in held.items()}
+    _require_named(file, held)
     job = _job(file, held)
     progress(f"{file.file}: {file.kind}")
     if kind.chunked:
@@ -147,10 +150,31 @@ def verify(file: JobFile) -> None:
     missing = [item.key for item in file.inputs if not all(path.exists() for path in item.paths)]
     with _placed(file):
         held = read_inputs(file, missing)
+        if not missing:
+            _require_named(file, held)
         check = tasks.KINDS[file.kind].task().check
         if check is not None and not missing:
             with suppress(UndeterminedError, NotConvergedError):
                 check(_job(file, held))
+
+
+def _require_named(file: JobFile, held: Mapping[str, Any]) -> None:
+    """Raise InputError for each criterion that names what no table has, such as a tracer."""
+    faults: list[Fault] = []
+    known = known_figures(file, held) if file.heading.require else {}
+    for requirement in file.heading.require:
+        requirement.limit_among(known, faults)
+    if faults:
+        raise InputError(faults)
+
+
+def known_figures(file: JobFile, held: Mapping[str, Any]) -> dict[str, str]:
+    """Return the units of all figures that a result can have, by name, as far as its settings and tables name them."""
+    names: dict[str, set[str]] = {}
+    for table in (one for one in held.values() if isinstance(one, Table)):
+        for column in (name for name, cells in table.columns.items() if cells.dtype.kind == "U"):
+            names.setdefault(column, set()).update(table.texts(column))
+    return by_names(figures_of(file.kind, file.settings, file.effects), names)
 
 
 @contextmanager

@@ -110,7 +110,7 @@ def _changed_settings(job: JobFile) -> list[str]:
 
 def _unseen(job: JobFile) -> str:
     """Return what changed where the text of a job states all values as before."""
-    names = [one.state.split()[0] for one in job.packages]
+    names = [one.name for one in job.packages]
     return f"the package {names[0]}, whose effects the job uses, changed" if names else "the job file changed"
 
 

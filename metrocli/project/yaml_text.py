@@ -5,6 +5,7 @@ Nodes are built from the events of the parser, so that an alias is refused at it
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ HDF5 = b"\x89HDF"
 MOST_BYTES = 4_000_000
 DEEPEST, MOST_VALUES = 30, 100_000
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f]")
 _PLAIN_WORDS = (
     ("tab character", "the line is indented with a tab", "indent with spaces"),
     ("cannot start any token", "text cannot begin with this character", "put the text in quotes"),
@@ -66,8 +68,9 @@ def parse(text: str, file: str, folder: Path, repeated: list[Fault] | None = Non
     then be reported together with the faults of the content.
     """
     source = Source(file, tuple(text.splitlines()), folder)
-    control = next((at for at, c in enumerate(text) if ord(c) < ord(" ") and c not in "\n\r\t"), None)
-    if control is not None:
+    found = _CONTROL.search(text)
+    if found is not None:
+        control = found.start()
         line = text.count("\n", 0, control) + 1
         column = control - text.rfind("\n", 0, control)
         raise InputError([Fault("the file holds a control character; it is not a text file", file, line, column)])
@@ -159,7 +162,18 @@ class _Builder:
         if self.stack:
             self.stack[-1].children.append(node)
         else:
-            self.root = with_paths(node)
+            self.root = node
+
+    def _path(self) -> str:
+        """Return the path of the next node; that of a key is the path of its mapping."""
+        if not self.stack:
+            return ""
+        node, children = self.stack[-1].node, self.stack[-1].children
+        if node.kind == "list":
+            return f"{node.path}[{len(children) + 1}]"
+        if len(children) % 2 == 0:
+            return node.path
+        return f"{node.path}.{children[-1].text}" if node.path else children[-1].text
 
     def _finished(self, opened: _Open) -> Node:
         if opened.node.kind == "list":
@@ -178,7 +192,7 @@ class _Builder:
 
     def _node(self, event: Any, kind: Any, text: str = "", quoted: bool = False) -> Node:
         mark = event.start_mark
-        return Node(kind, self.source, text=text, quoted=quoted, line=mark.line + 1, column=mark.column + 1)
+        return Node(kind, self.source, self._path(), text, quoted, (), (), mark.line + 1, mark.column + 1)
 
     def _refuse_extras(self, event: Any) -> None:
         if event.anchor is not None:

@@ -15,6 +15,7 @@ from metrocli.units.parsing import (
 )
 from metrocli.units.people import (
     NOT_DETERMINED,
+    SPREAD,
     as_slope,
     column_unit,
     format_quantity,
@@ -35,6 +36,7 @@ __all__ = [
     "NOT_DETERMINED",
     "OVERLOAD",
     "SMALLEST",
+    "SPREAD",
     "Dimension",
     "QuantityError",
     "Range",

@@ -9,6 +9,8 @@ from metrocli.units.table import DIMENSIONS, KILO
 
 NOT_DETERMINED = "not determined"
 """Stands for a value that is not finite, or whose standard uncertainty is not"""
+SPREAD = "± standard uncertainty"
+"""What "12.3457 ± 0.0012" means, for the heading or the sentence that has it"""
 _LADDERS = {
     "mm": ("length", ("mm", "um", "nm")),
     "rad": ("angle", ("rad", "mrad", "urad")),

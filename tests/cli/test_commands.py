@@ -16,6 +16,7 @@ import h5py
 import pytest
 from resealing import resealed
 
+from metrocli import __version__
 from metrocli.errors import UndeterminedError
 
 Metrocli = Callable[..., Any]
@@ -41,6 +42,21 @@ def test_json_and_nothing_else_on_stdout(job: Path, metrocli: Metrocli) -> None:
     assert "'note' is not used" in summary["warnings"][0]
     assert "warning: " in ran.err
     assert summary == json.loads(metrocli("show", summary["result"], "--json").out)
+
+
+def test_commands_that_write_files_list_them_in_json(job: Path, metrocli: Metrocli) -> None:
+    assert metrocli("straight-line", job, "-q").code == 0
+    written = {
+        ("report",): ["results/line.html"],
+        ("plot", "correlation"): ["results/line.correlation.svg"],
+        ("export", "--to", "csv"): ["results/line.residuals.csv"],
+    }
+    for (command, *more), files in written.items():
+        ran = metrocli(command, "results/line.h5", *more, "--json")
+        assert (ran.code, ran.err, json.loads(ran.out)["files"]) == (0, "", files)
+    assert "correlation" in json.loads(metrocli("plot", "results/line.h5", "--json").out)["figures"]
+    again = json.loads(metrocli("rerun", "results/line.h5", "--json").out)
+    assert again["same"] is True and again["made_by"] == again["made_again_by"] == __version__
 
 
 def test_numbers_that_are_none_are_null_in_json() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,13 @@ def rows(text: str) -> list[list[str]]:
     return [line.split() for line in text.splitlines()]
 
 
+def values(estimates: Sequence[Estimate], job_text: str = "") -> str:
+    """The lines of estimates without their heading, which states what ± is."""
+    heading, _, lines = terminal.estimates_text(estimates, job_text).partition("\n")
+    assert heading == "value ± standard uncertainty:"
+    return lines
+
+
 def test_status_and_criteria_precede_the_values() -> None:
     found = result(
         Estimate("LT1.x", 1.0, 0.1, "mm"),
@@ -61,7 +68,9 @@ def test_status_and_criteria_precede_the_values() -> None:
         "observations 9, dof 0, sigma0 not determined",
         "required x.std < 50 um: NOT met (100 um)",
     ]
-    places = [lines.index(line) for line in ("LT1.x  1.00  ± 0.10  mm", "a note", "points")]
+    places = [
+        lines.index(line) for line in ("value ± standard uncertainty:", "LT1.x  1.00  ± 0.10  mm", "a note", "points")
+    ]
     assert places == sorted(places)
     assert places[0] == 6
 
@@ -103,11 +112,11 @@ def test_a_given_point_sets_no_digits_and_a_long_table_is_cut() -> None:
 
 def test_rates_are_in_the_unit_of_the_job_or_in_one_that_suits_them() -> None:
     text = "require: {tracer-drift.LT2.rate.std: '< 0.1 ppm/min'}  # not 1 ppm/h\n"
-    assert terminal.estimates_text([RATE], text) == "tracer-drift.LT2.rate  0.0150  ± 0.0024  ppm/min"
-    assert terminal.estimates_text([RATE], "drift: 3 ppm/h") == "tracer-drift.LT2.rate  0.90  ± 0.14  ppm/h"
-    assert terminal.estimates_text([RATE]) == "tracer-drift.LT2.rate  0.90  ± 0.14  ppm/h"
+    assert values([RATE], text) == "tracer-drift.LT2.rate  0.0150  ± 0.0024  ppm/min"
+    assert values([RATE], "drift: 3 ppm/h") == "tracer-drift.LT2.rate  0.90  ± 0.14  ppm/h"
+    assert values([RATE]) == "tracer-drift.LT2.rate  0.90  ± 0.14  ppm/h"
     jumps = [Estimate(f"dead-path-jump.{one}.step", 0.0016, 0.00011, "mm", "length") for one in ("A", "B")]
-    assert rows(terminal.estimates_text(jumps, "tolerance: 1 mm"))[1] == [
+    assert rows(values(jumps, "tolerance: 1 mm"))[1] == [
         "dead-path-jump.B.step",
         "1.60",
         "±",
@@ -120,10 +129,10 @@ def test_a_unit_of_ones_own_is_shown_as_it_was_written() -> None:
     """1 arcsec/m is 4.848137e-9 1/mm; without the words of the user the number has nine zeros."""
     turn = Estimate("turn-of-beam.LT2.a", 4.848137e-8, 2.424068e-9, "mm-1")
     text = "define:\n  - {name: turn-of-beam, parameters: {a: {unit: arcsec/m, plausible: 5 arcsec/m}}}"
-    assert terminal.estimates_text([turn], text) == "turn-of-beam.LT2.a  10.00  ± 0.50  arcsec/m"
-    assert terminal.estimates_text([turn]).endswith("mm-1")
+    assert values([turn], text) == "turn-of-beam.LT2.a  10.00  ± 0.50  arcsec/m"
+    assert values([turn]).endswith("mm-1")
     density = Estimate("rho", 7850.0, 1.0, "kg/m^3")
-    assert terminal.estimates_text([density], "rho: {value: 7.85 g/cm^3}").endswith("kg/m^3")
+    assert values([density], "rho: {value: 7.85 g/cm^3}").endswith("kg/m^3")
 
 
 def test_a_humidity_in_percent_is_no_unit_of_a_ratio() -> None:
@@ -134,19 +143,17 @@ def test_a_humidity_in_percent_is_no_unit_of_a_ratio() -> None:
         "humidity: 50 percent": "400 ± 10 nm/m",
     }
     for text, expected in shown.items():
-        assert " ".join(terminal.estimates_text([scale], text).split()[1:]) == expected
+        assert " ".join(values([scale], text).split()[1:]) == expected
 
 
 def test_a_scale_is_also_shown_from_1() -> None:
-    text = terminal.estimates_text(
-        [Estimate("LT1.scale", 0.99999987, 9.5e-8, "1", SCALE)], "scale: {uncertainty: 1 ppm}"
-    )
+    text = values([Estimate("LT1.scale", 0.99999987, 9.5e-8, "1", SCALE)], "scale: {uncertainty: 1 ppm}")
     assert text == "LT1.scale  0.999999870  ± 0.000000095    (-0.130 ± 0.095 ppm from 1)"
 
 
 def test_what_is_not_determined_is_stated_so() -> None:
-    assert terminal.estimates_text([Estimate("4.x", 0.1004478289, INF, "mm")]) == "4.x  not determined"
-    assert terminal.estimates_text([replace(RATE, std=INF)]) == "tracer-drift.LT2.rate  not determined"
+    assert values([Estimate("4.x", 0.1004478289, INF, "mm")]) == "4.x  not determined"
+    assert values([replace(RATE, std=INF)]) == "tracer-drift.LT2.rate  not determined"
     assert str(Verdict("ratio", "< 4", INF, "1", False)) == "required ratio < 4: NOT met (not determined)"
 
 

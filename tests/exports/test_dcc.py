@@ -166,6 +166,7 @@ def extreme() -> Result:
     limits = {"limits": [-np.inf, 2e-20], "acceptance": [], "zone": "undecided"}
     details[estimates[0].name]["tolerance"] = limits
     details[estimates[1].name]["tolerance"] = {"T": 1.0, "acceptance": 0.5}  # of a volume: no limits
+    details[estimates[1].name] |= {"gum_valid": False, "mc": {"covered": 1.0, "trials": 10000}}
     covariance = np.diag([one.std**2 for one in estimates])
     size = 10.0 ** np.arange(-20, 21, 10)
     table = Table(
@@ -369,6 +370,17 @@ def test_a_coverage_factor_below_one_is_none() -> None:
 )  # fmt: skip
 def test_a_coverage_probability_is_one_only_if_it_is(probability: float, text: str) -> None:
     assert of(stating(2.0, probability), "coverageProbability") == text
+
+
+def test_a_coverage_that_monte_carlo_contradicts_is_that_of_the_trials() -> None:
+    one = Estimate("a", 1.0, 0.005, "mm")
+    for valid, text in ((False, "0.9880"), (True, "0.9545"), (np.nan, "0.9545")):
+        stated = {"U": 0.01, "k": 2.0, "probability": 0.9545, "gum_valid": valid}
+        stated |= {"mc": {"covered": 0.98799, "trials": 1_000_000}}
+        found = quantities(written(replace(net(), estimates=(one,), details={"a": stated})))["a"]
+        assert float(of(found, "coverageProbability")) == pytest.approx(float(text), abs=2e-5)
+        said = "".join(found.itertext())
+        assert ("share of 1000000 Monte Carlo trials within U" in said and "95.45 %" in said) == (valid is False)
 
 
 @pytest.mark.parametrize(("k", "text"), [(12.7062, "12.71"), (63656.7, "63660"), (1.0001, "1")])

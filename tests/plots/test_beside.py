@@ -113,7 +113,7 @@ def test_the_lineage_leads_from_left_to_right() -> None:
     ("name", "beside", "words"),
     [
         ("before-after", Beside(before=lengths(3.0)), ["of tracer T2, which changed most", "w (standard deviations)", "time (s)"]),
-        ("held-out", Beside(diagnosis=diagnosis()), ["jump T2: +6.0 ± 4.6 in all", "below two standard deviations", "better in 2 of 3 parts"]),
+        ("held-out", Beside(diagnosis=diagnosis()), ["jump T2: +6.0 ± 4.6 (standard deviation) in all", "below two standard deviations", "better in 2 of 3 parts"]),
         ("law", Beside(diagnosis=diagnosis()), ["t (s)", "law and residual (µm)", "A law is no cause."]),
         ("lineage", Beside(lineage=NODES), ["camera.h5", "calibrate-camera", "not fit for use (orange): points.csv."]),
     ],

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from places import ROOT
+
+from metrocli.project import runner
 
 SAMPLES = sorted(path.parent.name for path in (ROOT / "sample_projects").glob("*/metrocli.yaml"))
 
@@ -43,3 +46,26 @@ def test_a_fault_of_files_is_found_without_computing(
     found, ran = metrocli("check", "."), metrocli("run", ".")
     assert (found.code, ran.code) == (3, 3), (found.err, ran.err)
     assert words in found.err and words in ran.err, (found.err, ran.err)
+
+
+@pytest.mark.parametrize("command", ["check", "straight-line", "run"])
+def test_an_output_that_cannot_be_written_is_found_without_computing(
+    command: str, job: Path, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*arguments: object) -> None:
+        raise AssertionError("it was computed")
+
+    monkeypatch.setattr(runner, "_sound", never)
+    Path("metrocli.yaml").write_text("jobs: [line.yaml]\n")
+    job.write_text(job.read_text() + "output: readings.csv/results/line.h5\n")
+    ran = metrocli(command, "." if command == "run" else job)
+    assert ran.code == 3
+    assert "readings.csv/results/line.h5: error: cannot be written: " in ran.err
+    assert "readings.csv is a file, not a folder" in ran.err
+
+    job.write_text(job.read_text().replace("readings.csv/results", "results"))
+    monkeypatch.setattr(
+        os, "access", lambda path, mode: not mode & os.W_OK
+    )  # which a test that root runs cannot have otherwise
+    ran = metrocli(command, "." if command == "run" else job)
+    assert (ran.code, "cannot be written: no right to write into" in ran.err) == (3, True)

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from diagnosis.test_command import measured, write
 from places import ROOT
 
 from metrocli.formats import hdf5
+from metrocli.project import own_effects
 
 JOB = """\
 metrocli: 1
@@ -72,12 +74,48 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+PACKAGE = """\
+from metrocli.effects.effect import Effect, Parameter
+def offer(kind):
+    return [Effect("bow", "the line is bent", (Parameter("size", "length"),))]
+"""
+
+
+@contextmanager
+def with_package(folder: Path) -> Iterator[Path]:
+    """Install a package with an effect for this process alone, and yield its module."""
+    about = folder / "lab_effects-1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: lab-effects\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(f"[{own_effects.ENTRY_POINTS}]\nlab = lab_effects:offer\n")
+    (folder / "lab_effects.py").write_text(PACKAGE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(folder))
+        own_effects._offered.cache_clear()
+        yield folder / "lab_effects.py"
+    own_effects._offered.cache_clear()
+
+
+def test_another_module_of_a_package_is_another_package(tmp_path: Path) -> None:
+    alike = own_effects.alike_for([("multilaterate", ["bow"]), ("multilaterate", [])])
+    assert alike is not None and own_effects.alike_for([("multilaterate", [])]) is None
+    assert alike() == "no package with the effect 'bow'"
+    with with_package(tmp_path) as module:
+        own_effects._package.cache_clear()
+        before = alike()
+        module.write_text(PACKAGE + "# a better formula\n")
+        own_effects._package.cache_clear()
+        assert before.startswith("lab-effects 1.0 (module ") and alike().startswith("lab-effects 1.0 (module ")
+        assert alike() != before
+    own_effects._package.cache_clear()
+
+
 def contents() -> dict[str, str]:
     return {path.stem: hdf5.read_label(path).content for path in sorted(Path("results").glob("*.h5"))}
 
 
 def test_the_results_are_those_of_this_computer(
-    cluster: tuple[Path, list[subprocess.Popen[bytes]]], project: Path, metrocli: Callable[..., Any]
+    cluster: tuple[Path, list[subprocess.Popen[bytes]]], project: Path, metrocli: Callable[..., Any], tmp_path: Path
 ) -> None:
     file, processes = cluster
     alone = metrocli("run", "--jobs", 2)
@@ -98,6 +136,10 @@ def test_the_results_are_those_of_this_computer(
     assert contents() == local
 
     job = write(project, measured("tracer-drift"))
+    with with_package(tmp_path / "packages"):
+        lacking = metrocli("diagnose", job, "--scheduler", file)
+    told = ["no package with the effect 'bow', and this is", "lab-effects 1.0 (module", "install the same versions"]
+    assert (lacking.code, [words in lacking.err for words in told]) == (3, [True] * 3), lacking.err
     diagnosed = [metrocli("diagnose", job, "--json", *more) for more in ([], ["--force", "--scheduler", file])]
     assert [(one.code, one.err) for one in diagnosed] == [(0, "")] * 2
     assert diagnosed[0].out == diagnosed[1].out

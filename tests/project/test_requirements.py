@@ -11,7 +11,8 @@ from places import SAMPLES
 
 from metrocli import tasks
 from metrocli.project import runner
-from metrocli.project.job import Wishes, figures_of, load
+from metrocli.project.inputs import read_inputs
+from metrocli.project.job import Wishes, load
 from metrocli.project.requirements import units_among, values_of
 from metrocli.project.steps import load_project
 
@@ -76,6 +77,18 @@ def test_what_only_files_name_is_checked_for_its_form(
     assert "require.LT1.y.std:" not in found
 
 
+def test_names_of_the_files_are_checked_before_anything_is_computed(
+    started: Callable[[str], None], metrocli: Callable[..., Any]
+) -> None:
+    started("gear-m3d3")
+    line = _requires(Path("jobs/tip3.yaml"), "{LT9.x.std: '< 1 mm', LT4.y.std: '< 1 mm'}")
+    for command in ("check", "run"):
+        found = metrocli(command, ".")
+        assert found.code == 3
+        assert f"jobs/tip3.yaml:{line}:22: error: require: the result has no value 'LT9.x.std'" in found.err
+        assert "did you mean 'LT4.x.std'?" in found.err
+
+
 def test_estimates_of_effects_are_known(started: Callable[[str], None], metrocli: Callable[..., Any]) -> None:
     started("gear-m3d3")
     effect = "effects: [{name: dead-path-drift, tracer: LT2}]\n"
@@ -107,7 +120,7 @@ def test_every_value_of_a_result_can_be_required(sample: str, change: tuple[str,
     for step in load_project(SAMPLES / sample):
         if all(path.exists() for path in step.job.files):  # others need a result of another job
             job = load(step.job.file, Wishes(change))
-            known = figures_of(job.kind, job.settings, job.effects)
+            known = runner.known_figures(job, read_inputs(job))
             values = values_of(runner.compute(job)[0])
             assert values
             assert not {name: unit for name, (_, unit) in values.items() if unit not in units_among(name, known)}

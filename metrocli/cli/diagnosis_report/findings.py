@@ -32,7 +32,7 @@ _HIGH_NOISE, _FEW_DOF = 2.0, 30
 _USUAL = "a machine or mover that does not return to the same place, a wrong sigma, vibration or turbulence of the air"
 _LEAST_P = 1e-12
 _LEAST_REDUCTION = 0.005
-_HEAD = ("effect", "size", "chance", "or instead", "held-out error", "log score", "changes result by")
+_HEAD = ("effect", "size (± u)", "chance", "or instead", "held-out error", "log score (± std)", "changes result by")
 
 
 def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:

@@ -10,7 +10,7 @@ from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.laws.definition import written
 from metrocli.diagnosis.laws.search import Law
 
-_HEAD = ("", "law", "acts on", "explains", "chance", "held-out error", "log score")
+_HEAD = ("", "law", "acts on", "explains", "chance", "held-out error", "log score (± std)")
 
 
 def law_lines(diagnosis: Diagnosis) -> Iterator[str]:
@@ -23,7 +23,7 @@ def law_lines(diagnosis: Diagnosis) -> Iterator[str]:
     texts = written(law)
     sizes = [f"{name} = {units.with_std(value, std)} {unit}" for name, (value, std, unit) in texts.parameters.items()]
     sizes += [f"{name} = {value:.4g} {unit}" for name, (value, unit) in texts.scan.items()]
-    yield f"  {', '.join(sizes)}".replace(" 1,", ",").removesuffix(" 1")
+    yield f"  sizes {units.SPREAD}: {', '.join(sizes)}".replace(" 1,", ",").removesuffix(" 1")
     near = [f"{one} (correlation {cosine:.2f})" for one, cosine in law.near]
     if near:
         yield f"It is nearly {' or '.join(near)}: perhaps that cause with another variable or at another place."

@@ -79,7 +79,7 @@ def _text(found: Comparison, shared: list[str]) -> str:
     from metrocli.cli.columns import worst_rows
     from metrocli.words import listed
 
-    rows = [["quantity", "B - A", "E_n"]]
+    rows = [["quantity", "B - A (± u)", "E_n"]]
     for one in sorted(found.compared, key=lambda one: -one.en):
         name = one.name if one.group == "estimates" else f"{one.group} {one.name}"
         rows.append([name, units.format_quantity(one.difference, one.unit, one.std), f"{one.en:.2f}"])

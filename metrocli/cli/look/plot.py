@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console, echo
+from metrocli.cli.console import echo, print_files
 from metrocli.cli.shell.choices import figures, offering
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ _FILE = click.Path(path_type=Path)
 @click.option("--before", type=_FILE, metavar="OTHER.h5", help="Result of the job without its extension.")
 @click.option("--diagnosis", type=_FILE, metavar="FILE.json", help="Output of `metrocli diagnose --json`.")
 @options.FORCE
+@options.JSON
 @options.QUIET
 def command(
     result: Path,
@@ -35,6 +36,7 @@ def command(
     before: Path | None,
     diagnosis: Path | None,
     force: bool,
+    as_json: bool,
     quiet: bool,
 ) -> int:
     """Print the names, or write one figure (by default RESULT.NAME.svg beside the result) and print its path.
@@ -55,9 +57,15 @@ def command(
         if save is not None:
             raise UsageError("--save needs the name of a figure; without a name and --save, plot lists them")
         names = plots.names_of(found, beside)
+        summaries = {one: plots.FIGURES[one].summary for one in names}
+        if as_json:
+            from metrocli.cli.summary import as_json as json_text
+
+            echo(json_text({"figures": summaries}))
+            return 0
         width = max(map(len, names), default=0)
-        for one in names:
-            echo(f"{one:{width}}  {plots.FIGURES[one].summary}")
+        for one, text in summaries.items():
+            echo(f"{one:{width}}  {text}")
         return 0
     path = save or result.with_name(f"{result.stem}.{name}.svg")
     plots.check(found, name, path, beside)
@@ -65,9 +73,7 @@ def command(
         drawn = Path(folder) / "figure"
         plots.save(found, name, drawn, path.suffix, dark, beside)
         data = drawn.read_bytes()
-    for written in write_all({path: data}, force):
-        Console(quiet).print(str(written))
-    return 0
+    return print_files(write_all({path: data}, force), as_json, quiet)
 
 
 def _of_this(found: Diagnosis | None, given: Path | None) -> Diagnosis | None:

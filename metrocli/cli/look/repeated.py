@@ -71,7 +71,7 @@ def _text_of_series(found: Repeated, files: tuple[Path, ...], time: str) -> str:
     from metrocli import units
     from metrocli.cli.columns import columns_text, worst_rows
 
-    rows = [["quantity", f"drift per {time}", "E_n"]]
+    rows = [["quantity", f"drift per {time} (± u)", "E_n"]]
     for one in sorted(found.drifts, key=lambda one: -one.en):
         name = one.name if one.group == "estimates" else f"{one.group} {one.name}"
         rows.append([name, units.format_quantity(one.rate, one.unit, one.std), f"{one.en:.2f}"])
@@ -112,7 +112,7 @@ def _text_of_sets(found: Repetition) -> str:
     from metrocli import units
     from metrocli.cli.columns import worst_rows
 
-    rows = [["quantity", "mean", "sigma", "stated", "sigma/stated"]]
+    rows = [["quantity", "mean (± sigma)", "sigma", "stated", "sigma/stated"]]
     for one in sorted(found.quantities, key=lambda one: -one.ratio):
         name = one.name if one.group == "estimates" else f"{one.group} {one.name}"
         mean = "" if math.isnan(one.mean) else units.format_quantity(one.mean, one.unit, one.sigma)

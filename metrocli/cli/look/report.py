@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console
+from metrocli.cli.console import print_files
 
 if TYPE_CHECKING:
     from metrocli.project.staleness import State
@@ -30,9 +30,17 @@ if TYPE_CHECKING:
 @click.option("--pdf", is_flag=True, help="Write each page as PDF, too; needs Chromium or Chrome.")
 @options.UNITS
 @options.FORCE
+@options.JSON
 @options.QUIET
 def command(
-    place: Path, out: Path | None, diagnosis: Path | None, pdf: bool, units: str, force: bool, quiet: bool
+    place: Path,
+    out: Path | None,
+    diagnosis: Path | None,
+    pdf: bool,
+    units: str,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
 ) -> int:
     """Write NAME.html beside a result, or report/index.html and the page of each result for a project.
 
@@ -53,9 +61,7 @@ def command(
         from metrocli.report.pdf import printed
 
         files |= {path.with_suffix(".pdf"): printed(text) for path, text in pages.items()}
-    for path in write_all(files, force):
-        Console(quiet).print(str(path))
-    return 0
+    return print_files(write_all(files, force), as_json, quiet)
 
 
 def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: str = "") -> str:

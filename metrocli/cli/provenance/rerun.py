@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console
+from metrocli.cli.console import Console, echo
 from metrocli.record import NOT_MET
 
 
@@ -17,26 +17,38 @@ from metrocli.record import NOT_MET
 @options.WORKERS
 @options.ACCEPT
 @options.FORCE
+@options.JSON
 @options.QUIET
 @options.VERBOSE
 def command(
-    result: Path, output: Path | None, workers: int, accept_doubtful: bool, force: bool, quiet: bool, verbose: bool
+    result: Path,
+    output: Path | None,
+    workers: int,
+    accept_doubtful: bool,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
 ) -> int:
     """Print whether the result is the same; exit code 6 if it is another one. Written only with --output."""
+    from metrocli.cli.summary import as_json as json_text
     from metrocli.formats import hdf5
     from metrocli.project.provenance.again import rerun
     from metrocli.uncertainty.workers import Workers
 
-    console = Console(quiet, verbose)
+    console = Console(quiet or as_json, verbose)
     made, record, same = rerun(result, accept_doubtful, console.detail, Workers(workers))
     if output is not None:
         if not force:
             hdf5.refuse_foreign(output, made.kind)
         hdf5.write(output, made, record)
+    before = hdf5.read(result)[1].metrocli_version
+    if as_json:
+        made_by = {"made_by": before, "made_again_by": record.metrocli_version}
+        echo(json_text({"result": str(result), "same": same, **made_by}))
     if same:
         console.print(f"{result}: the same again, bit for bit")
         return 0
-    before = hdf5.read(result)[1]
-    versions = f"made by metrocli {before.metrocli_version}, made again by {record.metrocli_version}"
+    versions = f"made by metrocli {before}, made again by {record.metrocli_version}"
     console.print(f"{result}: the result made again is another one ({versions})")
     return NOT_MET

@@ -53,11 +53,13 @@ def law_in_words(law: Mapping[str, Any]) -> str:
 
 def sizes_in_words(parameters: Mapping[str, Mapping[str, Any]]) -> str:
     """Return the parameters that have a size, with standard uncertainties, each in the unit that suits it."""
-    return ", ".join(
+    sizes = [
         f"{name} = {_sized(one['value'], one.get('unit') or '', one.get('std'))}"
         for name, one in parameters.items()
         if one.get("value") is not None
-    )
+    ]
+    uncertain = any(one.get("std") is not None for one in parameters.values())
+    return ", ".join(sizes) + (f" ({units.SPREAD})" if sizes and uncertain else "")
 
 
 def _sized(value: float, unit: str, std: float | None) -> str:

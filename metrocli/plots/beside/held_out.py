@@ -88,7 +88,7 @@ def draw(canvas: Canvas, found: HeldOut) -> str:
         axes.grid(axis="x", visible=False)
         size = f"{'above' if one.total > 2 * one.std else 'below'} two standard deviations"
         better = f"better in {(one.folds > 0).sum()} of {len(one.folds)} parts"
-        words.append(f"{one.name}: {one.total:+.1f} ± {one.std:.1f} in all ({size}), {better}.")
+        words.append(f"{one.name}: {one.total:+.1f} ± {one.std:.1f} (standard deviation) in all ({size}), {better}.")
     most = max(len(one.folds) for one in found.gains)
     panels[-1].set_xticks(np.unique(np.linspace(1, most, min(most, 12)).round()))
     panels[-1].set_xlabel("held-out part (number)")

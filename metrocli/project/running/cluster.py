@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,8 +13,10 @@ from typing import Any
 from metrocli.errors import InputError, MetrocliError
 from metrocli.formats.file_bytes import read_bytes
 from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.own_effects import alike_for
 from metrocli.project.running.crew import Outcome, attempt
-from metrocli.uncertainty.workers import Workers, cluster, ends_in_words, first_finished
+from metrocli.uncertainty.workers import Workers
+from metrocli.uncertainty.workers.dask_cluster import cluster, ends_in_words, first_finished
 
 _MOST_AT_ONCE = 25
 """Most jobs in one task of the cluster, so that its overhead of some milliseconds does not count"""
@@ -100,7 +102,10 @@ class Cluster:
 
 
 @contextmanager
-def on_cluster(address: str) -> Iterator[Cluster]:
-    """Yield the crew of a running cluster; raises InputError if it cannot be used or has another metrocli."""
-    with cluster(address) as client:
+def on_cluster(address: str, jobs: Iterable[JobFile]) -> Iterator[Cluster]:
+    """Yield the crew of a running cluster for some jobs.
+
+    Raises InputError if it cannot be used, or has another metrocli or other packages with effects of these jobs.
+    """
+    with cluster(address, alike_for((job.kind, job.effects_of_packages) for job in jobs)) as client:
         yield Cluster(client, address)

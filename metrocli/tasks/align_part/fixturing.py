@@ -13,7 +13,7 @@ from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_euler, rotation_from_vector
 from metrocli.table import TEXT, Column, Columns, Table
-from metrocli.units import format_quantity
+from metrocli.units import SPREAD, format_quantity
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -190,7 +190,7 @@ def _screws(values: Array, covariance: Array, supports: Table) -> Table:
 
 
 def _zero_in_words(values: Array, std: Array) -> Iterator[str]:
-    yield f"zero point of the part in the machine: {_moves(values, std, _ORDER)}"
+    yield f"zero point of the part in the machine, {SPREAD}: {_moves(values, std, _ORDER)}"
 
 
 def _moves(values: Array, std: Array, moves: tuple[tuple[str, int], ...]) -> str:
@@ -201,14 +201,14 @@ def _moves(values: Array, std: Array, moves: tuple[tuple[str, int], ...]) -> str
 def _in_words(found: Table, level: tuple[Array, Array], tilt_left: float) -> Iterator[str]:
     """Yield what the operator does, and what is left for the zero point of the machine."""
     steps = zip(*(found.columns[name] for name in ("support", "raise", "raise_std", "tilt_left")), strict=True)
-    yield "to level the part, raise the supports in this order:"
+    yield f"to level the part, raise the supports in this order, {SPREAD}:"
     for name, size, std, left in steps:
         if size > 0:
             tilt = "" if left < _LEVEL else f" (tilt left {1e3 * left:.3f} mm/m)"
             yield f"    {name}: {format_quantity(float(size), 'mm', float(std))}{tilt}"
         else:
             yield f"    {name}: stays"
-    yield f"then, if the part does not slip, its zero point is: {_moves(*level, _ORDER[:4])}"
+    yield f"then, if the part does not slip, its zero point is, {SPREAD}: {_moves(*level, _ORDER[:4])}"
     yield (
         f"tilt that may be left: {1e3 * tilt_left:.2g} mm/m (95 % of measurements leave less); "
         "measure again if it matters that nothing slips"

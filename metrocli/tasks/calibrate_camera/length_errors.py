@@ -87,7 +87,7 @@ def length_errors(tests: Table, solution: Solution, seen: Index, limit: LengthLi
     }
     notes = [
         f"length measuring error (VDI/VDE 2634-1) of {len(error)} test lengths: "
-        f"{format_quantity(float(error[largest]), 'mm', float(std[largest]))} at most, "
+        f"{format_quantity(float(error[largest]), 'mm', float(std[largest]))} (standard uncertainty) at most, "
         f"{columns['from'][largest]} - {columns['to'][largest]}; largest E_n {columns['en'].max():.2f}"
     ]
     if limit is not None:

@@ -69,7 +69,8 @@ class PrincipalPoint:
         at = np.where(np.isnan(self.held), self.found, self.held)
         return (
             f"the principal point is held at {_point(at)} px, but the readings see it at {_point(self.found)} px "
-            f"(± {_point(self.std)} px): estimate cx and cy, or check image_size, whose middle they are by default"
+            f"(standard uncertainty {_point(self.std)} px): estimate cx and cy, or check image_size, "
+            "whose middle they are by default"
         )
 
 

@@ -99,7 +99,7 @@ def _notes(solved: Solved, settings: Settings, noise: NoiseFound) -> Iterator[st
 def _at_20_degrees(settings: Settings) -> Iterator[str]:
     """Yield what was done with the scales of the axes, in a sentence for each."""
     for letter, scale in settings.scales.items():
-        size = f"{units.sized(scale.growth, 'ratio')} ± {units.sized(scale.std, 'ratio')}"
+        size = f"{units.sized(scale.growth, 'ratio')} ± {units.sized(scale.std, 'ratio')} (standard uncertainty)"
         yield f"E{letter}{letter} is given for a scale of 20 degC: at the measurement it had grown by {size}"
 
 

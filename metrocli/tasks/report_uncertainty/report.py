@@ -30,7 +30,7 @@ from metrocli.uncertainty.propagation import (
     whole_dof,
 )
 from metrocli.uncertainty.validation import Judged, Verdict, judge
-from metrocli.units import rounded, with_std
+from metrocli.units import rounded
 
 _PURE = ("trials", "covered")
 """Numbers of a Monte Carlo run that have no unit"""
@@ -235,18 +235,22 @@ def _notes(found: Found, measurand: _Measurand) -> list[str]:
     said = [f"{measurand.name} = {value}{unit}, U = {U}{unit} ({covers}{freedom}), u = {std}{unit}"]
     second = details["second_order"]
     if math.isfinite(second["std"]) and measurand.linear.nonlinear > 1e-4:
-        said.append("  second order: " + with_std(second["value"], second["std"]) + unit)
+        value, std = rounded(second["value"], second["std"])
+        said.append(f"  second order: {value}{unit}, u = {std}{unit}")
     mc = details.get("mc")
     if mc is not None:
         ends = [
             "[" + ", ".join(rounded(end, mc["std"] / 10)[0] for end in mc[key]) + "]"
             for key in ("interval", "shortest")
         ]
-        mean = with_std(mc["mean"], mc["std"])
-        said.append(f"  Monte Carlo, {mc['trials']} trials: {mean}{unit}, interval {ends[0]}, shortest {ends[1]}{unit}")
+        mean, std = rounded(mc["mean"], mc["std"])
+        said.append(
+            f"  Monte Carlo, {mc['trials']} trials: {mean}{unit}, u = {std}{unit}, interval {ends[0]}, "
+            f"shortest {ends[1]}{unit}"
+        )
         said.append(f"  U covers {100 * mc['covered']:.4g} % of the trials")
         if mc.get("resolution"):
-            said.append(f"  trials counted in bins: interval ends are known to ± {mc['resolution']:.1e}{unit}")
+            said.append(f"  trials counted in bins: interval ends are known to {mc['resolution']:.1e}{unit}")
     said += _judgement(measurand)
     said += [f"  {line}" for line in _budget_lines(found, measurand)]
     if "tolerance" in details:

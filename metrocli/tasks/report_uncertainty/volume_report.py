@@ -31,6 +31,7 @@ from metrocli.uncertainty.trials import plan_of
 from metrocli.uncertainty.validation import Judged, judge
 from metrocli.uncertainty.volume import AXES, Contribution, Extremes, by_source, extremes
 from metrocli.uncertainty.workers import Workers
+from metrocli.units import two_digits
 
 Array = npt.NDArray[np.float64]
 PLAIN = (
@@ -214,14 +215,16 @@ def _warnings(details: Mapping[str, Mapping[str, Any]]) -> list[str]:
 def _notes(
     problem: VolumeProblem, found: Extremes, axes: list[_Axis], details: Mapping[str, Mapping[str, Any]]
 ) -> list[str]:
-    rows = [["largest in the volume", *(f"{axis.name} [um]" for axis in axes)]]
-    rows += [[part.name, *map(_um, std)] for part, std in zip(problem.contributions, found.largest, strict=True)]
+    rows = [["largest u in the volume", *(f"{axis.name} [um]" for axis in axes)]]
+    rows += [[part.name, *map(_spread, std)] for part, std in zip(problem.contributions, found.largest, strict=True)]
     ks = sorted({f"{axis.k:.3g}" for axis in axes})
-    rows.append([f"U (k = {', '.join(ks)}), contributor by contributor", *(_um(axis.k * axis.std) for axis in axes)])
-    rows.append(["U, point by point", *(_um(axis.k * axis.pointwise) for axis in axes)])
+    rows.append(
+        [f"U (k = {', '.join(ks)}), contributor by contributor", *(_spread(axis.k * axis.std) for axis in axes)]
+    )
+    rows.append(["U, point by point", *(_spread(axis.k * axis.pointwise) for axis in axes)])
     if details["x"].get("mc"):
         halves = [(mc["interval"][1] - mc["interval"][0]) / 2 for mc in (details[axis.name]["mc"] for axis in axes)]
-        rows.append([f"Monte Carlo, {100 * details['x']['probability']:.4g} % half-width", *map(_um, halves)])
+        rows.append([f"Monte Carlo, {100 * details['x']['probability']:.4g} % half-width", *map(_spread, halves)])
     if "tolerance" in details["x"]:
         held = [details[axis.name]["tolerance"] for axis in axes]
         width = held[0]["T"]
@@ -232,5 +235,10 @@ def _notes(
     return aligned(rows, left=(0,))
 
 
+def _spread(length: float) -> str:
+    """Return an uncertainty in um with two digits (GUM 7.2.6)."""
+    return two_digits(converted(length, "mm", "um"))
+
+
 def _um(length: float) -> str:
-    return f"{converted(length, 'mm', 'um'):.2f}" if math.isfinite(length) else "none"
+    return f"{converted(length, 'mm', 'um'):.1f}" if math.isfinite(length) else "none"

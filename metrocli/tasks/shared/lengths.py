@@ -97,7 +97,8 @@ class PathNoise:
         if not np.isfinite(self.std):
             return ("the repeatability cannot be estimated: no stop has a length that the others control",)
         value = format_quantity(self.repeatability, "mm", self.std)
-        return (f"repeatability of the return to a place, each coordinate: {value}, estimated from the lengths",)
+        what = "repeatability of the return to a place, each coordinate"
+        return (f"{what}: {value} (standard uncertainty), estimated from the lengths",)
 
     def __call__(self, group: Group, blocks: Mapping[str, Block]) -> Array:
         """Return the standard deviations of a group of lengths, (1, n)."""

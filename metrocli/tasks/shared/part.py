@@ -68,7 +68,7 @@ class Part(Warm):
 
     @property
     def _size(self) -> str:
-        return f"{units.sized(self.growth, 'ratio')} ± {units.sized(self.std, 'ratio')}"
+        return f"{units.sized(self.growth, 'ratio')} ± {units.sized(self.std, 'ratio')} (standard uncertainty)"
 
     @property
     def facts(self) -> dict[str, float]:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +22,7 @@ from tasks.report_uncertainty.jobs import carry_out, write
 
 from metrocli.errors import InputError
 from metrocli.formats import hdf5
-from metrocli.uncertainty import workers
+from metrocli.uncertainty.workers import dask_cluster
 
 JOB: dict[str, Any] = {
     "quantities": {
@@ -45,7 +49,10 @@ def test_an_address_that_is_none_is_told(address: str, tmp_path: Path, capsys: p
 
 def test_no_scheduler_file_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert carry_out(tmp_path, JOB, "job", "--scheduler", str(tmp_path / "none.json")).code == 3
-    assert "--scheduler" in capsys.readouterr().err
+    assert "no such scheduler file" in capsys.readouterr().err
+    (tmp_path / "other.json").write_text("[1]")
+    assert carry_out(tmp_path, JOB, "job", "--scheduler", str(tmp_path / "other.json")).code == 3
+    assert "this is no scheduler file of Dask" in capsys.readouterr().err
 
 
 class Deserted:
@@ -64,16 +71,17 @@ def test_a_cluster_that_loses_all_workers_is_not_waited_for(monkeypatch: pytest.
         raise TimeoutError
 
     monkeypatch.setattr(distributed, "wait", never)
-    monkeypatch.setattr(workers, "PATIENCE_WITH_WORKERS_S", 0.05)
+    monkeypatch.setattr(dask_cluster, "PATIENCE_WITH_WORKERS_S", 0.05)
     with pytest.raises(ConnectionError, match="lost all workers"):
-        workers.first_finished(Deserted(), {"a future"})
+        dask_cluster.first_finished(Deserted(), {"a future"})
 
 
 class OfAnotherVersion:
     """A client with a worker that answers with other versions, and one that has just died."""
 
-    def run(self, asked: Callable[[], str], **options: object) -> dict[str, object]:
-        return {"here": asked(), "there": "metrocli 0.0.1 with numpy 1.0 and Python 3.4", "dead": OSError("gone")}
+    def run(self, asked: Callable[..., str], *arguments: object, **options: object) -> dict[str, object]:
+        others = "metrocli 0.0.1 with numpy 1.0 and Python 3.4"
+        return {"here": asked(*arguments), "there": others, "dead": OSError("gone")}
 
     def wait_for_workers(self, *arguments: object, **options: object) -> None:
         return None
@@ -87,7 +95,7 @@ def test_workers_of_other_versions_are_refused(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(distributed, "Client", lambda *arguments, **options: OfAnotherVersion())
     with (
         pytest.raises(InputError, match=r"workers have metrocli 0\.0\.1 with numpy 1\.0 and Python 3\.4, and this is"),
-        workers.cluster("ucx://anywhere"),
+        dask_cluster.cluster("ucx://anywhere"),
     ):
         pass
 
@@ -114,16 +122,52 @@ def test_a_cluster_that_ends_in_the_middle_is_an_error_in_words(monkeypatch: pyt
         raise TimeoutError
 
     @contextmanager
-    def gone(address: str) -> Iterator[Gone]:
+    def gone(address: str, more: Any) -> Iterator[Gone]:
         yield Gone()
 
     monkeypatch.setattr(distributed, "wait", never)
-    monkeypatch.setattr(workers, "cluster", gone)
+    monkeypatch.setattr(dask_cluster, "cluster", gone)
     with (
         pytest.raises(InputError, match=r"tcp://there: the cluster has ended \(ConnectionError\); run again"),
-        workers.ordered_on("tcp://there") as ordered,
+        dask_cluster.ordered_on("tcp://there") as ordered,
     ):
         list(ordered(abs, [1, 2]))
+
+
+@dataclass
+class AtOnce:
+    """A client with one worker that computes each task when it is sent, and lists how many numbers each has."""
+
+    sizes: list[int] = field(default_factory=list)
+
+    def scatter(self, work: object, **options: object) -> object:
+        return work
+
+    def nthreads(self) -> dict[str, int]:
+        return {"worker": 1}
+
+    def submit(self, do: Callable[..., object], work: object, numbers: list[int], **options: object) -> Future[object]:
+        self.sizes.append(len(numbers))
+        found: Future[object] = Future()
+        found.set_result(do(work, numbers))
+        return found
+
+
+def test_short_chunks_travel_together_and_come_back_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dask_cluster, "first_finished", lambda client, futures: futures)
+    client = AtOnce()
+    found = dask_cluster._on_cluster(client, "tcp://there", lambda number: number * number, range(60))
+    assert list(found) == [number * number for number in range(60)]
+    assert client.sizes == [1, 1, 1, 1, 25, 25, 6]
+
+    failing = dask_cluster._on_cluster(client, "tcp://there", lambda number: 1 // (11 - number), range(60))
+    assert [next(failing) for _ in range(11)] == [0] * 10 + [1], "what comes before an error is kept"
+    with pytest.raises(ZeroDivisionError):
+        next(failing)
+    client.sizes.clear()
+    monkeypatch.setattr(dask_cluster, "_TASK_S", 1e-9)
+    assert list(dask_cluster._on_cluster(client, "tcp://there", abs, range(9))) == list(range(9))
+    assert client.sizes == [1] * 9, "long ones travel alone"
 
 
 SCHEDULER = ["-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
@@ -133,7 +177,7 @@ def test_a_scheduler_without_workers_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-    monkeypatch.setattr(workers, "PATIENCE_WITH_WORKERS_S", 0.5)
+    monkeypatch.setattr(dask_cluster, "PATIENCE_WITH_WORKERS_S", 0.5)
     file = tmp_path / "scheduler.json"
     with (tmp_path / "log.txt").open("wb") as log:
         alone = _start([sys.executable, *SCHEDULER, "--scheduler-file", str(file)], log, tmp_path)
@@ -148,39 +192,38 @@ def test_a_scheduler_without_workers_is_told(
     assert not ran.path.exists()
 
 
+@contextmanager
+def started(
+    folder: Path, count: int = 2, host: str = "127.0.0.1", more: Mapping[str, str] | None = None
+) -> Iterator[tuple[Path, list[subprocess.Popen[bytes]]]]:
+    """A scheduler and worker processes, as a user starts them."""
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    file = folder / "scheduler.json"
+    scheduler = [*SCHEDULER[:3], host, *SCHEDULER[4:], "--scheduler-file", str(file)]
+    worker = ["-m", "distributed.cli.dask_worker", "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+    worker += ["--scheduler-file", str(file), "--local-directory"]
+    with (folder / "log.txt").open("wb") as log:
+        begun = [_start([sys.executable, *scheduler], log, folder, more)]
+        try:
+            _wait(file.is_file)
+            begun += [_start([sys.executable, *worker, str(folder / f"w{n}")], log, folder, more) for n in range(count)]
+            yield file, begun[1:]
+        finally:
+            for process in reversed(begun):
+                process.kill()
+                process.wait(20)
+
+
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, list[subprocess.Popen[bytes]]]]:
-    """A scheduler and two worker processes, as a user starts them."""
-    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-    folder = tmp_path_factory.mktemp("cluster")
-    file = folder / "scheduler.json"
-    log = (folder / "log.txt").open("wb")
-    started = [_start([sys.executable, *SCHEDULER, "--scheduler-file", str(file)], log, folder)]
-    try:
-        _wait(file.is_file)
-        worker = [
-            sys.executable,
-            "-m",
-            "distributed.cli.dask_worker",
-            "--scheduler-file",
-            str(file),
-            "--nthreads",
-            "1",
-            "--no-nanny",
-            "--no-dashboard",
-        ]
-        started += [_start([*worker, "--local-directory", str(folder / f"w{n}")], log, folder) for n in range(2)]
-        yield file, started[1:]
-    finally:
-        for process in reversed(started):
-            process.kill()
-        for process in started:
-            process.wait(20)
-        log.close()
+    with started(tmp_path_factory.mktemp("cluster")) as found:
+        yield found
 
 
-def _start(command: list[str], log: Any, folder: Path) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(command, stdout=log, stderr=log, cwd=folder, env=ENVIRONMENT)
+def _start(
+    command: list[str], log: Any, folder: Path, more: Mapping[str, str] | None = None
+) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(command, stdout=log, stderr=log, cwd=folder, env=ENVIRONMENT | dict(more or {}))
 
 
 def _wait(ready: Any) -> None:
@@ -220,3 +263,47 @@ def test_a_worker_killed_in_the_middle_changes_no_bit(
     assert running.wait(120) == 0
     assert bits(here.path) == bits(tmp_path / "there.h5")
     assert not (tmp_path / "there.chunks").exists()
+
+
+def certificate(folder: Path, name: str) -> dict[str, str]:
+    """Make a certificate that signs itself, for this computer only; return it as Dask's configuration names it."""
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("openssl, which makes the certificate of this test, is not installed")
+    paths = {"cert": folder / f"{name}.pem", "key": folder / f"{name}-key.pem"}
+    made = ["req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=localhost"]
+    made += ["-addext", "subjectAltName=IP:127.0.0.1", "-out", str(paths["cert"]), "-keyout", str(paths["key"])]
+    subprocess.run([openssl, *made], check=True, capture_output=True)
+    parts = {f"{who}.{part}": str(path) for who in ("scheduler", "worker", "client") for part, path in paths.items()}
+    return {f"distributed.comm.tls.{part}": path for part, path in {"ca-file": str(paths["cert"]), **parts}.items()}
+
+
+def test_an_encrypted_cluster_takes_the_certificates_of_dasks_own_configuration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dask = pytest.importorskip("dask", reason="the extra 'cluster' is not installed")
+    ours, others = certificate(tmp_path, "ours"), certificate(tmp_path, "others")
+    variables = {f"DASK_{key.upper().replace('.', '__').replace('-', '_')}": path for key, path in ours.items()}
+    job = {**JOB, "monte_carlo": {"trials": 200_000, "seed": 5}}
+    here = carry_out(tmp_path, job, "here", "--workers", "1")
+    with started(tmp_path, 1, "tls://127.0.0.1", variables) as (file, _):
+        address = json.loads(file.read_text())["address"]
+        assert address.startswith("tls://")
+
+        def refused(scheduler: str, **configuration: str) -> str:
+            capsys.readouterr()
+            with dask.config.set(configuration):
+                ran = carry_out(tmp_path, job, "there", "--scheduler", scheduler)
+            said = capsys.readouterr().err
+            assert (ran.code, ran.path.exists(), "Traceback" in said) == (3, False, False), said
+            return said
+
+        assert "uses TLS, and no certificate is given" in refused(address)
+        assert "uses TLS, and no certificate is given" in refused(str(file))
+        assert "has an address tls://" in refused(address.replace("tls", "tcp"))
+        lost = str(tmp_path / "lost.pem")
+        assert f"certificates {lost}, " in refused(address, **ours | {"distributed.comm.tls.ca-file": lost})
+        assert "no Dask scheduler answers there (TLS certificate" in refused(address, **others)
+        with dask.config.set(ours):
+            there = carry_out(tmp_path, job, "there", "--scheduler", address)
+    assert (there.code, bits(here.path) == bits(there.path)) == (0, True)

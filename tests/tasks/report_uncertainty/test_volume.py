@@ -196,7 +196,7 @@ def test_a_tolerance_below_twice_u_leaves_nothing_to_accept(tmp_path: Path) -> N
     ran = carry_out(tmp_path, job)
     assert ran.details("x")["tolerance"]["acceptance"] == pytest.approx(0.0015)
     assert all(math.isnan(ran.details(axis)["tolerance"]["acceptance"]) for axis in "yz")
-    assert next(line for line in ran.result.notes if "accept within" in line).split()[-3:] == ["1.50", "none", "none"]
+    assert next(line for line in ran.result.notes if "accept within" in line).split()[-3:] == ["1.5", "none", "none"]
 
 
 def test_sources_shared_by_contributors_add_linearly(tmp_path: Path) -> None:
