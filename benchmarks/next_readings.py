@@ -91,9 +91,11 @@ def separated(case: Case, made: Sequence[Proposal], rng: np.random.Generator) ->
 def measured(case: Case, made: Sequence[Proposal], rng: np.random.Generator) -> lengths.Measurement:
     """Return the measurement with the readings of proposals, with the hidden effect and noise of their own."""
     m = case.measurement
+    if not made:  # no reading helps
+        return m
     added = [(one, observations) for one in made for observations in one.added.values()]
-    point = np.array([int(one.where["point"][1:]) for one, _ in added])
-    tracer = np.array([int(one.where["tracer"][1:]) for one, _ in added])
+    point = np.array([int(one.where["point"][1:]) for one, _ in added], dtype=int)
+    tracer = np.array([int(one.where["tracer"][1:]) for one, _ in added], dtype=int)
     t = m.t.min() + np.array([float(o.conditions[ELAPSED][0]) for _, o in added])
     temp = m.temp[np.argmin(m.t)] + np.array([float(o.conditions[WARMING][0]) for _, o in added])
     whole = replace(

@@ -16,6 +16,9 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.distributions import chi_interval, log_tail
 from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns
 from metrocli.diagnosis.linear.projection import FEWEST, READING, System
+from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood
+from metrocli.diagnosis.selection.backward_steps import evidence_of
+from metrocli.diagnosis.selection.selection_state import Selection
 
 _LEVEL = 1e-3
 """Level at which a unit counts as noisier or quieter, divided by the number of units"""
@@ -23,6 +26,8 @@ _APART = 1.4
 """Ratio of standard deviations below which a unit's weight is not changed"""
 DECLARED_SIGMA = "given"
 """Key of a unit of prior values that the job states with a sigma, such as known points"""
+_MOST_ROWS = 200
+"""Largest number of rows of a unit whose noise can look like an effect at it"""
 _LEAST = 0.1
 """Smallest factor on the standard deviation of prior values in one step"""
 
@@ -93,6 +98,32 @@ def noisiest_unit(job: AdjustedJob, system: System, fitted: FittedColumns) -> Un
         return None
     ratio = max(_ratio(system, fitted, rows), _LEAST if key == DECLARED_SIGMA else 0.0)
     return None if 1 / _APART < ratio < _APART else Unit(key, name, ratio, log_p + float(np.log(len(units))))
+
+
+def noise_instead(job: AdjustedJob, selection: Selection) -> Unit | None:
+    """Return the unit whose larger noise has more evidence than the effects at it with the wrong readings there.
+
+    An effect at a unit of few readings, such as a bad pose, explains much of what is only noise, and hides it from the
+    test beside all names. So the noise is held against it: by its restricted likelihood, with its variance as one
+    parameter and its choice among all units (Schwarz 1978).
+    """
+    test_set, system = selection.test_set, selection.test_set.system
+    units, found = list(_units(job, system)), []
+    for key, name, rows in units:
+        own = [one for one in selection.named if selection.alternative(one).where.get(key) == name]
+        if not own or rows.sum() > _MOST_ROWS:
+            continue
+        own += [one for one in selection.outliers if test_set.keys_of(one.number).get(key) == name]
+        bare = selection.fitted(without=own)
+        unit = np.zeros((system.rows, int(rows.sum())))
+        unit[rows, np.arange(unit.shape[1])] = 1.0
+        scatter = RestrictedLikelihood.beside(bare, system.seen(unit))
+        log_ratio, ratio, choice = scatter.best(), _ratio(system, bare, rows), float(np.log(len(units)))
+        ahead = scatter.gain(log_ratio) - float(np.log(bare.dof)) / 2 - choice
+        ahead -= evidence_of(selection, own, bare, selection.fitted())
+        if ahead > 0 and ratio > _APART:
+            found.append((ahead, Unit(key, name, ratio, scatter.log_level(log_ratio) + choice)))
+    return max(found, key=lambda pair: pair[0])[1] if found else None
 
 
 def moments_of_share(dof: float, first: float, second: float) -> tuple[float, float]:

@@ -29,7 +29,7 @@ from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitt
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.linear.random_columns import beside_random_columns
 from metrocli.diagnosis.linear.score_tests import ScoreTests
-from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit, noisiest_unit, reweighted
+from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit, noise_instead, noisiest_unit, reweighted
 from metrocli.diagnosis.processes import Process, process_in
 from metrocli.diagnosis.residual_structure import log_level_of_strongest
 from metrocli.diagnosis.selection.all_of_a_kind import (
@@ -236,6 +236,7 @@ def _search_with_weights(job: AdjustedJob, rng: np.random.Generator, earlier: Sc
             searching_on = last or has_dominant_effect(selection)
             unit = None if searching_on else noisiest_unit(job, tests.system, selection.fitted())
             unit = None if unit is not None and _is_scatter(selection, unit) else unit
+            unit = unit if unit is not None or searching_on else noise_instead(job, selection)
         if unit is None:
             break
         weights, units = reweighted(job, weights, unit), (*units, unit)

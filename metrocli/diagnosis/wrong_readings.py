@@ -42,7 +42,7 @@ def wrong_readings(selection: Selection) -> tuple[Outlier, ...]:
 def _outlier(selection: Selection, one: Chosen, places: Places) -> Outlier:
     """Return an outlier with what would explain as much, beside all else in the model."""
     test_set, fitted, without = selection.test_set, selection.fitted(), selection.fitted(without=[one])
-    variance, keys = fitted.squares / max(fitted.dof, 1), _keys(test_set, one.number)
+    variance, keys = fitted.squares / max(fitted.dof, 1), test_set.keys_of(one.number)
     gain, rank = test_set.gains_of_readings(without)
     # an error of several components can always explain more: only readings of its rank compare
     squares = np.where(rank == rank[one.number], gain, 0.0) / variance
@@ -50,7 +50,7 @@ def _outlier(selection: Selection, one: Chosen, places: Places) -> Outlier:
     taken = [other.number for other in selection.outliers]
     rivals = [at for at in np.flatnonzero(as_likely(np.minimum(squares, own))).tolist() if at not in taken]
     rivals.sort(key=lambda at: -squares[at])
-    others = tuple(_keys(test_set, at) for at in rivals)
+    others = tuple(test_set.keys_of(at) for at in rivals)
     effects = tuple(_at_its_place(test_set, without, places, keys, own, variance))
     return Outlier(keys, float(np.sqrt(own)), others, effects)
 
@@ -81,15 +81,3 @@ def _at_its_place(
         score = test_set.score(family, without, numbers)
         if as_likely(np.array([own, score.gain[score.best] / variance]))[1]:
             yield test_set.alternative(family, numbers[score.best])
-
-
-def _keys(test_set: ScoreTests, number: int) -> dict[str, str]:
-    """Return the keys that identify a reading, with its component if the components are tested one by one."""
-    row = int(test_set.places[number][0])
-    groups = test_set.system.model.readings
-    group = next(g for g in groups if 0 <= row - test_set.system.first[g.name] < g.observations.readings.size)
-    observations = group.observations
-    reading, component = divmod(row - test_set.system.first[group.name], len(observations.readings))
-    keys = {key: values[reading] for key, values in observations.keys.items()}
-    single = len(observations.readings) > 1 and test_set.places.shape[1] == 1
-    return keys | ({"component": observations.components[component]} if single else {})

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from benchmarks.hidden import launch
+from benchmarks.hidden_effects import KINDS
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.verdict import as_data
@@ -35,3 +37,30 @@ def test_a_wrong_angle_is_no_bad_pose() -> None:
     read[2, 5] += 12 * launch.ENCODER
     (wrong,) = as_data(diagnose(replace(m, read=read).adjusted()))["outliers"]
     assert wrong["observation"]["reading"] == "phi3" and wrong["or_effects"] == []
+
+
+@pytest.mark.parametrize("number", [302, 1582])
+def test_one_wrong_coordinate_is_no_bad_pose_nor_a_moved_target(number: int) -> None:
+    """An image of two targets, or a target in one image: the effect explains the coordinate, and so does the error."""
+    case = KINDS["align-part"].case(number, False)
+    found = diagnose(case.adjusted())
+    assert not found.findings and found.verdict == "clean"
+    assert {tuple(one.keys.values()) for one in found.outliers} == case.outliers
+
+
+@pytest.mark.parametrize("number", [345, 1605, 1725])
+def test_an_image_of_few_readings_that_is_noisier_has_no_bad_pose(number: int) -> None:
+    """Three targets: a bad pose takes half of what the noise adds, and hid the rest of it."""
+    found = diagnose(KINDS["align-part"].case(number, False).adjusted())
+    assert not found.findings and not found.outliers
+    (unit,) = found.noisier_units
+    assert unit.key == "image" and 2 < unit.ratio < 5
+
+
+@pytest.mark.parametrize(("number", "name"), [(49, "bad-pose"), (148, "bad-pose"), (309, "moved-target")])
+def test_a_bad_pose_of_an_image_of_two_or_three_targets_is_no_noise(number: int, name: str) -> None:
+    case = KINDS["align-part"].case(number, False)
+    found = diagnose(case.adjusted())
+    (one,) = found.findings
+    assert (one.effect.alternative.effect.name, one.effect.alternative.where) == (name, case.hidden[0].where)
+    assert not found.noisier_units

@@ -174,10 +174,10 @@ class ScoreTests:
     def _scored(self, gain: Array, rank: Array, fitted: FittedColumns) -> Score:
         return Score(gain, rank, log_levels(gain / max(fitted.squares, 1e-300), rank, fitted.dof))
 
-    def outliers(self, fitted: FittedColumns) -> Score:
+    def outliers(self, fitted: FittedColumns, among: Mask | bool = True) -> Score:
         """Return the tests of single readings, each with all its components; of many, those of the largest gains."""
         gain, rank = self.gains_of_readings(fitted)
-        rank = np.where(self.excluded, 0, rank)
+        rank = np.where(self.excluded | ~np.asarray(among), 0, rank)
         if len(gain) > _MOST_RANKED:
             # the others are no outliers, so their levels are not computed
             rank = np.where(gain < np.partition(gain, -_MOST_RANKED)[-_MOST_RANKED], 0, rank)
@@ -256,6 +256,22 @@ class ScoreTests:
     def overall(self, log_level: float) -> float:
         """Return ln of the p-value of the best family, corrected for all families."""
         return float(log_family(log_level, self.causes))
+
+    def changed_by(self, family: int, number: int) -> Mask:
+        """Return which readings an alternative changes."""
+        whole = self.families[family].columns.whole([number], self.system.rows)[:, 0]
+        return np.asarray(((whole != 0).any(axis=1)[self.places] & (self.places >= 0)).any(axis=1))
+
+    def keys_of(self, reading: int) -> dict[str, str]:
+        """Return the keys that identify a reading, with its component if the components are tested one by one."""
+        row, first = int(self.places[reading][0]), self.system.first
+        groups = self.system.model.readings
+        group = next(g for g in groups if 0 <= row - first[g.name] < g.observations.readings.size)
+        observations = group.observations
+        at, component = divmod(row - first[group.name], len(observations.readings))
+        keys = {key: values[at] for key, values in observations.keys.items()}
+        single = len(observations.readings) > 1 and self.places.shape[1] == 1
+        return keys | ({"component": observations.components[component]} if single else {})
 
     def of_reading(self, reading: int) -> Array:
         """Return the visible columns of an error of one reading, (rows, d)."""

@@ -1,4 +1,4 @@
-"""Backward steps: names are replaced by better ones, and members that are no longer significant are removed.
+"""Backward steps: names are replaced by better ones or by wrong readings, and what is not significant is removed.
 
 Method: docs/algorithms/selection-and-levels.md.
 """
@@ -13,17 +13,19 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.score_tests import Score, ScoreTests
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection, levels_of
-from metrocli.diagnosis.selection.thresholds import exit_level
+from metrocli.diagnosis.selection.thresholds import WRONG_READING, exit_level
 
 _CLEARLY = 1.0
-"""Smallest difference of the evidence (ln) by which a name counts as better than another"""
+"""Smallest difference of the evidence (ln) by which a name counts as better than another, or than wrong readings"""
+_FEW = 3
+"""Largest number of wrong readings that replace a name"""
 
 
 def backward_steps(selection: Selection) -> Selection:
     """Return the selection after swaps, without members that are not significant beside the others."""
     if len(selection.chosen) > 1:
         selection = _with_swaps(selection)
-    return _without_idle(selection)
+    return _without_idle(_with_wrong_readings(selection))
 
 
 def _without_idle(selection: Selection) -> Selection:
@@ -72,6 +74,39 @@ def _with_swaps(selection: Selection) -> Selection:
         else:
             break
     return selection
+
+
+def _with_wrong_readings(selection: Selection) -> Selection:
+    """Return the selection with wrong readings instead of each name that they explain as well.
+
+    Two wrong readings of one image together look like a bad pose, and the pose then shows before each of them.
+    """
+    for one in selection.named:
+        selection = _as_wrong_readings(selection, one) or selection
+    return selection
+
+
+def _as_wrong_readings(selection: Selection, one: Chosen) -> Selection | None:
+    """Return the selection with wrong readings instead of a name; None if the name has clearly more evidence.
+
+    Selected wrong readings at its place are part of its explanation: beside the true ones they may not be needed.
+    """
+    if selection.around(one):
+        return None
+    test_set, own = selection.test_set, (one, *selection.wrong_at(one))
+    bare = new = selection.without(*own)
+    changed = test_set.changed_by(one.family, one.number)
+    for _ in range(_FEW + len(own) - 1):
+        wrong = test_set.outliers(new.fitted(), changed)
+        if test_set.overall(test_set.level(-1, wrong.log_p[wrong.best])) > np.log(WRONG_READING):
+            return None
+        new = new.with_one(Chosen(-1, wrong.best, test_set.of_reading(wrong.best)))
+        left = test_set.score(one.family, new.fitted(), [one.number]).log_p[0]
+        if test_set.overall(test_set.level(one.family, float(left))) >= np.log(exit_level(selection, one)):
+            added = new.chosen[len(bare.chosen) :]
+            better = evidence_of(selection, own, bare.fitted(), selection.fitted())
+            return new if evidence_of(new, added, bare.fitted(), new.fitted()) > better - _CLEARLY else None
+    return None
 
 
 def _better(selection: Selection, one: Chosen) -> Chosen | None:

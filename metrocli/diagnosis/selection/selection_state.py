@@ -74,10 +74,16 @@ class Selection:
         kept = self if instead is None else self.without(instead)
         return replace(kept, fit=kept.fit.with_part(one.columns), chosen=(*kept.chosen, one))
 
-    def without(self, gone: Chosen) -> Selection:
-        """Return the selection without one member."""
-        kept = [number for number, one in enumerate(self.chosen) if one is not gone]
+    def without(self, *gone: Chosen) -> Selection:
+        """Return the selection without some of its members."""
+        kept = [number for number, one in enumerate(self.chosen) if not any(one is other for other in gone)]
         return replace(self, fit=self.fit.only(kept), chosen=tuple(self.chosen[number] for number in kept))
+
+    def wrong_at(self, one: Chosen) -> tuple[Chosen, ...]:
+        """Return the selected outliers at the place of an effect, such as the readings of an image with a bad pose."""
+        alternative = self.alternative(one)
+        place = set(zip(alternative.effect.keys, alternative.instance, strict=True))
+        return tuple(other for other in self.outliers if place and place <= self.test_set.keys_of(other.number).items())
 
     def around(self, one: Chosen) -> tuple[Chosen, ...]:
         """Return the selected smooth terms in which an effect lies; beside them the effect would not be visible."""
