@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
 
+INSIDE = 0.5
+"""An effect lies in smooth terms if they contain at least this share of its sum of squares"""
 _MANY, _SMALL = 12, 2000
 """Number of parts from which those with fewer rows are held as one sparse matrix: one product instead of many"""
 
@@ -219,3 +221,10 @@ def joined(several: Sequence[Columns]) -> Columns:
         parts += [part.numbered(part.rows, part.numbers + count) for part in one.parts]
         count += one.count
     return Columns(count, several[0].parameters, tuple(parts))
+
+
+def lies_in(columns: Columns, gram: Array, basis: Array) -> Mask:
+    """Return for columns and their Gram matrices whether they lie mostly inside a visible basis, (alternatives,)."""
+    along = columns.products(basis)
+    inside = np.einsum("kqm,kqm->k", along, along)
+    return np.asarray(inside > INSIDE * np.einsum("kqq->k", gram))

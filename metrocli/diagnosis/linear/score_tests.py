@@ -19,14 +19,12 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.adjusted_job import Budget
 from metrocli.diagnosis.linear.candidates import Alternative, Family
-from metrocli.diagnosis.linear.columns import Columns
+from metrocli.diagnosis.linear.columns import INSIDE, lies_in
 from metrocli.diagnosis.linear.distributions import log_family, log_levels
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, Left, orthonormal
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 from metrocli.diagnosis.linear.quadratics import quadratic, quadratic_of
 
-_INSIDE = 0.5
-"""An effect lies in smooth terms if they contain at least this share of its sum of squares"""
 _MOST_RANKED = 10_000
 """Readings that are tested as outliers, those with the largest gains"""
 _MOST_REMEMBERED = 10_000_000
@@ -222,7 +220,7 @@ class ScoreTests:
         if self.families[family].unknown:
             return []
         effect = self.visible(family, number)
-        least = _INSIDE * float((effect**2).sum())
+        least = INSIDE * float((effect**2).sum())
         found = []
         for i, smooth in enumerate(self.families):
             if smooth.unknown:
@@ -289,18 +287,6 @@ def _form(family: Family) -> tuple[str, int, int]:
     return family.name, family.columns.count, family.columns.parameters
 
 
-def lies_in(columns: Columns, gram: Array, basis: Array) -> Mask:
-    """Return for columns and their Gram matrices whether they lie mostly inside a visible basis, (alternatives,)."""
-    inside = np.einsum("kqq->k", _inside(columns, basis))
-    return np.asarray(inside > _INSIDE * np.einsum("kqq->k", gram))
-
-
 def _unit(columns: Array) -> Array:
     """Return an orthonormal basis of columns (rows, q)."""
     return orthonormal(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), VISIBLE)
-
-
-def _inside(columns: Columns, basis: Array) -> Array:
-    """Return the part of the Gram matrices of columns inside a visible basis (rows, m), (alternatives, q, q)."""
-    along = columns.products(basis)
-    return np.asarray(along @ np.swapaxes(along, 1, 2))
