@@ -45,13 +45,22 @@ def feasible(least: float, minimum: float) -> bool:
     return least >= minimum - _TOLERANCE
 
 
-def contradictions(stock: Stock, duals: Array, minimum: float, into: Array) -> list[Contradiction]:
+def contradictions(stock: Stock, minimum: float, into: Array) -> list[Contradiction]:
     """Return sets of contradicting surfaces that share none, until the other surfaces have the minimum together.
 
     The first one holds the largest least overstock of all, and has what the part leaves without its surfaces. There are
-    at most `_SETS`.
+    at most `_SETS`. A point counts for its own surface alone: in a notch, a wall that is left out would still hold
+    points of the floor, which then stood for it. Only where each surface alone has the minimum, the walls of a mesh
+    hold points of others. `into` has the largest least overstock.
     """
-    begun = stock.at(into)
+    alone = replace(stock, nominal=stock.nominal.apart())
+    begun = alone.at(into)
+    _, least, duals = most_of_many(alone, into, begun=begun)
+    if feasible(least, minimum):
+        begun = stock.at(into)
+        _, _, duals = most_of_many(stock, into, begun=begun)
+    else:
+        stock = alone
     first = contradiction(stock, duals, minimum, into, begun)
     left_out = (stock.surface != stock.nominal.names.index(name) for name in first.surfaces)
     found = [replace(first, without=tuple(_least(stock, rows, into, begun)[0] for rows in left_out))]
