@@ -207,6 +207,12 @@ def must_be_determined(stock: Stock, into: Array, aim: str) -> tuple[str, ...]:
     return ()
 
 
+def motions_without(stock: Stock, local: Local, chosen: npt.NDArray[np.bool_]) -> list[str]:
+    """Return the motions that change the overstock of no chosen point, in words."""
+    smooth, rows = stock.smooth_rows(local) * chosen[:, None], local.rows * chosen[:, None]
+    return [motion_in_words(local, one) for one in _null_space(smooth, rows)]
+
+
 def open_motions(stock: Stock, into: Array) -> list[Array]:
     """Return the steps of the pose that change no overstock, each (6,)."""
     local = stock.at(into)
@@ -218,17 +224,23 @@ def _null_space(smooth: Array, rows: Array) -> list[Array]:
 
     Nothing but what facets bring: `smooth` (n, 6) are the derivatives without them, `rows` (n, 6) with them.
     """
-    from scipy.linalg import qr
-
     eigenvalues, vectors = np.linalg.eigh(smooth.T @ smooth)
     with_facets = ((rows @ vectors) ** 2).sum(axis=0)
     steps = vectors[:, eigenvalues < np.maximum(_OPEN**2 * eigenvalues[-1], _OF_FACETS**2 * with_facets)]
     _, _, mix = np.linalg.svd(steps[3:], full_matrices=True)
     steps = (steps @ mix.T).T
     turned = ~_is_shift(steps)
-    shifts = steps[~turned][:, :3]
-    along, _, _ = qr(shifts.T @ shifts, pivoting=True)
-    return [*steps[turned], *np.pad(along.T[: len(shifts)], ((0, 0), (0, 3)))]
+    turns, shifts = steps[turned], steps[~turned][:, :3]
+    return [*_along_axes(turns[:, 3:]) @ turns, *np.pad(_along_axes(shifts) @ shifts, ((0, 0), (0, 3)))]
+
+
+def _along_axes(directions: Array) -> Array:
+    """Return the mixture (k, k) of directions (k, 3), k independent ones, that runs along axes where it can."""
+    from scipy.linalg import qr
+
+    back = np.linalg.pinv(directions)
+    along, _, _ = qr(back @ directions, pivoting=True)
+    return np.asarray(along.T[: len(directions)] @ back)
 
 
 def _is_shift(step: Array) -> npt.NDArray[np.bool_]:
@@ -243,7 +255,7 @@ def motion_in_words(local: Local, step: Array) -> str:
         return f"a shift along {_direction(step[:3])}"
     axis = turn / np.linalg.norm(turn)
     through = local.centre + np.cross(turn, step[:3]) / (turn @ turn)
-    place = ", ".join(f"{value:.0f}" for value in through)
+    place = ", ".join(f"{value:.0f}" for value in through.round() + 0.0)
     return f"a turn about the direction {_direction(axis)} through ({place}) mm"
 
 
