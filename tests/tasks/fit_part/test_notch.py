@@ -45,7 +45,7 @@ def raw(seed: int) -> tuple[Array, Array]:
     level = rng.uniform(1.0, 2.0, len(at))
     level[rng.choice(len(at), 2 + seed % 3, replace=False)] -= rng.uniform(2.0, 5.0)
     places = []
-    for k, (here, ahead) in enumerate(zip(CORNERS, np.roll(CORNERS, -1, axis=0), strict=True)):
+    for here, ahead in zip(CORNERS, np.roll(CORNERS, -1, axis=0), strict=True):
         share = rng.uniform(0.08, 0.92, (EACH, 1))
         places.append(np.column_stack([here + share * (ahead - here), rng.uniform(4, DEPTH - 4, EACH)]))
     places += [np.column_stack([ENDS, np.full(len(ENDS), z)]) for z in (0.0, DEPTH)]
