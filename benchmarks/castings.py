@@ -4,10 +4,10 @@ Every fifth casting lacks material between two opposite surfaces. The truth of a
 errors. The dense solver shares nothing with the project: SLSQP from several starts with all points, the largest least
 overstock as a seventh unknown, and overstock by plain formulas.
 
-    python -m benchmarks castings [RUNS] [AIM] [held] [alone]
+    python -m benchmarks castings [RUNS or FIRST-LAST] [AIM] [held] [alone]
 
-`held` takes a minimum that points come to, 0.15 mm below the largest that is possible with the exact points, instead of
-0.5 mm. `alone` leaves the dense solver out, which takes most of the time.
+AIM is `even` unless given. `held` takes a minimum that points come to, 0.15 mm below the largest that is possible with
+the exact points, instead of 0.5 mm. `alone` leaves the dense solver out, which takes most of the time.
 """
 
 from __future__ import annotations
@@ -131,14 +131,16 @@ def of_surfaces(one: Casting, names: list[str]) -> Casting:
     return replace(one, surface=one.surface[rows], points=one.points[rows], exact=one.exact[rows])
 
 
-def main(runs: int, aim: str, held: bool, compared: bool) -> None:
+def main(seeds: range, aim: str, held: bool, compared: bool) -> None:
     """Print coverage of many castings, and where they are compared with the dense solver, optimality and refusals."""
     part = ideal_part()
     inside, within, short, worse, refused, wrong, missed = [], [], [], [], 0, 0, 0
     ours = 0.0
-    for seed in range(runs):
-        if seed and seed % SHOWN == 0:
-            print(f"{seed} of {runs} castings, {len(inside)} fitted, {refused} refused", file=sys.stderr, flush=True)
+    for done, seed in enumerate(seeds):
+        if done and done % SHOWN == 0:
+            print(
+                f"{done} of {len(seeds)} castings, {len(inside)} fitted, {refused} refused", file=sys.stderr, flush=True
+            )
         rng = np.random.default_rng(10_000 + seed)
         lacking = dict.fromkeys(SHORT[rng.integers(3)], -rng.uniform(4, 7)) if seed % 5 == 0 else {}
         one = casting(seed, less=lacking)
@@ -168,7 +170,8 @@ def main(runs: int, aim: str, held: bool, compared: bool) -> None:
         inside.append(np.abs(off) < 1.96)
         within.append(float(off @ np.linalg.solve(result.covariance / np.outer(size, size), off)) < BOUND)
     share = np.mean(inside, axis=0) * 100
-    print(f"{runs} castings, aim {aim}: {len(inside)} fitted, {refused} refused, {1e3 * ours / runs:.0f} ms CPU each")
+    print(f"{len(seeds)} castings, aim {aim}: {len(inside)} fitted, {refused} refused, ", end="")
+    print(f"{1e3 * ours / len(seeds):.0f} ms CPU each")
     print("coverage of value +- 1.96 std [%]: ", end="")
     print(", ".join(f"{n} {v:.1f}" for n, v in zip(EULER, share, strict=True)), f"; mean {share.mean():.1f}", sep="")
     print(f"coverage of all six together [%]: {100 * np.mean(within):.1f}")
@@ -183,11 +186,13 @@ def main(runs: int, aim: str, held: bool, compared: bool) -> None:
     print(f"surfaces named in refusals that do not belong there: {wrong}")
 
 
+def seeds_of(words: list[str]) -> range:
+    """Return the seeds of `RUNS` or `FIRST-LAST` in the words of the command line, 200 unless given."""
+    first, _, last = next((word for word in words if word[0].isdigit()), "200").partition("-")
+    return range(int(first), int(last) + 1) if last else range(int(first))
+
+
 if __name__ == "__main__":
     given = sys.argv[1:]
-    main(
-        int(given[0]) if given else 200,
-        given[1] if len(given) > 1 else EVEN,
-        "held" in given[2:],
-        "alone" not in given[2:],
-    )
+    aims = [word for word in given if word in (EVEN, MOST, LEAST_MOTION)]
+    main(seeds_of(given), aims[0] if aims else EVEN, "held" in given, "alone" not in given)

@@ -12,6 +12,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from scipy.optimize import minimize
 
 from benchmarks.apart.model import Array
 from benchmarks.apart.samples import stated
@@ -24,19 +25,22 @@ _PLANES |= {"bottom": (2, -1, 0.0), "top": (2, 1, 400.0)}
 _ROUND = {"bore-1": (400.0, 300.0, 60.0, -1), "bore-2": (1150.0, 700.0, 90.0, -1), "boss": (750.0, 500.0, 150.0, 1)}
 """Place of the axis along z, radius, and 1 for material inside"""
 _STEP = 1e-5
+_SCALE = np.array([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])
+"""Units of a step that the search sees [mm, rad]"""
 
 
 def overstock(points: Array, surface: list[str]) -> Array:
     """Return the distance (n,) of points in the part frame (n, 3) from their ideal surfaces, outward."""
-    found = []
-    for (x, y, z), name in zip(points, surface, strict=True):
+    found, names = np.empty(len(points)), np.array(surface)
+    for name in set(surface):
+        x, y, z = points[names == name].T
         if name in _PLANES:
             axis, sign, place = _PLANES[name]
-            found.append(sign * ((x, y, z)[axis] - place))
+            found[names == name] = sign * ((x, y, z)[axis] - place)
         else:
             x0, y0, radius, sign = _ROUND[name]
-            found.append(sign * (np.hypot(x - x0, y - y0) - radius))
-    return np.array(found)
+            found[names == name] = sign * (np.hypot(x - x0, y - y0) - radius)
+    return found
 
 
 class Casting:
@@ -73,16 +77,20 @@ class Casting:
         """Return places (n, 3) in the frame of the part."""
         return np.asarray((places - pose[:3]) @ rotation(pose[3:]))
 
+    def overstock_at(self, pose: Array, places: Array) -> Array:
+        """Return the overstock (n,) of places for a pose of the part."""
+        return overstock(self.in_part(pose, places[: len(self.names)]), self.surface)
+
     def now(self, places: Array) -> Array:
         """Return the overstock (n,) of places where the part is machined as reported."""
-        return overstock(self.in_part(self.pose, places[: len(self.names)]), self.surface)
+        return self.overstock_at(self.pose, places)
 
     def fitted(self, places: Array) -> Array:
         """Return the pose with the least variation of the overstock (6,), by two Gauss-Newton steps."""
-        n, pose = len(self.names), self.pose.copy()
+        pose = self.pose.copy()
 
         def varied(pose: Array) -> Array:
-            found = overstock(self.in_part(pose, places[:n]), self.surface)
+            found = self.overstock_at(pose, places)
             return np.asarray(found - found.mean())
 
         steps = np.diag([1e-2, 1e-2, 1e-2, _STEP, _STEP, _STEP])
@@ -90,6 +98,25 @@ class Casting:
             columns = [(varied(pose + step) - varied(pose - step)) / (2 * step.max()) for step in steps]
             pose = pose - np.linalg.lstsq(np.stack(columns, axis=1), varied(pose), rcond=None)[0]
         return pose
+
+    def held(self, places: Array, minimum: float) -> Array:
+        """Return the pose with the least variation of the overstock that leaves a minimum everywhere (6,), by SLSQP.
+
+        SLSQP may end a little below the minimum, so it begins twice.
+        """
+        pose = self.pose
+        for _ in range(2):
+
+            def now(step: Array, begin: Array = pose) -> Array:
+                return self.overstock_at(begin + step * _SCALE, places)
+
+            room = {"type": "ineq", "fun": lambda step, now=now: now(step) - minimum}
+            options = {"ftol": 1e-15, "maxiter": 200}
+            found = minimize(
+                lambda step, now=now: now(step).var(), np.zeros(6), method="SLSQP", constraints=room, options=options
+            )
+            pose = pose + found.x * _SCALE
+        return np.asarray(pose)
 
     @cached_property
     def simulated(self) -> tuple[Array, Array, Array]:

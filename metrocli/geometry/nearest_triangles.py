@@ -1,7 +1,8 @@
 """The nearest point of a mesh of triangles, with its signed distance.
 
 The signed distance is to the nearest point of any triangle; its sign comes from the normal of the face, edge or vertex
-where that point lies (Baerentzen and Aanaes 2005). Method: docs/algorithms/overstock-fit.md.
+where that point lies (Baerentzen and Aanaes 2005). Beyond the rim of an open mesh it is the height above the plane
+through that point, so that the surface goes on. Method: docs/algorithms/overstock-fit.md.
 """
 
 from __future__ import annotations
@@ -232,9 +233,11 @@ class Search:
         ends = self.mesh.faces[face[:, None], np.stack([edge, NEXT[edge]], axis=1)]
         start, end = self.mesh.vertices[ends[:, 0]], self.mesh.vertices[ends[:, 1]]
         away = points - start - np.where((feature < 4)[:, None], part[:, None] * (end - start), 0.0)
-        sign = np.where(np.einsum("nk,nk->n", away, outward) < 0, -1.0, 1.0)
-        clear = size > 1e-9
+        height = np.einsum("nk,nk->n", away, outward)
+        sign = np.where(height < 0, -1.0, 1.0)
+        rim = self.mesh.at_rim(face, feature)
+        clear = (size > 1e-9) & ~rim
         direction = np.where(clear[:, None], sign[:, None] * away / np.maximum(size, 1e-300)[:, None], outward)
         gradient = np.where(on_face[:, None], self.mesh.normals[face], direction)
-        gradient /= np.maximum(np.linalg.norm(gradient, axis=1), 1e-300)[:, None]
-        return sign * size, gradient
+        length = np.maximum(np.linalg.norm(gradient, axis=1), 1e-300)
+        return np.where(rim, height / length, sign * size), gradient / length[:, None]

@@ -14,6 +14,8 @@ _SMOOTH = np.radians(35.0)
 """Angle between neighbouring triangles up to which they belong to one patch"""
 _FLAT = np.radians(0.1)
 """Angle between neighbouring triangles of a plane, by rounding of its coordinates"""
+_FAR_APART = 10.0
+"""Distance of patches that are moved apart, relative to the size of the mesh"""
 NEXT = np.array([1, 2, 0])
 """Corner at the end of the edge that begins at each corner"""
 
@@ -162,6 +164,32 @@ class Triangles:
         weight = np.maximum(np.einsum("nik,nk->ni", against, self.normals[face]), 0.0)
         normal = np.einsum("ni,nik->nk", weight, of_corner)
         return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None])
+
+    @cached_property
+    def _at_rim(self) -> npt.NDArray[np.bool_]:
+        """Which vertices lie on an edge without a neighbour (m,)."""
+        found = np.zeros(len(self.vertices), dtype=bool)
+        face, corner = np.divmod(self.open_edges, 3)
+        found[self.faces[face, corner]] = found[self.faces[face, NEXT[corner]]] = True
+        return found
+
+    def at_rim(self, face: Index, feature: Index) -> npt.NDArray[np.bool_]:
+        """Return whether a feature of each triangle is an edge without a neighbour, or an end of one (n,)."""
+        of_edge = self._paired[0][3 * face + np.clip(feature - 1, 0, 2)] < 0
+        of_vertex = self._at_rim[self.faces[face, np.clip(feature - 4, 0, 2)]]
+        return np.where(feature == 0, False, np.where(feature < 4, of_edge, of_vertex))
+
+    @cached_property
+    def separation(self) -> float:
+        """Distance of the patches of `separated`: far more than its points move [mm]."""
+        return _FAR_APART * float(np.linalg.norm(np.ptp(self.vertices, axis=0)))
+
+    def separated(self) -> Triangles:
+        """Return the mesh with patch k moved by k times the separation along x, so that no two are neighbours."""
+        keys, faces = np.unique(self.patch[:, None] * len(self.vertices) + self.faces, return_inverse=True)
+        patch, vertex = np.divmod(keys, len(self.vertices))
+        moved = self.vertices[vertex] + self.separation * patch[:, None] * np.eye(3)[0]
+        return Triangles(moved, np.asarray(faces.reshape(self.faces.shape), dtype=np.intp))
 
     def outward(self, face: Index, feature: Index) -> Array:
         """Return the normal of a feature of each triangle (n, 3), not of length 1: face, edge or vertex."""

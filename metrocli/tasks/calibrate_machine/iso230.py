@@ -23,7 +23,7 @@ _SAME = 0.01
 _RUNS, _TARGETS, _LONG = 5, 5, 2000.0
 """Runs in each direction, and targets per metre and at least, that ISO 230-2:2014 asks for on axes up to this travel"""
 _PER_METRE = 1000.0
-_CLAUSE = "ISO 230-2:2014 (5.3.2) asks for"
+_ASKS = "ISO 230-2:2014 asks for"
 
 
 @dataclass(frozen=True)
@@ -183,12 +183,12 @@ def _too_few(lines: Sequence[_Line]) -> list[str]:
             targets.setdefault((one.axis, count, travel), []).append(f"'{one.name}'")
     return [
         *(
-            f"axis {axis}, line {listed(names, 5)}: {up} run{'s' * (up != 1)} up and {down} down; {_CLAUSE} "
+            f"axis {axis}, line {listed(names, 5)}: {up} run{'s' * (up != 1)} up and {down} down; {_ASKS} "
             "five in each direction"
             for (axis, up, down), names in runs.items()
         ),
         *(
-            f"axis {axis}, line {listed(names, 5)}: {count} targets over {travel:g} mm; {_CLAUSE} five per metre, and "
+            f"axis {axis}, line {listed(names, 5)}: {count} targets over {travel:g} mm; {_ASKS} five per metre, and "
             "at least five"
             for (axis, count, travel), names in targets.items()
         ),

@@ -45,13 +45,22 @@ def feasible(least: float, minimum: float) -> bool:
     return least >= minimum - _TOLERANCE
 
 
-def contradictions(stock: Stock, duals: Array, minimum: float, into: Array) -> list[Contradiction]:
+def contradictions(stock: Stock, minimum: float, into: Array) -> list[Contradiction]:
     """Return sets of contradicting surfaces that share none, until the other surfaces have the minimum together.
 
     The first one holds the largest least overstock of all, and has what the part leaves without its surfaces. There are
-    at most `_SETS`.
+    at most `_SETS`. A point counts for its own surface alone: in a notch, a wall that is left out would still hold
+    points of the floor, which then stood for it. Only where each surface alone has the minimum, the walls of a mesh
+    hold points of others. `into` has the largest least overstock.
     """
-    begun = stock.at(into)
+    alone = replace(stock, nominal=stock.nominal.apart())
+    begun = alone.at(into)
+    _, least, duals = most_of_many(alone, into, begun=begun)
+    if feasible(least, minimum):
+        begun = stock.at(into)
+        _, _, duals = most_of_many(stock, into, begun=begun)
+    else:
+        stock = alone
     first = contradiction(stock, duals, minimum, into, begun)
     left_out = (stock.surface != stock.nominal.names.index(name) for name in first.surfaces)
     found = [replace(first, without=tuple(_least(stock, rows, into, begun)[0] for rows in left_out))]
@@ -198,6 +207,12 @@ def must_be_determined(stock: Stock, into: Array, aim: str) -> tuple[str, ...]:
     return ()
 
 
+def motions_without(stock: Stock, local: Local, chosen: npt.NDArray[np.bool_]) -> list[str]:
+    """Return the motions that change the overstock of no chosen point, in words."""
+    smooth, rows = stock.smooth_rows(local) * chosen[:, None], local.rows * chosen[:, None]
+    return [motion_in_words(local, one) for one in _null_space(smooth, rows)]
+
+
 def open_motions(stock: Stock, into: Array) -> list[Array]:
     """Return the steps of the pose that change no overstock, each (6,)."""
     local = stock.at(into)
@@ -209,17 +224,23 @@ def _null_space(smooth: Array, rows: Array) -> list[Array]:
 
     Nothing but what facets bring: `smooth` (n, 6) are the derivatives without them, `rows` (n, 6) with them.
     """
-    from scipy.linalg import qr
-
     eigenvalues, vectors = np.linalg.eigh(smooth.T @ smooth)
     with_facets = ((rows @ vectors) ** 2).sum(axis=0)
     steps = vectors[:, eigenvalues < np.maximum(_OPEN**2 * eigenvalues[-1], _OF_FACETS**2 * with_facets)]
     _, _, mix = np.linalg.svd(steps[3:], full_matrices=True)
     steps = (steps @ mix.T).T
     turned = ~_is_shift(steps)
-    shifts = steps[~turned][:, :3]
-    along, _, _ = qr(shifts.T @ shifts, pivoting=True)
-    return [*steps[turned], *np.pad(along.T[: len(shifts)], ((0, 0), (0, 3)))]
+    turns, shifts = steps[turned], steps[~turned][:, :3]
+    return [*_along_axes(turns[:, 3:]) @ turns, *np.pad(_along_axes(shifts) @ shifts, ((0, 0), (0, 3)))]
+
+
+def _along_axes(directions: Array) -> Array:
+    """Return the mixture (k, k) of directions (k, 3), k independent ones, that runs along axes where it can."""
+    from scipy.linalg import qr
+
+    back = np.linalg.pinv(directions)
+    along, _, _ = qr(back @ directions, pivoting=True)
+    return np.asarray(along.T[: len(directions)] @ back)
 
 
 def _is_shift(step: Array) -> npt.NDArray[np.bool_]:
@@ -234,7 +255,7 @@ def motion_in_words(local: Local, step: Array) -> str:
         return f"a shift along {_direction(step[:3])}"
     axis = turn / np.linalg.norm(turn)
     through = local.centre + np.cross(turn, step[:3]) / (turn @ turn)
-    place = ", ".join(f"{value:.0f}" for value in through)
+    place = ", ".join(f"{value:.0f}" for value in through.round() + 0.0)
     return f"a turn about the direction {_direction(axis)} through ({place}) mm"
 
 

@@ -204,7 +204,10 @@ def fit(stock: Stock, aim: Aim, into: Array) -> Fit:
         else:
             return _finished(local, into, objective, duals, iteration)
         (into, local), objective = reached, other
-    raise NotConvergedError(f"the fit of the ideal part did not converge in {_ITERATIONS} iterations")
+    raise NotConvergedError(
+        f"the fit of the ideal part did not converge in {_ITERATIONS} iterations; points beyond edges and corners of a "
+        "mesh can cause it: name coded targets in `targets`"
+    )
 
 
 def _brought_back(stock: Stock, minimum: float, into: Array, metric: Array) -> tuple[Array, Local] | None:

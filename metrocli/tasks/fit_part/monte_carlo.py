@@ -56,7 +56,8 @@ def checked(solved: Solved, minimum: float, trials: int, seed: int) -> Check:
     computed = np.sqrt(np.diag(change @ solved.sensitivity.covariance @ change.T))
     # about the fitted pose, as the stated uncertainties are: exchanges of the points that hold it also shift the mean
     simulated = np.sqrt((steps**2).mean(axis=0)) if len(steps) else np.full(6, np.nan)
-    ratio = simulated / np.maximum(computed, 1e-300)
+    # a part that stays where it was has neither
+    ratio = np.where((computed == 0) & (simulated == 0), 1.0, simulated / np.maximum(computed, 1e-300))
     table = Table(
         {
             "parameter": np.array(poses.EULER),

@@ -62,6 +62,10 @@ class OfSurfaces:
                 gaps.append(float(((gap - axis * (gap @ axis)) ** 2).sum()))
         return float(np.sqrt(np.mean(gaps))) if gaps else 0.0
 
+    def apart(self) -> OfSurfaces:
+        """Return the same: surfaces without limits do not know each other."""
+        return self
+
     def reversed(self, surface: int) -> OfSurfaces:
         """Return the geometry with the material of one surface on the other side."""
         return OfSurfaces(self.surfaces.reversed(surface))
@@ -110,6 +114,10 @@ class OfMesh:
         self.before[len(points)] = found
         return found
 
+    def apart(self) -> OfPatches:
+        """Return the ideal geometry in which a point knows its own patch only."""
+        return OfPatches(self.names, self.triangles.separated(), self.triangles.separation)
+
     def quick(self, points: Array, surface: Index | None) -> tuple[Array, Array]:
         """Return distances and normals at points (B, n, 3) from a triangle nearby."""
         distance, normal = self._search.quick(points.reshape(-1, 3))
@@ -118,3 +126,35 @@ class OfMesh:
     def off_centre(self, points: Array, surface: Index | None) -> float:
         """Return 0: the surfaces of a mesh have limits."""
         return 0.0
+
+
+@dataclass(frozen=True)
+class OfPatches:
+    """The patches of a mesh, each alone: beyond its edges it goes on, and no other patch holds its points.
+
+    Patches are moved apart along x, and points with them, so that one search finds the nearest triangles of all.
+    """
+
+    names: tuple[str, ...]
+    triangles: Triangles
+    """Patch k is moved by k times the separation along x"""
+    separation: float
+
+    @cached_property
+    def _mesh(self) -> OfMesh:
+        return OfMesh(self.triangles)
+
+    def shape(self, points: Array, surface: Index) -> Shape:
+        """Return distance and normal at points (n, 3), each on the patch of its index (n,)."""
+        return self._mesh.shape(self._moved(points, surface), surface)
+
+    def smooth_normals(self, points: Array, surface: Index) -> Array:
+        """Return the normals of the smooth surface that the triangles stand for, at points (n, 3)."""
+        return self._mesh.smooth_normals(self._moved(points, surface), surface)
+
+    def apart(self) -> OfPatches:
+        """Return the same."""
+        return self
+
+    def _moved(self, points: Array, surface: Index) -> Array:
+        return np.asarray(points + self.separation * surface[:, None] * np.eye(3)[0])

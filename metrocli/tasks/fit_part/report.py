@@ -12,7 +12,9 @@ from metrocli.geometry.surfaces import Array
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.fit_part import KIND
+from metrocli.tasks.fit_part.contradiction import motions_without
 from metrocli.tasks.fit_part.draws import DRAWS
+from metrocli.tasks.fit_part.fit import MOST
 from metrocli.tasks.fit_part.monte_carlo import Check
 from metrocli.tasks.fit_part.solve import Solved
 from metrocli.tasks.fit_part.uncertainty import of_result
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
 _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
 _NO_CHANCE = 1e-9
 """Chance up to which a surface counts as clean: the tails of the errors are not known so far out"""
+_ALIKE = 1e-7
+"""Difference of overstock up to which points are equally low: more than `most` gives up [mm]"""
 _LIKELY = 0.05
 """Chance of a surface that stays unclean from which a warning names it"""
 
@@ -225,10 +229,17 @@ def _notes(solved: Solved, holding: Table) -> Iterator[str]:
         f"{surface} ({point}, {100 * part:.0f} %)"
         for surface, point, part in zip(holding.texts("surface"), holding.texts("point"), share, strict=True)
     ]
-    if each:
+    lowest = fit.local.overstock < least + _ALIKE
+    others = int((lowest & (fit.duals == 0)).sum())
+    if each and others:
+        yield f"held by: {listed(each)}; {others} more are as low and can hold it as well, so shares are one choice"
+    elif each:
         yield f"held by: {listed(each)}; without these points the aim '{solved.aim.name}' would be better met"
     else:
         yield "held by: no point; the best pose has more than the minimum everywhere"
+    free = motions_without(solved.stock, fit.local, lowest) if solved.aim.name == MOST else []
+    if free:
+        yield f"motions that no point with the least overstock holds, so even overstock decides: {in_a_row(free)}"
     if solved.prepared.part is not None:
         yield solved.prepared.part.note
     if solved.sensitivity.drawn:

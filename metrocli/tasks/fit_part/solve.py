@@ -97,7 +97,7 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
     turned = reversed_surfaces(stock, nominal, settled.into) if isinstance(nominal, OfSurfaces) else []
     highest, largest, holding = most_of_many(stock, settled.into)
     if not c.feasible(largest, minimum):
-        contradictions = c.contradictions(stock, holding, minimum, highest)
+        contradictions = c.contradictions(stock, minimum, highest)
         hint = c.wrong_side(turned) if turned else c.all_inside(settled.level, isinstance(nominal, OfMesh))
         raise c.refuse(contradictions, places.of(used).names, minimum, largest, hint)
     # a negative minimum allows for missing material, and surfaces without it look the same

@@ -31,6 +31,9 @@ class Nominal(Protocol):
     def smooth_normals(self, points: Array, surface: Index) -> Array:
         """Return the normals at points (n, 3) of the smooth surface that the geometry stands for."""
 
+    def apart(self) -> Nominal:
+        """Return the geometry in which no surface holds points of another, and each goes on beyond its edges."""
+
 
 @dataclass(frozen=True)
 class Local:

@@ -77,8 +77,8 @@ def test_the_lowest_points_may_all_lie_on_one_side() -> None:
 def test_points_inside_contradict_each_other_on_opposite_sides() -> None:
     points, sides = on_block(-3.0, 0.2, 0.2)
     stock = stock_of(points)
-    pose, _, duals = most_of_many(stock, UNMOVED)
-    found = contradictions(stock, duals, 0.5, pose)
+    pose, _, _ = most_of_many(stock, UNMOVED)
+    found = contradictions(stock, 0.5, pose)
     assert len(found) == 3
     for one in found:
         rows = np.isin(stock.surface, [stock.nominal.names.index(name) for name in one.surfaces])
