@@ -26,8 +26,8 @@ _APART = 1.4
 """Ratio of standard deviations below which a unit's weight is not changed"""
 DECLARED_SIGMA = "given"
 """Key of a unit of prior values that the job states with a sigma, such as known points"""
-_MOST_ROWS = 200
-"""Largest number of rows of a unit whose noise can look like an effect at it"""
+_MOST_ROWS = 8
+"""Largest number of rows of a unit, for each parameter of the effects at it, whose noise these can imitate"""
 _LEAST = 0.1
 """Smallest factor on the standard deviation of prior values in one step"""
 
@@ -111,7 +111,7 @@ def noise_instead(job: AdjustedJob, selection: Selection) -> Unit | None:
     units, found = list(_units(job, system)), []
     for key, name, rows in units:
         own = [one for one in selection.named if selection.alternative(one).where.get(key) == name]
-        if not own or rows.sum() > _MOST_ROWS:
+        if rows.sum() > _MOST_ROWS * sum(one.columns.shape[1] for one in own):
             continue
         own += [one for one in selection.outliers if test_set.keys_of(one.number).get(key) == name]
         bare = selection.fitted(without=own)

@@ -226,6 +226,8 @@ class TestMemo:
             looked_at = list(real(*arguments))
             with Path("jobs/a.yaml").open("a") as file:
                 file.write("# edited after it was judged\n")
+            # the clock of files moves in ticks, which may be longer than all of this run
+            os.utime("jobs/a.yaml", ns=(memo.now_ns() + 1_000_000_000,) * 2)
             return looked_at
 
         monkeypatch.setattr("metrocli.project.running.memo._looked_at", edited)

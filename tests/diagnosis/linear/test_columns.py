@@ -94,3 +94,31 @@ def test_rows_left_out_and_alternatives_added_are_those_of_the_dense_array(
     assert np.allclose(columns.followed_by(more).whole([5, 2], ROWS), np.stack([more, dense[:, 2]], axis=1))
     both = joined([columns, columns]).only(kept)
     assert np.allclose(both.whole([1, 6], ROWS)[:, 1], np.where(kept[:, None], dense[:, 1], 0.0))
+
+
+def test_a_course_of_all_rows_is_in_the_order_of_time() -> None:
+    """As many rows as a measurement has, and in another order: each product takes the values of its own row."""
+    rng = np.random.default_rng(17)
+    course = Course(rng.permutation(ROWS), rng.normal(size=(ROWS, 2)))
+    columns = gathered((None, Step(course, begin)) for begin in (0, 25))
+    vectors = rng.normal(size=(ROWS, 3))
+    expected = np.einsum("raq,rm->aqm", columns.whole([0, 1], ROWS), vectors)
+    assert np.abs(columns.products(vectors) - expected).max() < 1e-12
+
+
+def test_many_small_parts_give_the_products_of_each() -> None:
+    """As one sparse matrix, with rows of a vector that lie behind the last of any part; and without vectors."""
+    rng = np.random.default_rng(18)
+    items = [
+        (number, Own(np.sort(rng.choice(ROWS, 9, replace=False)), rng.normal(size=(9, 2)))) for number in range(15)
+    ]
+    items[3] = (2, items[3][1])
+    course = Course(rng.permutation(ROWS), rng.normal(size=(ROWS, 2)))
+    columns = gathered([*items, (None, Step(course, 4))])
+    vectors = rng.normal(size=(ROWS + 5, 3))
+    expected = np.einsum("raq,rm->aqm", columns.whole(range(columns.count), ROWS), vectors[:ROWS])
+    assert np.abs(columns.products(vectors) - expected).max() < 1e-12
+    assert columns.products(vectors[:, :0]).shape == (columns.count, 2, 0)
+    kept = rng.random(ROWS) < 0.7
+    there = np.where(np.append(kept, np.ones(5, dtype=bool))[:, None], vectors, 0.0)
+    assert np.abs(columns.only(kept).products(there) - columns.at(kept).products(there)).max() < 1e-12

@@ -282,9 +282,7 @@ def test_runs_in_one_direction_have_the_figures_of_that_direction() -> None:
     assert found.numbers("E_up")[0] == pytest.approx(np.ptp(mean))
     for name in ("A", "A_down", "R", "R_down", "B", "B_mean", "E", "E_down", "M", "U_E", "U_M", "U_E_down"):
         assert np.isnan(found.numbers(name)[0])
-    assert warnings == (
-        "axis X, line 'L1': 5 runs up and 0 down; ISO 230-2:2014 asks for five in each direction",
-    )
+    assert warnings == ("axis X, line 'L1': 5 runs up and 0 down; ISO 230-2:2014 asks for five in each direction",)
     table = at_targets(up)
     assert table is not None and np.isnan(table.numbers("down")).all() and table.numbers("up") == pytest.approx(mean)
 
