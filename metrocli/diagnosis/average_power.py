@@ -62,6 +62,8 @@ def _size(mean_power: Callable[[float], float], wanted: float, high: float) -> f
     """Return the size with a mean power, which grows with the size; `high` is where the search begins."""
     while mean_power(high) < wanted:
         high *= 2
+        if not np.isfinite(high):
+            return high
     low = high * _SMALLEST
     for _ in range(_HALVINGS):
         middle = float(np.sqrt(low * high))
