@@ -47,7 +47,7 @@ class Course:
     """Columns in the order of time, of which a step has the rows from some time on."""
 
     rows: Index
-    """(r,)"""
+    """In the order of time, (r,)"""
     values: Array
     """(r, parameters)"""
 
@@ -82,7 +82,7 @@ class Part:
     """Alternatives that change the same rows."""
 
     rows: Index
-    """The rows that they change, (r,)"""
+    """The rows that they change, in ascending order (r,)"""
     values: Array
     """Columns at these rows, (r, alternatives, parameters)"""
     numbers: Index
@@ -91,7 +91,9 @@ class Part:
     def products(self, visible: Array, at: Index | slice = slice(None)) -> Array:
         """Return the products of some alternatives with visible vectors (rows, m), (alternatives, parameters, m)."""
         chosen = self.values[:, at]
-        found = chosen.reshape(len(self.rows), -1).T @ _at(visible, self.rows)
+        # rows of a part ascend: as many as there are need not be gathered
+        own = visible if len(self.rows) == len(visible) else visible.take(self.rows, axis=0)
+        found = chosen.reshape(len(self.rows), -1).T @ own
         return np.asarray(found.reshape(*chosen.shape[1:], visible.shape[1]))
 
     def dense(self, at: Index | slice = slice(None)) -> Array:
@@ -162,7 +164,7 @@ class Steps:
 
     def products(self, visible: Array, at: Index | slice = slice(None)) -> Array:
         """Return the products of some alternatives with visible vectors (rows, m), (alternatives, parameters, m)."""
-        return np.asarray(self._from_each_on(self._sums(self.course.values, _at(visible, self.rows)))[at])
+        return np.asarray(self._from_each_on(self._sums(self.course.values, visible[self.rows]))[at])
 
     def _sums(self, values: Array, others: Array) -> Iterable[Array]:
         """Return the products of values (r, q) with others (r, m) over each stretch, (q, m), the last stretch first."""
@@ -199,11 +201,6 @@ class Steps:
     def numbered(self, rows: Index, numbers: Index) -> Steps:
         """Return the part with other numbers of its rows and its alternatives."""
         return Steps(Course(rows, self.course.values), self.begins, numbers)
-
-
-def _at(values: Array, rows: Index) -> Array:
-    """Return values (rows, ...) at some rows, in ascending order."""
-    return values if len(rows) == len(values) else values.take(rows, axis=0)
 
 
 def kept_of(values: Array, kept: Mask | None) -> Array:
