@@ -235,8 +235,10 @@ def _search_with_weights(job: AdjustedJob, rng: np.random.Generator, earlier: Sc
             # next to a dominant effect other structure is not searched for yet, and would count as noise
             searching_on = last or has_dominant_effect(selection)
             unit = None if searching_on else noisiest_unit(job, tests.system, selection.fitted())
-            unit = None if unit is not None and _is_scatter(selection, unit) else unit
-            unit = unit if unit is not None or searching_on else noise_instead(job, selection)
+            if unit is not None:
+                unit = None if _is_scatter(selection, unit) else unit
+            elif not searching_on:
+                unit = noise_instead(job, selection)
         if unit is None:
             break
         weights, units = reweighted(job, weights, unit), (*units, unit)

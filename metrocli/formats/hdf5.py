@@ -104,7 +104,7 @@ def kind_of(path: Path) -> str | None:
 
 def refuse_unwritable(path: Path) -> None:
     """Raise InputError if no file can be written at `path`, or its folder cannot be made; nothing is tried."""
-    there = next(one for one in path.absolute().parents if one.exists())
+    there = next(one for one in path.absolute().parents if os.path.exists(one))  # False where a folder is closed
     if not there.is_dir():
         raise InputError([Fault(f"cannot be written: {there} is a file, not a folder", str(path))])
     if not os.access(there, os.W_OK | os.X_OK):

@@ -10,8 +10,10 @@ import pytest
 from benchmarks.hidden import launch
 from benchmarks.hidden_effects import KINDS
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
+from metrocli.cli.diagnosis_report.loop import of_loop
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.verdict import as_data
+from metrocli.project.until_clean import End, Loop
 
 
 def test_a_bad_pose_that_only_its_distance_shows_stands_beside_the_wrong_distance() -> None:
@@ -27,6 +29,9 @@ def test_a_bad_pose_that_only_its_distance_shows_stands_beside_the_wrong_distanc
     assert (wrong["observation"]["pose"], wrong["observation"]["reading"]) == ("P4", "distance")
     assert wrong["or_effects"] == [{"name": "bad-pose", "where": {"pose": "P4"}}]
     assert "bad-pose P4" in of_diagnosis(found, None).split("\n\n")[1]
+    # the loop --until-clean has nothing to add, and states the wrong reading, too
+    looped = of_loop(Loop(found, found, (), End.CLEAN))
+    assert looped == "verdict: clean, with 1 wrong reading\n\nended: clean"
 
 
 def test_a_wrong_angle_is_no_bad_pose() -> None:

@@ -38,7 +38,7 @@ _HEAD = ("effect", "size (± u)", "chance", "or instead", "held-out error", "log
 def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
     """Return the report of a diagnosis."""
     job, findings = diagnosis.job, diagnosis.findings
-    parts = [[f"verdict: {_headline(diagnosis)}"]]
+    parts = [[f"verdict: {headline(diagnosis)}"]]
     if diagnosis.mistaken is not None:
         parts.append(list(_mistake(diagnosis)))
     if findings or diagnosis.scatters:
@@ -78,7 +78,7 @@ def _extension(diagnosis: Diagnosis) -> str:
     return f"the job extended by {' and '.join(added)}{shared}, and diagnose it again"
 
 
-def _headline(diagnosis: Diagnosis) -> str:
+def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict with what limits it: wrong readings, and noise that is not as declared."""
     noise, count = diagnosis.noise, len(diagnosis.outliers)
     wrong = f", with {count} wrong reading{'s' if count > 1 else ''}" if count else ""

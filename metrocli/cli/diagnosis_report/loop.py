@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from metrocli import units
+from metrocli.cli.diagnosis_report.findings import headline
 from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.project.until_clean import Extension, Loop
@@ -13,11 +14,11 @@ _HEAD = ("step", "added", "chance", "chi2", "dof", "held-out error", "changes re
 
 
 def of_loop(loop: Loop) -> str:
-    """Return the table of steps, and the end of the loop in a sentence."""
+    """Return the last verdict, the table of steps, and the end of the loop in a sentence."""
     rows = [_row(number, one, loop.first) for number, one in enumerate(loop.extensions, 1)]
     table = "\n".join(text_table(_HEAD, rows)) if rows else ""
     jobs = "\n".join(f"  {one.job} -> {one.done.path}" for one in loop.extensions)
-    return "\n\n".join(filter(None, (f"verdict: {loop.last.verdict}", table, jobs, f"ended: {loop.end}")))
+    return "\n\n".join(filter(None, (f"verdict: {headline(loop.last)}", table, jobs, f"ended: {loop.end}")))
 
 
 def _row(number: int, one: Extension, first: Diagnosis) -> tuple[str, ...]:

@@ -38,11 +38,11 @@ def command(
 
     console = Console(quiet or as_json, verbose)
     made, record, same = rerun(result, accept_doubtful, console.detail, Workers(workers))
+    before = hdf5.read(result)[1].metrocli_version  # the output may be the result itself
     if output is not None:
         if not force:
             hdf5.refuse_foreign(output, made.kind)
         hdf5.write(output, made, record)
-    before = hdf5.read(result)[1].metrocli_version
     if as_json:
         made_by = {"made_by": before, "made_again_by": record.metrocli_version}
         echo(json_text({"result": str(result), "same": same, **made_by}))

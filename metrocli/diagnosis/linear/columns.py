@@ -54,7 +54,8 @@ class Stacked:
         last = max((int(part.rows.max()) + 1 for part in small if len(part.rows)), default=0)
         columns = csc_matrix(entries, shape=(last, len(lengths)))
         numbers = np.concatenate([*(part.numbers for part in small), np.zeros(0, np.intp)])
-        return cls(columns.T, numbers, tuple(part for part in parts if not any(part is one for one in small)))
+        held = {id(part) for part in small}
+        return cls(columns.T, numbers, tuple(part for part in parts if id(part) not in held))
 
     def products(self, visible: Array, parameters: int) -> Array:
         """Return the products with visible vectors (rows, m), (alternatives, parameters, m)."""

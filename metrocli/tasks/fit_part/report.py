@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from metrocli.geometry import poses
 from metrocli.geometry.surfaces import Array
@@ -28,6 +29,8 @@ _NO_CHANCE = 1e-9
 """Chance up to which a surface counts as clean: the tails of the errors are not known so far out"""
 _ALIKE = 1e-7
 """Difference of overstock up to which points are equally low: more than `most` gives up [mm]"""
+_DEPENDENT = 1e-6
+"""Share of a direction of rows, relative to the largest, below which it is rounding"""
 _LIKELY = 0.05
 """Chance of a surface that stays unclean from which a warning names it"""
 
@@ -230,9 +233,10 @@ def _notes(solved: Solved, holding: Table) -> Iterator[str]:
         for surface, point, part in zip(holding.texts("surface"), holding.texts("point"), share, strict=True)
     ]
     lowest = fit.local.overstock < least + _ALIKE
-    others = int((lowest & (fit.duals == 0)).sum())
+    others = int((exchanged(solved, lowest | (fit.duals > 0)) & (fit.duals == 0)).sum())
     if each and others:
-        yield f"held by: {listed(each)}; {others} more are as low and can hold it as well, so shares are one choice"
+        more = "1 more is" if others == 1 else f"{others} more are"
+        yield f"held by: {listed(each)}; {more} as low and can hold it as well, so shares are one choice"
     elif each:
         yield f"held by: {listed(each)}; without these points the aim '{solved.aim.name}' would be better met"
     else:
@@ -247,6 +251,21 @@ def _notes(solved: Solved, holding: Table) -> Iterator[str]:
             f"the covariance of the pose is that of {DRAWS} fits to points with drawn errors, since errors exchange "
             "the points that hold it"
         )
+
+
+def exchanged(solved: Solved, low: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return which of the low points (n,) others can stand for: their rows depend on those of the others.
+
+    A point that is as low by chance, such as one that ends a motion which no other holds, has a dual of 0 alone.
+    """
+    rows = solved.fit.local.rows[low]
+    # with the aim `most` the sum of the shares is given, too
+    balanced = np.c_[rows, np.ones(len(rows))] if solved.aim.name == MOST else rows
+    directions, size, _ = np.linalg.svd(balanced, full_matrices=False)
+    fixed = (directions[:, size > _DEPENDENT * size[0]] ** 2).sum(axis=1)
+    found = np.zeros(len(low), dtype=bool)
+    found[low] = fixed < 1 - _DEPENDENT
+    return found
 
 
 def _warnings(solved: Solved, surfaces: Table, rejected: Table) -> Iterator[str]:

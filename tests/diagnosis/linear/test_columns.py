@@ -40,9 +40,9 @@ def some(rng: np.random.Generator) -> tuple[Columns, np.ndarray]:
 
 
 def steps(rng: np.random.Generator) -> tuple[Columns, np.ndarray]:
-    """Return five alternatives of two parameters: two courses from three and two times on, and the same dense."""
+    """Return five alternatives of two parameters: a course of all rows, one of some, and the same dense."""
     courses = [
-        Course(rng.permutation(np.arange(0, 40)), rng.normal(size=(40, 2))),
+        Course(rng.permutation(ROWS), rng.normal(size=(ROWS, 2))),
         Course(rng.permutation(np.arange(20, ROWS)), rng.normal(size=(40, 2))),
     ]
     several = [Step(courses[0], 7), Step(courses[1], 3), Step(courses[0], 0), Step(courses[1], 39), Step(courses[0], 7)]

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from tasks.fit_part.test_fit import Metrocli, fitted
+
+from metrocli.tasks.fit_part.fit import MOST
+from metrocli.tasks.fit_part.report import exchanged
 
 SIDE, LEVEL = 100.0, 2.0
 FACES = {f"{axis}{end}": (k, end) for k, axis in enumerate("xyz") for end in (0, 1)}
@@ -38,6 +43,14 @@ def test_points_that_are_equally_low_are_counted(tmp_path: Path, metrocli: Metro
     held = int(found.statistics["active"])
     assert any(f"{24 - held} more are as low and can hold it as well" in note for note in found.notes)
     assert found.statistics["least_overstock"] == pytest.approx(LEVEL, abs=1e-7)
+
+
+def test_a_point_that_is_as_low_by_chance_takes_no_share() -> None:
+    """Four points of a floor against one of a ceiling have one choice too many; a wall stands for none of them."""
+    floor = [np.array([0, 0, 1.0, v, -u, 0]) for u, v in product((-1.0, 1.0), repeat=2)]
+    rows = np.array([*floor, [0, 0, -1.0, 0, 0, 0], [1.0, 0, 0, 0, 0, 0]])
+    solved: Any = SimpleNamespace(fit=SimpleNamespace(local=SimpleNamespace(rows=rows)), aim=SimpleNamespace(name=MOST))
+    assert exchanged(solved, np.ones(6, dtype=bool)).tolist() == [True] * 4 + [False] * 2
 
 
 def test_what_the_thickness_leaves_free_is_made_even(tmp_path: Path, metrocli: Metrocli) -> None:
