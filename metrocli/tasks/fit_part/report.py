@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from metrocli.geometry import poses
 from metrocli.geometry.surfaces import Array
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.fit_part import KIND
-from metrocli.tasks.fit_part.contradiction import motions_without
-from metrocli.tasks.fit_part.draws import DRAWS
-from metrocli.tasks.fit_part.fit import MOST
 from metrocli.tasks.fit_part.monte_carlo import Check
+from metrocli.tasks.fit_part.sentences import notes, warnings
 from metrocli.tasks.fit_part.solve import Solved
 from metrocli.tasks.fit_part.uncertainty import of_result
-from metrocli.words import in_a_row, listed
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -27,12 +22,6 @@ if TYPE_CHECKING:
 _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
 _NO_CHANCE = 1e-9
 """Chance up to which a surface counts as clean: the tails of the errors are not known so far out"""
-_ALIKE = 1e-7
-"""Difference of overstock up to which points are equally low: more than `most` gives up [mm]"""
-_DEPENDENT = 1e-6
-"""Share of a direction of rows, relative to the largest, below which it is rounding"""
-_LIKELY = 0.05
-"""Chance of a surface that stays unclean from which a warning names it"""
 
 
 def report(solved: Solved, check: Check | None = None) -> Result:
@@ -85,9 +74,9 @@ def report(solved: Solved, check: Check | None = None) -> Result:
         statistics=statistics,
         tables=tables,
         arrays={**arrays, "rotation": poses.rotation_of(poses.inverse(fit.into))},
-        warnings=(*solved.warnings, *_warnings(solved, surfaces, tables["rejected"])),
+        warnings=(*solved.warnings, *warnings(solved, surfaces, tables["rejected"])),
         shown=tuple(shown),
-        notes=(*_notes(solved, holding), *(check.notes if check is not None else ())),
+        notes=(*notes(solved, holding), *(check.notes if check is not None else ())),
     )
 
 
@@ -220,93 +209,3 @@ def _factor(common: Array, core: Array) -> Array:
     kept = eigenvalues > 1e-12 * eigenvalues.max(initial=0.0)
     factor = basis @ (vectors[:, kept] * np.sqrt(eigenvalues[kept]))
     return np.asarray(factor.reshape(*common.shape[:2], factor.shape[1]))
-
-
-def _notes(solved: Solved, holding: Table) -> Iterator[str]:
-    fit, minimum = solved.fit, solved.minimum
-    least = float(fit.local.overstock.min())
-    largest = f"at most {solved.largest:.3f} mm is possible" if np.isfinite(solved.largest) else "it has no upper limit"
-    yield f"least overstock {least:.3f} mm, minimum {minimum:.3f} mm ({largest})"
-    share = holding.numbers("share")
-    each = [
-        f"{surface} ({point}, {100 * part:.0f} %)"
-        for surface, point, part in zip(holding.texts("surface"), holding.texts("point"), share, strict=True)
-    ]
-    lowest = fit.local.overstock < least + _ALIKE
-    others = int((exchanged(solved, lowest | (fit.duals > 0)) & (fit.duals == 0)).sum())
-    if each and others:
-        more = "1 more is" if others == 1 else f"{others} more are"
-        yield f"held by: {listed(each)}; {more} as low and can hold it as well, so shares are one choice"
-    elif each:
-        yield f"held by: {listed(each)}; without these points the aim '{solved.aim.name}' would be better met"
-    else:
-        yield "held by: no point; the best pose has more than the minimum everywhere"
-    free = motions_without(solved.stock, fit.local, lowest) if solved.aim.name == MOST else []
-    if free:
-        yield f"motions that no point with the least overstock holds, so even overstock decides: {in_a_row(free)}"
-    if solved.prepared.part is not None:
-        yield solved.prepared.part.note
-    if solved.sensitivity.drawn:
-        yield (
-            f"the covariance of the pose is that of {DRAWS} fits to points with drawn errors, since errors exchange "
-            "the points that hold it"
-        )
-
-
-def exchanged(solved: Solved, low: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Return which of the low points (n,) others can stand for: their rows depend on those of the others.
-
-    A point that is as low by chance, such as one that ends a motion which no other holds, has a dual of 0 alone.
-    """
-    rows = solved.fit.local.rows[low]
-    # with the aim `most` the sum of the shares is given, too
-    balanced = np.c_[rows, np.ones(len(rows))] if solved.aim.name == MOST else rows
-    directions, size, _ = np.linalg.svd(balanced, full_matrices=False)
-    fixed = (directions[:, size > _DEPENDENT * size[0]] ** 2).sum(axis=1)
-    found = np.zeros(len(low), dtype=bool)
-    found[low] = fixed < 1 - _DEPENDENT
-    return found
-
-
-def _warnings(solved: Solved, surfaces: Table, rejected: Table) -> Iterator[str]:
-    for reason, what in (("chip", "material is missing"), ("flash", "material stands out")):
-        rows = [row for row, one in enumerate(rejected.texts("reason")) if one == reason]
-        if rows:
-            off = np.abs(rejected.numbers("off")[rows])
-            names = [rejected.texts("point")[row] for row in rows]
-            count = "1 point is" if len(rows) == 1 else f"{len(rows)} points are"
-            yield (
-                f"{count} left out as {reason}: {listed(names, 5)}; {what}, up to {off.max():.2f} mm from the level of "
-                "the surface (table rejected); `outliers: report` keeps all points"
-            )
-    minimum, of_used = solved.minimum, solved.fit.local.overstock
-    if minimum < 0:
-        missing = int((of_used < 0).sum())
-        yield (
-            f"the minimum is negative: up to {-minimum:g} mm of material may be missing at a point; "
-            f"it is at {missing} of {len(of_used)} points (overstock below 0)"
-        )
-    low = [
-        f"{point} ({value:.2f} mm)"
-        for point, value in zip(rejected.texts("point"), rejected.numbers("overstock"), strict=True)
-        if value < minimum
-    ]
-    if low:
-        yield f"points left out have less than the minimum overstock, the surface stays unclean there: {listed(low, 5)}"
-    outlying = np.flatnonzero(solved.levels.outlying & solved.used)
-    if outlying.size:
-        names = [solved.prepared.readings.surface_points.names[row] for row in outlying]
-        yield (
-            f"points far from the level of their surface take part: {listed(names, 5)}; "
-            "`outliers: remove` leaves them out"
-        )
-    unclean = [
-        f"{name} ({100 * chance:.0f} %)"
-        for name, chance in zip(surfaces.texts("surface"), surfaces.numbers("below"), strict=True)
-        if chance > _LIKELY
-    ]
-    if unclean and solved.prepared.readings.surface_points.covariance.any():
-        yield (
-            f"chance that the overstock is below the minimum somewhere, by errors of measurement: {in_a_row(unclean)}; "
-            "a larger minimum allows for them"
-        )

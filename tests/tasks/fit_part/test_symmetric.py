@@ -12,7 +12,7 @@ import pytest
 from tasks.fit_part.test_fit import Metrocli, fitted
 
 from metrocli.tasks.fit_part.fit import MOST
-from metrocli.tasks.fit_part.report import exchanged
+from metrocli.tasks.fit_part.sentences import exchanged
 
 SIDE, LEVEL = 100.0, 2.0
 FACES = {f"{axis}{end}": (k, end) for k, axis in enumerate("xyz") for end in (0, 1)}
