@@ -140,7 +140,8 @@ def _keep(job: JobFile, data: dict[str, Any], force: bool, console: Console) -> 
 
     try:
         for path in write_all({job.output.with_suffix(DIAGNOSIS): f"{summary.as_json(data)}\n".encode()}, force):
-            console.print(f"\ndiagnosis: {path}, shown by metrocli report {job.output}")
+            shown = f", shown by metrocli report {job.output}" if job.output.is_file() else ""
+            console.print(f"\ndiagnosis: {path}{shown}")
     except InputError as error:
         echo(f"warning: the diagnosis was not kept: {error}", err=True)
 

@@ -82,7 +82,8 @@ def _counts(network: Network, solution: Solution) -> Iterator[str]:
     m, fewest = len(tracers.members), 3 if network.absolute and not network.unknown.all() else 4
     if m < fewest and not (~tracers.free[:, :3]).all():
         kind = "absolute distances" if network.absolute else "length changes"
-        yield f"there are {m} tracers; positions from {kind} need {fewest} or more, not in one plane{_three(network)}"
+        there_are = "there is 1 tracer" if m == 1 else f"there are {m} tracers"
+        yield f"{there_are}; positions from {kind} need {fewest} or more, not in one plane{_three(network)}"
     per_tracer = int(tracers.free.sum()) / m
     there = int((network.seen > 0).sum())
     needed = math.ceil((per_tracer * m - 6) / (m - 3)) if m > 3 else 0
