@@ -5,14 +5,14 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
 import numpy as np
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
-from metrocli.diagnosis.cross_validation import cross_validated
+from metrocli.diagnosis.cross_validation import Gain, cross_validated
 from metrocli.diagnosis.detectability import Design, design, separations
 from metrocli.diagnosis.extended_fit import (
     extended_fit,
@@ -35,13 +35,14 @@ from metrocli.diagnosis.noise import noise_of
 from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.residual_structure import (
     REPEATS,
+    PureError,
     RemainingStructure,
     log_level_of_strongest,
     other_shape_from,
     pure_error,
     remaining_structure,
 )
-from metrocli.diagnosis.searched import SEED, Say, search_about_solution, with_scatters
+from metrocli.diagnosis.searched import SEED, Say, Searched, search_about_solution, with_scatters
 from metrocli.diagnosis.selection.confidence_set import NamedEffect, confidence_sets
 from metrocli.diagnosis.wrong_readings import wrong_readings
 
@@ -93,14 +94,13 @@ def diagnose(
     tests, fitted = score_tests_after(fit, white, names, searched.units, np.random.default_rng(SEED))
     structure, level = remaining_structure(white, names, tests, fitted)
     repeats = pure_error(job, tests.system, fitted)
-    if structure is None and repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
-        structure = RemainingStructure(repeats.lack_of_fit, (REPEATS,))
+    structure = _structure_of_repeats(repeats) if structure is None else structure
     laws: tuple[Law, ...] = ()
     if job.places:
         say("looking for a law in what no effect explains")
         with attended(job.budget.interrupt):
             laws = laws_in(library, white, structure is not None, ordered)
-        structure = _structure_of(laws) if structure is None else structure
+    structure = _structure_of(laws) if structure is None else structure
     before = _strongest_before(first.beside_white_noise.test_set)
     if structure is None:
         structure = _structure_of_processes(searched.processes, before)
@@ -115,16 +115,7 @@ def diagnose(
         noise=noise,
         noisier_units=searched.units,
         outliers=wrong_readings(searched.selection),
-        findings=tuple(
-            Finding(
-                name,
-                sizes(job, name),
-                gain,
-                _linear_change(searched.job, searched.tests.system, name) if shift is None else shift,
-                other_shape_from(name, tests, noise.ratio),
-            )
-            for name, gain, shift in zip(names, gains, shifts, strict=False)
-        ),
+        findings=tuple(_findings(job, searched, zip(names, gains, shifts, strict=False), tests, noise.ratio)),
         left=structure,
         before=before,
         after=level,
@@ -139,6 +130,26 @@ def diagnose(
         limited=limit if job.budget.ended else None,
         interrupted=job.budget.interrupted,
     )
+
+
+def _findings(
+    job: AdjustedJob,
+    searched: Searched,
+    named: Iterable[tuple[NamedEffect, Gain, float | None]],
+    tests: ScoreTests,
+    noise: float,
+) -> Iterator[Finding]:
+    """Yield the findings of named effects, with the gain of each and the change of the result in the extended fit."""
+    for name, gain, shift in named:
+        change = _linear_change(searched.job, searched.tests.system, name) if shift is None else shift
+        yield Finding(name, sizes(job, name), gain, change, other_shape_from(name, tests, noise))
+
+
+def _structure_of_repeats(repeats: PureError | None) -> RemainingStructure | None:
+    """Return the structure that repeated readings show by their lack of fit."""
+    if repeats is None or repeats.lack_of_fit >= _LACK_OF_FIT:
+        return None
+    return RemainingStructure(repeats.lack_of_fit, (REPEATS,))
 
 
 def _strongest_before(tests: ScoreTests) -> float:

@@ -22,7 +22,8 @@ def hall(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
 def test_one_effect_makes_the_job_clean(hall: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["diagnose", str(hall / "jobs" / "hall.yaml"), "--until-clean", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert (found["verdict"], found["end"]) == ("clean", "clean")
+    assert (found["verdict"], found["end"], found["outliers"]) == ("clean", "clean", [])
+    assert found["noise"]["as_declared"] and found["noise"]["interval"][0] < 1 < found["noise"]["interval"][1]
     (step,) = found["steps"]
     assert step["added"] == ["cable-wrap LT5"] and step["holdout_after"] < 0.6 * step["holdout_before"]
     result, _ = hdf5.read(Path(step["result"]))

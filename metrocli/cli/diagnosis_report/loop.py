@@ -7,6 +7,7 @@ from typing import Any
 from metrocli import units
 from metrocli.cli.diagnosis_report.findings import headline
 from metrocli.cli.diagnosis_report.text_table import text_table
+from metrocli.diagnosis import verdict
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.project.until_clean import Extension, Loop
 
@@ -33,11 +34,12 @@ def _row(number: int, one: Extension, first: Diagnosis) -> tuple[str, ...]:
 
 
 def loop_data(loop: Loop) -> dict[str, Any]:
-    """Return the loop as plain data."""
+    """Return the loop as plain data: verdict, noise and wrong readings at its end, and its steps."""
     unit, job = units.find_unit(*loop.first.job.reading), loop.first.job
     shown = units.find_unit(job.delivered.unit, job.delivered.dimension)
+    last = verdict.as_data(loop.last)
     return {
-        "verdict": loop.last.verdict,
+        **{key: last[key] for key in ("verdict", "noise", "outliers")},
         "end": loop.end,
         "steps": [
             {

@@ -63,8 +63,8 @@ class FittedColumns:
 
     columns: Array
     """Orthonormal columns that are no parts, (rows, k)"""
-    whole: Array | None
-    """The residual (rows,); None if it follows from that of the larger fit"""
+    whole: Array
+    """The residual (rows,), that of the fit with all parts where some are removed"""
     squares: float
     """Sum of squares of the residual, with the part that the declared noise adds (`prior`)"""
     dof: float
@@ -88,10 +88,10 @@ class FittedColumns:
     @cached_property
     def residual(self) -> Array:
         """The residual, (rows,)."""
-        if self.whole is not None or self.parts is None or self.turns is None:
-            return np.zeros(0) if self.whole is None else self.whole
+        if self.parts is None or self.turns is None:
+            return self.whole
         removed = self.turns[1]
-        return np.asarray(self.parts.fitted.residual + self.parts.basis @ (removed @ (removed.T @ self.parts.amounts)))
+        return np.asarray(self.whole + self.parts.basis @ (removed @ (removed.T @ self.parts.amounts)))
 
     def with_columns(self, columns: Array) -> FittedColumns:
         """Return the fit with more columns (rows, q); directions not visible beside the others are ignored."""
@@ -170,7 +170,7 @@ class FittedParts:
         along = turns[1].T @ self.amounts
         larger = self.fitted
         squares, dof = larger.squares + float(along @ along), larger.dof + len(along)
-        return FittedColumns(self.start.basis, None, squares, dof, self.start.prior, self, turns)
+        return FittedColumns(self.start.basis, larger.residual, squares, dof, self.start.prior, self, turns)
 
     def only(self, numbers: Collection[int]) -> FittedParts:
         """Return the fit of some of the parts."""
