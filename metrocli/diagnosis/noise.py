@@ -81,12 +81,12 @@ def noisiest_unit(job: AdjustedJob, system: System, fitted: FittedColumns) -> Un
     taken = system.basis.with_shared(fitted.basis)
     found = []
     for key, name, rows in units:
-        gram = taken.part(rows)
-        redundancy = float(rows.sum()) - gram.trace
+        trace, squares = taken.squares_of_gram(rows)
+        redundancy = float(rows.sum()) - trace
         if redundancy < 1:
             continue
         share = float((fitted.residual[rows] ** 2).sum() / max(fitted.residual @ fitted.residual, 1e-300))
-        second = redundancy - gram.trace + gram.product(gram)
+        second = redundancy - trace + squares
         log_p = log_tail_of_share(share, *moments_of_share(fitted.dof - PRIOR, redundancy, second))
         if key == DECLARED_SIGMA:
             log_p = min(log_p, _log_without(system, fitted, rows))

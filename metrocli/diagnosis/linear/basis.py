@@ -25,8 +25,9 @@ from metrocli.adjust.schur.layout import Layout
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-_DEPENDENT = 1e-10
-"""Singular value of a member's scaled columns, relative to the largest, below which a direction is not seen"""
+
+_FEW = 0.3
+"""Share of the rows with a value below which these rows are gathered"""
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,11 @@ class Basis:
 
     def coordinates(self, values: Array) -> Array:
         """Return `b' values`, (columns, ...), of values (rows, ...)."""
-        flat = _flat(values)
-        found = np.concatenate([self._sparse.T @ flat, self.shared.T @ flat])
+        flat, sparse, shared = _flat(values), self._sparse, self.shared
+        there = np.flatnonzero(flat.any(axis=1))
+        if len(there) < _FEW * len(flat):
+            flat, sparse, shared = flat[there], sparse[there], shared[there]
+        found = np.concatenate([sparse.T @ flat, shared.T @ flat])
         return np.asarray(found.reshape(len(found), *values.shape[1:]))
 
     def combined(self, coordinates: Array) -> Array:
@@ -154,6 +158,16 @@ class Basis:
         for i, j in product(range(q), repeat=2):
             local[:, i, j] = np.bincount(member, values[:, i] * values[:, j], self.members)
         return GramOfRows(local, self._sparse[rows].T @ self.shared[rows], self.shared[rows].T @ self.shared[rows])
+
+    def squares_of_gram(self, rows: Mask) -> tuple[float, float]:
+        """Return trace and sum of squares of the Gram matrix of some rows (mask)."""
+        own = np.flatnonzero(rows)
+        if len(own) < self.shared.shape[1]:
+            # the products of few rows with each other have the same trace and squares
+            among = self.products(own, own)
+            return float(np.trace(among)), float((among**2).sum())
+        gram = self.part(rows)
+        return gram.trace, gram.product(gram)
 
     def holds_whole_members(self, rows: Index) -> bool:
         """Whether some rows contain all rows of each local member that they use."""
@@ -263,29 +277,3 @@ def datum_of(frame: Frame | None, layout: Layout, blocks: Mapping[str, Block]) -
         numbers = layout.columns[frame.datum.block]
         conditions[numbers[numbers >= 0]] = frame.constraint(np.arange(len(numbers)))[numbers >= 0]
     return movements, conditions.T
-
-
-def orthonormal_members(columns: Array, member: Index, members: int) -> tuple[Array, Array]:
-    """Return orthonormal local columns (rows, q) and the inverses (members, q, q): `unknowns = inverse coordinates`.
-
-    `columns` (rows, q) are the derivatives of each row by the unknowns of its member. Directions that no row of a
-    member shows have zero columns.
-    """
-    rows, q = columns.shape
-    basis, inverses = np.zeros((rows, q)), np.zeros((members, q, q))
-    order = np.argsort(member, kind="stable")
-    order = order[member[order] >= 0]
-    counts = np.bincount(member[order], minlength=members)
-    starts = np.cumsum(counts) - counts
-    for count in np.unique(counts[counts > 0]):
-        chosen = np.flatnonzero(counts == count)
-        at = order[starts[chosen][:, None] + np.arange(count)]
-        size = np.linalg.norm(columns[at], axis=1)
-        size = np.where(size > 0, size, 1.0)
-        u, s, vt = np.linalg.svd(columns[at] / size[:, None, :], full_matrices=False)
-        seen = s > _DEPENDENT * np.maximum(s[:, :1], 1e-300)
-        most = u.shape[2]
-        basis[at.ravel()[:, None], np.arange(most)] = (u * seen[:, None, :]).reshape(-1, most)
-        inverse = np.swapaxes(vt, 1, 2) * np.where(seen, 1 / np.where(seen, s, 1.0), 0.0)[:, None, :]
-        inverses[chosen, :, :most] = inverse / size[:, :, None]
-    return basis, inverses

@@ -47,6 +47,10 @@ class Left:
         """
         return Left(self.gram - along @ np.swapaxes(along, 1, 2), self.right - along @ amounts)
 
+    def without_columns(self, along: Array, amounts: Array) -> Left:
+        """Return what is left where orthonormal columns b are removed; arguments as in `with_columns`."""
+        return Left(self.gram + along @ np.swapaxes(along, 1, 2), self.right + along @ amounts)
+
 
 @dataclass
 class Known:
@@ -62,7 +66,7 @@ class FittedColumns:
     """Columns fitted in addition to the unknowns: an orthonormal basis of their visible part, and the residual."""
 
     columns: Array
-    """Orthonormal columns that are no parts, (rows, k)"""
+    """Orthonormal columns of a fit without parts, (rows, k)"""
     whole: Array
     """The residual (rows,), that of the fit with all parts where some are removed"""
     squares: float
@@ -83,7 +87,16 @@ class FittedColumns:
         if self.parts is None:
             return self.columns
         own = self.parts.basis if self.turns is None else self.parts.basis @ self.turns[0]
-        return np.concatenate([self.columns, own], axis=1) if self.columns.shape[1] else own
+        before = self.parts.start.basis
+        return np.concatenate([before, own], axis=1) if before.shape[1] else own
+
+    @property
+    def width(self) -> int:
+        """Number of columns of the basis."""
+        if self.parts is None:
+            return int(self.columns.shape[1])
+        own = len(self.parts.amounts) if self.turns is None else self.turns[0].shape[1]
+        return self.parts.start.width + int(own)
 
     @cached_property
     def residual(self) -> Array:
@@ -98,8 +111,13 @@ class FittedColumns:
         return FittedParts(self).with_part(columns).fitted
 
     def beside(self, columns: Array) -> Array:
-        """Return columns (rows, q) without their part in the fitted basis."""
-        return np.asarray(columns - self.basis @ (self.basis.T @ columns))
+        """Return columns (rows, q) without their part in the fitted basis, which need not be made for it."""
+        if self.parts is None:
+            return np.asarray(columns - self.columns @ (self.columns.T @ columns)) if self.columns.shape[1] else columns
+        along = self.parts.basis.T @ columns
+        if self.turns is not None:
+            along = self.turns[0] @ (self.turns[0].T @ along)
+        return np.asarray(self.parts.start.beside(columns) - self.parts.basis @ along)
 
     def alone(self) -> FittedColumns:
         """Return the fit for other candidates: without what is known of these, and of its parts."""
@@ -137,7 +155,7 @@ class FittedParts:
         start = self.start
         residual = start.residual - self.basis @ self.amounts
         squares = float(residual @ residual) + start.prior
-        return FittedColumns(start.basis, residual, squares, start.dof - len(self.amounts), start.prior, self)
+        return FittedColumns(start.columns, residual, squares, start.dof - len(self.amounts), start.prior, self)
 
     def along(self, key: Key, columns: Columns) -> Array:
         """Return the products of the columns of a family with the basis, (alternatives, q, k)."""
@@ -153,10 +171,9 @@ class FittedParts:
         """Return the fit with one more part (rows, q); directions not visible beside the others are ignored."""
         basis = self.basis if self.parts else np.zeros((len(columns), 0))
         unit = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        own = unit - self.start.basis @ (self.start.basis.T @ unit)
+        own = self.start.beside(unit)
         inside = basis.T @ own
-        left = own - basis @ inside
-        left = left - self.start.basis @ (self.start.basis.T @ left)
+        left = self.start.beside(own - basis @ inside)
         left = left - basis @ (basis.T @ left)
         new = orthonormal(left, VISIBLE)
         grown = [np.pad(part, ((0, new.shape[1]), (0, 0))) for part in self.parts]
@@ -170,7 +187,7 @@ class FittedParts:
         along = turns[1].T @ self.amounts
         larger = self.fitted
         squares, dof = larger.squares + float(along @ along), larger.dof + len(along)
-        return FittedColumns(self.start.basis, larger.residual, squares, dof, self.start.prior, self, turns)
+        return FittedColumns(self.start.columns, larger.residual, squares, dof, self.start.prior, self, turns)
 
     def only(self, numbers: Collection[int]) -> FittedParts:
         """Return the fit of some of the parts."""

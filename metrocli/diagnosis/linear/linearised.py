@@ -15,12 +15,14 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Linear
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout, single_touch, without_elimination
-from metrocli.diagnosis.linear.basis import Basis, Solver, datum_of, orthonormal_members
+from metrocli.diagnosis.linear.basis import Basis, Solver, datum_of
 from metrocli.diagnosis.linear.fitted_columns import orthonormalised
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS, System, by_rows, scatter
 from metrocli.effects.model import Model
 from metrocli.errors import InputError
 
+_DEPENDENT = 1e-10
+"""Singular value of a member's scaled columns, relative to the largest, below which a direction is not seen"""
 _WELL = 1e-5
 """Singular value of unit columns that the Gram matrix still resolves; those that a datum leaves open are 0"""
 
@@ -150,7 +152,7 @@ def _must_fit(model: Model, layout: Layout) -> None:
 def _factored(model: Model, local: _Local, layout: Layout, whole: Layout, rows: _Rows) -> tuple[Basis, Solver, Array]:
     """Return basis, solver and the norm of the column of each unknown."""
     members = len(local.members)
-    own, inverses = orthonormal_members(rows.local, rows.member, members)
+    own, inverses = _orthonormal_members(rows.local, rows.member, members)
     before = Basis(own, rows.member, members, np.zeros((len(own), 0)))
     sizes = np.sqrt((rows.shared**2).sum(axis=0))
     scaled = rows.shared / np.where(sizes > 0, sizes, 1.0)
@@ -183,6 +185,32 @@ def _factored(model: Model, local: _Local, layout: Layout, whole: Layout, rows: 
     np.add.at(squares, rows.member, rows.local**2)
     norms[places[places >= 0]] = np.sqrt(squares[:members][places >= 0])
     return Basis(own, rows.member, members, unit), solver, norms
+
+
+def _orthonormal_members(columns: Array, member: Index, members: int) -> tuple[Array, Array]:
+    """Return orthonormal local columns (rows, q) and the inverses (members, q, q): `unknowns = inverse coordinates`.
+
+    `columns` (rows, q) are the derivatives of each row by the unknowns of its member. Directions that no row of a
+    member shows have zero columns.
+    """
+    rows, q = columns.shape
+    basis, inverses = np.zeros((rows, q)), np.zeros((members, q, q))
+    order = np.argsort(member, kind="stable")
+    order = order[member[order] >= 0]
+    counts = np.bincount(member[order], minlength=members)
+    starts = np.cumsum(counts) - counts
+    for count in np.unique(counts[counts > 0]):
+        chosen = np.flatnonzero(counts == count)
+        at = order[starts[chosen][:, None] + np.arange(count)]
+        size = np.linalg.norm(columns[at], axis=1)
+        size = np.where(size > 0, size, 1.0)
+        u, s, vt = np.linalg.svd(columns[at] / size[:, None, :], full_matrices=False)
+        seen = s > _DEPENDENT * np.maximum(s[:, :1], 1e-300)
+        most = u.shape[2]
+        basis[at.ravel()[:, None], np.arange(most)] = (u * seen[:, None, :]).reshape(-1, most)
+        inverse = np.swapaxes(vt, 1, 2) * np.where(seen, 1 / np.where(seen, s, 1.0), 0.0)[:, None, :]
+        inverses[chosen, :, :most] = inverse / size[:, :, None]
+    return basis, inverses
 
 
 def _orthonormal(columns: Array, rank: int) -> tuple[Array, Array]:

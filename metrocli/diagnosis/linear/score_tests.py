@@ -163,8 +163,16 @@ class ScoreTests:
                 along = parts.products[key][list(chosen)]
             else:
                 along = family.columns.products(parts.basis, chosen)
-            turn = np.eye(len(parts.amounts)) if fitted.turns is None else fitted.turns[0]
-            left = self.left(number, parts.start, chosen).with_columns(along @ turn, turn.T @ parts.amounts)
+            amounts = parts.amounts
+            if fitted.turns is None:
+                left = self.left(number, parts.start, chosen).with_columns(along, amounts)
+            elif key in parts.products:
+                # fewer directions are removed than stay
+                gone = fitted.turns[1]
+                left = self.left(number, parts.fitted, chosen).without_columns(along @ gone, gone.T @ amounts)
+            else:
+                turn = fitted.turns[0]
+                left = self.left(number, parts.start, chosen).with_columns(along @ turn, turn.T @ amounts)
         if chosen is None:
             fitted.known.families[key] = left
         return left

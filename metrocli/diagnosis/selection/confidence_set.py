@@ -83,7 +83,7 @@ def confidence_sets(selection: Selection) -> tuple[NamedEffect, ...]:
 def _named(selection: Selection, one: Chosen, level: float) -> NamedEffect:
     fitted, full = selection.beside(one), selection.fitted(without=selection.around(one))
     alternative = selection.test_set.families[one.family].alternatives[one.number]
-    left = one.columns - fitted.basis @ (fitted.basis.T @ one.columns)
+    left = fitted.beside(one.columns)
     whole = selection.test_set.families[one.family].raw[one.number]
     seen, apart = determined(left, whole), _apart(left, whole)
     left = np.where(seen, left, 0.0)

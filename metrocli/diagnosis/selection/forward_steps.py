@@ -174,7 +174,7 @@ def carried_by_few(test_set: ScoreTests, fitted: FittedColumns, family: int, num
     A polynomial of many terms follows two or three wrong readings; true structure stays significant without them.
     """
     columns = test_set.visible(family, number)
-    left = columns - fitted.basis @ (fitted.basis.T @ columns)
+    left = fitted.beside(columns)
     size = np.maximum(np.linalg.norm(left, axis=0), 1e-300)
     curve = (left / size) @ np.linalg.lstsq(left / size, fitted.residual, rcond=1e-6)[0]
     speaks = np.where(test_set.places >= 0, (curve * fitted.residual)[test_set.places], 0.0).sum(axis=1)
@@ -195,7 +195,7 @@ def _with_outliers(selection: Selection, wrong: Score, fitted: FittedColumns) ->
             break
         if reading not in there and all(_alike(test_set, reading, other) < _ALIKE for other in batch):
             batch.append(reading)
-    _must_be_held(test_set, fitted.basis.shape[1] + len(batch) * test_set.places.shape[1])
+    _must_be_held(test_set, fitted.width + len(batch) * test_set.places.shape[1])
     for reading in batch:
         selection = selection.with_one(Chosen(-1, reading, test_set.of_reading(reading)))
     return selection

@@ -151,7 +151,7 @@ def _outlier_gains(selection: Selection) -> dict[int, Drop]:
         return {}
     base = selection.fitted(without=outliers)
     x = np.concatenate([one.columns for one in outliers], axis=1)
-    x = x - base.basis @ (base.basis.T @ x)
+    x = base.beside(x)
     size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
     inverse = np.linalg.pinv((x / size).T @ (x / size), rcond=1e-11, hermitian=True)
     beta = inverse @ ((x / size).T @ base.residual)
