@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 _FEW = 0.3
 """Share of the rows with a value below which these rows are gathered"""
+_AT_ONCE = 20_000
+"""Rows whose errors are followed to the unknowns at once"""
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Basis:
     def coordinates(self, values: Array) -> Array:
         """Return `b' values`, (columns, ...), of values (rows, ...)."""
         flat, sparse, shared = _flat(values), self._sparse, self.shared
-        there = np.flatnonzero(flat.any(axis=1))
+        there = rows_with_values(flat)
         if len(there) < _FEW * len(flat):
             flat, sparse, shared = flat[there], sparse[there], shared[there]
         found = np.concatenate([sparse.T @ flat, shared.T @ flat])
@@ -239,6 +241,10 @@ class Solver:
 
     def own_change(self, basis: Basis, rows: Index) -> Array:
         """Return the change of each row's own member by a unit error of that row, (rows, size); 0 without a member."""
+        parts = (rows[start : start + _AT_ONCE] for start in range(0, len(rows), _AT_ONCE))
+        return np.concatenate([self._own_change(basis, some) for some in parts])
+
+    def _own_change(self, basis: Basis, rows: Index) -> Array:
         member = basis.member[rows]
         shared = basis.shared[rows, : self.shared.shape[1]] @ self.shared.T
         own = basis.local[rows] - np.einsum("nqg,ng->nq", self.coupling[member], shared)
@@ -259,6 +265,14 @@ class Solver:
             scattered = basis.shared[rows, self.shared.shape[1] :]
             found += np.where(free, np.einsum("nsr,nr->ns", self.random[np.maximum(places, 0)], scattered), 0.0)
         return np.asarray(found)
+
+
+def rows_with_values(columns: Array) -> Index:
+    """Return the rows where any of some columns (rows, k) is not zero."""
+    there = np.zeros(len(columns), dtype=bool)
+    for column in columns.T:
+        there |= column != 0
+    return np.flatnonzero(there)
 
 
 def _flat(values: Array) -> Array:

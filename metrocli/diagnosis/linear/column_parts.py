@@ -14,7 +14,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.diagnosis.linear.basis import Basis
+from metrocli.diagnosis.linear.basis import Basis, rows_with_values
 
 _AT_ONCE = 256
 """Columns whose coordinates are computed at once"""
@@ -34,12 +34,9 @@ class Own:
     @classmethod
     def of(cls, full: Array, own: Mask) -> Own:
         """Return some of the columns (rows, k), chosen by a mask (k,), at the rows where any of them is not zero."""
-        columns = np.flatnonzero(own)
-        there = np.zeros(len(full), dtype=bool)
-        for column in columns:
-            there |= full[:, column] != 0
-        rows = np.flatnonzero(there)
-        return cls(rows, full[np.ix_(rows, columns)])
+        columns = full[:, own]
+        rows = rows_with_values(columns)
+        return cls(rows, columns[rows])
 
 
 @dataclass(frozen=True)
