@@ -114,12 +114,13 @@ def _extended(job: JobFile, diagnosis: Diagnosis, output: Path | None, force: bo
     from metrocli.project import diagnosed
 
     try:
-        return diagnosed.write_extended(job, diagnosis, output, force)
+        written = diagnosed.write_extended(job, diagnosis, output, force)
     except InputError as error:
         if output is not None:
             raise
         echo(f"warning: no extended job was written: {error}", err=True)
         return None
+    return None if written is None else written.path
 
 
 def _data(job: JobFile, diagnosis: Diagnosis, extended: Path | None) -> dict[str, Any]:

@@ -172,7 +172,8 @@ def with_scatters(job: AdjustedJob, searched: Searched, say: Say) -> tuple[Adjus
     scatters: list[Scatter] = []
     while len(scatters) < _KINDS:
         found = all_of_a_kind(searched.selection) or scattered_throughout(searched.selection)
-        if found is None or found.effect.name in {one.found.effect.name for one in scatters}:
+        # the standard deviation of one that is in the model already is tested as any that is declared
+        if found is None or found.effect.name in {one.effect.name for one in job.model.added if one.std}:
             break
         say(f"adjusting with {found.effect.name} at every {found.effect.keys[0]}")
         settled = _with_scatter(job, searched, found, say)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -114,10 +114,19 @@ def _model(node: Node | None) -> str:
     return found.text if found is not None and found.text in FROM_RESIDUALS else ""
 
 
+@dataclass(frozen=True)
+class Extended:
+    """An extended job that was written."""
+
+    path: Path
+    law: Law | None
+    """The law in it; None where there is none, or where the job cannot be adjusted with it"""
+
+
 def write_extended(
     job: JobFile, diagnosis: Diagnosis, path: Path | None = None, force: bool = False, result: Path | None = None
-) -> Path | None:
-    """Write the job extended by the named effects, by default beside it as `NAME.extended.yaml`; return its path.
+) -> Extended | None:
+    """Write the job extended by the named effects, by default beside it as `NAME.extended.yaml`; return it.
 
     `result` is the output of that job, by default `NAME.extended.h5` beside the output of this one.
 
@@ -139,8 +148,9 @@ def write_extended(
         if not others:
             path.unlink()
             return None
-        _write(job, diagnosis, None, place)
-    return path
+        law = None
+        _write(job, diagnosis, law, place)
+    return Extended(path, law)
 
 
 def _adjusts(path: Path) -> bool:

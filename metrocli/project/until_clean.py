@@ -83,7 +83,13 @@ def until_clean(
         number = len(extensions) + 1
         path = job.file.with_name(f"{job.file.stem}.step{number}.yaml")
         result = job.output.with_name(f"{job.output.stem}.step{number}.h5")
-        write_extended(current, gained, path, force, result)
+        extended = write_extended(current, gained, path, force, result)
+        if extended is None or extended.law is None:
+            # the job cannot be adjusted with the law
+            gained = replace(gained, laws=())
+        if not _adds(gained):
+            path.unlink(missing_ok=True)
+            return Loop(first, last, tuple(extensions), End.NOTHING_GAINED)
         current = load(path, Wishes(accept_doubtful=job.accept_doubtful))
         progress(f"{path}: running")
         extensions.append(_extension(path, runner.carry_out(current, force=force), gained))
@@ -96,9 +102,14 @@ def _end(last: Diagnosis, gained: Diagnosis, spent: bool) -> End | None:
         return End.MISTAKEN
     if last.verdict is Verdict.CLEAN:
         return End.CLEAN
-    if not (gained.findings or gained.scatters or gained.laws):
+    if not _adds(gained):
         return End.UNEXPLAINED if last.left is not None and not last.laws else End.NOTHING_GAINED
     return End.MOST if spent else None
+
+
+def _adds(gained: Diagnosis) -> bool:
+    """Return whether something is gained that can be added to the job."""
+    return bool(gained.findings or gained.scatters or gained.laws)
 
 
 def _gaining(diagnosis: Diagnosis) -> Diagnosis:

@@ -9,6 +9,8 @@ import pytest
 
 from metrocli.cli.commands import run
 from metrocli.formats import hdf5
+from metrocli.project import diagnosed
+from metrocli.project.until_clean import End
 
 
 @pytest.fixture
@@ -40,6 +42,17 @@ def test_without_the_cause_a_law_makes_it_clean(hall: Path, capsys: pytest.Captu
     assert len(added) == 1 and added[0].startswith("law ") and added[0].endswith("LT5") and "azimuth" in added[0]
     job = Path(found["steps"][0]["job"]).read_text()
     assert "cause: unknown" in job and "law-1" in job
+
+
+def test_a_law_with_which_the_job_cannot_be_adjusted_ends_it(
+    hall: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (hall / "metrocli.yaml").write_text("project: hall\njobs: [jobs/hall.yaml]\n")
+    monkeypatch.setattr(diagnosed, "_adjusts", lambda path: False)
+    assert run(["diagnose", str(hall / "jobs" / "hall.yaml"), "--until-clean", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["end"], found["steps"]) == (str(End.NOTHING_GAINED), [])
+    assert not (hall / "jobs" / "hall.step1.yaml").exists()
 
 
 def test_with_a_limit_of_extensions_it_ends_there(hall: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -133,8 +133,9 @@ def test_the_extended_job_has_the_model_beside_the_declared_parts(poses: Path, m
     found = carry_out(job)
     assert (found.job.declared, found.job.noise_model, found.job.sharing) == ("5 arcsec", "estimated", 8)
     left = replace(found, left=RemainingStructure(1e-9, ("t_s",)))
-    extended = write_extended(job, left)
-    assert extended is not None
+    written = write_extended(job, left)
+    assert written is not None and written.law is None
+    extended = written.path
     assert "`noise: structured` includes it, as the extended job has it" in of_diagnosis(left, extended)
     assert "noise:\n  encoder: 5 arcsec\n  model: structured\n" in extended.read_text()
     assert metrocli("locate-launch-unit", extended).code == 0
