@@ -140,12 +140,8 @@ def moments_of_share(dof: float, first: float, second: float) -> tuple[float, fl
 def _units(job: AdjustedJob, system: System) -> Iterator[tuple[str, str, Mask]]:
     for key in job.units:
         place = job.model.places[key]
-        for number, name in enumerate(place.names):
-            rows = np.zeros(system.rows, dtype=bool)
-            for group in job.model.readings:
-                index = group.observations.index.get(place.index)
-                if index is not None:
-                    rows |= system.spread(group, (index == number).astype(float)) > 0
+        for name in place.names:
+            rows = system.rows_at({key: name})
             if rows.any():
                 yield key, name, rows
     for name, rows in system.of_several_groups():

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.robust import SAME
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.score_tests import Score, ScoreTests
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection, levels_of
@@ -95,18 +96,28 @@ def _as_wrong_readings(selection: Selection, one: Chosen) -> Selection | None:
         return None
     test_set, own = selection.test_set, (one, *selection.wrong_at(one))
     bare = new = selection.without(*own)
-    changed = test_set.changed_by(one.family, one.number)
+    there = test_set.concerned(one.family, one.number)
     for _ in range(_FEW + len(own) - 1):
-        wrong = test_set.outliers(new.fitted(), changed)
+        wrong = test_set.outliers(new.fitted(), there)
         if test_set.overall(test_set.level(-1, wrong.log_p[wrong.best])) > np.log(WRONG_READING):
             return None
         new = new.with_one(Chosen(-1, wrong.best, test_set.of_reading(wrong.best)))
         left = test_set.score(one.family, new.fitted(), [one.number]).log_p[0]
         if test_set.overall(test_set.level(one.family, float(left))) >= np.log(exit_level(selection, one)):
-            added = new.chosen[len(bare.chosen) :]
-            better = evidence_of(selection, own, bare.fitted(), selection.fitted())
-            return new if evidence_of(new, added, bare.fitted(), new.fitted()) > better - _CLEARLY else None
+            return new if _are_as_good(selection, own, bare, new) else None
     return None
+
+
+def _are_as_good(selection: Selection, own: Sequence[Chosen], bare: Selection, new: Selection) -> bool:
+    """Return whether wrong readings have about the evidence of a name, or are the same to all other readings.
+
+    An exact alias, such as a jump after the first reading of a tracer, differs only in what else was tried.
+    """
+    without, named, wrong = bare.fitted(), selection.fitted(), new.fitted()
+    if wrong.dof >= named.dof and without.squares - wrong.squares > SAME**2 * (without.squares - named.squares):
+        return True
+    added = new.chosen[len(bare.chosen) :]
+    return evidence_of(new, added, without, wrong) > evidence_of(selection, own, without, named) - _CLEARLY
 
 
 def _better(selection: Selection, one: Chosen) -> Chosen | None:
