@@ -71,6 +71,17 @@ def test_a_bad_pose_of_an_image_of_two_or_three_targets_is_no_noise(number: int,
     assert not found.noisier_units
 
 
+def test_noise_of_an_image_that_explains_as_much_stands_beside_the_bad_pose() -> None:
+    """A bad pose of just the least detectable size: more noise in this image looks much like it."""
+    found = diagnose(KINDS["align-part"].case(3047, False).adjusted())
+    (effect,) = as_data(found)["effects"]
+    assert (effect["name"], effect["where"]) == ("bad-pose", {"image": "I016"})
+    (noise,) = effect["alternatives"]
+    assert (noise["name"], noise["where"]) == ("noise", {"image": "I016"}) and 0.05 < noise["odds"] < 1
+    assert found.verdict == "indistinct"
+    assert "noise of image I016" in of_diagnosis(found, None).split("\n\n")[1]
+
+
 def test_a_wrong_first_length_is_no_jump() -> None:
     """Beside the dead path a jump after the first length of a tracer changes just that length."""
     m = lengths.measurement(np.random.default_rng(6), 30)

@@ -109,15 +109,16 @@ def _as_wrong_readings(selection: Selection, one: Chosen) -> Selection | None:
 
 
 def _are_as_good(selection: Selection, own: Sequence[Chosen], bare: Selection, new: Selection) -> bool:
-    """Return whether wrong readings have about the evidence of a name, or are the same to all other readings.
+    """Return whether wrong readings have about the evidence of a name, or one is the same to all other readings.
 
     An exact alias, such as a jump after the first reading of a tracer, differs only in what else was tried.
     """
     without, named, wrong = bare.fitted(), selection.fitted(), new.fitted()
-    if wrong.dof >= named.dof and without.squares - wrong.squares > SAME**2 * (without.squares - named.squares):
-        return True
     added = new.chosen[len(bare.chosen) :]
-    return evidence_of(new, added, without, wrong) > evidence_of(selection, own, without, named) - _CLEARLY
+    same = without.squares - wrong.squares > SAME**2 * (without.squares - named.squares)
+    same &= len(added) <= len(own) and wrong.dof >= named.dof
+    ahead = evidence_of(new, added, without, wrong) - evidence_of(selection, own, without, named)
+    return same or ahead > -_CLEARLY
 
 
 def _better(selection: Selection, one: Chosen) -> Chosen | None:
