@@ -255,15 +255,10 @@ class ScoreTests:
         """Return ln of the p-value of the best family, corrected for all families."""
         return float(log_family(log_level, self.causes))
 
-    def concerned(self, family: int, number: int) -> Mask:
-        """Return which readings an alternative changes, with all others at its place.
-
-        An unknown of the place, such as a dead path, turns a change of all but one reading into a change of that one.
-        """
-        one, alternative = self.families[family], self.alternative(family, number)
-        changed = (one.columns.whole([number], self.system.rows)[:, 0] != 0).any(axis=1)
-        changed |= self.system.rows_at(dict(zip(alternative.effect.keys, alternative.instance, strict=True)))
-        return np.asarray((changed[self.places] & (self.places >= 0)).any(axis=1))
+    def changed_by(self, family: int, number: int) -> Mask:
+        """Return which readings an alternative changes."""
+        whole = self.families[family].columns.whole([number], self.system.rows)[:, 0]
+        return np.asarray(((whole != 0).any(axis=1)[self.places] & (self.places >= 0)).any(axis=1))
 
     def keys_of(self, reading: int) -> dict[str, str]:
         """Return the keys that identify a reading, with its component if the components are tested one by one."""
