@@ -114,6 +114,18 @@ def false_alarms(kind: str, place: str, model: Model, critical: float, count: in
     return Statement(kind, place, f"|w| above {critical:.3f} without an error in at most 5 %", "5 %", check)
 
 
+def degrees_of_freedom(kind: str, place: str, model: Model, dof: int) -> Statement:
+    """Return the degrees of freedom: the mean of the sums of squares of residuals."""
+
+    def check(rng: Rng) -> Simulated:
+        sums = np.array([float((model.adjusted(model.read(rng))[1] ** 2).sum()) for _ in range(TRIALS)])
+        off = float(stats.norm.ppf((1 + _SURE) / 2) * np.sqrt(2 * dof / TRIALS))
+        mean = float(sums.mean())
+        return Simulated(f"{mean:.1f} [{mean - off:.1f}, {mean + off:.1f}]", abs(mean - dof) < off)
+
+    return Statement(kind, place, "degrees of freedom", f"{dof}", check)
+
+
 def global_test(kind: str, place: str, model: Model, facts: Mapping[str, float]) -> Statement:
     """Return the p-value: the share of measurements with a larger sum of squares."""
 

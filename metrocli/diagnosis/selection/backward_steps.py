@@ -84,7 +84,8 @@ def _with_wrong_readings(selection: Selection) -> Selection:
     Two wrong readings of one image together look like a bad pose, and the pose then shows before each of them.
     """
     for one in selection.named:
-        selection = _as_one_wrong_reading(selection, one) or _as_wrong_readings(selection, one) or selection
+        if not selection.around(one):
+            selection = _as_one_wrong_reading(selection, one) or _as_wrong_readings(selection, one) or selection
     return selection
 
 
@@ -94,8 +95,6 @@ def _as_one_wrong_reading(selection: Selection, one: Chosen) -> Selection | None
     Beside its dead path, a jump after the first reading of a tracer is an error of that reading. How many readings
     there are is no evidence for the jump.
     """
-    if selection.around(one):
-        return None
     bare = selection.without(one)
     new = _with_wrong_reading(bare, True)
     if new is None or new.fitted().dof < selection.fitted().dof or _is_needed(selection, one, new):
@@ -109,8 +108,6 @@ def _as_wrong_readings(selection: Selection, one: Chosen) -> Selection | None:
 
     Selected wrong readings at its place are part of its explanation: beside the true ones they may not be needed.
     """
-    if selection.around(one):
-        return None
     test_set, own = selection.test_set, (one, *selection.wrong_at(one))
     bare = new = selection.without(*own)
     changed = test_set.changed_by(one.family, one.number)
