@@ -136,7 +136,8 @@ def _is_needed(selection: Selection, one: Chosen, beside: Selection) -> bool:
     """Return whether a member of a selection would be significant beside another selection."""
     test_set = selection.test_set
     left = test_set.score(one.family, beside.fitted(), [one.number]).log_p[0]
-    return test_set.overall(test_set.level(one.family, float(left))) < np.log(exit_level(selection, one))
+    level = test_set.overall(test_set.level(one.family, float(left)))
+    return level < float(np.log(exit_level(selection, one)))
 
 
 def _better(selection: Selection, one: Chosen) -> Chosen | None:
