@@ -51,9 +51,11 @@ def _reported(folder: Path, sample: str, *words: str) -> dict[str, Any]:
 def _of_model(
     named: tuple[str, str], model: Model, facts: Mapping[str, Any], stds: Mapping[str, float], unit: str
 ) -> Iterator[list[Statement]]:
-    """Yield what every adjustment states: standard uncertainties, and the global test."""
+    """Yield what every adjustment states: standard uncertainties, global test, degrees of freedom, critical values."""
     yield list(statement.uncertainties(*named, model, stds, unit))
-    yield [statement.global_test(*named, model, facts)]
+    yield [statement.global_test(*named, model, facts), statement.degrees_of_freedom(*named, model, facts["dof"])]
+    if "critical_w" in facts:
+        yield [statement.false_alarms(*named, model, facts["critical_w"], len(model.rows))]
 
 
 def _of_readings(
@@ -63,13 +65,17 @@ def _of_readings(
     sizes = {tuple(row[key] for key in keys): row["detectable"] for row in rows if np.isfinite(row["detectable"])}
     limits = facts["critical_w"], max(1.0, facts["sigma0"])
     yield list(statement.detectable(one.kind, one.place, one.model, sizes, limits))
-    yield [statement.false_alarms(one.kind, one.place, one.model, facts["critical_w"], len(rows))]
 
 
 def _of_diagnosis(one: Diagnosed, report: Mapping[str, Any]) -> Iterator[list[Statement]]:
     """Yield what `diagnose` states."""
     yield [statement.noise_interval(one.kind, one.place, one.model, report["noise"])]
     yield [diagnosed.chance(one, report["structure"]["before"])]
+    yield from _of_sizes(one, report)
+
+
+def _of_sizes(one: Diagnosed, report: Mapping[str, Any]) -> Iterator[list[Statement]]:
+    """Yield from which sizes `diagnose` excludes effects, and what unseen ones hide."""
     yield list(diagnosed.excluded(one, report["candidates"]))
     yield list(diagnosed.hidden(one, report["candidates"]))
 
@@ -133,6 +139,9 @@ def _of_ball_cube(folder: Path) -> Iterator[list[Statement]]:
         }
         yield list(statement.uncertainties(*named, model, stds, "mm"))
         yield _redundancy(named, model, result, ("view", "i", "j", "k", "component"))
+        if job == "views":
+            cube = ball_grid.diagnosed(place, "jobs/views.yaml", model)
+            yield from _of_sizes(cube, _reported(folder, "ball-cube", "diagnose", "jobs/views.yaml"))
 
 
 def _of_machine(folder: Path) -> Iterator[list[Statement]]:
@@ -156,6 +165,8 @@ def _of_machine(folder: Path) -> Iterator[list[Statement]]:
     yield list(statement.uncertainties(*named, model, stds, "mm (U/2)"))
     yield list(three_axes.volume(*named, model, samples.stated(result, "volumetric")))
     yield _redundancy(named, model, result, ("point", "station"), "redundancy_length")
+    seen = three_axes.diagnosed(folder / "machine-lengths", "jobs/lengths.yaml", model)
+    yield from _of_sizes(seen, _reported(folder, "machine-lengths", "diagnose", "jobs/lengths.yaml"))
 
 
 def sorts(folder: Path) -> Iterator[list[Statement]]:
@@ -174,7 +185,7 @@ def sorts(folder: Path) -> Iterator[list[Statement]]:
     }
     seen = {key: move for key, move in moves.items() if np.isfinite(move).all()}
     yield list(statement.moved_points("multilaterate", "gear-m3d3", gear, seen))
-    yield [statement.global_test("multilaterate", "gear-m3d3", gear, facts)]
+    yield from _of_model(("multilaterate", "gear-m3d3"), gear, facts, {}, "")
     network = samples.diagnosed_gear(folder / "gear-m3d3", job, gear)
     yield from _of_readings(network, facts, rows, ("point", "tracer"))
     yield from _of_diagnosis(network, _reported(folder, "gear-m3d3", "diagnose", job))

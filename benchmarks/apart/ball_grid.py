@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.apart.diagnosed import Diagnosed
 from benchmarks.apart.model import Array, Model
-from benchmarks.apart.samples import numbers, table
+from benchmarks.apart.samples import numbers, rewritten, table
+from benchmarks.hidden import grids
 from benchmarks.hidden.scenes import rotation
 
 _PITCH, _NOISE = 65.0, 5e-3
@@ -83,3 +87,29 @@ def ball_grid(folder: Path, lengths: bool) -> Model:
     keys = [(row["view"], row["i"], row["j"], row["k"], a) for row in rows for a in "xyz"]
     sigma = np.concatenate([np.full(3 * len(rows), _NOISE), [float(row["sigma_mm"]) for row in bars]])
     return Model(predict, sigma, zero, quantities, {key: i for i, key in enumerate(keys)})
+
+
+def diagnosed(folder: Path, job: str, model: Model) -> Diagnosed:
+    """Return the ball cube without calibrated lengths as it is diagnosed with other readings."""
+    rows, grid = table(folder / "data/views.csv"), grids.views("1234")
+    view = np.array([grid.names.index(row["view"]) for row in rows])
+    indices = numbers(rows, "i", "j", "k").astype(int).tolist()
+    ball = np.array([grid.balls.tolist().index(one) for one in indices])
+    time = numbers(rows, "t_s")[:, 0]
+    seen = grids.Measurement(replace(grid, view=view, ball=ball), time, np.zeros(len(rows)), np.zeros((len(rows), 3)))
+
+    def change(name: str, where: Mapping[str, str], values: Mapping[str, float]) -> Array:
+        at = {"view": float(grid.names.index(where["view"])), "axis": float("xyz".index(where.get("axis", "x")))}
+        return np.asarray(grids.change(seen, name, at | dict(values)).ravel())
+
+    def write(copy: Path, readings: Array) -> None:
+        columns = zip("xyz", readings.reshape(-1, 3).T.tolist(), strict=True)
+        rewritten(copy / "data/views.csv", rows, {f"{axis}_mm": values for axis, values in columns})
+
+    def moved(one: Array, other: Array) -> float:
+        off = [of(one) - of(other) for name, of in model.quantities.items() if name.startswith("machine")]
+        return float(np.linalg.norm(np.array(off).reshape(-1, 3), axis=1).max())
+
+    wanted = ("artefact-expansion", "artefact-bending", "drift-in-view", "axis-expansion")
+    parameters = {name: grids.PARAMETERS[name] for name in wanted}
+    return Diagnosed("selfcal-grid", "ball-cube views", folder, job, model, write, parameters, change, moved)

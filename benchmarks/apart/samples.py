@@ -144,7 +144,7 @@ def diagnosed_gear(folder: Path, job: str, model: Model) -> Diagnosed:
         return np.concatenate([changed, np.zeros(k)])
 
     def write(copy: Path, readings: Array) -> None:
-        _rewritten(copy / "data/lengths.csv", rows, {"length_mm": readings[: len(rows)].tolist()})
+        rewritten(copy / "data/lengths.csv", rows, {"length_mm": readings[: len(rows)].tolist()})
 
     def moved(one: Array, other: Array) -> float:
         ends = [_aligned(x[: 3 * n].reshape(n, 3), points) for x in (one, other)]
@@ -170,7 +170,7 @@ def diagnosed_launch_unit(folder: Path, job: str, model: Model) -> Diagnosed:
         columns: dict[str, list[Any]] = {f"phi{i + 1}_rad": row.tolist() for i, row in enumerate(angles)}
         distances = iter(readings[4 * len(poses) :].tolist())
         columns["distance_mm"] = [next(distances) if one else "" for one in has]
-        _rewritten(copy / "data/table.csv", poses, columns)
+        rewritten(copy / "data/table.csv", poses, columns)
 
     def moved(one: Array, other: Array) -> float:
         return float(np.linalg.norm((one - other)[:3]))
@@ -179,7 +179,7 @@ def diagnosed_launch_unit(folder: Path, job: str, model: Model) -> Diagnosed:
     return Diagnosed("locate-launch-unit", "xm60 table", folder, job, model, write, parameters, change, moved)
 
 
-def _rewritten(path: Path, rows: list[dict[str, str]], columns: Mapping[str, list[Any]]) -> None:
+def rewritten(path: Path, rows: list[dict[str, str]], columns: Mapping[str, list[Any]]) -> None:
     """Write rows with other values in some columns."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, rows[0].keys())

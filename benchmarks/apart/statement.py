@@ -45,9 +45,13 @@ def of_share(hits: int, trials: int, least: float, most: float) -> Simulated:
     return Simulated(text, low <= most and high >= least)
 
 
-def of_spread(values: Array, claimed: float) -> Simulated:
-    """Return the standard deviation of simulated values, which holds if its interval contains what was claimed."""
-    n, std = len(values) - 1, float(np.std(values, ddof=1))
+def of_spread(values: Array, claimed: float, truth: float | None = None) -> Simulated:
+    """Return the standard deviation of simulated values, which holds if its interval contains what was claimed.
+
+    It is that from the truth, which contains a bias, where the truth is known.
+    """
+    n = len(values) - (truth is None)
+    std = float(np.sqrt(((values - (values.mean() if truth is None else truth)) ** 2).sum() / n))
     low, high = (std * float(np.sqrt(n / stats.chi2.ppf(p, n))) for p in ((1 + _SURE) / 2, (1 - _SURE) / 2))
     return Simulated(f"{std:.3g} [{low:.3g}, {high:.3g}]", low <= claimed <= high)
 
@@ -58,12 +62,12 @@ def of_value(value: float, claimed: float, share: float = _DIGITS) -> Simulated:
 
 
 def uncertainties(kind: str, place: str, model: Model, stated: Mapping[str, float], unit: str) -> Iterable[Statement]:
-    """Yield the standard uncertainties: the scatter of adjusted simulated readings."""
+    """Yield the standard uncertainties: the errors of what adjusted simulated readings give."""
 
     def check(name: str) -> Callable[[Rng], Simulated]:
         def simulated(rng: Rng) -> Simulated:
             found = [model.quantities[name](model.adjusted(model.read(rng))[0]) for _ in range(TRIALS)]
-            return of_spread(np.array(found), stated[name])
+            return of_spread(np.array(found), stated[name], model.quantities[name](model.truth))
 
         return simulated
 
@@ -108,6 +112,18 @@ def false_alarms(kind: str, place: str, model: Model, critical: float, count: in
         return of_share(alarms, TRIALS, 0.0, 0.05)
 
     return Statement(kind, place, f"|w| above {critical:.3f} without an error in at most 5 %", "5 %", check)
+
+
+def degrees_of_freedom(kind: str, place: str, model: Model, dof: int) -> Statement:
+    """Return the degrees of freedom: the mean of the sums of squares of residuals."""
+
+    def check(rng: Rng) -> Simulated:
+        sums = np.array([float((model.adjusted(model.read(rng))[1] ** 2).sum()) for _ in range(TRIALS)])
+        off = float(stats.norm.ppf((1 + _SURE) / 2) * np.sqrt(2 * dof / TRIALS))
+        mean = float(sums.mean())
+        return Simulated(f"{mean:.1f} [{mean - off:.1f}, {mean + off:.1f}]", abs(mean - dof) < off)
+
+    return Statement(kind, place, "degrees of freedom", f"{dof}", check)
 
 
 def global_test(kind: str, place: str, model: Model, facts: Mapping[str, float]) -> Statement:

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.apart.diagnosed import Diagnosed
 from benchmarks.apart.model import Array, Model
-from benchmarks.apart.samples import numbers, stated, table
+from benchmarks.apart.samples import numbers, rewritten, stated, table
 from benchmarks.apart.statement import Rng, Simulated, Statement, of_value
+from benchmarks.hidden import lengths
 
 KNOTS = {"X": np.linspace(0, 600, 7), "Y": np.linspace(-260, 260, 6), "Z": np.linspace(-500, 0, 6)}
 TOOLS = {"T1": (0.0, 0.0, 120.0), "T2": (110.0, 20.0, 150.0), "T3": (-30.0, 100.0, 210.0)}
@@ -44,6 +46,12 @@ def errors_at(x: Array, at: Array, tool: Array) -> Array:
     a0z, b0z, c0y = x[_ENDS[-1] : _ENDS[-1] + 3]
     _, y, z = at.T
     return np.asarray(error + np.stack([-c0y * y + b0z * z, -a0z * z, 0 * z], axis=1))
+
+
+def linear_errors(x: Array) -> list[Array]:
+    """Return the three linear errors at the knots of each axis, (knots, 3) each."""
+    tables = _tables(x)
+    return [np.stack([tables[f"E{letter}{axis}"] for letter in "XYZ"], axis=1) for axis in "XYZ"]
 
 
 def _slope(x: Array, name: str) -> float:
@@ -153,3 +161,38 @@ def volume(kind: str, place: str, model: Model, stated: Iterable[Mapping[str, An
         yield said(tool, "mean error over the volume", row["mean_error"], lambda sizes=sizes: float(sizes.mean()))
         yield said(tool, "largest error over the volume", row["largest_error"], lambda sizes=sizes: float(sizes.max()))
         yield said(tool, "uncertainty over the volume", row["uncertainty"], lambda tool=tool: spread(tool))
+
+
+def diagnosed(folder: Path, job: str, model: Model) -> Diagnosed:
+    """Return the machine from lengths as it is diagnosed with other lengths."""
+    rows, places = table(folder / "data/lengths.csv"), stated(folder / "results/lengths.h5", "stations")
+    names = [row["station"] for row in places]
+    at, tools = numbers(rows, "x_mm", "y_mm", "z_mm"), np.array([TOOLS[row["tool"]] for row in rows])
+    station = np.array([names.index(row["station"]) for row in rows])
+    own, time = np.array([[row[axis] for axis in "xyz"] for row in places]), numbers(rows, "t_s")[:, 0]
+    each, still = np.arange(len(rows)), np.zeros(len(rows))
+    seen = lengths.Measurement(at + tools, own, at + tools, own, each, station, time, still, still)
+
+    def change(name: str, where: Mapping[str, str], values: Mapping[str, float]) -> Array:
+        if "tracer" in where:
+            return lengths.signature(name, names.index(where["tracer"]), values)(seen)
+        moved, elapsed = np.zeros_like(at), (time - time.min())[:, None]
+        if name == "thermal-growth":
+            axis = "xyz".index(where["axis"])
+            moved[:, axis] = values["rate"] * elapsed[:, 0] * at[:, axis]
+        elif name == "load-sag":
+            moved[:, 2] = values["c"] * at[:, "xyz".index(where["pair"][0])] * at[:, "xyz".index(where["pair"][1])]
+        else:
+            moved = elapsed * np.array([values["vx"], values["vy"], values["vz"]])
+        return np.asarray((moved * seen.beam).sum(axis=1) / seen.distance)
+
+    def write(copy: Path, readings: Array) -> None:
+        rewritten(copy / "data/lengths.csv", rows, {"length_mm": readings.tolist()})
+
+    def moved(one: Array, other: Array) -> float:
+        ends = [linear_errors(x) for x in (one, other)]
+        return max(float(np.linalg.norm(a - b, axis=1).max()) for a, b in zip(*ends, strict=True))
+
+    parameters = {"thermal-growth": ("rate",), "load-sag": ("c",), "machine-drift": ("vx", "vy", "vz")}
+    parameters |= {"tracer-scale": ("scale",), "dead-path-drift": ("rate",), "tracer-drift": ("vx", "vy", "vz")}
+    return Diagnosed("calibrate-machine", "machine-lengths", folder, job, model, write, parameters, change, moved)

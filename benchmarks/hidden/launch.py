@@ -38,6 +38,8 @@ OUTSIDE = ("_launch-creep", "_encoder-sine", "_third-harmonic", "_warm-up")
 _SIZES = {"angle": 1e-5, "tx": 1e-5, "ty": 1e-5, "c1": 1e-5, "s1": 1e-5, "c2": 1e-5, "s2": 1e-5, "scale": 1e-6}
 _ONE = 0.9
 """Cosine above which a change is that of a single reading"""
+_DRAWS = 500
+"""Draws of an effect after which the measurement is drawn again"""
 
 
 @dataclass(frozen=True)
@@ -230,12 +232,15 @@ def nearest(m: Measurement, seen: Array, name: str, where: Mapping[str, str]) ->
 def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -> tuple[Measurement, Hidden]:
     """Return the measurement with an effect of so many times its least detectable size in a random direction.
 
-    One that would be seen in a single reading (a bad pose by its distance) is drawn again, since it is an outlier.
+    One that would be seen in a single reading (a bad pose by its distance) is drawn again, since it is an outlier. A
+    measurement in which any would be, such as one with a first pose long before all others, is drawn again as well.
     """
     options = places(m, name) if name in PARAMETERS else [{}]
     names = PARAMETERS.get(name, ("c",))
-    seen, where, values = np.ones(1), options[0], dict[str, float]()
+    seen, where, values, draws = np.ones(1), options[0], dict[str, float](), 0
     while np.abs(seen).max() > _ONE * np.linalg.norm(seen):
+        draws += 1
+        m = m if draws % _DRAWS else measurement(rng, m.distances)
         where = options[int(rng.integers(len(options)))]
         values = {"row": float(rng.integers(4)), "phase": float(rng.uniform(0, 6))}
         values |= {"period": float(rng.uniform(940, 2250))}

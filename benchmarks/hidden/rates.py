@@ -120,7 +120,7 @@ def each_in_sets(one: Found) -> bool:
 
 def sole(one: Found) -> bool:
     findings = one.diagnosis.findings
-    return len(findings) == 1 and _is(findings[0], one.case.hidden[0]) and not findings[0].effect.rivals
+    return len(findings) == 1 and _is(findings[0], one.case.hidden[0]) and not findings[0].instead
 
 
 def _told_apart(one: Found) -> bool:

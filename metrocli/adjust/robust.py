@@ -31,7 +31,7 @@ _CONTROLLED = 1e-6
 """Redundancy below which a reading is uncontrolled"""
 _ODDS = 6.0
 """Difference of two squared tests below which the odds are under e^3 = 20 to 1"""
-_SAME = 0.99
+SAME = 0.99
 """Correlation above which two tests are the same"""
 _ROUNDS = 12
 _NEAR = 0.1
@@ -147,7 +147,7 @@ def as_likely(squares: Array) -> Mask:
     largest: an error of one shows in the others as `rho^2 w^2`.
     """
     most = float(squares.max(initial=0.0))
-    return np.asarray((squares > most - _ODDS) | (squares > _SAME**2 * most))
+    return np.asarray((squares > most - _ODDS) | (squares > SAME**2 * most))
 
 
 @dataclass(frozen=True)

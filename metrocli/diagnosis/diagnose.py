@@ -31,7 +31,7 @@ from metrocli.diagnosis.linear.memory import must_fit
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.noise import noise_of
+from metrocli.diagnosis.noise import noise_as_likely, noise_of
 from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.residual_structure import (
     REPEATS,
@@ -142,7 +142,8 @@ def _findings(
     """Yield the findings of named effects, with the gain of each and the change of the result in the extended fit."""
     for name, gain, shift in named:
         change = _linear_change(searched.job, searched.tests.system, name) if shift is None else shift
-        yield Finding(name, sizes(job, name), gain, change, other_shape_from(name, tests, noise))
+        as_likely = noise_as_likely(searched.job, searched.selection, name.chosen)
+        yield Finding(name, sizes(job, name), gain, change, other_shape_from(name, tests, noise), as_likely)
 
 
 def _structure_of_repeats(repeats: PureError | None) -> RemainingStructure | None:

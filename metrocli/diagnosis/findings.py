@@ -20,6 +20,7 @@ from metrocli.diagnosis.residual_structure import (
     RemainingStructure,
 )
 from metrocli.diagnosis.searched import Scatter
+from metrocli.diagnosis.selection.all_of_a_kind import Instead
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.diagnosis.wrong_readings import Outlier
 
@@ -50,6 +51,13 @@ class Finding:
     """Largest change of the delivered result by it"""
     other_shape_from: float
     """Relative difference in shape from which another cause would have been detected beside it (80 % power)"""
+    noise: tuple[Instead, ...] = ()
+    """Larger noise of the readings at its place, such as its image, that explains them as well"""
+
+    @property
+    def instead(self) -> tuple[str, ...]:
+        """What explains the readings as well, in words."""
+        return (*(str(one.alternative) for one in self.effect.rivals), *map(str, self.noise))
 
 
 @dataclass(frozen=True)
@@ -101,5 +109,5 @@ class Diagnosis:
             return Verdict.UNEXPLAINED
         if not self.findings and not self.scatters:
             return Verdict.CLEAN
-        rivals = [one.effect.rivals for one in self.findings] + [one.found.rivals for one in self.scatters]
-        return Verdict.INDISTINCT if any(rivals) else Verdict.EXPLAINED
+        instead = [one.instead for one in self.findings] + [one.found.rivals for one in self.scatters]
+        return Verdict.INDISTINCT if any(instead) else Verdict.EXPLAINED

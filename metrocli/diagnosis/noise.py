@@ -17,8 +17,9 @@ from metrocli.diagnosis.linear.distributions import chi_interval, log_tail
 from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns
 from metrocli.diagnosis.linear.projection import FEWEST, READING, System
 from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood
+from metrocli.diagnosis.selection.all_of_a_kind import AS_MUCH, Instead
 from metrocli.diagnosis.selection.backward_steps import evidence_of
-from metrocli.diagnosis.selection.selection_state import Selection
+from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 
 _LEVEL = 1e-3
 """Level at which a unit counts as noisier or quieter, divided by the number of units"""
@@ -107,8 +108,20 @@ def noise_instead(job: AdjustedJob, selection: Selection) -> Unit | None:
     test beside all names. So the noise is held against it: by its restricted likelihood, with its variance as one
     parameter and its choice among all units (Schwarz 1978).
     """
+    ahead = [(by, unit) for by, unit, _ in _held_against_names(job, selection) if by > 0]
+    return max(ahead, key=lambda pair: pair[0])[1] if ahead else None
+
+
+def noise_as_likely(job: AdjustedJob, selection: Selection, one: Chosen) -> tuple[Instead, ...]:
+    """Return the noise of each unit that explains the readings about as well as a name there."""
+    held = [(by, unit) for by, unit, own in _held_against_names(job, selection) if any(one is other for other in own)]
+    return tuple(Instead("noise", {unit.key: unit.name}, float(np.exp(by))) for by, unit in held if by > -AS_MUCH)
+
+
+def _held_against_names(job: AdjustedJob, selection: Selection) -> Iterator[tuple[float, Unit, list[Chosen]]]:
+    """Yield ln of the odds of the noise of each unit, the unit, and the names and wrong readings that it stands for."""
     test_set, system = selection.test_set, selection.test_set.system
-    units, found = list(_units(job, system)), []
+    units = list(_units(job, system)) if selection.named else []
     for key, name, rows in units:
         own = [one for one in selection.named if selection.alternative(one).where.get(key) == name]
         if rows.sum() > _MOST_ROWS * sum(one.columns.shape[1] for one in own):
@@ -121,9 +134,8 @@ def noise_instead(job: AdjustedJob, selection: Selection) -> Unit | None:
         log_ratio, ratio, choice = scatter.best(), _ratio(system, bare, rows), float(np.log(len(units)))
         ahead = scatter.gain(log_ratio) - float(np.log(bare.dof)) / 2 - choice
         ahead -= evidence_of(selection, own, bare, selection.fitted())
-        if ahead > 0 and ratio > _APART:
-            found.append((ahead, Unit(key, name, ratio, scatter.log_level(log_ratio) + choice)))
-    return max(found, key=lambda pair: pair[0])[1] if found else None
+        if ratio > _APART:
+            yield ahead, Unit(key, name, ratio, scatter.log_level(log_ratio) + choice), own
 
 
 def moments_of_share(dof: float, first: float, second: float) -> tuple[float, float]:
@@ -140,12 +152,8 @@ def moments_of_share(dof: float, first: float, second: float) -> tuple[float, fl
 def _units(job: AdjustedJob, system: System) -> Iterator[tuple[str, str, Mask]]:
     for key in job.units:
         place = job.model.places[key]
-        for number, name in enumerate(place.names):
-            rows = np.zeros(system.rows, dtype=bool)
-            for group in job.model.readings:
-                index = group.observations.index.get(place.index)
-                if index is not None:
-                    rows |= system.spread(group, (index == number).astype(float)) > 0
+        for name in place.names:
+            rows = system.rows_at({key: name})
             if rows.any():
                 yield key, name, rows
     for name, rows in system.of_several_groups():

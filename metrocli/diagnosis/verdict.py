@@ -134,7 +134,7 @@ def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
         "where": _where(name.alternative),
         "parameters": _parameters(finding),
         "p_value": float(np.exp(name.log_level)),
-        "alternatives": [_rival(rival) for rival in name.rivals],
+        "alternatives": [*map(_rival, name.rivals), *(asdict(one) | {"correlation": None} for one in finding.noise)],
         "by": name.alternative.effect.by or None,
         "forms": [{"by": form.alternative.effect.by, "odds": form.odds} for form in name.forms],
         "other_shape_from": finding.other_shape_from,

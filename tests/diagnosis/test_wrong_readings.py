@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.hidden import launch
+from benchmarks.hidden import launch, lengths
 from benchmarks.hidden_effects import KINDS
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.cli.diagnosis_report.loop import of_loop
@@ -69,3 +69,27 @@ def test_a_bad_pose_of_an_image_of_two_or_three_targets_is_no_noise(number: int,
     (one,) = found.findings
     assert (one.effect.alternative.effect.name, one.effect.alternative.where) == (name, case.hidden[0].where)
     assert not found.noisier_units
+
+
+def test_noise_of_an_image_that_explains_as_much_stands_beside_the_bad_pose() -> None:
+    """A bad pose of just the least detectable size: more noise in this image looks much like it."""
+    found = diagnose(KINDS["align-part"].case(3047, False).adjusted())
+    (effect,) = as_data(found)["effects"]
+    assert (effect["name"], effect["where"]) == ("bad-pose", {"image": "I016"})
+    (noise,) = effect["alternatives"]
+    assert (noise["name"], noise["where"]) == ("noise", {"image": "I016"}) and 0.05 < noise["odds"] < 1
+    assert found.verdict == "indistinct"
+    assert "noise of image I016" in of_diagnosis(found, None).split("\n\n")[1]
+
+
+def test_a_wrong_first_length_is_no_jump() -> None:
+    """Beside the dead path a jump after the first length of a tracer changes just that length."""
+    m = lengths.measurement(np.random.default_rng(6), 30)
+    rows = np.flatnonzero(m.tracer == 2)
+    at = rows[np.argmin(m.t[rows])]
+    length = m.length.copy()
+    length[at] += 15 * m.sigma[at]
+    found = diagnose(replace(m, length=length).adjusted())
+    (wrong,) = as_data(found)["outliers"]
+    assert found.verdict == "clean" and wrong["observation"] == {"point": f"P{m.point[at]}", "tracer": "T2"}
+    assert {"name": "dead-path-jump", "where": {"tracer": "T2"}} in wrong["or_effects"]

@@ -241,7 +241,7 @@ def _row(finding: Finding, adjusted: AdjustedJob) -> tuple[str, ...]:
         str(name.alternative),
         ", ".join(_parameters(finding)),
         _chance(float(np.exp(name.log_level))),
-        listed([str(rival.alternative) for rival in name.rivals], _SHOWN),
+        listed(finding.instead, _SHOWN),
         _reduction(gain),
         _score(gain),
         units.sized(finding.shift, adjusted.delivered.dimension),

@@ -145,6 +145,18 @@ class System:
         full[start : start + d * len(values)] = np.repeat(values, d, axis=0)
         return full
 
+    def rows_at(self, where: Mapping[str, str]) -> Mask:
+        """Return the rows of the readings at a place, such as those of one tracer; an axis or an encoder has none."""
+        found = np.zeros(self.rows, dtype=bool)
+        for group in self.model.readings:
+            inside = np.ones(group.observations.count)
+            for key, name in where.items():
+                place = self.model.places[key]
+                index = group.observations.index.get(place.index)
+                inside *= 0.0 if index is None else index == place.names.index(name)
+            found |= self.spread(group, inside) > 0
+        return found
+
     def run(self, group: Group) -> Run:
         """Return the values and derivatives along the chain of a group."""
         if group.name not in self.runs:

@@ -28,23 +28,24 @@ _PLACES = 6
 """Fewest places whose scatter is looked for though fewer instances are named"""
 _MOST = 2e10
 """Largest product of rows and squared columns for that, a few seconds of CPU time"""
-_AS_MUCH = float(np.log(20.0))
+AS_MUCH = float(np.log(20.0))
 """Difference of log-likelihoods up to which two scatters explain the readings alike"""
 
 
 @dataclass(frozen=True)
 class Instead:
-    """Another scatter that explains the readings as well."""
+    """Another scatter, or a larger noise of some readings, that explains the readings as well."""
 
     name: str
     """Of an effect at all its places, or `noise`"""
     where: Mapping[str, str]
-    """The group of readings that has a noise of its own; empty for an effect"""
+    """The group of readings, or the place, that has a noise of its own; empty for an effect"""
     odds: float
-    """Ratio of its likelihood to that of the scatter that was found"""
+    """Ratio of its likelihood to that of what was found"""
 
     def __str__(self) -> str:
-        return f"{self.name} of {self.where[READING]}" if self.where else f"{self.name} everywhere"
+        place = " ".join(name if key == READING else f"{key} {name}" for key, name in self.where.items())
+        return f"{self.name} of {place}" if self.where else f"{self.name} everywhere"
 
 
 @dataclass(frozen=True)
@@ -106,14 +107,14 @@ def _likeliest(selection: Selection, wanted: Sequence[tuple[Effect, Sequence[Cho
     best, own = found[0]
     others: list[tuple[str, dict[str, str], float]] = [(one.effect.name, {}, one.log_level) for one, _ in found[1:]]
     base = selection.fitted(without=own)
-    if best.log_level > log_level_of(gain_of_larger_noise(base)) - _AS_MUCH:
+    if best.log_level > log_level_of(gain_of_larger_noise(base)) - AS_MUCH:
         return None  # of few readings each shows a place of its own: that is noise
     others += [("noise", {READING: name}, level) for name, level in _noise_of_groups(selection.test_set.system, base)]
     ahead = [best.log_level - level for _, _, level in others]
-    if max(ahead, default=0.0) > _AS_MUCH:
+    if max(ahead, default=0.0) > AS_MUCH:
         return None
     alike = zip(others, ahead, strict=True)
-    return replace(best, rivals=tuple(Instead(*one[:2], float(np.exp(by))) for one, by in alike if by > -_AS_MUCH))
+    return replace(best, rivals=tuple(Instead(*one[:2], float(np.exp(by))) for one, by in alike if by > -AS_MUCH))
 
 
 def estimated_again(found: AllOfAKind, selection: Selection) -> AllOfAKind:

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Mask
+from metrocli.adjust.robust import SAME
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.score_tests import Score, ScoreTests
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection, levels_of
@@ -82,8 +84,23 @@ def _with_wrong_readings(selection: Selection) -> Selection:
     Two wrong readings of one image together look like a bad pose, and the pose then shows before each of them.
     """
     for one in selection.named:
-        selection = _as_wrong_readings(selection, one) or selection
+        if not selection.around(one):
+            selection = _as_one_wrong_reading(selection, one) or _as_wrong_readings(selection, one) or selection
     return selection
+
+
+def _as_one_wrong_reading(selection: Selection, one: Chosen) -> Selection | None:
+    """Return the selection with a wrong reading instead of a name that is the same to all other readings, else None.
+
+    Beside its dead path, a jump after the first reading of a tracer is an error of that reading. How many readings
+    there are is no evidence for the jump.
+    """
+    bare = selection.without(one)
+    new = _with_wrong_reading(bare, True)
+    if new is None or new.fitted().dof < selection.fitted().dof or _is_needed(selection, one, new):
+        return None
+    explained = bare.fitted().squares - np.array([selection.fitted().squares, new.fitted().squares])
+    return new if explained[1] > SAME**2 * explained[0] else None
 
 
 def _as_wrong_readings(selection: Selection, one: Chosen) -> Selection | None:
@@ -91,22 +108,36 @@ def _as_wrong_readings(selection: Selection, one: Chosen) -> Selection | None:
 
     Selected wrong readings at its place are part of its explanation: beside the true ones they may not be needed.
     """
-    if selection.around(one):
-        return None
     test_set, own = selection.test_set, (one, *selection.wrong_at(one))
     bare = new = selection.without(*own)
     changed = test_set.changed_by(one.family, one.number)
     for _ in range(_FEW + len(own) - 1):
-        wrong = test_set.outliers(new.fitted(), changed)
-        if test_set.overall(test_set.level(-1, wrong.log_p[wrong.best])) > np.log(WRONG_READING):
+        more = _with_wrong_reading(new, changed)
+        if more is None:
             return None
-        new = new.with_one(Chosen(-1, wrong.best, test_set.of_reading(wrong.best)))
-        left = test_set.score(one.family, new.fitted(), [one.number]).log_p[0]
-        if test_set.overall(test_set.level(one.family, float(left))) >= np.log(exit_level(selection, one)):
+        new = more
+        if not _is_needed(selection, one, new):
             added = new.chosen[len(bare.chosen) :]
             better = evidence_of(selection, own, bare.fitted(), selection.fitted())
             return new if evidence_of(new, added, bare.fitted(), new.fitted()) > better - _CLEARLY else None
     return None
+
+
+def _with_wrong_reading(selection: Selection, among: Mask | bool) -> Selection | None:
+    """Return the selection with the most significant wrong reading among some; None if it is not significant."""
+    test_set = selection.test_set
+    wrong = test_set.outliers(selection.fitted(), among)
+    if test_set.overall(test_set.level(-1, wrong.log_p[wrong.best])) > np.log(WRONG_READING):
+        return None
+    return selection.with_one(Chosen(-1, wrong.best, test_set.of_reading(wrong.best)))
+
+
+def _is_needed(selection: Selection, one: Chosen, beside: Selection) -> bool:
+    """Return whether a member of a selection would be significant beside another selection."""
+    test_set = selection.test_set
+    left = test_set.score(one.family, beside.fitted(), [one.number]).log_p[0]
+    level = test_set.overall(test_set.level(one.family, float(left)))
+    return level < float(np.log(exit_level(selection, one)))
 
 
 def _better(selection: Selection, one: Chosen) -> Chosen | None:

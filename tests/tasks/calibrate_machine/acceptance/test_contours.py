@@ -10,6 +10,7 @@ from simulated import machine as sim
 
 from metrocli.result import Result
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.acceptance.contours import Profile
 from metrocli.tasks.calibrate_machine.settings import Volume
 
 KNOTS = (5, 5, 5)
@@ -102,3 +103,13 @@ def test_uncertainty_covers_the_truth() -> None:
     squares = np.square(np.concatenate(scores))
     # seven figures that are partly correlated, 6 times: 99.9 % of chi-square with about 18 degrees of freedom
     assert 0.27 < squares.mean() < 2.37
+
+
+def test_points_that_tie_for_an_extreme() -> None:
+    """Of three equal points the largest has mean 0.846284 and variance 0.559467 (order statistics of the normal law)."""
+    far = Profile(np.array([0.0, 0.0, 0.0, -50.0]), np.eye(4), np.eye(4))
+    assert far.range_with_u() == (50.0, pytest.approx(2 * np.sqrt(0.846284**2 + 0.559467 + 1), rel=0.04))
+    common = Profile(np.array([0.0, 0.0, 0.0, -50.0]), np.ones((4, 1)), np.ones((1, 1)))
+    assert common.range_with_u() == (50.0, pytest.approx(0.0, abs=1e-6))
+    alone = Profile(np.array([0.0, -20.0, -50.0]), np.array([[3.0, 0.0], [5.0, 5.0], [-1.0, 0.0]]), np.eye(2))
+    assert alone.range_with_u() == (50.0, pytest.approx(2 * 4, rel=0.04))
