@@ -82,9 +82,10 @@ def diagnose(
     job, searched, scatters = with_scatters(job, searched, say)
     white = searched.beside_white_noise
     library = Library(searched.job, white.test_set.system)
-    if job.places and not searched.processes:
-        searched = replace(searched, selection=without_imitations(library, white))
-        white = searched.selection
+    if job.places:
+        only = without_imitations(library, white, sum(one.gain for one in searched.processes))
+        searched = searched if only is None else searched.with_white_noise(only)
+        white = searched.beside_white_noise
     names = confidence_sets(searched.selection)
     say("cross-validating: predicting parts of the readings from the others")
     gains = cross_validated(searched.job, searched.selection, names, ordered) if names else []
