@@ -78,7 +78,7 @@ class _Test:
     """Sizes of the effect, whose columns are the first of the pool, (n,)"""
     now: Pool
     odds: float | None = None
-    """Odds of the rival, whose columns are the others of the pool; None if there is none"""
+    """Odds of the rival, which has the other columns of the pool; None for an effect alone"""
 
     def powers(self, pool: Pool, grams: Array) -> tuple[Array, Array]:
         """Return the power with amounts of information (k, q, q), and the non-centralities, (k,) each."""
