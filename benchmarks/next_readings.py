@@ -3,9 +3,10 @@
 Networks of tracers with one hidden effect, simulated by plain formulas (benchmarks/hidden/lengths.py), until so many
 diagnoses are indistinct. The five readings that `diagnose --next 5` proposes are simulated with noise of their own and
 added, and the job is diagnosed again; likewise five proposals at random. The causes are separated if the first rival is
-no longer in the confidence set of what is named, and the hidden effect still is.
+no longer in the confidence set of what is named, and the hidden effect still is. The chance that is predicted is held
+against the share that is separated, for proposed and random readings.
 
-    python -m benchmarks next_readings [COUNT]
+    python -m benchmarks next_readings [COUNT [SEED]]
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,10 +23,14 @@ from benchmarks.hidden import lengths
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.next_readings.choice import next_readings
+from metrocli.diagnosis.next_readings.pool import Known, pool_of
 from metrocli.diagnosis.next_readings.proposals import Proposal, proposals
+from metrocli.diagnosis.next_readings.separation import chance_to_separate
 from metrocli.effects.effect import ELAPSED, WARMING
 
-COUNT, READINGS = 20, 5
+COUNT, READINGS, SEED = 20, 5, 79
+_BINS = (0.0, 0.2, 0.5, 0.9, 1.0)
+"""Bounds of the predicted chances that are held together against what is reached"""
 _NAMES = ("dead-path-drift", "tracer-drift", "tracer-scale", "refraction-drift")
 _POINTS, _MOST = 40, 400
 
@@ -40,13 +46,13 @@ class Case:
     diagnosis: Diagnosis
 
 
-def cases(count: int) -> Iterator[Case]:
+def cases(count: int, seed: int = SEED) -> Iterator[Case]:
     """Yield so many measurements with one finding and a rival, of which one is the hidden effect."""
     found = 0
     for number in range(_MOST):
         if found == count:
             return
-        rng = np.random.default_rng([79, number])
+        rng = np.random.default_rng([seed, number])
         m = lengths.measurement(rng, _POINTS)
         name = _NAMES[number % len(_NAMES)]
         at = int(rng.integers(len(m.tracers)))
@@ -115,26 +121,48 @@ def measured(case: Case, made: Sequence[Proposal], rng: np.random.Generator) -> 
 
 def main(arguments: list[str]) -> int:
     """Print predicted and achieved shares; return 1 where the proposed readings achieve 0.1 less than predicted."""
-    count = next((int(word) for word in arguments if word.isdigit()), COUNT)
-    predicted, proposed, random = [], [], []
+    numbers = [int(word) for word in arguments if word.isdigit()]
+    count, seed = [*numbers, *(COUNT, SEED)[len(numbers) :]][:2]
+    proposed: list[tuple[float, bool]] = []
+    random: list[tuple[float, bool]] = []
     before = time.process_time()
-    for number, case in enumerate(cases(count)):
-        rng = np.random.default_rng([80, number])
+    for number, case in enumerate(cases(count, seed)):
+        rng = np.random.default_rng([seed + 1, number])
         found = next_readings(case.diagnosis, READINGS)
         all_of_them = proposals(case.diagnosis.job)
         some = [all_of_them[i] for i in rng.choice(len(all_of_them), READINGS, replace=False)]
-        predicted.append(found.aims[0].after)
-        proposed.append(separated(case, [one.proposal for one in found.readings], rng))
-        random.append(separated(case, some, rng))
+        proposed.append((found.aims[0].after, separated(case, [one.proposal for one in found.readings], rng)))
+        random.append((predicted(case, some), separated(case, some, rng)))
         print(
-            f"{case.name:18} {found.aims[0].why}: power {found.aims[0].before:.2f} to {found.aims[0].after:.2f}; "
-            f"separated: proposed {proposed[-1]}, random {random[-1]}",
+            f"{case.name:18} {found.aims[0].why}: {_words('proposed', *proposed[-1])}, {_words('random', *random[-1])}",
             flush=True,
         )
-    print(f"{len(predicted)} indistinct cases, {(time.process_time() - before):.0f} s of CPU time")
-    print(f"predicted power {np.mean(predicted):.2f} in the mean")
-    print(f"separated by the proposed readings {np.mean(proposed):.2f}, by as many at random {np.mean(random):.2f}")
-    return int(np.mean(proposed) < np.mean(predicted) - 0.1)
+    print(f"{len(proposed)} indistinct cases, {(time.process_time() - before):.0f} s of CPU time")
+    for name, pairs in (("proposed", proposed), ("random", random)):
+        chances, reached = np.array(pairs).T
+        print(f"{name} readings: {chances.mean():.2f} predicted in the mean, {reached.mean():.2f} separated")
+        for low, high in pairwise(_BINS):
+            inside = (chances >= low) & ((chances < high) | (high == 1))
+            if inside.any():
+                mean, share = chances[inside].mean(), reached[inside].mean()
+                print(f"  {low} to {high}: {inside.sum():3} cases, {mean:.2f} predicted, {share:.2f} separated")
+    chances, reached = np.array(proposed).T
+    return int(reached.mean() < chances.mean() - 0.1)
+
+
+def _words(which: str, chance: float, reached: bool) -> str:
+    return f"{which} {chance:.2f} {'separated' if reached else 'not separated'}"
+
+
+def predicted(case: Case, made: Sequence[Proposal]) -> float:
+    """Return the chance that readings separate the cause that is named from its first rival."""
+    effect = case.diagnosis.findings[0].effect
+    rival = effect.rivals[0]
+    known = Known.from_diagnosis(case.diagnosis)
+    now = then = pool_of(case.diagnosis.job, made, [effect.alternative, rival.alternative], (), known)
+    for number in range(len(made)):
+        then = then.with_proposal(number)
+    return chance_to_separate(now, then, len(effect.values), rival.odds)
 
 
 if __name__ == "__main__":

@@ -82,9 +82,12 @@ def diagnose(
     job, searched, scatters = with_scatters(job, searched, say)
     white = searched.beside_white_noise
     library = Library(searched.job, white.test_set.system)
-    if job.places and not searched.processes:
-        searched = replace(searched, selection=without_imitations(library, white))
-        white = searched.selection
+    if job.places:
+        only = without_imitations(library, white, sum(one.gain for one in searched.processes))
+        searched = searched if only is None else searched.with_white_noise(only)
+        white = searched.beside_white_noise
+        if searched.processes:
+            library = Library(searched.job, searched.selection.test_set.system)
     names = confidence_sets(searched.selection)
     say("cross-validating: predicting parts of the readings from the others")
     gains = cross_validated(searched.job, searched.selection, names, ordered) if names else []
@@ -99,13 +102,15 @@ def diagnose(
     if job.places:
         say("looking for a law in what no effect explains")
         with attended(job.budget.interrupt):
-            laws = laws_in(library, white, structure is not None, ordered)
+            # beside a process, which explains the structure, a law has to show as one does without structure
+            structured = structure is not None and not searched.processes
+            laws = laws_in(library, searched.selection, structured, ordered)
     structure = _structure_of(laws) if structure is None else structure
     before = _strongest_before(first.beside_white_noise.test_set)
     if structure is None:
         structure = _structure_of_processes(searched.processes, before)
-    # without an extended fit the law is about the same linearised system, and what it explains is no noise
-    law = next((one for one in laws if one.chosen and fit is None), None)
+    # without an extended fit and processes the law is about the same linearised system; what it explains is no noise
+    law = next((one for one in laws if one.chosen and fit is None and not searched.processes), None)
     noise = noise_of(fitted if law is None else fitted.with_columns(law.columns))
     # what a process adds to the noise is in the tests, so only the white part counts beside it
     white_part = noise_of(searched.selection.fitted()) if searched.processes else noise

@@ -57,6 +57,8 @@ class Process:
     """Internal unit of these readings"""
     log_level: float
     """ln of the level against no such process, counted over the covariates that were tried"""
+    gain: float
+    """By how much it raises the log-likelihood, against readings that are all noisier by one factor"""
     columns: Array
     """Columns Z of its covariance `Z Z'` in units of the noise, (rows, k)"""
     instead_of: tuple[Alternative, ...] = ()
@@ -247,4 +249,4 @@ class _Tried:
         std = float(np.sqrt(means[unit] * seen.squares(self.log_ratio) / seen.dof)) * basis.sigmas[unit]
         level = min(log_level_of(self.gain) + float(np.log(tried)), 0.0)
         spread = std * seen.relative_spread(self.log_ratio)
-        return Process(basis.name, basis.by, one.length, std, spread, unit, level, columns)
+        return Process(basis.name, basis.by, one.length, std, spread, unit, level, self.gain, columns)

@@ -90,6 +90,11 @@ class Searched:
         """The selection beside white noise."""
         return self.selection if self.plain is None else self.plain
 
+    def with_white_noise(self, selection: Selection) -> Searched:
+        """Return the search with a selection beside white noise, and without processes."""
+        tests = self.tests if self.plain is None else selection.test_set
+        return replace(self, tests=tests, selection=selection, processes=(), plain=None)
+
 
 def search_about_solution(job: AdjustedJob, say: Say) -> Searched:
     """Return the selection beside the noise that the readings show, linearised about the job with its large effects."""

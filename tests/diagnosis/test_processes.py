@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks.hidden import launch, lengths
 from benchmarks.hidden.rest import of_each
+from benchmarks.random_laws import planted
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
@@ -14,6 +15,7 @@ from metrocli.diagnosis.linear.knots import around_circle, between_knots
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.random_columns import with_random_columns
 from metrocli.diagnosis.verdict import as_data
+from metrocli.tasks import KINDS
 
 
 def wavering(seed: int, effect: str = "", times: float = 3.0) -> tuple[Diagnosis, str]:
@@ -36,6 +38,26 @@ def test_what_wavers_gets_no_name_and_is_reported() -> None:
         shown = as_data(found)["processes"][0]
         assert shown["of_each"] == "tracer"
         assert shown["std"]["value"] == pytest.approx(1e3 * found.processes[0].std)
+
+
+def test_what_wavers_is_no_law() -> None:
+    """Beside white noise alone a law was found in both."""
+    for seed in (1, 6):
+        rng = np.random.default_rng([77, seed])
+        m = lengths.measurement(rng, int(rng.integers(60, 101)))
+        read = replace(m, length=m.length + of_each(rng, m.t[:, None], m.tracer)[0] * m.sigma)
+        found = diagnose(replace(read.adjusted(), places=KINDS["multilaterate"].task().places))
+        assert found.processes
+        assert found.laws == ()
+
+
+def test_a_step_is_a_law_and_no_process() -> None:
+    """A process along the time can imitate it, but has far less evidence."""
+    one = planted("calibrate-machine", 24)
+    found = diagnose(one.job)
+    assert (one.form, found.processes, found.findings) == ("step", (), ())
+    assert found.law is not None and found.law.part_of_structure > 0.9
+    assert {name for term in found.law.terms for name in term.form.variables} == one.variables
 
 
 def test_an_effect_is_named_beside_what_wavers() -> None:

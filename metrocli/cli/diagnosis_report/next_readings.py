@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from metrocli.cli.diagnosis_report.text_table import text_table
-from metrocli.diagnosis.next_readings.choice import LEVEL, Next
+from metrocli.diagnosis.next_readings.choice import Next
 
 _ENOUGH = 0.95
 """Power above which no further reading is needed"""
@@ -25,4 +25,4 @@ def next_lines(found: Next) -> Iterator[str]:
         yield "what to measure next: readings made once more do not help; the pages of the effects state what does"
     for aim in found.aims:
         after = f", {aim.after:.2f} with these readings" if found.readings else ""
-        yield f"  {aim.why}: power {aim.before:.2f} now{after} (test at {100 * LEVEL:g} %)"
+        yield f"  {aim.why}: power {aim.before:.2f} now{after}"

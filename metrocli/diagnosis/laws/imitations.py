@@ -1,4 +1,4 @@
-"""Effects that only imitate a law: they are named because nothing better was among the candidates.
+"""Effects and smooth processes that only imitate a law: nothing better was among the candidates.
 
 Method: docs/algorithms/laws.md.
 """
@@ -20,25 +20,27 @@ _FAR_MORE = 5.0
 """A law replaces effects if ln of its evidence exceeds theirs by this"""
 
 
-def without_imitations(library: Library, selection: Selection) -> Selection:
-    """Return the selection without those of its effects that only imitate a law.
+def without_imitations(library: Library, selection: Selection, processes: float = 0.0) -> Selection | None:
+    """Return the selection without those of its effects that only imitate a law; None if nothing does.
 
     Effects can imitate a cause that is not among them, as three jumps do a saturation. They are left out if they are
     not significant beside the law, and if the law has far more evidence than they have. The evidence is
     `-n/2 ln S - q/2 ln n - sum ln m`, S the squares left, q the number of sizes, m the number of tests of each member.
+    Smooth processes imitate a law too. `processes` is by how much they raise the log-likelihood beside the effects,
+    which the law has to exceed as well; then they are left out with the effects.
     """
     tests = selection.test_set
-    sought = selection.named and not tests.budget.ended and fits(tests.system)
+    sought = (selection.named or processes) and not tests.budget.ended and fits(tests.system)
     if not sought or not library.families:
-        return selection
+        return None
     bare = _reduced(selection, selection.named)
-    names = _of_names(selection, selection.named)
-    if not _could_exceed(bare, library, names):
-        return selection
+    imitated = _of_names(selection, selection.named) + processes
+    if not _could_exceed(bare, library, imitated):
+        return None
     of_terms, start = tests_of_terms(bare, library)
     steps = forward(Search(of_terms, start, library), LEVEL)
     if not steps:
-        return selection
+        return None
     columns = np.concatenate([one.columns for one in steps], axis=1)
     beside = start.with_columns(columns)
     idle = [one for one in selection.named if _log_level(tests, one, beside) > np.log(LEVEL)]
@@ -48,7 +50,7 @@ def without_imitations(library: Library, selection: Selection) -> Selection:
     counted += [_count(tests, one.family) for one in kept.named]
     scans = sum(one.term.form.scanned is not None for one in steps) + _scans(selection, kept.named)
     law = _evidence(fitted, start, counted, scans)
-    return kept if idle and law > names + _FAR_MORE else selection
+    return kept if (idle or processes) and law > imitated + _FAR_MORE else None
 
 
 def _reduced(selection: Selection, gone: Sequence[Chosen]) -> Selection:
@@ -76,8 +78,8 @@ def _scans(selection: Selection, names: Sequence[Chosen]) -> int:
     return sum(len(selection.test_set.alternative(one.family, one.number).scanned) for one in names)
 
 
-def _could_exceed(bare: Selection, library: Library, names: float) -> bool:
-    """Return whether the best single term could have far more evidence than the names if it were the only one tried."""
+def _could_exceed(bare: Selection, library: Library, imitated: float) -> bool:
+    """Return whether the best single term, if it were the only one tried, could have far more evidence than this."""
     start, plain = plain_tests(bare, library)
     scores = [plain.score(number, start) for number in range(len(plain.families))]
     best = max(
@@ -85,7 +87,7 @@ def _could_exceed(bare: Selection, library: Library, names: float) -> bool:
         for score in scores
         for gain, rank in [(score.gain[score.best], score.rank[score.best])]
     )
-    return bool(best > names + _FAR_MORE)
+    return bool(best > imitated + _FAR_MORE)
 
 
 def _count(tests: ScoreTests, family: int) -> float:

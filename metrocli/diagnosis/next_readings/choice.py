@@ -6,7 +6,7 @@ Method: docs/algorithms/next-readings.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,15 +17,13 @@ from metrocli.diagnosis.detectability import Candidate, Design
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.distributions import power
-from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.next_readings.pool import Pool, Signature, pool_of
+from metrocli.diagnosis.next_readings.pool import Known, Pool, pool_of
 from metrocli.diagnosis.next_readings.proposals import Proposal, proposals
-from metrocli.effects.model import Model
+from metrocli.diagnosis.next_readings.separation import chance_to_separate
 from metrocli.errors import UsageError
 from metrocli.words import suggestion
 
-LEVEL = 0.01
+_LEVEL = 0.01
 """Level of the tests: whether an effect is needed beside another one, or is there at all"""
 _RIVALS, _UNSEEN = 3, 3
 """Largest number of rivals of a finding, and of unseen candidates, that are aimed at together"""
@@ -41,13 +39,12 @@ _EVEN = 1e-6
 
 @dataclass(frozen=True)
 class Aim:
-    """A test that further readings shall decide."""
+    """A question that further readings shall decide."""
 
     why: str
     """In words: separates dead-path-drift LT2 from tracer-drift LT2; shows length-scale"""
-    parameters: int
     before: float
-    """Power with the readings so far"""
+    """Power with the readings so far: to show an effect, or to leave one of two only"""
     after: float
     """Power with the proposed readings as well"""
 
@@ -60,33 +57,59 @@ class NextReading:
     why: str
     """The aim whose power it raises most"""
     power: float
-    """Power of that test with this reading and those before it"""
+    """Power of that aim with this reading and those before it"""
 
 
 @dataclass(frozen=True)
 class Next:
-    """The next readings, in the order in which they help most, and the tests that they decide."""
+    """The next readings, in the order in which they help most, and what they decide."""
 
     readings: tuple[NextReading, ...]
     aims: tuple[Aim, ...]
 
 
+@dataclass(frozen=True)
+class _Test:
+    """The F test of an effect, alone or beside a rival, with the readings so far."""
+
+    why: str
+    parameters: int
+    sizes: Array
+    """Sizes of the effect, whose columns are the first of the pool, (n,)"""
+    now: Pool
+    odds: float | None = None
+    """Odds of the rival, which has the other columns of the pool; None for an effect alone"""
+
+    def powers(self, pool: Pool, grams: Array) -> tuple[Array, Array]:
+        """Return the power with amounts of information (k, q, q), and the non-centralities, (k,) each."""
+        found = pool.noncentrality(grams, self.sizes)
+        dof = max(pool.dof - len(pool.gram), 1)
+        return power(_LEVEL, self.parameters, dof, np.minimum(found, _CERTAIN)), found
+
+    def power(self, pool: Pool) -> float:
+        """Return the power of the test, or the chance to leave the true one of an effect and its rival only."""
+        if self.odds is None:
+            return float(self.powers(pool, pool.gram[None])[0][0])
+        # with the readings so far the rival is in the confidence set
+        return chance_to_separate(self.now, pool, len(self.sizes), self.odds) if len(pool.made) else 0.0
+
+
 def next_readings(diagnosis: Diagnosis, count: int) -> Next:
     """Return the readings that best tell apart what is indistinct, or show what cannot be seen."""
-    job, noise = diagnosis.job, diagnosis.noise.ratio
+    job, known = diagnosis.job, Known.from_diagnosis(diagnosis)
     proposed = proposals(job)
-    pools = list(_of_indistinct(diagnosis, proposed)) if proposed else []
-    if not pools and proposed:
+    tests = list(_of_indistinct(diagnosis, proposed, known)) if proposed else []
+    if not tests and proposed:
         unseen = sorted(filter(_is_unseen, diagnosis.design.candidates), key=lambda one: -one.hides.size)
-        tried = [_of_candidate(job.model, one.alternative, proposed, noise) for one in unseen[:_TRIED]]
-        pools = [one for one in tried if _can_rise(*one, count)][:_UNSEEN]
-    return _chosen(pools, proposed, count)
+        tried = [_of_candidate(job, one.alternative, proposed, known) for one in unseen[:_TRIED]]
+        tests = [one for one in tried if _can_rise(one, count)][:_UNSEEN]
+    return _chosen(tests, proposed, count)
 
 
-def _can_rise(aim: Aim, pool: Pool, count: int) -> bool:
+def _can_rise(test: _Test, count: int) -> bool:
     """Return whether so many proposals can raise the power of a test."""
-    most = pool.noncentrality + count * pool.gains().max()
-    return float(_powers(aim, pool, np.array([most]))[0]) - _power(aim, pool) > _HELPS
+    most, _ = test.powers(test.now, test.now.gram + count * test.now.gains())
+    return float(most.max()) - test.power(test.now) > _HELPS
 
 
 def revealing(job: AdjustedJob, design: Design, wanted: str, count: int) -> Next:
@@ -101,7 +124,7 @@ def revealing(job: AdjustedJob, design: Design, wanted: str, count: int) -> Next
         hint = suggestion(wanted, list(known)) if known else "this job has no candidates"
         raise UsageError(f"--reveal: there is no effect '{wanted}' that this measurement could have; {hint}")
     proposed = proposals(job)
-    return _chosen([_of_candidate(job.model, found, proposed, 1.0)] if proposed else [], proposed, count)
+    return _chosen([_of_candidate(job, found, proposed, Known())] if proposed else [], proposed, count)
 
 
 def _label(alternative: Alternative) -> str:
@@ -112,61 +135,42 @@ def _is_unseen(candidate: Candidate) -> bool:
     return not candidate.testable or candidate.detectable > candidate.plausible
 
 
-def _of_indistinct(diagnosis: Diagnosis, proposed: Sequence[Proposal]) -> Iterator[tuple[Aim, Pool]]:
+def _of_indistinct(diagnosis: Diagnosis, proposed: Sequence[Proposal], known: Known) -> Iterator[_Test]:
     """Yield for each finding and rival the test whether the finding is needed beside the rival."""
-    model, named = diagnosis.job.model, [finding.effect for finding in diagnosis.findings]
+    named = [finding.effect for finding in diagnosis.findings]
     for one in named:
         others = [other.alternative for other in named if other is not one]
         for rival in one.rivals[:_RIVALS]:
-            aim = Aim(f"separates {one.alternative} from {rival.alternative}", int(one.seen.sum()), 0.0, 0.0)
-            shown = _signature(one.alternative, one.values)
-            yield aim, pool_of(model, proposed, [*others, rival.alternative], shown, diagnosis.noise.ratio)
+            why = f"separates {one.alternative} from {rival.alternative}"
+            pool = pool_of(diagnosis.job, proposed, [one.alternative, rival.alternative], others, known)
+            yield _Test(why, int(one.seen.sum()), one.values, pool, rival.odds)
 
 
-def _of_candidate(
-    model: Model, alternative: Alternative, proposed: Sequence[Proposal], noise: float
-) -> tuple[Aim, Pool]:
+def _of_candidate(job: AdjustedJob, alternative: Alternative, proposed: Sequence[Proposal], known: Known) -> _Test:
     """Return the test of an effect of its largest usual size, all its parameters alike."""
     count = len(alternative.parameters)
     sizes = np.full(count, alternative.effect.plausible / np.sqrt(count))
-    pool = pool_of(model, proposed, [], _signature(alternative, sizes), noise)
-    return Aim(f"shows {alternative}", count, 0.0, 0.0), pool
+    return _Test(f"shows {alternative}", count, sizes, pool_of(job, proposed, [alternative], known=known))
 
 
-def _signature(alternative: Alternative, sizes: Array) -> Signature:
-    def found(model: Model, system: System) -> Array:
-        full = signature(model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
-        return np.asarray(full @ sizes)
-
-    return found
-
-
-def _chosen(pools: Sequence[tuple[Aim, Pool]], proposed: Sequence[Proposal], count: int) -> Next:
+def _chosen(tests: Sequence[_Test], proposed: Sequence[Proposal], count: int) -> Next:
     """Return so many proposals, each the one that raises the sum of powers most beside those before it."""
-    aims = [replace(aim, before=_power(aim, pool)) for aim, pool in pools]
-    left = [pool for _, pool in pools]
-    found: list[NextReading] = []
+    before = [test.power(test.now) for test in tests]
+    pools, found = [test.now for test in tests], list[NextReading]()
     while pools and len(found) < count:
-        gains = [pool.gains() for pool in left]
-        reached = np.stack([_powers(a, p, p.noncentrality + g) for a, p, g in zip(aims, left, gains, strict=True)])
-        even = sum(np.log1p(pool.noncentrality + gain) for pool, gain in zip(left, gains, strict=True))
+        with_each = [t.powers(p, p.gram + p.gains()) for t, p in zip(tests, pools, strict=True)]
+        reached = np.stack([powers for powers, _ in with_each])
+        even = sum(np.log1p(noncentralities) for _, noncentralities in with_each)
         best = int(np.argmax(reached.sum(axis=0) + _EVEN * even))
-        rises = [float(now[best]) - _power(aim, pool) for now, aim, pool in zip(reached, aims, left, strict=True)]
-        most = int(np.argmax(rises))
-        left = [pool.made(best) for pool in left]
-        found.append(NextReading(proposed[best], aims[most].why, _power(aims[most], left[most])))
-    aims = [replace(aim, after=_power(aim, pool)) for aim, pool in zip(aims, left, strict=True)]
-    helps = sum(aim.after - aim.before for aim in aims) > _HELPS * len(aims)
+        so_far = [t.powers(p, p.gram[None])[0][0] for t, p in zip(tests, pools, strict=True)]
+        most = int(np.argmax(reached[:, best] - so_far))
+        pools = [pool.with_proposal(best) for pool in pools]
+        found.append(NextReading(proposed[best], tests[most].why, tests[most].power(pools[most])))
+    after = [test.power(pool) for test, pool in zip(tests, pools, strict=True)]
+    helps = sum(after) - sum(before) > _HELPS * len(tests)
+    after = after if helps else before
+    aims = (Aim(test.why, *powers) for test, *powers in zip(tests, before, after, strict=True))
     return Next(tuple(found) if helps else (), tuple(aims))
-
-
-def _power(aim: Aim, pool: Pool) -> float:
-    return float(_powers(aim, pool, np.array([pool.noncentrality]))[0])
-
-
-def _powers(aim: Aim, pool: Pool, noncentralities: Array) -> Array:
-    certain = np.minimum(noncentralities, _CERTAIN)
-    return power(LEVEL, aim.parameters, max(pool.dof - aim.parameters, 1), certain)
 
 
 def as_data(found: Next) -> dict[str, Any]:

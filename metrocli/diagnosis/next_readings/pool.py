@@ -1,104 +1,176 @@
-"""How much of a signature the readings show, and how much more they would show with any of the proposals.
+"""What the readings know about the sizes of effects, and how much more they would know with any of the proposals.
 
-Let J be the whitened derivatives of the readings by all unknowns and g the whitened signature of an effect of a size.
-Its non-centrality is `lambda = |M g|^2` with `M = I - J (J'J)^- J'`. New readings with derivatives K and signature h
-add `e' (I + C)^-1 e`, with what the unknowns cannot absorb of them, `e = h - K (J'J)^- J'g`, and `C = K (J'J)^- K'`:
-recursive least squares. Both follow from one linear system in which the proposals have a very small weight.
+Let J be the whitened derivatives of the readings by all unknowns, G the whitened columns of effects, r the residuals.
+The readings have the information `G'MG` on the sizes of the effects, with `M = I - J (J'J)^- J'`, and the products
+`G'Mr`. New readings with derivatives K and columns H add the information `E' (I + C)^-1 E`, with what the unknowns
+cannot absorb of them, `E = H - K (J'J)^- J'G`, and `C = K (J'J)^- K'`: recursive least squares. All follow from one
+linear system in which the proposals have a very small weight.
 
 Method: docs/algorithms/next-readings.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.extended_fit import weights_of
+from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.quadratics import roots
+from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.next_readings.proposals import Proposal, with_proposals
+from metrocli.diagnosis.noise import Unit
 from metrocli.effects.extension import with_effect
-from metrocli.effects.model import Model
 
 _WEIGHT = 1e-4
-"""Factor on the whitened rows of proposals; their own part in the unknowns is its square"""
+"""Factor on the whitened rows of proposals, and of wrong readings; their own part in the unknowns is its square"""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of the readings so far."""
+
+    noise: float = 1.0
+    """The true noise relative to what is declared"""
+    units: tuple[Unit, ...] = ()
+    """Noisier units"""
+    wrong: tuple[Mapping[str, str], ...] = ()
+    """Keys of wrong readings, which count nothing"""
+
+    @staticmethod
+    def from_diagnosis(diagnosis: Diagnosis) -> Known:
+        """Return what a diagnosis found out about the readings."""
+        wrong = tuple(one.keys for one in diagnosis.outliers)
+        return Known(diagnosis.noise.ratio, diagnosis.noisier_units, wrong)
 
 
 @dataclass(frozen=True)
 class Pool:
-    """The non-centrality of a signature in the readings, and what proposals that are not made yet would add to it."""
+    """The information on the sizes of effects in the readings, and what proposals not made yet would add to it.
 
-    noncentrality: float
+    All is in units of the noise. The effects have q columns together.
+    """
+
+    gram: Array
+    """Information G'MG, (q, q)"""
+    right: Array
+    """Products G'Mr with the residuals of the readings so far, (q,)"""
+    squares: float
+    """Sum of squares of these residuals"""
+    dof: int
+    raw: Array
+    """Norms of the whole columns G, (q,)"""
     left: Array
-    """Part e of each proposed row that the unknowns cannot absorb, (rows,)"""
+    """Part E of each proposed row that the unknowns cannot absorb, (rows, q)"""
     covariance: Array
     """Covariance C of the predictions of all proposed rows, (rows, rows)"""
     rows: tuple[Index, ...]
     """Rows of each proposal"""
-    dof: int
+    made: Array
+    """Rows of the readings that were made, uncorrelated: these add made'made to the information, (m, q)"""
 
     def gains(self) -> Array:
-        """Return what each proposal would add to the non-centrality, (proposals,)."""
-        found = np.zeros(len(self.rows))
+        """Return what each proposal would add to the information, (proposals, q, q)."""
+        q = len(self.gram)
+        found = np.zeros((len(self.rows), q, q))
         for size in {len(rows) for rows in self.rows}:
             alike = [number for number, rows in enumerate(self.rows) if len(rows) == size]
             at = np.stack([self.rows[number] for number in alike])
             inner = np.eye(size) + self.covariance[at[:, :, None], at[:, None, :]]
             e = self.left[at]
-            found[alike] = np.einsum("ka,ka->k", e, np.linalg.solve(inner, e[:, :, None])[:, :, 0])
+            found[alike] = np.swapaxes(e, 1, 2) @ np.linalg.solve(inner, e)
         return found
 
-    def made(self, number: int) -> Pool:
+    def with_proposal(self, number: int) -> Pool:
         """Return the pool after a proposal is carried out; it can be carried out once more."""
         rows = self.rows[number]
-        inner = np.eye(len(rows)) + self.covariance[np.ix_(rows, rows)]
-        across = np.linalg.solve(inner, self.covariance[rows])
-        e = self.left[rows]
+        lower = np.linalg.cholesky(np.eye(len(rows)) + self.covariance[np.ix_(rows, rows)])
+        across = np.linalg.solve(lower, self.covariance[rows])
+        own = np.linalg.solve(lower, self.left[rows])
         return Pool(
-            self.noncentrality + float(e @ np.linalg.solve(inner, e)),
-            self.left - across.T @ e,
-            self.covariance - self.covariance[:, rows] @ across,
-            self.rows,
+            self.gram + own.T @ own,
+            self.right,
+            self.squares,
             self.dof + len(rows),
+            self.raw,
+            self.left - across.T @ own,
+            self.covariance - across.T @ across,
+            self.rows,
+            np.concatenate([self.made, own]),
         )
 
+    def noncentrality(self, gram: Array, sizes: Array) -> Array:
+        """Return `|M g|^2` of the first effect of sizes (n,) beside the columns of the others, (k,).
 
-Signature = Callable[[Model, System], Array]
-"""Returns the whitened signature of an effect of its size in all rows of a system, (rows,)"""
+        `gram` are amounts of information, (k, q, q).
+        """
+        n = len(sizes)
+        root = roots(gram[:, n:, n:], np.broadcast_to(self.raw[n:], (len(gram), len(self.raw) - n)))
+        own, across = gram[:, :n, :n] @ sizes @ sizes, np.einsum("q,kqr,krv->kv", sizes, gram[:, :n, n:], root)
+        return np.asarray(np.maximum(own - (across**2).sum(axis=1), 0.0))
 
 
 def pool_of(
-    model: Model, proposed: Sequence[Proposal], beside: Sequence[Alternative], signature: Signature, noise: float
+    job: AdjustedJob,
+    proposed: Sequence[Proposal],
+    effects: Sequence[Alternative],
+    beside: Sequence[Alternative] = (),
+    known: Known | None = None,
 ) -> Pool:
-    """Return the pool of proposals for a signature beside the unknowns of a model and the effects `beside`.
-
-    `noise` is the true noise relative to what is declared.
-    """
-    whole = with_proposals(model, proposed)
+    """Return the pool of proposals for effects beside the unknowns of a job and the effects `beside`."""
+    known = Known() if known is None else known
+    whole = with_proposals(job.model, proposed)
     for one in beside:
         whole = with_effect(whole, one.effect, [one.instance], dict(one.scanned))
-    old = {group.name: group.observations.count for group in model.groups}
-    weights = {
-        group.name: np.where(np.arange(group.observations.count) < old[group.name], 1.0, _WEIGHT)
-        for group in whole.readings
-    }
-    system = linearised(whole, weights)
+    old = {group.name: group.observations.count for group in job.model.groups}
+    system = linearised(whole, _weights(job, proposed, known, old))
     rows, numbers = _rows_of(system, old, proposed)
-    full = signature(whole, system) / noise
+    columns = [signature(whole, system, one.effect, one.instance, dict(one.scanned)) for one in effects]
+    full = np.concatenate(columns, axis=1) / known.noise
     first = full.copy()
     first[rows] = 0.0
     shown, inside = system.split(first)
     left = (full[rows] - system.basis.combined(inside)[rows]) / _WEIGHT
     basis = system.basis.rows(rows) / _WEIGHT
-    shown[rows] = 0.0
-    return Pool(float(shown @ shown), left, basis @ basis.T, numbers, system.dof - len(rows))
+    residual = system.residual / known.noise
+    shown[rows], residual[rows] = 0.0, 0.0
+    return Pool(
+        shown.T @ shown,
+        shown.T @ residual,
+        float(residual @ residual),
+        system.dof - len(rows),
+        np.linalg.norm(first, axis=0),
+        left,
+        basis @ basis.T,
+        numbers,
+        np.zeros((0, full.shape[1])),
+    )
 
 
-def _rows_of(system: System, old: dict[str, int], proposed: Sequence[Proposal]) -> tuple[Index, tuple[Index, ...]]:
+def _weights(job: AdjustedJob, proposed: Sequence[Proposal], known: Known, old: Mapping[str, int]) -> dict[str, Array]:
+    """Return factors on the whitened readings of each group: of noisier units, of wrong readings, and of proposals."""
+    whole = replace(job, model=with_proposals(job.model, proposed))
+    found = dict(weights_of(whole, known.units))
+    for group in whole.model.readings:
+        keys, count = group.observations.keys, group.observations.count
+        factor = found.get(group.name, np.ones(count)).copy()
+        factor[old[group.name] :] *= _WEIGHT
+        for wrong in known.wrong:
+            same = [np.asarray(keys[key]) == name for key, name in wrong.items() if key in keys]
+            factor[np.all(same, axis=0) & (np.arange(count) < old[group.name])] *= _WEIGHT
+        found[group.name] = factor
+    return found
+
+
+def _rows_of(system: System, old: Mapping[str, int], proposed: Sequence[Proposal]) -> tuple[Index, tuple[Index, ...]]:
     """Return the rows of all proposals in the system, and for each proposal the numbers of its own among these."""
     place = dict(old)
     rows: list[Index] = []

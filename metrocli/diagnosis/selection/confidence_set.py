@@ -74,6 +74,30 @@ class NamedEffect:
         return {**dict(self.alternative.scanned), **dict.fromkeys(self.held, 0.0)}
 
 
+@dataclass(frozen=True)
+class Compared:
+    """Rivals compared with a named effect, (k,) each."""
+
+    cosines: Array
+    """Cosine between the fitted signature of the named effect and the span of the rival's columns"""
+    still_needed: Array
+    """ln of the p-value of the named effect beside the rival"""
+    ranks: Array
+    """Number of visible parameters"""
+
+
+def explains_as_well(rivals: Compared, shown: Array | float, rank: int, log_odds: Array) -> Mask:
+    """Return which rivals explain the readings as well as a named effect of so many visible parameters, (k,).
+
+    `shown` is what the named effect takes off the sum of squares, over the variance; `log_odds` is ln of the ratio of
+    the evidence of each rival to its own.
+    """
+    # the rival makes the named effect unnecessary, or cannot be distinguished from it
+    alike = (1 - rivals.cosines**2) * shown < _DISTINGUISHED
+    instead = (rivals.still_needed > np.log(_NEEDED)) & ((rivals.ranks <= rank) | (rivals.cosines > _NEAR))
+    return np.asarray((log_odds > np.log(_ODDS)) | ((rivals.cosines > _DISTANT) & (alike | instead)))
+
+
 def confidence_sets(selection: Selection) -> tuple[NamedEffect, ...]:
     """Return the effects of a selection, each with its confidence set."""
     levels = dict(zip(map(id, selection.chosen), levels_of(selection), strict=True))
@@ -141,10 +165,9 @@ def _as_likely(selection: Selection, one: Chosen, fitted: FittedColumns, explain
         scores = test_set.score(number, fitted)
         odds = np.exp(np.clip(evidence(test_set, fitted, number, scores) - mine, -700, 700))
         cosines, still_needed = against(test_set, number, fitted, named)
-        # the rival makes the named effect unnecessary, or cannot be distinguished from it
-        alike = (1 - cosines**2) * score.gain[0] < _DISTINGUISHED * full.squares / max(full.dof, 1)
-        instead = (still_needed > np.log(_NEEDED)) & ((scores.rank <= score.rank[0]) | (cosines > _NEAR))
-        explains = (odds > _ODDS) | ((cosines > _DISTANT) & (alike | instead))
+        shown = score.gain[0] / (full.squares / max(full.dof, 1))
+        compared = Compared(cosines, still_needed, scores.rank)
+        explains = explains_as_well(compared, shown, int(score.rank[0]), np.log(odds))
         for at in np.flatnonzero((scores.rank > 0) & explains):
             rival = family.alternatives[at]
             key = rival.spot if rival.spot != own.spot else (rival.effect.by, ())

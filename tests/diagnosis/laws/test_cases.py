@@ -1,6 +1,6 @@
 """Effects of no catalogue that were simulated elsewhere (skipped where they are absent).
 
-One wave and one measurement without an effect; `python -m benchmarks laws` judges all.
+One wave, one measurement without an effect, and a step that a drift and a smooth process imitate; `python -m benchmarks laws` judges all.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from benchmarks import laws
 from metrocli.project.diagnosed import carry_out
 from metrocli.project.job import load
 
-FOLDERS = [folder for folder in laws.folders() if folder.name[:3] in ("004", "007")]
+FOLDERS = [folder for folder in laws.folders() if folder.name[:3] in ("004", "007", "011")]
 
 
 @pytest.mark.skipif(not FOLDERS, reason=f"no cases at {laws.CASES}")

@@ -18,11 +18,13 @@ from benchmarks.hidden import lengths, machine
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
+from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.next_readings.choice import Next, next_readings, revealing
-from metrocli.diagnosis.next_readings.pool import pool_of
+from metrocli.diagnosis.next_readings.pool import Known, Pool, pool_of
 from metrocli.diagnosis.next_readings.proposals import Proposal, proposals, with_proposals
+from metrocli.diagnosis.next_readings.separation import chance_to_separate
 from metrocli.effects.effect import ELAPSED
 from metrocli.errors import UsageError
 
@@ -61,45 +63,150 @@ RIVALS = {
 }
 
 
-def plain_power(m: lengths.Measurement, rival: str, rate: float, noise: float) -> float:
-    """Power of the test at 1 % whether the drift of T2's dead path is needed beside a rival."""
-    taken = lengths.absorbed_by(m)
+def plain_columns(m: lengths.Measurement, rival: str) -> tuple[Array, Array]:
+    """Unit changes of the readings by the drift of T2's dead path, and by a rival, (n, 1) and (n, q), in sigmas."""
     name, at, names = RIVALS[rival]
     zero = dict.fromkeys(names, 0.0)
     other = np.stack([lengths.signature(name, at, zero | {one: 1e-9})(m) for one in names], axis=1)
-    basis, _ = np.linalg.qr(lengths.visible(m, taken, other / np.linalg.norm(other, axis=0)))
-    own = lengths.visible(m, taken, lengths.signature("dead-path-drift", 2, {"rate": rate})(m)[:, None])[:, 0] / noise
-    own = own - basis @ (basis.T @ own)
-    dof = len(m.t) - taken.shape[1] - basis.shape[1] - 1
-    return float(ncf.sf(fisher.isf(0.01, 1, dof), 1, dof, float(own @ own)))
+    own = lengths.signature("dead-path-drift", 2, {"rate": RATE})(m)[:, None]
+    return own / m.sigma[:, None], other / np.linalg.norm(other, axis=0) / m.sigma[:, None]
 
 
-def plain_powers(made: list[Proposal]) -> list[float]:
-    """The power against each rival with further readings."""
+def plain_noncentrality(m: lengths.Measurement, rival: str, rate: float, noise: float) -> float:
+    """What of the drift of T2's dead path neither the unknowns nor a rival can absorb, in squared sigmas."""
+    own, other = plain_columns(m, rival)
+    taken, _ = np.linalg.qr(np.concatenate([lengths.absorbed_by(m), other], axis=1))
+    left = own - taken @ (taken.T @ own)
+    return float((left**2).sum()) * (rate / RATE / noise) ** 2
+
+
+def plain_powers(made: list[Proposal]) -> float:
+    """The sum of the powers against both rivals with further readings, of the test at 1 % of the drift."""
     diagnosis, _ = found()
-    m, (finding,) = with_readings(network(), made), diagnosis.findings
-    return [plain_power(m, rival, float(finding.effect.values[0]), diagnosis.noise.ratio) for rival in RIVALS]
+    m, (finding,), noise = with_readings(network(), made), diagnosis.findings, diagnosis.noise.ratio
+    shown = [plain_noncentrality(m, rival, float(finding.effect.values[0]), noise) for rival in RIVALS]
+    return sum(float(ncf.sf(fisher.isf(0.01, 1, 70), 1, 70, one)) for one in shown)
 
 
-def test_the_power_is_that_of_plain_formulas_before_and_after() -> None:
-    diagnosis, following = found()
+def pool_with(made: list[Proposal], rival: str) -> tuple[Pool, Pool, float]:
+    """The pool of a rival now and with further readings, and its odds."""
+    diagnosis, _ = found()
     (finding,) = diagnosis.findings
-    assert str(finding.effect.alternative) == "dead-path-drift T2"
-    aims = {one.why.partition(" from ")[2]: one for one in following.aims}
-    before, after = plain_powers([]), plain_powers([one.proposal for one in following.readings])
-    for number, rival in enumerate(RIVALS):
-        assert aims[rival].before == pytest.approx(before[number], abs=0.01)
-        assert aims[rival].after == pytest.approx(after[number], abs=0.01)
-    assert after[0] > before[0] + 0.2
+    other = next(one for one in finding.effect.rivals if str(one.alternative) == rival)
+    effects = [finding.effect.alternative, other.alternative]
+    now = then = pool_of(diagnosis.job, made, effects, (), Known(diagnosis.noise.ratio))
+    for number in range(len(made)):
+        then = then.with_proposal(number)
+    return now, then, other.odds
+
+
+def plain_chance(made: list[Proposal], rival: str, odds: float) -> float:
+    """Share of simulated further readings that leave the true one of the two causes in the confidence set only."""
+    diagnosis, _ = found()
+    before, rng = network(), np.random.default_rng(4)
+    after = with_readings(before, made)
+    sure, weighted = len(before.t), []
+    taken = lengths.absorbed_by(after)
+    # in the first readings, what they know of the unknowns is a generalised inverse
+    old, new = taken[:sure], taken[sure:]
+    values = (before.length - before.distance) / before.sigma / diagnosis.noise.ratio
+    columns = [one / diagnosis.noise.ratio for one in plain_columns(after, rival)]
+
+    def taken_off(read: Array, of: list[Array], unknowns: Array) -> Array:
+        """Drop of the sums of squares (draws,) by columns beside the unknowns."""
+        basis, _ = np.linalg.qr(unknowns)
+        own = np.concatenate(of, axis=1)
+        own = own - basis @ (basis.T @ own)
+        left, sizes, _ = np.linalg.svd(own / np.linalg.norm(own, axis=0), full_matrices=False)
+        return np.asarray(((read @ left[:, sizes > 1e-5]) ** 2).sum(axis=1))
+
+    def evidences(read: Array, unknowns: Array, rows: int) -> tuple[Array, Array, list[Array]]:
+        """ln of the ratio of the evidence of the rival to that of the drift; all squares; drops by each and both."""
+        basis, _ = np.linalg.qr(unknowns)
+        squares = (read**2).sum(axis=1) - ((read @ basis) ** 2).sum(axis=1)
+        cut = [one[:rows] for one in columns]
+        off = [taken_off(read, of, unknowns) for of in ([cut[0]], [cut[1]], cut)]
+        dof = rows - unknowns.shape[1]
+        mine, other = (dof * np.log(squares - drop) for drop in off[:2])
+        return (mine - other - (columns[1].shape[1] - 1) * np.log(dof)) / 2, squares, off
+
+    known, _, _ = evidences(values[None], lengths.absorbed_by(before), sure)
+    for true in (0, 1):
+        # flat prior: unknowns and sizes together are normal about their estimates from the first readings
+        left, sizes, right = np.linalg.svd(np.concatenate([old, columns[true][:sure]], axis=1), full_matrices=False)
+        seen = sizes > 1e-9 * sizes[0]
+        along = values @ left[:, seen] + rng.normal(size=(1000, seen.sum()))
+        all_unknowns = (along / sizes[seen]) @ right[seen]
+        further = all_unknowns @ np.concatenate([new, columns[true][sure:]], axis=1).T
+        further += rng.normal(size=further.shape)
+        read = np.concatenate([np.broadcast_to(values, (1000, sure)), further], axis=1)
+        log_odds, squares, (mine, other, both) = evidences(read, taken, len(after.t))
+        log_odds = (log_odds - known + np.log(odds)) * (-1 if true else 1)
+        mine, other = (other, mine) if true else (mine, other)
+        ranks = [one.shape[1] for one in columns][:: -1 if true else 1]
+        dof = len(after.t) - taken.shape[1]
+        explained = [basis_of(one, taken) for one in columns][:: -1 if true else 1]
+        inside = read @ explained[0] @ (explained[0].T @ explained[1])
+        cosines = np.linalg.norm(inside, axis=1) / np.sqrt(mine)
+        alike = (1 - cosines**2) * mine < 6.6 * (squares - mine) / (dof - ranks[0])
+        more, rest = ranks[0], dof - sum(ranks)
+        needless = fisher.sf((both - other) / more / ((squares - both) / rest), more, rest) > 0.01
+        instead = needless & ((ranks[1] <= ranks[0]) | (cosines > 0.9))
+        listed = (log_odds > np.log(1 / 20)) | ((cosines > 0.3) & (alike | instead))
+        weighted.append(float((~listed & (log_odds < 0)).mean()))
+    return (weighted[0] + odds * weighted[1]) / (1 + odds)
+
+
+def basis_of(columns: Array, taken: Array) -> Array:
+    left, _ = np.linalg.qr(columns - taken @ (taken.T @ columns))
+    return np.asarray(left)
+
+
+def some_readings() -> list[list[Proposal]]:
+    """The first that is proposed, all five, and five at random twice."""
+    diagnosis, following = found()
+    best, all_of_them, rng = (
+        [one.proposal for one in following.readings],
+        proposals(diagnosis.job),
+        np.random.default_rng(1),
+    )
+    drawn = [[all_of_them[i] for i in rng.choice(len(all_of_them), 5, replace=False)] for _ in range(2)]
+    return [best[:1], best, *drawn]
+
+
+@pytest.mark.parametrize("rival", RIVALS)
+def test_what_neither_unknowns_nor_a_rival_absorb_is_that_of_plain_formulas(rival: str) -> None:
+    diagnosis, _ = found()
+    (finding,) = diagnosis.findings
+    sizes = finding.effect.values
+    for made in some_readings():
+        now, then, _ = pool_with(made, rival)
+        for pool, m in ((now, network()), (then, with_readings(network(), made))):
+            expected = plain_noncentrality(m, rival, float(sizes[0]), diagnosis.noise.ratio)
+            assert pool.noncentrality(pool.gram[None], sizes)[0] == pytest.approx(expected, rel=0.02, abs=0.01)
+
+
+@pytest.mark.parametrize("rival", RIVALS)
+def test_the_chance_to_separate_is_that_of_simulated_readings(rival: str) -> None:
+    chances = []
+    for made in some_readings():
+        now, then, odds = pool_with(made, rival)
+        chances.append(chance_to_separate(now, then, 1, odds))
+        assert chances[-1] == pytest.approx(plain_chance(made, rival, odds), abs=0.05)
+        assert chance_to_separate(now, now, 1, odds) == 0
+    assert rival != "dead-path-drift T4" or max(chances) > 0.9
 
 
 def test_what_is_proposed_raises_the_power_more_than_as_many_readings_at_random() -> None:
     diagnosis, following = found()
-    best = sum(plain_powers([one.proposal for one in following.readings]))
+    assert str(diagnosis.findings[0].effect.alternative) == "dead-path-drift T2"
+    assert following.aims[0].before == 0
+    assert following.aims[0].after > 0.95
+    best = plain_powers([one.proposal for one in following.readings])
     all_of_them, rng = proposals(diagnosis.job), np.random.default_rng(1)
     for _ in range(10):
         some = [all_of_them[i] for i in rng.choice(len(all_of_them), 5, replace=False)]
-        assert sum(plain_powers(some)) < best
+        assert plain_powers(some) < best
 
 
 def test_a_reading_is_named_by_its_keys_and_when_it_is_made() -> None:
@@ -120,23 +227,20 @@ def test_gains_are_those_of_the_adjustment_with_the_readings_in_it() -> None:
     """Two proposals one after the other, against the projection of the whole measurement with both."""
     job = points()
     effect = next(one for one in job.effects if one.name == "tracker-range-zero")
-
-    def shown(model, system) -> Array:  # type: ignore[no-untyped-def]
-        return 0.02 * signature(model, system, effect, (), {})[:, 0]
-
-    proposed = proposals(job)[::40]
-    pool = pool_of(job.model, proposed, [], shown, 1.0)
-    first, second = np.argsort(-pool.gains())[:2].tolist()
-    after = pool.made(first)
-    for made, expected in (
-        ([], pool.noncentrality),
-        ([first], pool.noncentrality + pool.gains()[first]),
-        ([first, second], after.noncentrality + after.gains()[second]),
+    sizes, proposed = np.array([0.02]), proposals(job)[::40]
+    pool = pool_of(job, proposed, [Alternative(effect, ())])
+    first, second = np.argsort(-pool.gains()[:, 0, 0])[:2].tolist()
+    after = pool.with_proposal(first)
+    for made, gram in (
+        ([], pool.gram),
+        ([first], pool.gram + pool.gains()[first]),
+        ([first, second], after.gram + after.gains()[second]),
+        ([first, second], after.with_proposal(second).gram),
     ):
         model = with_proposals(job.model, [proposed[i] for i in made])
         system = linearised(model)
-        seen = system.seen(shown(model, system))
-        assert float(seen @ seen) == pytest.approx(expected, rel=1e-5)
+        seen = system.seen(signature(model, system, effect, (), {})[:, 0] * sizes)
+        assert pool.noncentrality(gram[None], sizes)[0] == pytest.approx(float(seen @ seen), rel=1e-5)
 
 
 def test_points_of_a_machine_come_from_the_other_side_or_with_another_tool() -> None:
