@@ -92,6 +92,11 @@ class Search:
         face = owner[tree.query(points, eps=_NEARLY)[1]]
         return self._of(points, face)
 
+    def may_be_within(self, points: Array, limit: float) -> npt.NDArray[np.bool_]:
+        """Return whether a triangle may be nearer to points (n, 3) than a limit: not where no cell is near."""
+        tree, _, reach = self._tree
+        return np.asarray(np.isfinite(tree.query(points, distance_upper_bound=limit + reach)[0]))
+
     def nearest(self, points: Array, before: Nearest | None = None) -> Nearest:
         """Return the nearest triangle of each point (n, 3).
 
