@@ -4,8 +4,8 @@ The mesh is a block of 1500 mm x 1000 mm x 400 mm with waves of 3 mm on its face
 
     python -m benchmarks large_mesh [TRIANGLES] [AIM] [refused] [POINTS]
 
-With `refused` the points lie as far inside as they otherwise do outside, so that three pairs of opposite faces contradict
-each other and the job is refused. POINTS is one number of points instead of several.
+With `refused` the points lie as far inside as they otherwise do outside: three pairs of opposite faces contradict
+each other, and the job is refused. POINTS is one number of points instead of several.
 """
 
 from __future__ import annotations

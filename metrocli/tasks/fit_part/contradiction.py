@@ -90,7 +90,8 @@ def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun
     """
 
     def together(surfaces: Sequence[int]) -> bool:
-        return feasible(_least(stock, np.isin(stock.surface, surfaces), into, begun, minimum)[0], minimum)
+        enough = minimum - _TOLERANCE
+        return _least(stock, np.isin(stock.surface, surfaces), into, begun, enough)[0] >= enough
 
     holding = np.unique(stock.surface[duals > 0]).tolist()
     chosen = holding

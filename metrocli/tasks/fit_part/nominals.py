@@ -68,8 +68,8 @@ class OfSurfaces:
         return self
 
     def beside(self, points: Array, surface: Index, limit: float) -> tuple[Index, Index]:
-        """Return each point with its own surface: without edges none has neighbours."""
-        return np.arange(len(points)), surface
+        """Return no pairs: without edges no surface has neighbours."""
+        return surface[:0], surface[:0]
 
     def reversed(self, surface: int) -> OfSurfaces:
         """Return the geometry with the material of one surface on the other side."""
@@ -169,13 +169,13 @@ class OfPatches:
         return self
 
     def beside(self, points: Array, surface: Index, limit: float) -> tuple[Index, Index]:
-        """Return pairs (k,) of a point and a patch: its own, and neighbours of it that may be within a limit."""
+        """Return pairs (k,) of a point (n, 3) and a neighbour of its patch that may be within a limit of it."""
         first, last = (np.searchsorted(self.neighbours[:, 0], surface, side) for side in ("left", "right"))
         row = np.repeat(np.arange(len(points)), last - first)
         place = np.arange(len(row)) + np.repeat(first - np.cumsum(last - first) + last - first, last - first)
         patch = self.neighbours[place, 1]
         near = self._mesh.may_be_within(self._moved(points[row], patch), limit)
-        return np.append(np.arange(len(points)), row[near]), np.append(surface, patch[near])
+        return row[near], patch[near]
 
     def _moved(self, points: Array, surface: Index) -> Array:
         return np.asarray(points + self.separation * surface[:, None] * np.eye(3)[0])

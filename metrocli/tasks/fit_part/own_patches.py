@@ -19,35 +19,46 @@ _LEVELLED = 2
 """Robust steps before each round: the patches need not be parallel to the raw surfaces where the search ended"""
 _BESIDE = 2.0
 """How far a point may be from its own patch, relative to the largest overstock: it may lie beyond two edges"""
+_EACH = 500
+"""Points of each patch from which the levels are found, at most"""
 
 
 def on_own_patches(stock: Stock, patches: Apart, into: Array) -> Stock:
     """Return points on patches that are alone, each on the one among the nearest and its neighbours whose level it has.
 
-    The levels are medians after a robust step of the pose (6,) in which each patch has its own. Both are found anew
-    until no point changes its patch.
+    The levels are medians after a robust step of the pose (6,) in which each patch has its own. With some points of
+    each patch both are found anew until no point changes its patch. Then all points follow.
     """
-    alone = replace(stock, nominal=patches)
+    alone, count = replace(stock, nominal=patches), len(patches.names)
+    some = alone.of(_some_of_each(alone.surface))
     for _ in range(_ROUNDS):
         for _ in range(_LEVELLED):
-            local = alone.at(into)
-            step, _ = robust_step(local.rows, local.overstock, alone.surface, len(patches.names))
+            local = some.at(into)
+            step, _ = robust_step(local.rows, local.overstock, some.surface, count)
             into = local.moved(into, step)
-        local = alone.at(into)
-        level = medians(local.overstock, alone.surface, len(patches.names))
-        row, patch = patches.beside(local.points, alone.surface, _BESIDE * float(np.abs(local.overstock).max()))
-        off = np.abs(patches.shape(local.points[row], patch).distance - level[patch])
-        surface = _nearest_level(row, patch, off, alone.surface)
-        if np.array_equal(surface, alone.surface):
+        level = medians(some.at(into).overstock, some.surface, count)
+        surface = _of_nearest_level(some, patches, into, level)
+        if np.array_equal(surface, some.surface):
             break
-        alone = replace(alone, surface=surface)
-    return alone
+        some = replace(some, surface=surface)
+    return replace(alone, surface=_of_nearest_level(alone, patches, into, level))
 
 
-def _nearest_level(row: Index, patch: Index, off: Array, surface: Index) -> Index:
-    """Return the patch of each point (n,) with the least distance from its level, nan for a patch without points."""
+def _some_of_each(surface: Index) -> Index:
+    """Return the rows of some points of each surface, drawn at random."""
+    order = np.random.default_rng(1).permutation(len(surface))
+    order = order[np.argsort(surface[order], kind="stable")]
+    place = np.arange(len(order)) - np.searchsorted(surface[order], surface[order])
+    return np.sort(order[place < _EACH])
+
+
+def _of_nearest_level(stock: Stock, patches: Apart, into: Array, level: Array) -> Index:
+    """Return the patch of each point (n,) from whose level (S,) it is least far; nan is that of one without points."""
+    local = stock.at(into)
+    row, patch = patches.beside(local.points, stock.surface, _BESIDE * float(np.abs(local.overstock).max()))
+    beside = patches.shape(local.points[row], patch).distance
+    row, patch = np.append(np.arange(len(local.points)), row), np.append(stock.surface, patch)
+    off = np.abs(np.append(local.overstock, beside) - level[patch])
     order = np.lexsort((off, row))
-    rows, first = np.unique(row[order], return_index=True)
-    found = surface.copy()
-    found[rows] = patch[order[first]]
-    return found
+    _, first = np.unique(row[order], return_index=True)
+    return np.asarray(patch[order[first]])

@@ -39,7 +39,7 @@ class Apart(Nominal, Protocol):
     """An ideal geometry in which no surface holds points of another."""
 
     def beside(self, points: Array, surface: Index, limit: float) -> tuple[Index, Index]:
-        """Return pairs (k,) of a point (n, 3) and a surface: its own, and neighbours that may be within a limit."""
+        """Return pairs (k,) of a point (n, 3) and a neighbour of its surface that may be within a limit of it."""
 
 
 @dataclass(frozen=True)
