@@ -4,7 +4,9 @@ Each shape has 25 points in a zone of 10 um, measured 60 times with noise in eac
 that of each number that the shape has; the form is compared with that of the points without noise. The last column is
 how often value +- 1.96 std, of each measurement, holds the number of the points without noise.
 
-    python -m benchmarks.features [MEASUREMENTS]
+    python -m benchmarks features [MEASUREMENTS [CLOUDS]] [SHAPE]
+
+With CLOUDS the points are drawn so many times, and the coverage is the mean, with the least and largest of a cloud.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ from metrocli.tasks.multilaterate.features.least_squares import least_squares
 from metrocli.tasks.multilaterate.features.minimum_zone import minimum_zone
 
 Array = npt.NDArray[np.float64]
-ZONE, POINTS, MANY = 0.005, 25, 1000
+ZONE, POINTS, MANY, FIRST = 0.005, 25, 1000, 2
+"""Half the zone [mm], points, points of the times, and the seed of the first cloud"""
 
 
 def numbers(fit: Fit, points: Array) -> Array:
@@ -45,9 +48,9 @@ def times(shape: Shape) -> tuple[float, float]:
     return found[0], found[1]
 
 
-def scatter(shape: Shape, noise: float, measurements: int) -> tuple[Array, float, float]:
+def scatter(shape: Shape, noise: float, measurements: int, seed: int) -> tuple[Array, float, float]:
     """Return scatter over stated of each number, by how many of them the form is too large, and the coverage."""
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(seed)
     points = cloud(shape, POINTS, ZONE, rng)
     true, found, spread = minimum_zone(shape, points), [], []
     derivative = true.by_points(points).reshape(9, -1)
@@ -64,20 +67,25 @@ def scatter(shape: Shape, noise: float, measurements: int) -> tuple[Array, float
     return ratios, float((np.mean(found, axis=0)[8] - true.form) / stated[8]), inside
 
 
-def main() -> None:
+def main(measurements: int, clouds: int, shapes: list[Shape]) -> None:
     """Print both tables."""
-    measurements = int(sys.argv[1]) if len(sys.argv) > 1 else 60
     print(f"{MANY} points, CPU s: least squares, minimum zone")
-    for shape in Shape:
+    for shape in shapes:
         print(f"  {shape:10s} {times(shape)[0]:6.3f} {times(shape)[1]:6.3f}")
-    print(f"{POINTS} points in zones of {2e3 * ZONE:g} um, {measurements} measurements:")
+    print(f"{POINTS} points in zones of {2e3 * ZONE:g} um, {measurements} measurements of {clouds} clouds:")
     print("  noise, shape, scatter over stated, form, inside 95 %")
     for noise in (0.0002, 0.001):
-        for shape in Shape:
-            ratios, form, inside = scatter(shape, noise, measurements)
+        for shape in shapes:
+            found = [scatter(shape, noise, measurements, FIRST + cloud) for cloud in range(clouds)]
+            ratios = np.concatenate([one for one, _, _ in found])
+            form, inside = np.mean([one[1] for one in found]), np.array([one[2] for one in found])
             spread = f"{ratios.min():5.2f} to {ratios.max():5.2f}"
-            print(f"  {1e3 * noise:3.1f} um {shape:10s} {spread} {form:+6.2f} {inside:6.1%}")
+            each = f" ({inside.min():.1%} to {inside.max():.1%})" if clouds > 1 else ""
+            print(f"  {1e3 * noise:3.1f} um {shape:10s} {spread} {form:+6.2f} {inside.mean():6.1%}{each}")
 
 
 if __name__ == "__main__":
-    main()
+    given = sys.argv[1:]
+    counts = [int(word) for word in given if word.isdigit()]
+    chosen = [shape for shape in Shape if shape in given] or list(Shape)
+    main(counts[0] if counts else 60, counts[1] if len(counts) > 1 else 1, chosen)

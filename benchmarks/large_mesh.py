@@ -2,7 +2,10 @@
 
 The mesh is a block of 1500 mm x 1000 mm x 400 mm with waves of 3 mm on its faces, as binary STL.
 
-    python -m benchmarks large_mesh [TRIANGLES] [AIM]
+    python -m benchmarks large_mesh [TRIANGLES] [AIM] [refused] [POINTS]
+
+With `refused` the points lie as far inside as they otherwise do outside: three pairs of opposite faces contradict
+each other, and the job is refused. POINTS is one number of points instead of several.
 """
 
 from __future__ import annotations
@@ -19,7 +22,11 @@ import numpy.typing as npt
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from simulated.castings import SIZE, turn
 
+from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION, MOST
+
 Array = npt.NDArray[np.float64]
+UNDETERMINED = 4
+"""Exit code of a refusal"""
 COUNTS = (25_000, 50_000, 100_000, 200_000)
 ANGLES, SHIFT = np.array([0.03, -0.02, 0.04]), np.array([20.0, -30.0, 10.0])
 
@@ -52,12 +59,12 @@ def write_mesh(file: Path, triangles: int) -> int:
     return len(every)
 
 
-def write_points(file: Path, n: int) -> None:
-    """Write points 2 to 4 mm outside of the faces, in a frame of their own."""
+def write_points(file: Path, n: int, side: int) -> None:
+    """Write points 2 to 4 mm outside of the faces (side 1) or inside (side -1), in a frame of their own."""
     rng = np.random.default_rng(n)
     axis, end, share = rng.integers(0, 3, n), rng.integers(0, 2, n), rng.uniform(0.03, 0.97, (n, 3))
     row, others = np.arange(n), np.array([[1, 2], [0, 2], [0, 1]])[axis]
-    stock = rng.uniform(2, 4, 6)[2 * axis + end] + rng.normal(size=n) * 0.25
+    stock = side * rng.uniform(2, 4, 6)[2 * axis + end] + rng.normal(size=n) * 0.25
     height = waves(share[row, others[:, 0]], share[row, others[:, 1]]) + stock
     places = share * SIZE
     places[row, axis] = end * SIZE[axis] + (2 * end - 1) * height
@@ -66,7 +73,7 @@ def write_points(file: Path, n: int) -> None:
     file.write_text("\n".join(["point,x_mm,y_mm,z_mm", *lines, ""]))
 
 
-def main(triangles: int, aim: str) -> None:
+def main(triangles: int, aim: str, counts: tuple[int, ...], refused: bool) -> None:
     """Print CPU time and memory of the command for several numbers of points."""
     with TemporaryDirectory() as place:
         folder = Path(place)
@@ -76,8 +83,8 @@ def main(triangles: int, aim: str) -> None:
             "metrocli: 1\njob: fit-part\ninputs: {points: points.csv, nominal: part.stl}\nnoise: 0.03 mm\n"
             f"overstock: {{minimum: 0.2 mm, aim: {aim}}}\noutput: part.h5\n"
         )
-        for n in COUNTS:
-            write_points(folder / "points.csv", n)
+        for n in counts:
+            write_points(folder / "points.csv", n, -1 if refused else 1)
             command = [sys.executable, "-m", "metrocli", "fit-part", str(job), "--force", "--json"]
             started = subprocess.Popen(
                 command,
@@ -86,12 +93,21 @@ def main(triangles: int, aim: str) -> None:
                 stderr=subprocess.DEVNULL,
             )
             _, status, used = os.wait4(started.pid, 0)
-            assert status == 0
+            assert os.waitstatus_to_exitcode(status) == (UNDETERMINED if refused else 0)
+            what = "refused" if refused else f"aim {aim}"
             print(
-                f"{count} triangles, {n} points, aim {aim}: {used.ru_utime + used.ru_stime:.1f} s CPU, "
+                f"{count} triangles, {n} points, {what}: {used.ru_utime + used.ru_stime:.1f} s CPU, "
                 f"{used.ru_maxrss / 1024:.0f} MB"
             )
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000, sys.argv[2] if len(sys.argv) > 2 else "even")
+    given = sys.argv[1:]
+    numbers = [int(word) for word in given if word.isdigit()]
+    aims = [word for word in given if word in (EVEN, MOST, LEAST_MOTION)]
+    main(
+        numbers[0] if numbers else 1_000_000,
+        aims[0] if aims else EVEN,
+        tuple(numbers[1:]) or COUNTS,
+        "refused" in given,
+    )

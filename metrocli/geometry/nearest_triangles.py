@@ -86,11 +86,21 @@ class Search:
         reach = float(np.sqrt(((every - centre[:, None]) ** 2).sum(axis=2).max()))
         return cKDTree(centre, balanced_tree=False), np.concatenate(owners), reach
 
+    @cached_property
+    def _place_in_tree(self) -> Index:
+        """Return the place of each cell in the order of the tree, where cells near each other follow each other."""
+        return np.argsort(self._tree[0].indices)
+
     def quick(self, points: Array) -> tuple[Array, Array]:
         """Return signed distances (n,) and normals (n, 3) from a triangle that is nearest or nearly so."""
         tree, owner, _ = self._tree
         face = owner[tree.query(points, eps=_NEARLY)[1]]
         return self._of(points, face)
+
+    def may_be_within(self, points: Array, limit: float) -> npt.NDArray[np.bool_]:
+        """Return whether a triangle may be nearer to points (n, 3) than a limit: not where no cell is near."""
+        tree, _, reach = self._tree
+        return np.asarray(np.isfinite(tree.query(points, distance_upper_bound=limit + reach)[0]))
 
     def nearest(self, points: Array, before: Nearest | None = None) -> Nearest:
         """Return the nearest triangle of each point (n, 3).
@@ -121,7 +131,11 @@ class Search:
     def _sought(self, points: Array, search: Index, near: Near, face: Index, margin: Array) -> Near:
         """Fill in the nearest triangles of the points to search, and their margins; return what is near to all."""
         tree, owner, reach = self._tree
-        bound = np.sqrt(self._square(points[search], owner[tree.query(points[search])[1]])) + 2 * near.clear
+        cell = tree.query(points[search])[1]
+        # points near each other one after the other: what they have in common is then still in the cache
+        order = np.argsort(self._place_in_tree[cell])
+        search, cell = search[order], cell[order]
+        bound = np.sqrt(self._square(points[search], owner[cell])) + 2 * near.clear
         # a triangle with no cell in the ball is farther than the bound
         radius = bound + reach
         counts = tree.query_ball_point(points[search], radius, return_length=True)

@@ -130,6 +130,17 @@ class Triangles:
         """Number of smooth patches."""
         return int(self.patch.max()) + 1
 
+    @property
+    def neighbours(self) -> Index:
+        """Pairs of patches that meet at an edge, both ways and in order (k, 2)."""
+        one, other, _ = self._edges
+        first, second = self.patch[one], self.patch[other]
+        across = first != second
+        keys = np.concatenate(
+            [first[across] * self.patches + second[across], second[across] * self.patches + first[across]]
+        )
+        return np.column_stack(np.divmod(np.unique(keys), self.patches))
+
     def _angles(self, faces: Index | slice) -> Array:
         """Return the angles of some triangles at their corners (k, 3)."""
         corners = self.corners[faces]

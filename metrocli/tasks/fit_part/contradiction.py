@@ -12,6 +12,7 @@ import numpy.typing as npt
 from metrocli.errors import UndeterminedError
 from metrocli.geometry.surfaces import Array
 from metrocli.tasks.fit_part.fit import LEAST_MOTION, most_of_many
+from metrocli.tasks.fit_part.own_patches import on_own_patches
 from metrocli.tasks.fit_part.stock import Local, Stock
 from metrocli.words import in_a_row
 
@@ -53,7 +54,7 @@ def contradictions(stock: Stock, minimum: float, into: Array) -> list[Contradict
     points of the floor, which then stood for it. Only where each surface alone has the minimum, the walls of a mesh
     hold points of others. `into` has the largest least overstock.
     """
-    alone = replace(stock, nominal=stock.nominal.apart())
+    alone = on_own_patches(stock, stock.nominal.apart(), into)
     begun = alone.at(into)
     _, least, duals = most_of_many(alone, into, begun=begun)
     if feasible(least, minimum):
@@ -89,7 +90,8 @@ def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun
     """
 
     def together(surfaces: Sequence[int]) -> bool:
-        return feasible(_least(stock, np.isin(stock.surface, surfaces), into, begun, minimum)[0], minimum)
+        enough = minimum - _TOLERANCE
+        return _least(stock, np.isin(stock.surface, surfaces), into, begun, enough)[0] >= enough
 
     holding = np.unique(stock.surface[duals > 0]).tolist()
     chosen = holding

@@ -144,6 +144,7 @@ def most_of_many(
 
     The overstock of a point changes by no more than the point moves, so only points that can have come below that
     optimum are looked at there. Where the lowest points have no limit, those follow that hold against their motion.
+    Where they cannot have `enough`, all cannot, and what the lowest can have is returned.
     `begun` is the overstock at the pose, if it is known from a search. The first reach is then what differs in it:
     far from a mesh the nearest triangles are many.
     """
@@ -157,7 +158,9 @@ def most_of_many(
         rows = np.flatnonzero(chosen)
         best, least, held = most(stock.of(rows), best, enough, limit, reach)
         placed = poses.apply(best, stock.measured)
-        if np.isfinite(least):
+        if least < enough < np.inf:
+            ended = True
+        elif np.isfinite(least):
             doubtful = np.flatnonzero(overstock - np.linalg.norm(placed - places, axis=1) < least - _STEP)
             if doubtful.size:
                 places[doubtful] = placed[doubtful]

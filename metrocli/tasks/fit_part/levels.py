@@ -75,18 +75,18 @@ def levels(nominal: Assigning, measured: Array, surface: Index | None, into: Arr
         if surface is None:
             stock = Stock(nominal, measured, nominal.nearest(stock.at(into).points, np.nan_to_num(level)))
         local = stock.at(into)
-        level = _medians(local.overstock, stock.surface, count)
+        level = medians(local.overstock, stock.surface, count)
         # one level for all surfaces makes them even; levels of their own leave shifts between opposite surfaces open
-        step, _ = _robust_step(local.rows, local.overstock, np.zeros_like(stock.surface), 1)
+        step, _ = robust_step(local.rows, local.overstock, np.zeros_like(stock.surface), 1)
         if np.abs(step).max() < _STEP:
             break
         into = local.moved(into, step)
-    _, off = _robust_step(local.rows, local.overstock, stock.surface, count)
+    _, off = robust_step(local.rows, local.overstock, stock.surface, count)
     scatter = _scatter(off, stock.surface, count, sigma)
     return Levels(into, stock, level, off, scatter)
 
 
-def _robust_step(rows: Array, overstock: Array, surface: Index, count: int) -> tuple[Array, Array]:
+def robust_step(rows: Array, overstock: Array, surface: Index, count: int) -> tuple[Array, Array]:
     """Return the step that makes each surface's overstock even, and what is left about the levels (n,).
 
     Weights of Geman and McClure, 1/(1 + (r/3s)^2)^2. The levels are eliminated; of steps that change nothing but the
@@ -110,7 +110,7 @@ def _robust_step(rows: Array, overstock: Array, surface: Index, count: int) -> t
     return step, rest
 
 
-def _medians(values: Array, surface: Index, count: int) -> Array:
+def medians(values: Array, surface: Index, count: int) -> Array:
     """Return the median of each surface (S,), nan without points."""
     order = np.lexsort((values, surface))
     sizes = np.bincount(surface, minlength=count)
@@ -125,6 +125,6 @@ def _scatter(off: Array, surface: Index, count: int, sigma: Array) -> Array:
     """Return the scatter of each point: of its surface or of all points, whichever is larger, or of the measurement."""
     size = np.abs(off)
     whole = _SIGMA * float(np.median(size))
-    own = np.where(np.bincount(surface, minlength=count) >= _FEW, _SIGMA * _medians(size, surface, count), 0.0)
+    own = np.where(np.bincount(surface, minlength=count) >= _FEW, _SIGMA * medians(size, surface, count), 0.0)
     least = np.maximum(sigma, 1e-6)
     return np.asarray(np.maximum(np.maximum(np.nan_to_num(own)[surface], whole), least))

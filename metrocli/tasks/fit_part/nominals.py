@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from metrocli.geometry.nearest_triangles import Nearest, Search
 from metrocli.geometry.surfaces import Array, Index, Shape, Surfaces
@@ -66,6 +67,10 @@ class OfSurfaces:
         """Return the same: surfaces without limits do not know each other."""
         return self
 
+    def beside(self, points: Array, surface: Index, limit: float) -> tuple[Index, Index]:
+        """Return no pairs: without edges no surface has neighbours."""
+        return surface[:0], surface[:0]
+
     def reversed(self, surface: int) -> OfSurfaces:
         """Return the geometry with the material of one surface on the other side."""
         return OfSurfaces(self.surfaces.reversed(surface))
@@ -114,9 +119,14 @@ class OfMesh:
         self.before[len(points)] = found
         return found
 
+    def may_be_within(self, points: Array, limit: float) -> npt.NDArray[np.bool_]:
+        """Return whether the mesh may be nearer to points (n, 3) than a limit."""
+        return self._search.may_be_within(points, limit)
+
     def apart(self) -> OfPatches:
         """Return the ideal geometry in which a point knows its own patch only."""
-        return OfPatches(self.names, self.triangles.separated(), self.triangles.separation)
+        triangles = self.triangles
+        return OfPatches(self.names, triangles.separated(), triangles.separation, triangles.neighbours)
 
     def quick(self, points: Array, surface: Index | None) -> tuple[Array, Array]:
         """Return distances and normals at points (B, n, 3) from a triangle nearby."""
@@ -139,6 +149,8 @@ class OfPatches:
     triangles: Triangles
     """Patch k is moved by k times the separation along x"""
     separation: float
+    neighbours: Index
+    """Pairs of patches that meet at an edge, both ways and in order (k, 2)"""
 
     @cached_property
     def _mesh(self) -> OfMesh:
@@ -155,6 +167,15 @@ class OfPatches:
     def apart(self) -> OfPatches:
         """Return the same."""
         return self
+
+    def beside(self, points: Array, surface: Index, limit: float) -> tuple[Index, Index]:
+        """Return pairs (k,) of a point (n, 3) and a neighbour of its patch that may be within a limit of it."""
+        first, last = (np.searchsorted(self.neighbours[:, 0], surface, side) for side in ("left", "right"))
+        row = np.repeat(np.arange(len(points)), last - first)
+        place = np.arange(len(row)) + np.repeat(first - np.cumsum(last - first) + last - first, last - first)
+        patch = self.neighbours[place, 1]
+        near = self._mesh.may_be_within(self._moved(points[row], patch), limit)
+        return row[near], patch[near]
 
     def _moved(self, points: Array, surface: Index) -> Array:
         return np.asarray(points + self.separation * surface[:, None] * np.eye(3)[0])

@@ -19,6 +19,8 @@ CAP = np.array([[0, 1, 4], [0, 4, 5], [1, 2, 3], [1, 3, 4], [0, 5, 6], [0, 6, 7]
 DEPTH, EACH, MINIMUM = 70.0, 20, 0.5
 ENDS = np.array([[12.0, 12], [50, 12], [88, 12], [17, 40], [83, 40]])
 """Places on both ends"""
+DEEP = [(seed, (3, 9), 0.0) for seed in (8, 18, 56)]
+"""Parts with much missing, and points up to the edges"""
 
 
 def notched() -> Triangles:
@@ -39,15 +41,18 @@ def planes() -> tuple[Array, Array]:
     return np.vstack([at, [0, 0, 0], [0, 0, DEPTH]]), np.vstack([normal, [0, 0, -1], [0, 0, 1]])
 
 
-def raw(seed: int) -> tuple[Array, Array]:
-    """Points on the raw part, some surfaces of which are too low, and the plane of each."""
+def raw(seed: int, missing: tuple[float, float], to_edges: float) -> tuple[Array, Array]:
+    """Points on the raw part, some surfaces of which are too low, and the plane of each.
+
+    They keep a share `to_edges` of the sides free.
+    """
     rng, (at, normal) = np.random.default_rng(seed), planes()
     level = rng.uniform(1.0, 2.0, len(at))
-    level[rng.choice(len(at), 2 + seed % 3, replace=False)] -= rng.uniform(2.0, 5.0)
+    level[rng.choice(len(at), 2 + seed % 3, replace=False)] -= rng.uniform(*missing)
     places = []
     for here, ahead in zip(CORNERS, np.roll(CORNERS, -1, axis=0), strict=True):
-        share = rng.uniform(0.08, 0.92, (EACH, 1))
-        places.append(np.column_stack([here + share * (ahead - here), rng.uniform(4, DEPTH - 4, EACH)]))
+        share, height = rng.uniform(to_edges, 1 - to_edges, (EACH, 1)), rng.uniform(to_edges, 1 - to_edges, EACH)
+        places.append(np.column_stack([here + share * (ahead - here), DEPTH * height]))
     places += [np.column_stack([ENDS, np.full(len(ENDS), z)]) for z in (0.0, DEPTH)]
     of = np.repeat(np.arange(len(at)), [len(one) for one in places])
     off = level[of] + 0.1 * rng.normal(size=len(of))
@@ -67,18 +72,29 @@ def largest_least(points: Array, of: Array) -> float:
     return least
 
 
-@pytest.mark.parametrize("seed", (5, 16, 18))
-def test_named_surfaces_contradict_each_other_and_each_is_needed(seed: int) -> None:
-    points, of = raw(seed)
+def plane_of(nominal: OfMesh, name: str) -> int:
+    """The plane of a patch: that whose wall has the same middle."""
+    corners = nominal.triangles.corners[nominal.triangles.patch == nominal.names.index(name)].reshape(-1, 3)
+    walls = (CORNERS + np.roll(CORNERS, -1, axis=0)) / 2
+    ends = np.column_stack([np.full((2, 2), [50.0, 25.0]), [0.0, DEPTH]])
+    middles = np.vstack([np.column_stack([walls, np.full(len(walls), DEPTH / 2)]), ends])
+    return int(np.linalg.norm(middles - (corners.max(axis=0) + corners.min(axis=0)) / 2, axis=1).argmin())
+
+
+@pytest.mark.parametrize(
+    ("seed", "missing", "to_edges"), [(5, (2, 5), 0.08), (16, (2, 5), 0.08), (18, (2, 5), 0.08), *DEEP]
+)
+def test_named_surfaces_contradict_each_other_and_each_is_needed(
+    seed: int, missing: tuple[float, float], to_edges: float
+) -> None:
+    """By the planes that the points were made on: next to an edge a point far too low is nearer to another one."""
+    points, of = raw(seed, missing, to_edges)
     nominal = OfMesh(notched())
     stock = Stock(nominal, points, nominal.nearest(points))
-    plane = np.array([np.bincount(of[stock.surface == k], minlength=10).argmax() for k in range(10)])
-    assert sorted(plane) == list(range(10))
-    of = plane[stock.surface]  # next to an edge a point too low belongs to either surface
     pose, least, _ = most_of_many(stock, np.zeros(6))
     assert least < MINIMUM
     for found in contradictions(stock, MINIMUM, pose):
-        named = [plane[nominal.names.index(name)] for name in found.surfaces]
+        named = [plane_of(nominal, name) for name in found.surfaces]
         rows = np.isin(of, named)
         assert largest_least(points[rows], of[rows]) < MINIMUM
         for one in named:

@@ -25,6 +25,8 @@ _PROXIMAL = 0.1
 """Curvature by the level in a quadratic programme"""
 _PROVEN = 1e4
 """Multiple of rounding that a proof may be off by"""
+_OVERSHOOT, _ROUNDING = 0.3, 1e-9
+"""Relative growth of the zone up to which a step of Newton's method is taken, and that of its end"""
 _NEAR = 1e-2
 """Points within this share of the zone from its limits may be in contact"""
 _SECOND = 1e-5
@@ -122,17 +124,21 @@ def _by_quadratic(ideal: Ideal, points: Array, wanted: list[int], gain: float) -
 
 
 def _in_contact(ideal: Ideal, points: Array, wanted: list[int], least: float) -> tuple[Ideal, Contact]:
-    """Return the feature held by its points in contact, to rounding, and those points."""
-    found = _contact(ideal, points, wanted, least)
+    """Return the feature held by its points in contact, to rounding, and those points.
+
+    A step may overshoot the zone a little on the way: the next one mends what the bend of the distances left.
+    """
+    begun = held = ideal, _contact(ideal, points, wanted, least)
+    level = _level(ideal, points)
     for _ in range(20):
-        step, weights = _newton(ideal, points, wanted, found)
-        trial = ideal.moved(step)
-        if not np.isfinite(step).all() or _level(trial, points) > _level(ideal, points) * (1 + 1e-9):
+        step, weights = _newton(held[0], points, wanted, held[1])
+        trial = held[0].moved(step)
+        if not np.isfinite(step).all() or _level(trial, points) > level * (1 + _OVERSHOOT):
             break
-        ideal, found = trial, _weighted(trial, points, wanted, found, weights)
+        held = trial, _weighted(trial, points, wanted, held[1], weights)
         if np.abs(step).max() <= _EXACT * ideal.size:
             break
-    return ideal, found
+    return held if _level(held[0], points) <= level * (1 + _ROUNDING) else begun
 
 
 def _contact(ideal: Ideal, points: Array, wanted: list[int], least: float) -> Contact:

@@ -197,6 +197,18 @@ def test_the_points_in_contact_prove_the_zone(shape: Shape) -> None:
         assert abs(fit.contact.weights * fit.contact.sides @ change[: len(at)]) / 2e-5 < 1e-5 * 100
 
 
+@pytest.mark.parametrize("seed", (166, 230, 321, 478, 783))
+def test_a_line_that_two_points_nearly_hold_has_its_least_zone(seed: int) -> None:
+    """Two points at almost one height share nearly all of the weight: no line nearby has a smaller zone."""
+    points = cloud(Shape.LINE, 6, 0.005, np.random.default_rng(seed))
+    fit, rng = minimum_zone(Shape.LINE, points), np.random.default_rng(1)
+    values = parameters(fit)
+    assert fit.form == pytest.approx(2 * distances(Shape.LINE, values, points).max(), abs=1e-10)
+    for size in (1e-5, 1e-4, 1e-3, 1e-2):
+        for off in size * rng.normal(size=(500, 7)) * [1, 1, 1, 0.03, 0.03, 0, 0]:
+            assert 2 * distances(Shape.LINE, values + off, points).max() > fit.form - 1e-10
+
+
 @pytest.mark.parametrize("fitted", [least_squares, minimum_zone])
 @pytest.mark.parametrize("shape", Shape)
 def test_a_feature_follows_its_points_as_stated(fitted, shape: Shape) -> None:  # type: ignore[no-untyped-def]
