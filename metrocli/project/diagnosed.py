@@ -120,7 +120,7 @@ class Extended:
 
     path: Path
     law: Law | None
-    """The law in it; None where there is none, or where the job cannot be adjusted with it"""
+    """The law in it; None if the job cannot be adjusted with one"""
 
 
 def write_extended(

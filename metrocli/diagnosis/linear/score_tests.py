@@ -285,8 +285,7 @@ class ScoreTests:
         return self.remembered.columns((-1, reading), lambda: self._of_reading(reading))
 
     def _of_reading(self, reading: int) -> Array:
-        rows = self.places[reading]
-        rows = rows[rows >= 0]
+        rows = self.places[reading][self.places[reading] >= 0]
         unit = np.zeros((self.system.rows, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         return self.system.seen(unit)
