@@ -216,17 +216,16 @@ def orthonormal(columns: Array, least: float) -> Array:
     return orthonormalised(columns, least)[0]
 
 
-def orthonormalised(columns: Array, least: float, gram: Array | None = None) -> tuple[Array, Array]:
+def orthonormalised(columns: Array, least: float) -> tuple[Array, Array]:
     """Return an orthonormal basis (rows, k) of the span of columns (rows, q), and the turn (q, k) that gives it.
 
     It uses the eigenvectors of the Gram matrix (as Cholesky QR does), which is far faster than an SVD for many rows;
-    twice where their sizes differ much. Directions of singular values below `least` are left out. `gram` is the Gram
-    matrix where it is known.
+    twice where their sizes differ much. Directions of singular values below `least` are left out.
     """
     bound, turn = least**2, np.eye(columns.shape[1])
     for _ in range(2):
-        values, vectors = np.linalg.eigh(columns.T @ columns if gram is None else gram)
-        kept, gram = values > bound, None
+        values, vectors = np.linalg.eigh(columns.T @ columns)
+        kept = values > bound
         step = vectors[:, kept] / np.sqrt(values[kept])
         columns, turn, bound = columns @ step, turn @ step, 0.0
         if not kept.any() or values[kept][0] > _EVEN * values[-1]:

@@ -128,10 +128,9 @@ class ScoreTests:
         )
 
     @cached_property
-    def products_of_whole(self) -> tuple[Array, ...]:
-        """Products of each family with the shared columns of the basis and the residual, (alternatives, q, k + 1)."""
-        vectors = np.column_stack([self.system.basis.shared, self.system.residual])
-        return tuple(family.columns.products(vectors) for family in self.families)
+    def shared_products(self) -> tuple[Array, ...]:
+        """Products of each family's columns with the shared columns of the basis, (alternatives, parameters, k)."""
+        return tuple(family.columns.products(self.system.basis.shared) for family in self.families)
 
     def scores(self, fitted: FittedColumns) -> list[Score]:
         """Return the tests of all families beside the fitted columns."""
