@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
 
-_FEW = 0.3
+_FEW = 0.1
 """Share of the rows with a value below which these rows are gathered"""
-_AT_ONCE = 20_000
+_AT_ONCE = 100_000
 """Rows whose errors are followed to the unknowns at once"""
 
 
