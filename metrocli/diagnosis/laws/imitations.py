@@ -11,13 +11,15 @@ import numpy as np
 
 from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.search import fits
-from metrocli.diagnosis.laws.steps import LEVEL, Search, forward, plain_tests, tests_of_terms
+from metrocli.diagnosis.laws.steps import LEVEL, Search, forward, plain_tests, refined_step, tests_of_terms
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 
 _FAR_MORE = 5.0
 """A law replaces effects if ln of its evidence exceeds theirs by this"""
+_SHOWS = 10.0
+"""ln of the evidence above which a term shows in its scan"""
 
 
 def without_imitations(library: Library, selection: Selection, processes: float = 0.0) -> Selection | None:
@@ -79,15 +81,23 @@ def _scans(selection: Selection, names: Sequence[Chosen]) -> int:
 
 
 def _could_exceed(bare: Selection, library: Library, imitated: float) -> bool:
-    """Return whether the best single term, if it were the only one tried, could have far more evidence than this."""
+    """Return whether a single term, if it were the only one tried, could have far more evidence than this.
+
+    A scan can miss most of a fast wave, so terms that show in it are refined.
+    """
     start, plain = plain_tests(bare, library)
-    scores = [plain.score(number, start) for number in range(len(plain.families))]
-    best = max(
-        -start.dof / 2 * np.log(max(start.squares - float(gain), 1e-300)) - float(rank) / 2 * np.log(start.dof)
-        for score in scores
-        for gain, rank in [(score.gain[score.best], score.rank[score.best])]
-    )
-    return bool(best > imitated + _FAR_MORE)
+    search = Search(plain, start, library)
+    nothing = _evidence(start, start, (), 0)
+    for number, terms in enumerate(library.terms):
+        score = plain.score(number, start)
+        squares, rank = start.squares - float(score.gain[score.best]), float(score.rank[score.best])
+        found = -start.dof / 2 * np.log(max(squares, 1e-300)) - rank / 2 * np.log(start.dof)
+        if nothing + _SHOWS < found <= imitated + _FAR_MORE:
+            step = refined_step(search, start, 0.0, number + 1, terms[score.best])
+            found = _evidence(start.with_columns(step.columns), start, (), 0)
+        if found > imitated + _FAR_MORE:
+            return True
+    return False
 
 
 def _count(tests: ScoreTests, family: int) -> float:

@@ -104,7 +104,7 @@ def forward(search: Search, level: float = LEVEL, most: int = MOST_TERMS) -> lis
         if not found or found[0][0] > np.log(level):
             break
         near = [one for one in found if one[0] < min(found[0][0] + _NEAR, float(np.log(level)))][:_MOST_REFINED]
-        refined = [_refined_step(search, fitted, *one) for one in near]
+        refined = [refined_step(search, fitted, *one) for one in near]
         squares = [fitted.with_columns(step.columns).squares for step in refined]
         levels = [_level(tests, fitted, step, left) for step, left in zip(refined, squares, strict=True)]
         best = refined[int(np.argmin(levels))]
@@ -131,7 +131,7 @@ def _best_at_each_spot(
     return sorted(found.values(), key=lambda one: one[0])
 
 
-def _refined_step(search: Search, fitted: FittedColumns, level: float, family: int, term: Term) -> Step:
+def refined_step(search: Search, fitted: FittedColumns, level: float, family: int, term: Term) -> Step:
     """Return a term with its scanned value refined; its level stays that of the scan, which counts what was tried."""
     refined = _refined(search, fitted, family, term)
     return Step(family, refined, search.visible(refined), level)
