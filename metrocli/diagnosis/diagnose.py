@@ -111,9 +111,9 @@ def diagnose(
         structure = _structure_of_processes(searched.processes, before)
     # without an extended fit and processes the law is about the same linearised system; what it explains is no noise
     law = next((one for one in laws if one.chosen and fit is None and not searched.processes), None)
-    noise = noise_of(fitted if law is None else fitted.with_columns(law.columns))
-    # what a process adds to the noise is in the tests, so only the white part counts beside it
-    white_part = noise_of(searched.selection.fitted()) if searched.processes else noise
+    explained = fitted if law is None else fitted.with_columns(law.columns)
+    # what a process explains is structure, and is in the tests: only the white part beside it is noise
+    noise = noise_of(searched.selection.fitted() if searched.processes else explained)
     say("computing what the measurement could not detect")
     return Diagnosis(
         job=job,
@@ -124,7 +124,7 @@ def diagnose(
         left=structure,
         before=before,
         after=level,
-        design=design(searched.job, searched.tests, searched.not_tested, white_part.ratio),
+        design=design(searched.job, searched.tests, searched.not_tested, noise.ratio),
         separate_by=_separate(job, names),
         adjusts=fit is not None or not names,
         together=gains[-1] if len(names) > 1 else None,

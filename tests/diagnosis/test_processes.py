@@ -34,6 +34,8 @@ def test_what_wavers_gets_no_name_and_is_reported() -> None:
         found, _ = wavering(seed)
         assert not found.findings
         assert found.processes[0].by == "tracer"
+        # beside white noise alone it would be 1.2, 1.4 and 1.04
+        assert found.noise.low < 1 < found.noise.high
         assert 0.3e-4 < found.processes[0].std < 4e-4
         shown = as_data(found)["processes"][0]
         assert shown["of_each"] == "tracer"

@@ -25,7 +25,6 @@ from metrocli.adjust.schur.layout import Layout
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-
 _FEW = 0.1
 """Share of the rows with a value below which these rows are gathered"""
 _AT_ONCE = 100_000
