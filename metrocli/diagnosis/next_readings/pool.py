@@ -164,8 +164,11 @@ def _weights(job: AdjustedJob, proposed: Sequence[Proposal], known: Known, old: 
         factor = found.get(group.name, np.ones(count)).copy()
         factor[old[group.name] :] *= _WEIGHT
         for wrong in known.wrong:
-            same = [np.asarray(keys[key]) == name for key, name in wrong.items() if key in keys]
-            factor[np.all(same, axis=0) & (np.arange(count) < old[group.name])] *= _WEIGHT
+            names = {key: name for key, name in wrong.items() if key != "component"}
+            # readings of another group, such as distances beside images, have other keys
+            if names.keys() <= keys.keys():
+                same = [np.asarray(keys[key]) == name for key, name in names.items()]
+                factor[np.all(same, axis=0) & (np.arange(count) < old[group.name])] *= _WEIGHT
         found[group.name] = factor
     return found
 

@@ -243,6 +243,20 @@ def test_gains_are_those_of_the_adjustment_with_the_readings_in_it() -> None:
         assert pool.noncentrality(gram[None], sizes)[0] == pytest.approx(float(seen @ seen), rel=1e-5)
 
 
+def test_wrong_readings_of_another_group_leave_the_others_their_weight() -> None:
+    """A place that no reading of the group has is none of its readings; a wrong reading that it has counts nothing."""
+    job = points()
+    effect = next(one for one in job.effects if one.name == "tracker-range-zero")
+    first = {key: str(names[0]) for key, names in job.model.readings[0].observations.keys.items()}
+
+    def known(*wrong: dict[str, str]) -> float:
+        pool = pool_of(job, proposals(job)[:1], [Alternative(effect, ())], known=Known(wrong=wrong))
+        return float(pool.gram[0, 0])
+
+    assert known({"image": "I01"}) == known({**first, "image": "I01"}) == known()
+    assert known(first) < known() * (1 - 1e-9)
+
+
 def test_points_of_a_machine_come_from_the_other_side_or_with_another_tool() -> None:
     words = [one.do for one in proposals(points()) if one.where["point"] == "P7"]
     assert words[0] == "point P7 once more at the end"
