@@ -58,6 +58,7 @@ FIGURES: dict[str, Entry] = {
     "positioning": Entry("positioning", "positioning of the axes by ISO 230-2"),
     "volumetric-error": Entry("volume_map", "error of the machine over the volume", "error"),
     "uncertainty-map": Entry("volume_map", "standard uncertainty over the volume", "uncertainty"),
+    "overstock": Entry("overstock", "overstock of the surfaces of a raw part"),
     "budget": Entry("budget", "uncertainty budget as a Pareto chart"),
     "conformity": Entry("conformity", "values against tolerance and guard band"),
     "correlation": Entry("correlation", "correlation matrix of the estimates"),

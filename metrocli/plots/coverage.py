@@ -63,7 +63,8 @@ def draw(canvas: Canvas, found: Coverage) -> str:
     axes.invert_yaxis()
     axes.set_xlabel("u (px)")
     axes.set_ylabel("v (px)")
+    beyond = " The lens is extrapolated where there are no readings." if found.filled < 1 else ""
     return (
         f"Readings in each cell, {found.counts.sum():.0f} together; {100 * found.filled:.0f} % of the cells have "
-        "at least one. The lens is extrapolated where there are no readings."
+        f"at least one.{beyond}"
     )

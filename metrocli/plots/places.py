@@ -40,13 +40,19 @@ def _points(result: Result) -> Places | None:
     if table is None or not all(name in table for name in _XYZ):
         return None
     errors = ("error_x", "error_y", "error_z")
-    vectors = table.stacked(errors) if errors[0] in table else None
+    vectors = _if_any(table.stacked(errors)) if errors[0] in table else None
     covariance = result.arrays.get("points_covariance")
     if covariance is None or covariance.shape != (len(table), 3, 3):
         covariance = _of_stds(table, ("sx", "sy", "sz"))
+    covariance = None if covariance is None else _if_any(covariance)
     name = "error of the mover (listed minus measured)" if vectors is not None else ""
     key = next(name for name in table if table.columns[name].dtype.kind in "US")
     return Places("points", tuple(table.texts(key)), table.stacked(_XYZ), vectors, name, covariance)
+
+
+def _if_any(values: Array) -> Array | None:
+    """Return deviations or covariances, or None if all are 0: those of points that are given."""
+    return values if np.any(values) else None
 
 
 def _of_stds(table: Table, names: tuple[str, str, str]) -> Array | None:

@@ -15,7 +15,9 @@ Array = npt.NDArray[np.float64]
 
 _TABLES = ("residuals", "angles", "distances")
 """Tables of residuals; those of the launch unit are by the kind of its readings"""
-_KEYS = ("image", "target", "point", "tracer", "pose", "view", "leg", "line", "at", "reading", "component")
+_KEYS = ("image", "target", "point", "tracer", "station", "pose", "view", "leg", "line", "at", "reading", "component")
+_COUNTED, _COMMANDED = ("i", "j", "k"), ("x", "y", "z")
+"""Columns of the ball of an artefact, and of the commanded place in mm"""
 
 
 @dataclass(frozen=True)
@@ -37,9 +39,16 @@ class Residuals:
         return np.isfinite(self.w)
 
     def name(self, row: int) -> str:
-        """Return what identifies a reading, such as "view01/r00c00 u"."""
-        cells = [str(self.table.columns[key][row]) for key in _KEYS if self._is_key(key)]
-        return "/".join(filter(None, cells)) + self.part.replace("_", " ")
+        """Return what identifies a reading: "view01/r00c00/u", "1/ball (2, -1, 0)/x" or "28 at (0, 50, 0) mm a"."""
+        cells = [(key, str(self.table.columns[key][row])) for key in _KEYS if self._is_key(key)]
+        names = [text for key, text in cells if text and key != "component"]
+        names += [f"ball {self._triple(_COUNTED, row)}"] if all(key in self.table for key in _COUNTED) else []
+        names += [text for key, text in cells if key == "component"]
+        place = f" at {self._triple(_COMMANDED, row)} mm" if all(key in self.table for key in _COMMANDED) else ""
+        return "/".join(names) + place + self.part.replace("_", " ")
+
+    def _triple(self, keys: tuple[str, ...], row: int) -> str:
+        return f"({', '.join(f'{float(self.table.columns[key][row]):g}' for key in keys)})"
 
     def places(self, most: int) -> Iterator[tuple[str, npt.NDArray[np.bool_]]]:
         """Yield each place, such as "tracer LT2", with its readings; kinds of more than `most` places are left out."""
@@ -73,8 +82,8 @@ def _covariates(table: Table) -> dict[str, Array]:
     """Return what residuals may depend on, by the end of the figure's name."""
     found = {"time": "t", "temperature": "temp", "length": "reading", "x": "x", "y": "y", "z": "z"}
     held = {name: table.numbers(column) for name, column in found.items() if _is_number(table, column)}
-    if "length" in held and table.units.get("reading") != "mm":
-        del held["length"]
+    if "component" in table or table.units.get("reading") != "mm":  # a coordinate, or an angle
+        held.pop("length", None)
     return {name: values for name, values in held.items() if np.ptp(values) > 0}
 
 

@@ -66,11 +66,13 @@ def data(result: Result, about: str) -> Scene | None:
 
 
 def _largest(one: Places) -> Places:
-    """Return the places with the longest vectors, or the first ones, in their order."""
+    """Return the places with the longest vectors, or those at equal steps, in their order."""
     if len(one.at) <= _MOST:
         return one
-    sizes = np.linalg.norm(one.vectors, axis=1) if one.vectors is not None else -np.arange(len(one.at), dtype=float)
-    rows = np.sort(np.argsort(-sizes, kind="stable")[:_MOST])
+    if one.vectors is None:
+        rows = np.linspace(0, len(one.at) - 1, _MOST).astype(np.intp)
+    else:
+        rows = np.sort(np.argsort(-np.linalg.norm(one.vectors, axis=1), kind="stable")[:_MOST])
     chosen = [None if values is None else values[rows] for values in (one.vectors, one.covariance)]
     return Places(one.kind, tuple(one.names[row] for row in rows), one.at[rows], chosen[0], one.vector_name, chosen[1])
 
@@ -170,5 +172,6 @@ def _caption(found: Scene) -> str:
             factor = in_words(found.ellipsoids)
             parts.append(f"Ellipsoids ({one.kind}): two standard deviations along each axis, magnified {factor}.")
     if found.left_out:
-        parts.append(f"{found.left_out} points with shorter vectors are left out.")
+        which = "with shorter vectors " if any(one.vectors is not None for one in found.places) else ""
+        parts.append(f"{found.left_out} points {which}are left out.")
     return " ".join(parts)

@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
 Array = npt.NDArray[np.float64]
 
@@ -58,6 +60,7 @@ BOTH_SIDES = LinearSegmentedColormap.from_list("both sides", ["#c04a00", "#f7c8a
 SIZES = "cividis"
 OUTLINE = 0.4
 """Line about a mark whose colour is a size: the least of them is as dark as the dark ground"""
+_ELEMENT = re.compile("<[^<>]+>")
 _DIGITS = re.compile(r"(\d\.\d\d)\d+")
 """More digits of a point (1/72 inch) than an image can show"""
 MARKERS = ("o", "s", "^", "D")
@@ -116,13 +119,18 @@ class Canvas:
         return list(self.figure.subplots(rows, columns, squeeze=False, **how).ravel())
 
     def axes_and_bar(self, rows: int = 1, columns: int = 1, count: int = 1) -> tuple[list[Axes], Axes]:
-        """Return `count` axes in rows and columns with common scales, and the place of a scale of colours."""
+        """Return `count` axes in rows and columns with common scales, and the place of a scale of colours.
+
+        The scale is as high as the axes, also where these are smaller than their room because of equal units.
+        """
         grid = self.figure.add_gridspec(rows, columns + 1, width_ratios=[1.0] * columns + [0.035 * columns])
         found: list[Axes] = []
         for k in range(count):
             first = found[0] if found else None
-            found.append(self.figure.add_subplot(grid[divmod(k, columns)], sharex=first, sharey=first))
-        return found, self.figure.add_subplot(grid[:, -1])
+            found.append(self.figure.add_subplot(grid[divmod(k, columns)], sharex=first, sharey=first, anchor="E"))
+        bar = self.figure.add_subplot(grid[:, -1])
+        bar.set_axes_locator(partial(_beside, found))
+        return found, bar
 
     def colour_bar(self, drawn: Any, place: Axes, label: str) -> None:
         """Add the scale of colours."""
@@ -146,6 +154,14 @@ def arrows(axes: Axes, at: Array, vectors: Array, colour: str, width: float = 0.
         at[:, 0], at[:, 1], vectors[:, 0], vectors[:, 1], color=colour, width=width,
         angles="xy", scale_units="xy", scale=1, headwidth=3.5, zorder=3,
     )  # fmt: skip
+
+
+def _beside(panels: list[Axes], bar: Axes, renderer: Any) -> Bbox:
+    """Return the place of a scale of colours: where its room is, as high as the panels together."""
+    for one in panels:
+        one.apply_aspect()
+    whole, room = Bbox.union([one.get_position() for one in panels]), bar.get_position(original=True)
+    return Bbox.from_bounds(room.x0, whole.y0, room.width, whole.height)
 
 
 def bare(axes: Axes) -> None:
@@ -195,7 +211,8 @@ def svg(canvas: Canvas) -> str:
     """
     text = StringIO()
     FigureCanvasSVG(canvas.figure).print_svg(text, metadata=_without_date("svg"))  # type: ignore[no-untyped-call]
-    return _DIGITS.sub(r"\1", text.getvalue())
+    # inside the elements only: numbers that are read keep their digits
+    return _ELEMENT.sub(lambda element: _DIGITS.sub(r"\1", element[0]), text.getvalue())
 
 
 def png(canvas: Canvas) -> bytes:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from metrocli import units
+from metrocli.plots import overstock
 from metrocli.plots.beside import chosen_law, law_in_words, sizes_in_words
 from metrocli.plots.magnify import length_in_words, micro
 from metrocli.plots.noise_bands import largest_of
@@ -65,7 +66,7 @@ def worst(result: Result) -> Iterator[str]:
         alike = [sets[which].name(int(row)) for row in np.flatnonzero(sizes[which] >= (1 - _EQUAL) * w)]
         several, each = ("s", " each, so none can be singled out") if len(alike) > 1 else ("", "")
         chance = "more than noise reaches in 5 % of measurements" if w > bound else "as noise may be"
-        size = f"|w| = {w:.2g} standard deviations{each}"
+        size = f"|w| = {w:.2f} standard deviations{each}"
         yield f"Reading{several} {listed(alike, 4)}: {size}; {chance} (bound {bound:.2f})."
     for one in places_of(result):
         if one.vectors is not None:
@@ -78,6 +79,11 @@ def worst(result: Result) -> Iterator[str]:
             k = int(np.argmax(known))
             size = length_in_words(K * float(known[k]))
             yield f"Least known of the {one.kind}: {one.names[k]}, {size} in space (k = 2)."
+    stock = overstock.data(result)
+    if stock is not None:
+        size, spread = units.rounded(float(stock.least[0]), float(stock.spread[0]))
+        where = f"at {stock.least_at[0]} of {stock.surfaces[0]}"
+        yield f"Least overstock: ({size} ± {spread}) mm (k = 2) {where}; the minimum is {stock.minimum:g} mm."
 
 
 def diagnosed(content: Content) -> Iterator[str | Html]:

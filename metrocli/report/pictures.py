@@ -99,6 +99,8 @@ def _turning(scene: Scene) -> dict[str, Any]:
     """Return the data of a view that turns: places from their middle, vectors and ellipsoids in true size."""
     at = scene.all_at
     middle = (at.min(axis=0) + at.max(axis=0)) / 2
+    tips = [one.at + scene.vectors * one.vectors for one in scene.places if one.vectors is not None]
+    reach = float(np.linalg.norm(np.concatenate([at, *tips]) - middle, axis=1).max())
     kinds = []
     for one in scene.places:
         kind: dict[str, Any] = {"kind": one.kind, "at": _rounded(one.at - middle)}
@@ -109,9 +111,8 @@ def _turning(scene: Scene) -> dict[str, Any]:
         if one.covariance is not None and np.isfinite(one.covariance).all():
             kind["covariance"] = _rounded(4 * one.covariance)
         kinds.append(kind)
-    size = float(np.linalg.norm(np.ptp(at, axis=0))) or 1.0
     return {
-        "turn": float(TURN), "tilt": float(TILT), "size": size, "kinds": kinds,
+        "turn": float(TURN), "tilt": float(TILT), "size": 2 * reach or 1.0, "kinds": kinds,
         "vectors": scene.vectors, "ellipsoids": scene.ellipsoids,
     }  # fmt: skip
 

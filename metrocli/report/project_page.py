@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from metrocli.record import DONE
 from metrocli.report.html import EMPTY, Html, code, joined, table, tag
 from metrocli.report.look import page
 
@@ -32,10 +33,10 @@ class Entry:
 def project_page(name: str, entries: Sequence[Entry], charts: Sequence[Html] = ()) -> str:
     """Return the page of a project as HTML, with control charts of its jobs that have many parts."""
     stale = [one for one in entries if one.stale]
-    bad = [one for one in entries if not one.stale and one.status != "done"]
+    bad = [one for one in entries if not one.stale and one.status != DONE]
     words = "All results are up to date and done."
     if stale or bad:
-        words = f"{len(stale)} of {len(entries)} results are not up to date, {len(bad)} are not fit for use."
+        words = " ".join(_count(some, len(entries), what) for some, what in ((stale, _STALE), (bad, _UNFIT)) if some)
     rows = [(_link(one), one.kind, one.title, _state(one), ", ".join(one.needs)) for one in entries]
     parts = [
         tag("p", "metrocli project", class_="muted"),
@@ -51,6 +52,13 @@ def project_page(name: str, entries: Sequence[Entry], charts: Sequence[Html] = (
     return page(name, *parts)
 
 
+_STALE, _UNFIT = "up to date", "fit for use"
+
+
+def _count(some: Sequence[Entry], of: int, what: str) -> str:
+    return f"{len(some)} of {of} results {'is' if len(some) == 1 else 'are'} not {what}."
+
+
 def _link(one: Entry) -> Html:
     return tag("a", one.name, href=one.page) if one.page else joined([one.name])
 
@@ -58,7 +66,7 @@ def _link(one: Entry) -> Html:
 def _state(one: Entry) -> Html:
     if one.stale:
         return tag("span", f"not up to date: {one.stale}", class_="stale")
-    return tag("span", f"up to date, {one.status}", class_="" if one.status == "done" else "stale")
+    return tag("span", f"up to date, {one.status}", class_="" if one.status == DONE else "stale")
 
 
 def ranks(entries: Sequence[Entry]) -> dict[str, int]:
@@ -94,7 +102,8 @@ def _lineage(entries: Sequence[Entry]) -> Html:
 
 def _box(name: str, column: int, row: int, entry: Entry | None) -> Html:
     x, y = column * (_WIDE + _GAP) + 1, row * _HIGH + 6
-    stroke = "var(--muted)" if entry is None else "var(--second)" if entry.stale else "var(--third)"
+    sound = entry is not None and not entry.stale and entry.status == DONE
+    stroke = "var(--muted)" if entry is None else "var(--third)" if sound else "var(--second)"
     box = tag(
         "rect",
         x=f"{x}",

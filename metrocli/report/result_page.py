@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import groupby
 from typing import Any
 
 from metrocli.report.content import Content
@@ -10,7 +11,6 @@ from metrocli.report.findings import diagnosed, next_step, row_of, verdict, wors
 from metrocli.report.html import EMPTY, Html, joined, listed, table, tag
 from metrocli.report.look import page
 from metrocli.report.pictures import shown
-from metrocli.result import K
 from metrocli.words import listed as listed_words
 
 _FIRST = 12
@@ -26,6 +26,7 @@ def result_page(content: Content) -> str:
     parts = [
         tag("p", f"metrocli {result.kind}", class_="muted"),
         tag("h1", title),
+        tag("p", " · ".join(_measured(content)), class_="muted"),
         _verdict(content),
         tag("div", tag("section", _estimates(content)), tag("section", _facts(content)), class_="first"),
         _warnings(content),
@@ -35,6 +36,17 @@ def result_page(content: Content) -> str:
         _provenance(content),
     ]
     return page(f"{title} ({content.record.status})", *parts, turns=turns)
+
+
+def _measured(content: Content) -> Iterator[str]:
+    """Yield what was measured, by how many readings, the file of the result and its day."""
+    item = (content.record.certificate or {}).get("item", {})
+    yield from (str(item[key]) for key in ("name", "serial") if item.get(key))
+    statistics = content.result.statistics
+    if "observations" in statistics and "unknowns" in statistics:
+        yield f"{statistics['observations']} observations, {statistics['unknowns']} unknowns"
+    yield content.path
+    yield content.record.created.partition("T")[0]
 
 
 def _verdict(content: Content) -> Html:
@@ -48,10 +60,12 @@ def _estimates(content: Content) -> Html:
     result = content.stated or content.result
     if not result.estimates:
         return EMPTY
-    factors = {result.expanded(one)[1] for one in result.estimates}
-    k = f"k = {factors.pop():.3g}" if len(factors) == 1 else "k in the result"
-    head = ("estimate", "value", f"U ({k if factors or k else K})", "unit")
-    rows = [row_of(result, one) for one in result.estimates]
+    factors = [f"{result.expanded(one)[1]:.3g}" for one in result.estimates]
+    head: tuple[str, ...] = ("estimate", "value", f"U (k = {factors[0]})", "unit")
+    rows: list[tuple[str, ...]] = [row_of(result, one) for one in result.estimates]
+    if len(set(factors)) > 1:
+        head = ("estimate", "value", "U", "unit", "k")
+        rows = [(*row, k) for row, k in zip(rows, factors, strict=True)]
     first = table(head, rows[:_FIRST], "Estimates with expanded uncertainty", (1, 2))
     if len(rows) <= _FIRST:
         return joined([tag("h2", "Estimates"), first])
@@ -72,12 +86,21 @@ def _warnings(content: Content) -> Html:
 
 
 def _details(content: Content) -> Html:
-    parts = [tag("h2", "Adjustment"), _statistics(content.result.statistics)]
+    parts = [tag("h2", "Details"), _statistics(content.result.statistics)]
     notes = "\n".join(content.result.notes).strip("\n")
-    parts += [tag("pre", notes, tabindex="0")] if notes else []
+    parts += [tag("div", *_notes(notes.split("\n")), class_="notes")] if notes else []
     for name, text in content.tables.items():
         parts.append(tag("details", tag("summary", f"Table {name}"), tag("pre", text, tabindex="0")))
     return joined(parts)
+
+
+def _notes(lines: list[str]) -> Iterator[Html]:
+    """Yield notes for reading at any width: sentences are broken into lines, tables scroll on their own."""
+    for is_table, block in groupby(lines, lambda line: "  " in line.strip()):
+        if is_table:
+            yield tag("pre", "\n".join(block), tabindex="0")
+        else:
+            yield from (tag("p", line) for line in block)
 
 
 def _statistics(statistics: Mapping[str, Any]) -> Html:

@@ -81,6 +81,18 @@ def machine() -> Result:
     return Result("calibrate-machine", "Mill", estimates, np.array([[4e-12]]), {"sigma0": 1.0, "dof": 8}, tables)
 
 
+def raw_part() -> Result:
+    """A raw part with two surfaces and a chip on one of them."""
+    lengths = {"least": [1.5, 0.6], "s_least": [0.01, 0.02], "mean": [2.0, 1.0], "largest": [2.5, 1.5]}
+    names = {"surface": np.array(["side", "top"]), "least_at": np.array(["P3", "P9"])}
+    surfaces = Table(
+        {**names, **{name: np.array(values) for name, values in lengths.items()}}, dict.fromkeys(lengths, "mm")
+    )
+    rejected = Table({"surface": np.array(["side"]), "overstock": np.array([-3.0])}, {"overstock": "mm"})
+    tables = {"surfaces": surfaces, "rejected": rejected}
+    return Result("fit-part", "Casting", (Estimate("x", 1.0, 0.1, "mm"),), np.array([[0.01]]), {"minimum": 0.5}, tables)
+
+
 def budget() -> Result:
     """A measurand with three contributors and a tolerance."""
     table = Table(

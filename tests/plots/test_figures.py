@@ -14,6 +14,7 @@ from plots import results
 from metrocli import plots
 from metrocli.errors import UsageError
 from metrocli.plots import scene
+from metrocli.plots.readings import residuals_of
 from metrocli.plots.style import DARK, LIGHT
 from metrocli.result import Result
 from metrocli.table import Table
@@ -134,6 +135,44 @@ def test_maps_over_the_volume() -> None:
     assert spread.layers[1].size == pytest.approx(7.0) and spread.layers[1].vectors is None
 
 
+def test_the_surface_with_the_least_overstock_is_first() -> None:
+    found = plots.data_of("overstock", results.raw_part())
+    assert found.surfaces == ("top", "side") and found.least_at == ("P9", "P3")
+    assert found.least.tolist() == [0.6, 1.5] and found.spread.tolist() == [0.04, 0.02] and found.minimum == 0.5
+    assert found.left_out == (("side", -3.0),)
+
+
+def test_the_scale_of_colours_is_as_high_as_the_map() -> None:
+    from metrocli.plots import style
+
+    with plots.drawn("correlation", plots.data_of("correlation", lens())) as (canvas, _):
+        style.arrange(canvas)
+        canvas.figure.draw_without_rendering()
+        matrix, bar = (axes.get_window_extent() for axes in canvas.figure.axes)
+    assert (bar.y0, bar.y1) == pytest.approx((matrix.y0, matrix.y1), abs=0.5)
+    assert 0 < bar.x0 - matrix.x1 < bar.width * 4
+
+
+def test_readings_are_named_so_that_they_can_be_found() -> None:
+    """Balls by their place in the artefact, readings of a path by the commanded place; their coordinates are no lengths."""
+    three = {"residual": np.ones(2), "normalised": np.ones(2)}
+    grid = {
+        "view": np.array(["1", "1"]),
+        "i": np.array(["2", "2"]),
+        "j": np.array(["-1", "-1"]),
+        "k": np.array(["0", "0"]),
+    }
+    balls = Table(
+        {**grid, "component": np.array(["x", "y"]), "reading": np.array([1.0, 2.0]), **three}, {"reading": "mm"}
+    )
+    (one,) = residuals_of(Result("selfcal-grid", "", (), np.zeros((0, 0)), {}, {"residuals": balls}))
+    assert one.name(1) == "1/ball (2, -1, 0)/y" and "length" not in one.covariates
+    along = {"leg": np.array(["28", "28"]), "x": np.array([0.0, 12.5]), "y": np.zeros(2), "z": np.array([-50.0, -50.0])}
+    path = Table({**along, "residual_a": np.ones(2), "normalised_a": np.ones(2)})
+    (one,) = residuals_of(Result("calibrate-machine", "", (), np.zeros((0, 0)), {}, {"residuals": path}))
+    assert one.name(1) == "28 at (12.5, 0, -50) mm a"
+
+
 def test_correlations() -> None:
     found = plots.data_of("correlation", lens())
     assert found.matrix[0, 1] == pytest.approx(0.5) and found.largest == ("cx", "cy", pytest.approx(-0.9))
@@ -164,6 +203,7 @@ ALL = [
         results.network(),
         results.machine(),
         results.budget(),
+        results.raw_part(),
     )
     for name in plots.names_of(result)
 ]

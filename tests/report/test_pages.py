@@ -139,6 +139,49 @@ def test_u_is_that_of_the_result_where_it_states_one() -> None:
     assert "U (k = 2)" in text and "50.00050 0.00020 mm" in text
 
 
+def test_each_estimate_has_its_k_where_they_differ() -> None:
+    held = results.budget()
+    text = page_of(replace(held, details={"l": {"U": 2.9e-4, "k": 2.9}}, estimates=(*held.estimates, Estimate("b", 1.0, 0.1, "mm")),
+                           covariance=np.diag([1e-8, 0.01]))).text  # fmt: skip
+    assert "U unit k l 50.00050 0.00029 mm 2.9 b 1.00 0.20 mm 2" in text
+
+
+def test_what_was_measured_stands_below_the_title() -> None:
+    record = replace(RECORD, certificate={"item": {"name": "Step gauge", "serial": "S 17"}})
+    held = replace(results.network(), statistics={"observations": 6, "unknowns": 3})
+    text = page_of(held, record=record).text
+    assert "Net Step gauge · S 17 · 6 observations, 3 unknowns · r.h5 · 2026-11-20 Done." in text
+
+
+def test_numbers_of_figures_keep_their_digits() -> None:
+    """A scale of 0.002 px is not shortened as the coordinates of lines are."""
+    uv = np.random.default_rng(892).random((40, 2)) * [640, 480]
+    text = page_of(results.camera(uv, np.full((40, 2), 0.0018), 0.001)).text
+    assert "0.002 px (vectors" in text and "0.00 px" not in text
+
+
+def test_points_that_are_given_are_not_the_worst_known() -> None:
+    net = results.network()
+    points = net.tables["points"]
+    exact = {name: np.zeros(3) for name in ("sx", "sy", "sz", "error_x", "error_y", "error_z")}
+    text = page_of(
+        replace(net, tables={**net.tables, "points": replace(points, columns={**points.columns, **exact})})
+    ).text
+    assert "Least known" not in text and "Largest error" not in text and "Vectors:" not in text
+
+
+def test_the_least_overstock_is_named() -> None:
+    assert (
+        "Least overstock: (0.600 ± 0.040) mm (k = 2) at P9 of top; the minimum is 0.5 mm."
+        in page_of(results.raw_part()).text
+    )
+
+
+def test_notes_are_broken_into_lines_and_their_tables_are_not() -> None:
+    text = result_page(Content(replace(lens(), notes=("a sentence", "x  y\n1  2")), RECORD, "r.h5"))
+    assert '<div class="notes"><p>a sentence</p><pre tabindex="0">x  y\n1  2</pre></div>' in text
+
+
 def test_a_doubtful_result_cannot_be_overlooked() -> None:
     page = page_of(lens(), record=replace(RECORD, doubts=("sigma0 = 7",)))
     assert "Doubtful: do not use this result. sigma0 = 7" in page.text
@@ -235,12 +278,16 @@ ENTRIES = (
 
 def test_the_page_of_a_project() -> None:
     page = Page(project_page("House", ENTRIES))
-    assert "2 of 3 results are not up to date, 0 are not fit for use." in page.text
+    assert "2 of 3 results are not up to date. Bring" in page.text and "fit for use" not in page.text
     assert "not up to date: input obs.csv changed" in page.text
     assert [held["href"] for held in page.named("a")] == ["a.html", "b.html"]
     assert "jobs/b.yaml takes jobs/a.yaml, obs.csv, p.csv" in page.text and not page.named("script")
     assert ranks(ENTRIES) == {"jobs/a.yaml": 1, "jobs/b.yaml": 2, "jobs/c.yaml": 3}
     assert len(page.named("rect")) == 5 and len(page.named("path")) == 6
+    doubtful = replace(ENTRIES[0], status="doubtful")
+    page = Page(project_page("House", [doubtful]))
+    assert "1 of 1 results is not fit for use." in page.text and "up to date." not in page.text
+    assert "stroke:var(--second)" in (page.named("rect")[-1]["style"] or "")
     assert "All results are up to date and done." in Page(project_page("House", ENTRIES[:1])).text
 
 
@@ -281,7 +328,7 @@ def test_results_of_one_name_and_damaged_ones(job: Path, metrocli: Metrocli) -> 
     page = Page(Path("report/index.html").read_text(encoding="utf-8"))
     assert [held["href"] for held in page.named("a")] == ["a-line.html", "b-line.html"]
     assert (
-        "1 of 3 results are not up to date" in page.text
+        "1 of 3 results is not up to date" in page.text
         and "the file exists and is not a result of metrocli" in page.text
     )
 
@@ -298,7 +345,7 @@ def test_readings_that_check_each_other_only_are_all_named() -> None:
     rows = [f"{p}/{t}" for p, t in zip(table.texts("point"), table.texts("tracer"), strict=True)][::3]
     changed = replace(table, columns={**table.columns, "normalised": w})
     text = page_of(replace(net, tables={**net.tables, "residuals": changed})).text
-    assert f"Readings {listed(rows, 4)}: |w| = 5 standard deviations each, so none can be singled out" in text
+    assert f"Readings {listed(rows, 4)}: |w| = 5.00 standard deviations each, so none can be singled out" in text
 
 
 def test_what_is_to_be_typed_is_marked() -> None:

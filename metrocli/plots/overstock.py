@@ -1,0 +1,83 @@
+"""Overstock of a raw part, surface by surface: least, mean and largest, against the minimum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.plots.noise_bands import Array
+from metrocli.plots.style import Canvas
+from metrocli.result import K, Result
+
+_MOST = 40
+"""Most surfaces that are shown, those with the least overstock"""
+
+
+@dataclass(frozen=True)
+class Overstock:
+    """What the figure shows, lengths in mm."""
+
+    surfaces: tuple[str, ...]
+    """Least overstock first"""
+    least: Array
+    spread: Array
+    """Expanded uncertainty (k = 2) of the least, from the measurement of its point"""
+    mean: Array
+    largest: Array
+    least_at: tuple[str, ...]
+    minimum: float
+    left_out: tuple[tuple[str, float], ...]
+    """Surface and overstock of each point that was left out, as chip or flash"""
+    of: int
+    """Surfaces of the part"""
+
+
+def data(result: Result, about: str = "") -> Overstock | None:
+    """Return the overstock of the surfaces; None if the result has none."""
+    table, minimum = result.tables.get("surfaces"), result.statistics.get("minimum")
+    if table is None or "least" not in table or not len(table) or not isinstance(minimum, int | float):
+        return None
+    rows = np.argsort(table.numbers("least"), kind="stable")[:_MOST]
+    names, points = np.array(table.texts("surface"))[rows], np.array(table.texts("least_at"))[rows]
+    rejected = result.tables.get("rejected")
+    out = (
+        () if rejected is None else zip(rejected.texts("surface"), rejected.numbers("overstock").tolist(), strict=True)
+    )
+    least, spread, mean, largest = (table.numbers(name)[rows] for name in ("least", "s_least", "mean", "largest"))
+    kept = tuple((surface, value) for surface, value in out if surface in names)
+    surfaces, at = tuple(names.tolist()), tuple(points.tolist())
+    return Overstock(surfaces, least, K * spread, mean, largest, at, float(minimum), kept, len(table))
+
+
+def height(found: Overstock) -> float:
+    """Return the height of the figure in inches."""
+    return 0.24 * len(found.surfaces) + 1.1
+
+
+def draw(canvas: Canvas, found: Overstock) -> str:
+    """Draw the figure and return its caption."""
+    theme, axes, rows = canvas.theme, canvas.axes()[0], np.arange(len(found.surfaces))
+    axes.hlines(rows, found.least, found.largest, color=theme.band, lw=7)
+    axes.plot(found.mean, rows, "|", ms=9, mew=1.6, color=theme.ink, label="mean")
+    axes.errorbar(
+        found.least, rows, xerr=found.spread, fmt="o", ms=4.5, capsize=3, lw=1.2, color=theme.first,
+        label="least ± U (k = 2)",
+    )  # fmt: skip
+    if found.left_out:
+        row = {name: k for k, name in enumerate(found.surfaces)}
+        at = [(value, row[surface]) for surface, value in found.left_out]
+        axes.plot(*np.transpose(at), "D", ms=5, mew=0, color=theme.second, label="left out")
+    axes.axvline(found.minimum, color=theme.second, lw=1.2, ls=(0, (4, 3)), label="minimum")
+    axes.set_yticks(rows, found.surfaces)
+    axes.invert_yaxis()
+    axes.margins(0.05, 0.6 / len(rows))
+    axes.set_xlabel("overstock (mm)")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4)
+    least = f"{found.least[0]:.3f} mm at {found.least_at[0]}, {found.surfaces[0]}"
+    parts = [f"Bar: from least to largest; U of the least is that of its point. The least of all is {least}."]
+    if found.left_out:
+        parts.append("Points that were left out are chips or flash.")
+    if len(found.surfaces) < found.of:
+        parts.append(f"{len(found.surfaces)} of {found.of} surfaces are shown, those with the least.")
+    return " ".join(parts)
