@@ -74,8 +74,8 @@ def main() -> None:
             hdf5.write(path, network(images, 100), RECORD)
             taken = cpu(["-m", "metrocli", "report", str(path), "--quiet"], str(folder / "compiled"))
             page = path.with_suffix(".html").read_text(encoding="utf-8")
-            figures = len(re.findall('id="figure-', page))
-            worst = "|w| = 9 standard deviations" in page
+            figures = len(re.findall('<figure id="figure-', page))
+            worst = "|w| = 9.00 standard deviations" in page
             print(
                 f"{2 * images * 100} residuals: {taken:.2f} s CPU (bar {seconds:g}), {len(page) / 1e6:.2f} MB "
                 f"(bar {size / 1e6:g}), {figures} figures, worst reading {'named' if worst else 'MISSING'}"

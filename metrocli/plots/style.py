@@ -60,6 +60,9 @@ BOTH_SIDES = LinearSegmentedColormap.from_list("both sides", ["#c04a00", "#f7c8a
 SIZES = "cividis"
 OUTLINE = 0.4
 """Line about a mark whose colour is a size: the least of them is as dark as the dark ground"""
+_MARKS = re.compile(r'<use [^<>]*?( style="[^"]*")/>(?:\s*<use [^<>]*?\1/>)+')
+"""Marks of one look, which the group that they are in can state for all"""
+_INDENT = re.compile(r"\n +")
 _ELEMENT = re.compile("<[^<>]+>")
 _DIGITS = re.compile(r"(\d\.\d\d)\d+")
 """More digits of a point (1/72 inch) than an image can show"""
@@ -212,7 +215,8 @@ def svg(canvas: Canvas) -> str:
     text = StringIO()
     FigureCanvasSVG(canvas.figure).print_svg(text, metadata=_without_date("svg"))  # type: ignore[no-untyped-call]
     # inside the elements only: numbers that are read keep their digits
-    return _ELEMENT.sub(lambda element: _DIGITS.sub(r"\1", element[0]), text.getvalue())
+    short = _ELEMENT.sub(lambda element: _DIGITS.sub(r"\1", element[0]), _INDENT.sub("\n", text.getvalue()))
+    return _MARKS.sub(lambda marks: f"<g{marks[1]}>{marks[0].replace(marks[1], '')}</g>", short)
 
 
 def png(canvas: Canvas) -> bytes:

@@ -29,23 +29,20 @@ _PLAIN = re.compile(r"[^A-Za-z0-9]+")
 _ID = re.compile(r'(\bid="|url\(#|href="#)')
 
 
-def figures(result: Result, beside: Beside) -> Iterator[tuple[str, Html]]:
-    """Yield name and content of each figure of a result, as long as the page has room."""
+def figures(result: Result, path: str, beside: Beside) -> Iterator[tuple[str, Html]]:
+    """Yield name and content of each figure of a result, as long as the page has room; then how to draw it."""
     room = MOST
     for name in plots.FIGURES:
         data = plots.data_of(name, result, beside)
         if data is None:
             continue
         if room <= 0:
-            yield name, tag("p", tag("a", "", id=f"figure-{name}"), f"{plots.title_of(name)}: ", _command(name))
+            command = code(f"metrocli plot {path} {name}")
+            yield name, tag("p", f"{plots.title_of(name)}: this page has no room; ", command, id=f"figure-{name}")
             continue
         drawn = _figure(name, data)
         room -= len(drawn)
         yield name, drawn
-
-
-def _command(name: str) -> Html:
-    return code(f"metrocli plot RESULT.h5 {name}")
 
 
 def _figure(name: str, data: Any) -> Html:
@@ -128,7 +125,7 @@ def _as_json(value: Any) -> Html:
     return Html(json.dumps(value, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c"))
 
 
-def shown(result: Result, beside: Beside = ALONE) -> tuple[Html, bool]:
-    """Return all figures of a result, and whether one of them turns."""
-    found = list(figures(result, beside))
+def shown(result: Result, path: str, beside: Beside = ALONE) -> tuple[Html, bool]:
+    """Return all figures of a result in the file `path`, and whether one of them turns."""
+    found = list(figures(result, path, beside))
     return joined(content for _, content in found), any(name == "scene" for name, _ in found)

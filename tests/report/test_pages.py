@@ -160,6 +160,22 @@ def test_numbers_of_figures_keep_their_digits() -> None:
     assert "0.002 px (vectors" in text and "0.00 px" not in text
 
 
+def test_figures_without_room_are_named_with_their_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metrocli.report.pictures.MOST", 1)
+    text = page_of(results.machine()).text
+    assert (
+        "Errors of a machine over its axes (actual minus commanded): this page has no room; metrocli plot r.h5" in text
+    )
+
+
+def test_marks_of_one_look_state_it_once() -> None:
+    text = result_page(Content(lens(), RECORD, "r.h5"))
+    drawn = text.partition('id="figure-residuals"')[2].partition("</figure>")[0]
+    marks = [one for one in re.findall("<use [^>]*>", drawn) if 'y="' in one]
+    assert len(marks) > 700 and sum("style" in one for one in marks) < 10
+    assert drawn.count("<g") == drawn.count("</g>")
+
+
 def test_points_that_are_given_are_not_the_worst_known() -> None:
     net = results.network()
     points = net.tables["points"]
