@@ -15,6 +15,7 @@ from places import SAMPLES
 
 from metrocli.project.provenance.lineage import AS_READ, CHANGED, Origin, shortened
 from metrocli.result import Estimate
+from metrocli.units import rounded
 
 HEAD = "metrocli: 1\njob: straight-line\nnoise: 0.1 mm\n"
 FIRST = HEAD + "inputs: {readings: ../readings.csv}\noutput: ../results/first.h5\n"
@@ -82,6 +83,8 @@ def test_a_difference_names_what_moved_and_why(project: Path, metrocli: Callable
     slope = next(one for one in found["moved"] if one["name"] == "slope")
     assert slope["stds"] == pytest.approx(abs(second["value"][0] - first["value"][0]) / first["std"][0])
     assert found["same"] is False
+    row = next(line.split() for line in out.splitlines() if line.startswith("slope"))
+    assert row[1:3] == [rounded(one, slope["std"])[0] for one in (slope["before"], slope["after"])]
 
 
 def test_a_result_is_made_again_bit_for_bit(project: Path, metrocli: Callable[..., Any]) -> None:

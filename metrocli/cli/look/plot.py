@@ -64,8 +64,8 @@ def command(
             echo(json_text({"figures": summaries}))
             return 0
         width = max(map(len, names), default=0)
-        for one, text in summaries.items():
-            echo(f"{one:{width}}  {text}")
+        # one table, whose columns stay aligned where the terminal is narrow
+        echo("\n".join(f"{one:{width}}  {text}" for one, text in summaries.items()))
         return 0
     path = save or result.with_name(f"{result.stem}.{name}.svg")
     plots.check(found, name, path, beside)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from metrocli.cli import options
 from metrocli.cli.console import echo
+
+if TYPE_CHECKING:
+    from metrocli.project.provenance.comparison import Moved
 
 
 @click.command("diff", help="Show which estimates moved between two results, and which inputs and settings changed.")
@@ -27,7 +32,7 @@ def command(first: Path, second: Path, as_json: bool) -> int:
     if found.same:
         echo("the results are the same, bit for bit")
     rows = [["estimate", "from", "to", "unit", "moved by"]]
-    rows += [[m.name, f"{m.before:.10g}", f"{m.after:.10g}", m.unit, f"{m.stds:.3g} std"] for m in found.moved]
+    rows += [[m.name, _written(m, m.before), _written(m, m.after), m.unit, f"{m.stds:.3g} std"] for m in found.moved]
     if found.moved:
         echo(columns.columns_text(rows))
     for heading, lines in (("", found.only), ("setting ", found.settings), ("", found.inputs)):
@@ -36,3 +41,10 @@ def command(first: Path, second: Path, as_json: bool) -> int:
     if not found.same and not (found.moved or found.only):
         echo("no estimate moved; tables or other figures differ")
     return 0
+
+
+def _written(moved: Moved, value: float) -> str:
+    """Return a value to the second digit of the uncertainty; with all digits where that is none."""
+    from metrocli.units import rounded
+
+    return rounded(value, moved.std)[0] if 0 < moved.std < math.inf else f"{value:.10g}"

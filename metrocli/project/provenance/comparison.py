@@ -21,6 +21,8 @@ class Moved:
     before: float
     after: float
     unit: str
+    std: float
+    """Standard uncertainty of the first result"""
     stds: float
     """The difference in standard uncertainties of the first result"""
 
@@ -69,7 +71,7 @@ def _differ(a: Estimate, b: Estimate) -> bool:
 def _moved(a: Estimate, b: Estimate) -> Moved:
     known = 0 < a.std < math.inf
     stds = abs(b.value - a.value) / a.std if known else 0.0 if a.value == b.value else math.inf
-    return Moved(a.name, a.value, b.value, a.unit, stds)
+    return Moved(a.name, a.value, b.value, a.unit, a.std, stds)
 
 
 def _settings(a: Record, b: Record, first: Path, second: Path) -> list[str]:

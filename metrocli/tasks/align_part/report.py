@@ -107,33 +107,17 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
     solution = adjusted.solution
     found = adjusted.known_residuals()
     names, values, covariance, units = _estimates(solution, problem.effects)
-    effect_tables, effect_arrays = effect_results(problem.effects, solution)
     std = np.sqrt(np.diag(covariance))
     estimates = tuple(
         Estimate(name, float(value), float(s), unit)
         for name, value, s, unit in zip(names, values, std, units, strict=True)
     )
-    images, targets = problem.sighted.images, problem.sighted.targets.names
-    index = adjusted.group.observations.index
-    views = rms_table(found.values, adjusted.group, "image", index["view"], images)
-    correlation = covariance / std[:, None] / std
-    arrays = {"rotation": poses.rotation_of(solution.blocks[spindle.PART].values[0]), "correlation": correlation}
-    owed_tables, owed_arrays = ({}, {}) if adjusted.structured is not None else _owed(problem, solution)
-    arrays |= effect_arrays | owed_arrays
-    hidden = uncontrolled(problem, adjusted)
-    tables = {
-        "residuals": residual_table(found, adjusted.group),
-        "views": views,
-        "targets": rms_table(found.values, adjusted.group, "target", index[TARGET], targets),
-        "rejected": adjusted.rejected,
-        TABLE: hidden,
-        **effect_tables,
-        **owed_tables,
-    }
+    pose = solution.blocks[spindle.PART].values[0]
+    tables, arrays = _tables(problem, adjusted, found)
+    arrays |= {"rotation": poses.rotation_of(pose), "correlation": covariance / std[:, None] / std}
     fixture = corrections(values[:6], covariance[:6, :6], files.supports)
     tables |= fixture.tables
     if files.points is not None:
-        pose = solution.blocks[spindle.PART].values[0]
         known = [*range(6), *(k for k, name in enumerate(names) if name.startswith(f"{EXPANSION}."))]
         joint = covariance[np.ix_(known, known)]
         tables["points"], of_points = predicted_points(files.points, pose, joint, _growth(problem, solution))
@@ -146,17 +130,33 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
         statistics=_statistics(problem, adjusted, found, prediction),
         tables=tables,
         arrays=arrays,
-        warnings=(*_warnings(problem, adjusted, views, prediction), *fixture.warnings),
+        warnings=(*_warnings(problem, adjusted, tables["views"], prediction), *fixture.warnings),
         shown=(ShownTable("views", ("image", "readings", "rms", "largest", "largest_target")),),
         notes=(
             *_notes(solution, adjusted, prediction),
             *([] if problem.part is None else [problem.part.note_of_listed]),
             *fixture.notes,
-            *in_words(hidden),
+            *in_words(tables[TABLE]),
         ),
         details=adjusted.structured.details(names) if adjusted.structured is not None else {},
         plain=("dof",),
     )
+
+
+def _tables(problem: Problem, adjusted: Adjusted, found: Residuals) -> tuple[dict[str, Table], dict[str, Array]]:
+    """Return the tables of readings, views and targets, of what is not controlled, of effects, and of what is owed."""
+    images, targets = problem.sighted.images, problem.sighted.targets.names
+    index = adjusted.group.observations.index
+    tables = {
+        "residuals": residual_table(found, adjusted.group),
+        "views": rms_table(found.values, adjusted.group, "image", index["view"], images),
+        "targets": rms_table(found.values, adjusted.group, "target", index[TARGET], targets),
+        "rejected": adjusted.rejected,
+        TABLE: uncontrolled(problem, adjusted),
+    }
+    effect_tables, effect_arrays = effect_results(problem.effects, adjusted.solution)
+    owed_tables, owed_arrays = ({}, {}) if adjusted.structured is not None else _owed(problem, adjusted.solution)
+    return tables | effect_tables | owed_tables, effect_arrays | owed_arrays
 
 
 def _growth(problem: Problem, solution: Solution) -> float:

@@ -15,6 +15,7 @@ from metrocli.tasks.fit_part.monte_carlo import Check
 from metrocli.tasks.fit_part.sentences import notes, warnings
 from metrocli.tasks.fit_part.solve import Solved
 from metrocli.tasks.fit_part.uncertainty import of_result
+from metrocli.tasks.shared.statistics import Statistics
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -43,8 +44,28 @@ def report(solved: Solved, check: Check | None = None) -> Result:
         "targets": targets,
         **({"monte_carlo": check.table} if check is not None else {}),
     }
-    of_used = fit.local.overstock
-    statistics = {
+    shown = [ShownTable("surfaces")] + ([ShownTable("rejected")] if len(tables["rejected"]) else [])
+    return Result(
+        kind=KIND.name,
+        title="",
+        estimates=tuple(
+            Estimate(name, float(value), float(s), unit)
+            for name, value, s, unit in zip(poses.EULER, values, std, _UNITS, strict=True)
+        ),
+        covariance=(covariance + covariance.T) / 2,
+        statistics={**_statistics(solved), **({} if check is None else check.statistics)},
+        tables=tables,
+        arrays={**arrays, "rotation": poses.rotation_of(poses.inverse(fit.into))},
+        warnings=(*solved.warnings, *warnings(solved, surfaces, tables["rejected"])),
+        shown=tuple(shown),
+        notes=(*notes(solved, holding), *(check.notes if check is not None else ())),
+    )
+
+
+def _statistics(solved: Solved) -> Statistics:
+    """Return numbers of points, and what the overstock is over those that are used [mm]."""
+    fit, of_used = solved.fit, solved.fit.local.overstock
+    return {
         "observations": len(of_used),
         "unknowns": 6,
         "dof": len(of_used) - 6,
@@ -57,27 +78,10 @@ def report(solved: Solved, check: Check | None = None) -> Result:
         "largest_least_overstock": solved.largest,
         "optimality": fit.optimality,
         "active": int((fit.duals > 0).sum()),
-        "rejected": len(tables["rejected"]),
-        "targets": len(targets),
+        "rejected": int((~solved.used).sum()),
+        "targets": len(solved.prepared.readings.targets.names),
         **solved.prepared.readings.growth,
-        **({} if check is None else check.statistics),
     }
-    shown = [ShownTable("surfaces")] + ([ShownTable("rejected")] if len(tables["rejected"]) else [])
-    return Result(
-        kind=KIND.name,
-        title="",
-        estimates=tuple(
-            Estimate(name, float(value), float(s), unit)
-            for name, value, s, unit in zip(poses.EULER, values, std, _UNITS, strict=True)
-        ),
-        covariance=(covariance + covariance.T) / 2,
-        statistics=statistics,
-        tables=tables,
-        arrays={**arrays, "rotation": poses.rotation_of(poses.inverse(fit.into))},
-        warnings=(*solved.warnings, *warnings(solved, surfaces, tables["rejected"])),
-        shown=tuple(shown),
-        notes=(*notes(solved, holding), *(check.notes if check is not None else ())),
-    )
 
 
 def below(overstock: Array, std: Array, minimum: float) -> Array:
