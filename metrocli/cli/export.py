@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,6 +45,8 @@ def command(
         reasons = "; ".join(record.reasons)
         raise InputError([Fault(f"not fit for use ({record.status}): {reasons}", str(result), hint=hint)])
     found = replace(found, doubts=record.reasons)
+    if record.job_file:  # messages name it from the working folder, the result from its own
+        record = replace(record, job_file=Path(os.path.relpath(result.parent / record.job_file)).as_posix())
     contents = {}
     for name, content in export(form, found, record).items():
         path = inside(out, name) if out is not None else inside(result.parent, f"{result.stem}.{name}")

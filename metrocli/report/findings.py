@@ -116,8 +116,9 @@ def diagnosed(content: Content) -> Iterator[str | Html]:
 def next_step(content: Content) -> str | Html:
     """Return what to do next with the result."""
     record, held = content.record, content.diagnosis
+    held = held if held is not None and held.of_this else None
     diagnose = code(f"metrocli diagnose {content.job}")
-    if held is not None and held.of_this:
+    if held is not None:
         extended = held.data.get("extended_job")
         if extended:
             command = code(f"metrocli {content.result.kind} {extended}")

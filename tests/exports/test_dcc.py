@@ -582,10 +582,11 @@ certificate:
 
 def test_from_a_job(metrocli: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("l.yaml").write_text(JOB, encoding="utf-8")
+    Path("l.yaml").write_text(JOB.replace("l.h5", "results/l.h5"), encoding="utf-8")
     assert metrocli("report-uncertainty", "l.yaml").code == 0
-    refused = metrocli("export", "l.h5", "--to", "dcc")
-    assert refused.code == 3 and refused.err.count("is missing") == 12 and not Path("l.dcc.xml").exists()
+    refused = metrocli("export", "results/l.h5", "--to", "dcc")
+    assert refused.code == 3 and refused.err.count("is missing") == 12 and not Path("results/l.dcc.xml").exists()
+    assert "is missing in the job l.yaml" in refused.err, "from the working folder, not from that of the result"
     Path("l.yaml").write_text(JOB + STATED, encoding="utf-8")
     assert metrocli("report-uncertainty", "l.yaml").code == 0
     assert metrocli("export", "l.h5", "--to", "dcc").code == 0

@@ -273,6 +273,7 @@ def test_the_diagnosis_decides_what_is_next(data: dict[str, Any], words: list[st
     assert all(one in text for one in words), text[:900]
     other = page_of(lens(), diagnosis=Diagnosis(data, "d.json", False)).text
     assert "d.json is the diagnosis of another job, or of other inputs" in other and words[0] not in other
+    assert "Next: Check the model by metrocli diagnose" in other
 
 
 ENTRIES = (
