@@ -45,7 +45,7 @@ FIGURES: dict[str, Entry] = {
     "residuals-x": Entry("against", "normalised residuals against x", "x"),
     "residuals-y": Entry("against", "normalised residuals against y", "y"),
     "residuals-z": Entry("against", "normalised residuals against z", "z"),
-    "residuals-image": Entry("image_vectors", "residual vectors over the image"),
+    "residuals-image": Entry("images.vectors", "residual vectors over the image"),
     "residuals-part": Entry("part_vectors", "residuals over the part"),
     "before-after": Entry(
         "beside.before_after", "normalised residuals before and after the model was extended", beside=True
@@ -53,7 +53,7 @@ FIGURES: dict[str, Entry] = {
     "law": Entry("beside.law", "law that the diagnosis found, with the readings in which it found it", beside=True),
     "held-out": Entry("beside.held_out", "gain of what the diagnosis found, in each held-out part", beside=True),
     "normal-plot": Entry("normal_plot", "normal plot of the normalised residuals"),
-    "coverage": Entry("coverage", "coverage of the image by readings"),
+    "coverage": Entry("images.coverage", "coverage of the image by readings"),
     "error-curves": Entry("error_curves", "errors of a machine over its axes (actual minus commanded)"),
     "positioning": Entry("positioning", "positioning of the axes by ISO 230-2"),
     "volumetric-error": Entry("volume_map", "error of the machine over the volume", "error"),

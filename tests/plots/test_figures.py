@@ -74,6 +74,9 @@ def test_vectors_over_the_image_fit_into_it() -> None:
     shown = plots.data_of("residuals-image", results.camera(UV, np.full((300, 2), 0.03)))
     assert shown.magnification == 1000.0  # 0.0424 px become 42 px, at most 640 / 14
     assert shown.readings == 300
+    many = np.random.default_rng(882).random((3000, 2)) * [640, 480]
+    shown = plots.data_of("residuals-image", results.camera(many, np.full((3000, 2), 0.03)))
+    assert shown.magnification == 500.0  # of many vectors each stays in its cell: at most 640 / sqrt(500)
 
 
 def test_coverage_counts_every_reading_once() -> None:

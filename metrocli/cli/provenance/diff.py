@@ -44,7 +44,7 @@ def command(first: Path, second: Path, as_json: bool) -> int:
 
 
 def _written(moved: Moved, value: float) -> str:
-    """Return a value to the second digit of the uncertainty; with all digits where that is none."""
+    """Return a value to the second digit of its uncertainty, or to ten digits without one."""
     from metrocli.units import rounded
 
     return rounded(value, moved.std)[0] if 0 < moved.std < math.inf else f"{value:.10g}"

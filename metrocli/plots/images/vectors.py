@@ -48,7 +48,8 @@ def data(result: Result, about: str) -> Vectors | None:
     sizes = np.hypot(*found.vectors.T)
     rows = thinned_vectors(found.places, sizes, _MOST)
     typical = float(np.quantile(sizes, 0.95))
-    factor = magnification(typical, _SHARE * found.size[0])
+    share = _SHARE if len(rows) == len(sizes) else 1 / _MOST**0.5  # those of neighbouring cells stay apart
+    factor = magnification(typical, share * found.size[0])
     bound = largest_of(2 * len(sizes))
     beyond = np.nan_to_num(np.abs(found.w)).max(axis=1) > bound
     worst = int(np.argmax(sizes[rows]))

@@ -1,0 +1,1 @@
+"""Figures over an image: residual vectors, and how readings cover it."""
