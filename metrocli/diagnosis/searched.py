@@ -29,7 +29,7 @@ from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitt
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.linear.random_columns import beside_random_columns
 from metrocli.diagnosis.linear.score_tests import ScoreTests
-from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit, noise_instead, noisiest_unit, reweighted
+from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit, noise_instead, noisier_units, reweighted
 from metrocli.diagnosis.processes import Process, process_in
 from metrocli.diagnosis.residual_structure import log_level_of_strongest
 from metrocli.diagnosis.selection.all_of_a_kind import (
@@ -234,37 +234,42 @@ def _search_with_weights(job: AdjustedJob, rng: np.random.Generator, earlier: Sc
                 "the job has no redundant reading, so no reading can contradict its model\n"
                 "measure more; `metrocli diagnose --design` shows what a measurement can detect"
             )
-        last = len(units) == _ROUNDS
-        unit = None if last else _sigma_first(job, tests)
-        if unit is None:
+        most = _ROUNDS - len(units)
+        noisier = _sigma_first(job, tests) if most else ()
+        if not noisier:
             selection = search(tests, nothing_fitted(tests.system))
             # next to a dominant effect other structure is not searched for yet, and would count as noise
-            searching_on = last or has_dominant_effect(selection)
-            unit = None if searching_on else noisiest_unit(job, tests.system, selection.fitted())
-            if unit is not None:
-                unit = None if _is_scatter(selection, unit) else unit
-            elif not searching_on:
-                unit = noise_instead(job, selection)
-        if unit is None:
+            if most and not has_dominant_effect(selection):
+                noisier = _noisier_beside(job, selection, most)
+        if not noisier:
             break
-        weights, units = reweighted(job, weights, unit), (*units, unit)
+        for unit in noisier:
+            weights = reweighted(job, weights, unit)
+        units = (*units, *noisier)
     return Searched(job, tests, not_tested, _joined(units), selection)
 
 
-def _is_scatter(selection: Selection, unit: Unit) -> bool:
-    """Return whether an effect at all its places explains as much as the noise of a unit, which it then is."""
-    found = scattered_throughout(selection)
+def _noisier_beside(job: AdjustedJob, selection: Selection, most: int) -> tuple[Unit, ...]:
+    """Return the noisier units beside a selection, at most so many.
+
+    An effect at all its places that explains as much as the noise of a unit is what makes this noisier.
+    """
+    noisier = noisier_units(job, selection.test_set.system, selection.fitted(), most)
+    if not noisier:
+        unit = noise_instead(job, selection)
+        return () if unit is None else (unit,)
+    scatter = scattered_throughout(selection)
     # the scatter was held against the noise of each group of readings already
-    return found is not None and (unit.key == READING or found.log_level < unit.log_level)
+    explained = scatter is not None and (noisier[0].key == READING or scatter.log_level < noisier[0].log_level)
+    return () if explained else noisier
 
 
-def _sigma_first(job: AdjustedJob, test_set: ScoreTests) -> Unit | None:
+def _sigma_first(job: AdjustedJob, test_set: ScoreTests) -> tuple[Unit, ...]:
     """Return the prior values whose stated sigma is wrong, if that explains the residuals better than any cause."""
     fitted = nothing_fitted(test_set.system)
-    unit = noisiest_unit(job, test_set.system, fitted)
-    if unit is None or unit.key != DECLARED_SIGMA or unit.ratio < 1:
-        return None
-    return unit if unit.log_level < log_level_of_strongest(test_set, fitted) else None
+    units = noisier_units(job, test_set.system, fitted)
+    stated = all(unit.key == DECLARED_SIGMA and unit.ratio >= 1 for unit in units)
+    return units if stated and all(one.log_level < log_level_of_strongest(test_set, fitted) for one in units) else ()
 
 
 def _joined(units: Sequence[Unit]) -> tuple[Unit, ...]:
