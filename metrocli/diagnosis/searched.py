@@ -40,7 +40,7 @@ from metrocli.diagnosis.selection.all_of_a_kind import (
 )
 from metrocli.diagnosis.selection.confidence_set import confidence_sets
 from metrocli.diagnosis.selection.refined_scan import refined_scans
-from metrocli.diagnosis.selection.search import continued, search, transferred
+from metrocli.diagnosis.selection.search import STRUCTURED, continued, search, transferred
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.diagnosis.selection.thresholds import has_dominant_effect
 from metrocli.errors import UndeterminedError
@@ -105,20 +105,22 @@ def _with_processes(searched: Searched, say: Say) -> Searched:
     """Return the search repeated beside the smooth processes that the readings show, one after the other."""
     job, tests, selection = searched.job, searched.tests, searched.selection
     plain, processes = selection, list[Process]()
-    if all_of_a_kind(selection) is not None or scattered_throughout(selection) is not None:
-        # places that are off throughout are a cause; a process of each of them would take it for chance
-        return searched
-    while len(processes) < _PROCESSES and not job.budget.spent():
+    # places that are off throughout are a cause; a process of each of them would take it for chance
+    caused = all_of_a_kind(selection) is not None or scattered_throughout(selection) is not None
+    while not caused and len(processes) < _PROCESSES and not job.budget.spent():
         found = process_in(job, selection)
         if found is None:
             break
         say(f"searching beside an error that varies smoothly with {found.covariate}")
         rng, before = np.random.default_rng(SEED), selection
         tests = beside_random_columns(tests, found.columns, rng, job.single_components)
-        selection = refined_scans(job, search(tests, nothing_fitted(tests.system)))
+        selection = refined_scans(job, search(tests, nothing_fitted(tests.system), STRUCTURED))
         processes.append(replace(found, instead_of=_not_in(selection, map(before.alternative, before.named))))
+    if len(selection.unknown) >= STRUCTURED:
+        # no further process explains the structure, so it is taken up by as many smooth terms as there are
+        selection = refined_scans(job, continued(selection))
     if not processes:
-        return searched
+        return replace(searched, selection=selection)
     final = {selection.alternative(one).spot for one in selection.named}
     processes = [
         replace(one, instead_of=tuple(lost for lost in one.instead_of if lost.spot not in final)) for one in processes
@@ -163,12 +165,12 @@ def _search_beside_white_noise(job: AdjustedJob, say: Say) -> Searched:
         return replace(found, job=point, selection=selection)
     if is_linear(selection, fit):
         patient = adjusted_with_all(selection.test_set)
-        selection = refined_scans(point, continued(replace(selection, test_set=patient)))
+        selection = refined_scans(point, continued(replace(selection, test_set=patient), STRUCTURED))
         return replace(found, tests=adjusted_with_all(found.tests), selection=selection)
     point = replace(relinearised(job, names, fit), patient=True)
     weights = weights_of(job, found.units)
     tests, not_tested = score_tests_of_job(point, weights, np.random.default_rng(SEED), earlier)
-    selection = refined_scans(point, continued(transferred(selection, tests)))
+    selection = refined_scans(point, continued(transferred(selection, tests), STRUCTURED))
     return Searched(point, tests, not_tested, found.units, selection)
 
 
@@ -237,7 +239,7 @@ def _search_with_weights(job: AdjustedJob, rng: np.random.Generator, earlier: Sc
         most = _ROUNDS - len(units)
         noisier = _sigma_first(job, tests) if most else ()
         if not noisier:
-            selection = search(tests, nothing_fitted(tests.system))
+            selection = search(tests, nothing_fitted(tests.system), STRUCTURED)
             # next to a dominant effect other structure is not searched for yet, and would count as noise
             if most and not has_dominant_effect(selection):
                 noisier = _noisier_beside(job, selection, most)
