@@ -64,9 +64,9 @@ class Held:
 
 
 def cross_validated(
-    job: AdjustedJob, selection: Selection, names: Sequence[NamedEffect], ordered: Ordered = map
+    job: AdjustedJob, selection: Selection, names: Sequence[NamedEffect], limit: float, ordered: Ordered = map
 ) -> list[Gain]:
-    """Return the gain of each named effect, then of all together; `ordered` computes the folds.
+    """Return the gain of each named effect, then of all together; `ordered` computes the folds, within a limit [s].
 
     Each fold is predicted with what its own selection names of the effect, and without it. Smooth terms are in neither
     model, as the extended job has none. If the time of a fold is spent, that of the job is.
@@ -78,7 +78,7 @@ def cross_validated(
         spared[test_set.places[one.number][test_set.places[one.number] >= 0]] = True
     numbers = sorted({int(fold) for fold in rows[~spared]} - {-1})
     # each part has the same time for its search, so that all are treated alike
-    seconds = job.budget.seconds / (rows.max() + 1)
+    seconds = limit / (rows.max() + 1)
     groups = (*([name] for name in names), names)
     found = [*ordered(_Folds(test_set, rows, spared, groups, seconds), numbers)]
     job.budget.ended |= any(ended for _, ended in found)

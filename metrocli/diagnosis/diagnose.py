@@ -54,6 +54,8 @@ _LACK_OF_FIT = 0.005
 """Level of the lack-of-fit test of repeated readings below which structure is reported"""
 LIMIT = 120.0
 """CPU time for all searches [s]"""
+_OF_EFFECTS = 0.75
+"""Share of it that the search of effects may take at most"""
 
 
 def no_interrupt(heeded: Callable[[], None]) -> AbstractContextManager[object]:
@@ -68,15 +70,15 @@ def diagnose(
     attended: Attended = no_interrupt,
     ordered: Ordered = map,
 ) -> Diagnosis:
-    """Return the diagnosis of an adjusted job, with at most half of `limit` [s of CPU time] for the search of effects.
+    """Return the diagnosis of an adjusted job; its searches take at most `limit` [s of CPU time].
 
-    The other half is for the searches of cross-validation. A search whose time is spent ends with what it has found;
-    so does the search for laws when its budget is interrupted within `attended`.
+    The search of effects has three quarters of it, the searches of cross-validation what that leaves. A search whose
+    time is spent ends with what it has found; so does that for laws when its budget is interrupted within `attended`.
     `ordered` computes the folds of cross-validation, perhaps on other processors; the diagnosis is the same there.
     Raises UndeterminedError if the unknowns use up all readings, InputError if it needs more memory than there is.
     """
     must_fit(job)
-    job = replace(job, budget=Budget(limit / 2))
+    job = replace(job, budget=Budget(_OF_EFFECTS * limit))
     say("looking for structure")
     searched = first = search_about_solution(job, say)
     job, searched, scatters = with_scatters(job, searched, say)
@@ -90,7 +92,8 @@ def diagnose(
             library = Library(searched.job, searched.selection.test_set.system)
     names = confidence_sets(searched.selection)
     say("cross-validating: predicting parts of the readings from the others")
-    gains = cross_validated(searched.job, searched.selection, names, ordered) if names else []
+    left = (1 - _OF_EFFECTS) * limit + max(job.budget.left(), 0.0)
+    gains = cross_validated(searched.job, searched.selection, names, left, ordered) if names else []
     kept = readings_kept(searched.selection)
     fit = extended_fit(job, names, kept) if names else None
     shifts = result_changes(job, names, fit, kept)

@@ -6,13 +6,14 @@ Method: docs/algorithms/selection-and-levels.md (noise).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.distributions import chi_interval, log_tail
 from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns
 from metrocli.diagnosis.linear.projection import FEWEST, READING, System
@@ -25,6 +26,10 @@ _LEVEL = 1e-3
 """Level at which a unit counts as noisier or quieter, divided by the number of units"""
 _APART = 1.4
 """Ratio of standard deviations below which a unit's weight is not changed"""
+_SMALL = 0.05
+"""Share of all redundancy below which the noise of one unit is hardly in the residuals of another"""
+_NEARLY = 0.5
+"""Least share of the ln of the first unit's level that further units of its kind have in the same step"""
 DECLARED_SIGMA = "given"
 """Key of a unit of prior values that the job states with a sigma, such as known points"""
 _MOST_ROWS = 8
@@ -69,36 +74,74 @@ def noise_of(fitted: FittedColumns) -> Noise:
     return Noise(float(np.sqrt(squares / dof)), low, high, dof)
 
 
-def noisiest_unit(job: AdjustedJob, system: System, fitted: FittedColumns) -> Unit | None:
-    """Return the unit whose noise differs most from that of the others, None if the difference may be chance.
+def noisier_units(job: AdjustedJob, system: System, fitted: FittedColumns, most: int = 1) -> tuple[Unit, ...]:
+    """Return units whose noise differs most from that of the others, at most so many; none if these may be chance.
 
     The score test of its variance compares `|r_u|^2 / |r|^2` with its null distribution: the beta distribution that has
     the moments of this share in white noise. For prior values there is also an F test with and without them. The
     ratio follows by equating sums of squares to their expectations (MINQUE, Rao 1971).
+    After the first, small units of its kind follow that are nearly as improbable without the readings of those before.
     """
     units = list(_units(job, system))
     if len(units) < 2:
-        return None
+        return ()
     taken = system.basis.with_shared(fitted.basis)
-    found = []
-    for key, name, rows in units:
+    tested = [_Tested.of(*one, taken, fitted) for one in units]
+    tested = [one for one in tested if one.redundancy >= 1]
+    taken_out = _Tested("", "", np.zeros(system.rows, dtype=bool), 0.0, 0.0, 0.0)
+    found: list[Unit] = []
+    needed, small = float(np.log(_LEVEL / len(units))), _SMALL * fitted.dof
+    while tested and len(found) < most:
+        levels = [one.log_level(system, fitted, taken_out) for one in tested]
+        best = int(np.argmin(levels))
+        one, log_p = tested[best], levels[best]
+        ratio = _ratio(system, fitted, one.rows, taken_out.rows) if log_p <= needed else 1.0
+        if one.key == DECLARED_SIGMA:
+            ratio = max(ratio, _LEAST)
+        if 1 / _APART < ratio < _APART:
+            break
+        found.append(Unit(one.key, one.name, ratio, log_p + float(np.log(len(units)))))
+        needed = min(needed, _NEARLY * log_p)
+        taken_out = taken_out.joined(one)
+        tested = [other for other in tested if other.key == one.key and other is not one]
+        tested = [other for other in tested if max(one.redundancy, other.redundancy) < small]
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Tested:
+    """The readings of a unit, with what the test of their noise takes from the fit."""
+
+    key: str
+    name: str
+    rows: Mask
+    redundancy: float
+    second: float
+    """`tr A^2` of their quadratic form A"""
+    squares: float
+
+    @staticmethod
+    def of(key: str, name: str, rows: Mask, taken: Basis, fitted: FittedColumns) -> _Tested:
+        """Return the unit of some rows, beside all columns that the fit has taken out."""
         trace, squares = taken.squares_of_gram(rows)
         redundancy = float(rows.sum()) - trace
-        if redundancy < 1:
-            continue
-        share = float((fitted.residual[rows] ** 2).sum() / max(fitted.residual @ fitted.residual, 1e-300))
-        second = redundancy - trace + squares
-        log_p = log_tail_of_share(share, *moments_of_share(fitted.dof - PRIOR, redundancy, second))
-        if key == DECLARED_SIGMA:
-            log_p = min(log_p, _log_without(system, fitted, rows))
-        found.append((log_p, key, name, rows))
-    if not found:
-        return None
-    log_p, key, name, rows = min(found, key=lambda one: one[0])
-    if log_p > np.log(_LEVEL / len(units)):
-        return None
-    ratio = max(_ratio(system, fitted, rows), _LEAST if key == DECLARED_SIGMA else 0.0)
-    return None if 1 / _APART < ratio < _APART else Unit(key, name, ratio, log_p + float(np.log(len(units))))
+        return _Tested(key, name, rows, redundancy, redundancy - trace + squares, _squares(fitted, rows))
+
+    def joined(self, other: _Tested) -> _Tested:
+        """Return the rows of both, whose residuals count as independent."""
+        redundancy, squares = self.redundancy + other.redundancy, self.squares + other.squares
+        return replace(self, rows=self.rows | other.rows, redundancy=redundancy, squares=squares)
+
+    def log_level(self, system: System, fitted: FittedColumns, without: _Tested) -> float:
+        """Return ln of the level of its noise against that of the others without some of them."""
+        share = self.squares / max(float(fitted.residual @ fitted.residual) - without.squares, 1e-300)
+        dof = fitted.dof - PRIOR - without.redundancy
+        log_p = log_tail_of_share(share, *moments_of_share(dof, self.redundancy, self.second))
+        return min(log_p, _log_without(system, fitted, self.rows)) if self.key == DECLARED_SIGMA else log_p
+
+
+def _squares(fitted: FittedColumns, rows: Mask) -> float:
+    return float((fitted.residual[rows] ** 2).sum())
 
 
 def noise_instead(job: AdjustedJob, selection: Selection) -> Unit | None:
@@ -192,14 +235,14 @@ def _log_without(system: System, fitted: FittedColumns, rows: Mask) -> float:
     return float(log_tail(share, q, without.dof))
 
 
-def _ratio(system: System, fitted: FittedColumns, rows: Mask) -> float:
-    """Return the standard deviation of some readings relative to the others, from their expected squares."""
-    taken, parts = system.basis.with_shared(fitted.basis), (rows, ~rows)
+def _ratio(system: System, fitted: FittedColumns, rows: Mask, without: Mask | bool = False) -> float:
+    """Return the standard deviation of some readings relative to the others without some, from expected squares."""
+    taken, parts = system.basis.with_shared(fitted.basis), (rows, ~(rows | without))
     grams = [taken.part(part) for part in parts]
     h = np.array([[a.product(b) for b in grams] for a in grams])
     for i, part in enumerate(parts):
         h[i, i] += part.sum() - 2 * grams[i].trace
-    squares = np.array([float((fitted.residual[part] ** 2).sum()) for part in parts])
+    squares = np.array([_squares(fitted, part) for part in parts])
     variance = np.linalg.lstsq(h, squares, rcond=None)[0]
     # a variance may come out negative: it is held above a fraction of the larger one
     floor = 1e-4 * max(float(variance.max()), 1e-300)

@@ -29,7 +29,7 @@ from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitt
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.linear.random_columns import beside_random_columns
 from metrocli.diagnosis.linear.score_tests import ScoreTests
-from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit, noise_instead, noisiest_unit, reweighted
+from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit, noise_instead, noisier_units, reweighted
 from metrocli.diagnosis.processes import Process, process_in
 from metrocli.diagnosis.residual_structure import log_level_of_strongest
 from metrocli.diagnosis.selection.all_of_a_kind import (
@@ -40,7 +40,7 @@ from metrocli.diagnosis.selection.all_of_a_kind import (
 )
 from metrocli.diagnosis.selection.confidence_set import confidence_sets
 from metrocli.diagnosis.selection.refined_scan import refined_scans
-from metrocli.diagnosis.selection.search import continued, search, transferred
+from metrocli.diagnosis.selection.search import STRUCTURED, continued, search, transferred
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.diagnosis.selection.thresholds import has_dominant_effect
 from metrocli.errors import UndeterminedError
@@ -105,20 +105,22 @@ def _with_processes(searched: Searched, say: Say) -> Searched:
     """Return the search repeated beside the smooth processes that the readings show, one after the other."""
     job, tests, selection = searched.job, searched.tests, searched.selection
     plain, processes = selection, list[Process]()
-    if all_of_a_kind(selection) is not None or scattered_throughout(selection) is not None:
-        # places that are off throughout are a cause; a process of each of them would take it for chance
-        return searched
-    while len(processes) < _PROCESSES and not job.budget.spent():
+    # places that are off throughout are a cause; a process of each of them would take it for chance
+    caused = all_of_a_kind(selection) is not None or scattered_throughout(selection) is not None
+    while not caused and len(processes) < _PROCESSES and not job.budget.spent():
         found = process_in(job, selection)
         if found is None:
             break
         say(f"searching beside an error that varies smoothly with {found.covariate}")
         rng, before = np.random.default_rng(SEED), selection
         tests = beside_random_columns(tests, found.columns, rng, job.single_components)
-        selection = refined_scans(job, search(tests, nothing_fitted(tests.system)))
+        selection = refined_scans(job, search(tests, nothing_fitted(tests.system), STRUCTURED))
         processes.append(replace(found, instead_of=_not_in(selection, map(before.alternative, before.named))))
+    if len(selection.unknown) >= STRUCTURED:
+        # no further process explains the structure, so it is taken up by as many smooth terms as there are
+        selection = refined_scans(job, continued(selection))
     if not processes:
-        return searched
+        return replace(searched, selection=selection)
     final = {selection.alternative(one).spot for one in selection.named}
     processes = [
         replace(one, instead_of=tuple(lost for lost in one.instead_of if lost.spot not in final)) for one in processes
@@ -163,12 +165,12 @@ def _search_beside_white_noise(job: AdjustedJob, say: Say) -> Searched:
         return replace(found, job=point, selection=selection)
     if is_linear(selection, fit):
         patient = adjusted_with_all(selection.test_set)
-        selection = refined_scans(point, continued(replace(selection, test_set=patient)))
+        selection = refined_scans(point, continued(replace(selection, test_set=patient), STRUCTURED))
         return replace(found, tests=adjusted_with_all(found.tests), selection=selection)
     point = replace(relinearised(job, names, fit), patient=True)
     weights = weights_of(job, found.units)
     tests, not_tested = score_tests_of_job(point, weights, np.random.default_rng(SEED), earlier)
-    selection = refined_scans(point, continued(transferred(selection, tests)))
+    selection = refined_scans(point, continued(transferred(selection, tests), STRUCTURED))
     return Searched(point, tests, not_tested, found.units, selection)
 
 
@@ -234,37 +236,42 @@ def _search_with_weights(job: AdjustedJob, rng: np.random.Generator, earlier: Sc
                 "the job has no redundant reading, so no reading can contradict its model\n"
                 "measure more; `metrocli diagnose --design` shows what a measurement can detect"
             )
-        last = len(units) == _ROUNDS
-        unit = None if last else _sigma_first(job, tests)
-        if unit is None:
-            selection = search(tests, nothing_fitted(tests.system))
+        most = _ROUNDS - len(units)
+        noisier = _sigma_first(job, tests) if most else ()
+        if not noisier:
+            selection = search(tests, nothing_fitted(tests.system), STRUCTURED)
             # next to a dominant effect other structure is not searched for yet, and would count as noise
-            searching_on = last or has_dominant_effect(selection)
-            unit = None if searching_on else noisiest_unit(job, tests.system, selection.fitted())
-            if unit is not None:
-                unit = None if _is_scatter(selection, unit) else unit
-            elif not searching_on:
-                unit = noise_instead(job, selection)
-        if unit is None:
+            if most and not has_dominant_effect(selection):
+                noisier = _noisier_beside(job, selection, most)
+        if not noisier:
             break
-        weights, units = reweighted(job, weights, unit), (*units, unit)
+        for unit in noisier:
+            weights = reweighted(job, weights, unit)
+        units = (*units, *noisier)
     return Searched(job, tests, not_tested, _joined(units), selection)
 
 
-def _is_scatter(selection: Selection, unit: Unit) -> bool:
-    """Return whether an effect at all its places explains as much as the noise of a unit, which it then is."""
-    found = scattered_throughout(selection)
+def _noisier_beside(job: AdjustedJob, selection: Selection, most: int) -> tuple[Unit, ...]:
+    """Return the noisier units beside a selection, at most so many.
+
+    An effect at all its places that explains as much as the noise of a unit is what makes this noisier.
+    """
+    noisier = noisier_units(job, selection.test_set.system, selection.fitted(), most)
+    if not noisier:
+        unit = noise_instead(job, selection)
+        return () if unit is None else (unit,)
+    scatter = scattered_throughout(selection)
     # the scatter was held against the noise of each group of readings already
-    return found is not None and (unit.key == READING or found.log_level < unit.log_level)
+    explained = scatter is not None and (noisier[0].key == READING or scatter.log_level < noisier[0].log_level)
+    return () if explained else noisier
 
 
-def _sigma_first(job: AdjustedJob, test_set: ScoreTests) -> Unit | None:
+def _sigma_first(job: AdjustedJob, test_set: ScoreTests) -> tuple[Unit, ...]:
     """Return the prior values whose stated sigma is wrong, if that explains the residuals better than any cause."""
     fitted = nothing_fitted(test_set.system)
-    unit = noisiest_unit(job, test_set.system, fitted)
-    if unit is None or unit.key != DECLARED_SIGMA or unit.ratio < 1:
-        return None
-    return unit if unit.log_level < log_level_of_strongest(test_set, fitted) else None
+    units = noisier_units(job, test_set.system, fitted)
+    stated = all(unit.key == DECLARED_SIGMA and unit.ratio >= 1 for unit in units)
+    return units if stated and all(one.log_level < log_level_of_strongest(test_set, fitted) for one in units) else ()
 
 
 def _joined(units: Sequence[Unit]) -> tuple[Unit, ...]:

@@ -31,7 +31,7 @@ from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests, quadratic
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.linear.smooth_terms import polynomials, visible_directions
-from metrocli.diagnosis.noise import noisiest_unit
+from metrocli.diagnosis.noise import noisier_units
 from metrocli.diagnosis.residual_structure import pure_error
 from metrocli.diagnosis.selection.confidence_set import determined
 from metrocli.diagnosis.selection.search import search
@@ -304,9 +304,9 @@ def test_a_noisier_tracer_is_found(noisier: bool) -> None:
         m = lengths.noisier(m, rng) if noisier else m
         one = m.adjusted()
         system: System = linearised(one.model)
-        found.append(noisiest_unit(one, system, nothing_fitted(system)))
-    assert sum(unit is not None for unit in found) == (6 if noisier else 0)
-    assert all(2 < unit.ratio < 4.5 for unit in found if unit is not None)
+        found.append(noisier_units(one, system, nothing_fitted(system), 3))
+    assert [len(units) for units in found] == [int(noisier)] * 6
+    assert all(2 < unit.ratio < 4.5 for units in found for unit in units)
 
 
 def test_repeated_readings_tell_noise_from_a_wrong_model() -> None:

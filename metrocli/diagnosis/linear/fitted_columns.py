@@ -141,6 +141,8 @@ class FittedParts:
     """Products of the candidates with another basis, and the turn (m, j) from it to the first j columns of this one"""
     products: dict[Key, Array] = field(default_factory=dict, compare=False, repr=False)
     """Cache of the products of candidates with the basis, (alternatives, q, k)"""
+    known: Known = field(default_factory=Known, compare=False, repr=False)
+    """Cache of what the fit of all parts leaves of the candidates"""
 
     @cached_property
     def amounts(self) -> Array:
@@ -148,14 +150,19 @@ class FittedParts:
         return np.asarray(self.basis.T @ self.start.residual)
 
     @cached_property
+    def residual(self) -> Array:
+        """The residual beside all parts, (rows,)."""
+        return self.start.residual - self.basis @ self.amounts
+
+    @property
     def fitted(self) -> FittedColumns:
         """The model with all parts in it."""
+        # not kept: a fit holds its parts, and a circle of two would hold the basis until the garbage is collected
         if not self.parts:
             return self.start
-        start = self.start
-        residual = start.residual - self.basis @ self.amounts
-        squares = float(residual @ residual) + start.prior
-        return FittedColumns(start.columns, residual, squares, start.dof - len(self.amounts), start.prior, self)
+        start, squares = self.start, float(self.residual @ self.residual) + self.start.prior
+        dof = start.dof - len(self.amounts)
+        return FittedColumns(start.columns, self.residual, squares, dof, start.prior, self, None, self.known)
 
     def along(self, key: Key, columns: Columns) -> Array:
         """Return the products of the columns of a family with the basis, (alternatives, q, k)."""

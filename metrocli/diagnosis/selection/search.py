@@ -15,15 +15,20 @@ from metrocli.diagnosis.selection.forward_steps import forward_steps
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from metrocli.diagnosis.selection.thresholds import has_dominant_effect
 
+STRUCTURED = 4
+"""Number of smooth terms that show structure at all scales: a smooth process explains it rather than further terms"""
 _STEPS = 40
 
 
-def search(test_set: ScoreTests, start: FittedColumns) -> Selection:
-    """Return the selection found step by step from `start`, until no further candidate is significant."""
-    return continued(Selection(test_set, FittedParts(start)))
+def search(test_set: ScoreTests, start: FittedColumns, most_smooth: int = _STEPS) -> Selection:
+    """Return the selection found step by step from `start`, until no further candidate is significant.
+
+    It ends before, where it has `most_smooth` smooth terms.
+    """
+    return continued(Selection(test_set, FittedParts(start)), most_smooth)
 
 
-def continued(selection: Selection) -> Selection:
+def continued(selection: Selection, most_smooth: int = _STEPS) -> Selection:
     """Return a selection after further forward and backward steps, until no candidate is significant beside it.
 
     A step that leads back to an earlier selection is replaced by the next best step. The search also ends where
@@ -33,7 +38,7 @@ def continued(selection: Selection) -> Selection:
     selection = backward_steps(selection)
     passed = [selection.members]
     for _ in range(_STEPS):
-        if selection.test_set.budget.spent():
+        if selection.test_set.budget.spent() or len(selection.unknown) >= most_smooth:
             break
         for step in forward_steps(selection):
             if has_dominant_effect(step):
