@@ -223,15 +223,16 @@ def _of(result: Result) -> _Values:
 def _called(result: Result) -> dict[str, str]:
     """Return names of the errors of a machine that have a value only together with others that are held at zero.
 
-    Such a squareness holds for the tools of its measurement. It is another quantity than the squareness alone.
+    Such a squareness holds for the tool vectors of its measurement. It is another quantity than the squareness alone.
     """
     if ENTRIES not in result.tables:
         return {}
     errors, tools = result.tables["errors"], result.tables["tools"]
-    measured = [name for name, seen in zip(tools.texts("tool"), tools.numbers("measured"), strict=True) if seen]
+    vectors = tools.stacked(("x", "y", "z"))[np.asarray(tools.columns["measured"], dtype=bool)]
+    measured = " ".join(f"({x:.0f}, {y:.0f}, {z:.0f}) mm" for x, y, z in vectors + 0.0)
     rows = zip(*(errors.texts(column) for column in ("error", "status", "with")), strict=True)
     return {
-        name: f"{name} with {others} of {' '.join(measured)}" for name, status, others in rows if status == "together"
+        name: f"{name} with {others} of the tool {measured}" for name, status, others in rows if status == "together"
     }
 
 
