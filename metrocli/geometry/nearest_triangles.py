@@ -22,6 +22,8 @@ _PAIRS = 100_000
 """Pairs of point and triangle in one chunk"""
 _CLEAR = 0.05
 """How far a point may move before triangles near it are sought anew, relative to the largest radius of a cell"""
+_TOUCHING = 1e-6
+"""Distance from an edge [mm] below which a point lies on it, and its distance has no second derivative"""
 _NEARLY = 0.3
 """How much farther than the nearest cell the one of a quick answer may be, relative to it"""
 
@@ -50,6 +52,8 @@ class Nearest:
     """Its gradient, of length 1 (n, 3)"""
     face: Index
     """Nearest triangle (n,)"""
+    feature: Index
+    """Where the nearest point lies: 0 for the face, 1 to 3 for its edges and 4 to 6 for its vertices (n,)"""
     margin: Array
     """How much farther every other triangle is, at least (n,)"""
     near: Near
@@ -95,7 +99,7 @@ class Search:
         """Return signed distances (n,) and normals (n, 3) from a triangle that is nearest or nearly so."""
         tree, owner, _ = self._tree
         face = owner[tree.query(points, eps=_NEARLY)[1]]
-        return self._of(points, face)
+        return self._of(points, face)[:2]
 
     def may_be_within(self, points: Array, limit: float) -> npt.NDArray[np.bool_]:
         """Return whether a triangle may be nearer to points (n, 3) than a limit: not where no cell is near."""
@@ -125,8 +129,22 @@ class Search:
         search = np.flatnonzero(margin < 0)
         if search.size:
             near = self._sought(points, search, near, face, margin)
-        distance, normal = self._of(points, face)
-        return Nearest(points, distance, normal, face, margin, near)
+        distance, normal, feature = self._of(points, face)
+        return Nearest(points, distance, normal, face, feature, margin, near)
+
+    def bend(self, found: Nearest) -> Array:
+        """Return the second derivative of the distance by each point (n, 3, 3): of points beyond an edge or a corner.
+
+        There the distance d is that from a line or a point: `(I - e e' - n n')/d` with the edge e and the gradient n.
+        """
+        bend = np.zeros((len(found.points), 3, 3))
+        off = np.flatnonzero((found.feature > 0) & (np.abs(found.distance) > _TOUCHING))
+        across = self.mesh.across(found.face[off], found.feature[off])
+        some = across.any(axis=(1, 2))
+        off, across = off[some], across[some]
+        normal = found.normal[off]
+        bend[off] = (across - normal[:, :, None] * normal[:, None, :]) / found.distance[off, None, None]
+        return bend
 
     def _sought(self, points: Array, search: Index, near: Near, face: Index, margin: Array) -> Near:
         """Fill in the nearest triangles of the points to search, and their margins; return what is near to all."""
@@ -237,8 +255,8 @@ class Search:
         flat = np.where(inside, 0.0, np.choose(nearest, gaps))
         return height**2 + flat, np.where(inside, 0, feature), at
 
-    def _of(self, points: Array, face: Index) -> tuple[Array, Array]:
-        """Return the signed distance of each point from its triangle, and its outward unit gradient."""
+    def _of(self, points: Array, face: Index) -> tuple[Array, Array, Index]:
+        """Return the signed distance of each point from its triangle, its outward unit gradient, and the feature."""
         square, feature, part = self._foot(points, face)
         outward = self.mesh.outward(face, feature)
         on_face = feature == 0
@@ -254,4 +272,4 @@ class Search:
         direction = np.where(clear[:, None], sign[:, None] * away / np.maximum(size, 1e-300)[:, None], outward)
         gradient = np.where(on_face[:, None], self.mesh.normals[face], direction)
         length = np.maximum(np.linalg.norm(gradient, axis=1), 1e-300)
-        return np.where(rim, height / length, sign * size), gradient / length[:, None]
+        return np.where(rim, height / length, sign * size), gradient / length[:, None], feature

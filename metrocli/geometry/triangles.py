@@ -191,6 +191,28 @@ class Triangles:
         return np.where(feature == 0, False, np.where(feature < 4, of_edge, of_vertex))
 
     @cached_property
+    def _patches_at(self) -> Index:
+        """Number of patches that meet at each vertex (m,)."""
+        met = np.unique(self.faces.ravel() * self.patches + np.repeat(self.patch, 3))
+        return np.bincount(met // self.patches, minlength=len(self.vertices))
+
+    def across(self, face: Index, feature: Index) -> Array:
+        """Return the projection on the directions across a feature of each triangle, where patches meet (n, 3, 3).
+
+        That is `I - e e'` at an edge e between two patches, I at a corner of three, and 0 elsewhere: a smooth patch
+        stands for a surface, and its facets have no edges.
+        """
+        edge = np.clip(feature - 1, 0, 2)
+        neighbour = self._paired[0][3 * face + edge]
+        at_edge = (feature > 0) & (feature < 4) & (neighbour >= 0)
+        at_edge &= self.patch[face] != self.patch[neighbour // 3]
+        at_corner = (feature > 3) & (self._patches_at[self.faces[face, np.clip(feature - 4, 0, 2)]] > 2)
+        along = self.corners[face, NEXT[edge]] - self.corners[face, edge]
+        along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
+        free: Array = (at_edge[:, None] * along)[:, :, None] * along[:, None]
+        return np.asarray((at_edge | at_corner)[:, None, None] * np.eye(3) - free)
+
+    @cached_property
     def separation(self) -> float:
         """Distance of the patches of `separated`: far more than its points move [mm]."""
         return _FAR_APART * float(np.linalg.norm(np.ptp(self.vertices, axis=0)))

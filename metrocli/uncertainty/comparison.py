@@ -205,7 +205,8 @@ def _of(result: Result) -> _Values:
         names, values, units, covariance = _entries(result)
         blocks.append(covariance)
     estimates = [i for i, one in enumerate(result.estimates) if ("estimates", one.name) not in names]
-    names += [("estimates", result.estimates[i].name) for i in estimates]
+    called = _called(result)
+    names += [("estimates", called.get(result.estimates[i].name, result.estimates[i].name)) for i in estimates]
     values += [result.estimates[i].value for i in estimates]
     units += [result.estimates[i].unit for i in estimates]
     blocks.append(np.asarray(result.covariance)[np.ix_(estimates, estimates)])
@@ -217,6 +218,22 @@ def _of(result: Result) -> _Values:
     stated = {one.name for one in result.estimates}
     dof = [result.degrees_of_freedom(name if group == "estimates" and name in stated else "") for group, name in names]
     return _Values(tuple(names), np.array(values), joint, tuple(units), np.array(dof, dtype=float))
+
+
+def _called(result: Result) -> dict[str, str]:
+    """Return names of the errors of a machine that have a value only together with others that are held at zero.
+
+    Such a squareness holds for the tool vectors of its measurement. It is another quantity than the squareness alone.
+    """
+    if ENTRIES not in result.tables:
+        return {}
+    errors, tools = result.tables["errors"], result.tables["tools"]
+    vectors = tools.stacked(("x", "y", "z"))[np.asarray(tools.columns["measured"], dtype=bool)]
+    measured = " ".join(f"({x:.0f}, {y:.0f}, {z:.0f}) mm" for x, y, z in vectors + 0.0)
+    rows = zip(*(errors.texts(column) for column in ("error", "status", "with")), strict=True)
+    return {
+        name: f"{name} with {others} of the tool {measured}" for name, status, others in rows if status == "together"
+    }
 
 
 def _entries(result: Result) -> tuple[list[tuple[str, str]], list[float], list[str], Array]:

@@ -149,12 +149,20 @@ def _outside(machine: Machine, commanded: Table) -> list[Fault]:
 
 
 def _tools(tools: Table, commanded: Table, faults: list[Fault]) -> npt.NDArray[np.intp]:
-    """Return the number of the tool of each row; raises InputError with the faults found before and its own."""
+    """Return the number of the tool of each row; raises InputError with the faults found before and its own.
+
+    A tool that its job gave no name stands for the one that the points name.
+    """
     names = tools.texts("tool")
     if "tool" not in commanded and len(names) > 1:
         hint = f"add a column 'tool' with {', '.join(names)}"
         faults = [*faults, commanded.fault("the machine has several tools, and the points name none", hint)]
-    cells = commanded.texts("tool") if "tool" in commanded and len(names) > 1 else [names[0]] * len(commanded)
+    cells = commanded.texts("tool") if "tool" in commanded else [names[0]] * len(commanded)
+    if names == [""]:
+        if len(set(cells)) > 1:
+            what = f"the points have {len(set(cells))} tools ({', '.join(sorted(set(cells)))}), and the result has one"
+            faults = [*faults, commanded.fault(what, "hold the points of each tool against a result that has it")]
+        cells = [""] * len(commanded)
     open_ones = {name for name, good in zip(names, tools.columns["predictable"], strict=True) if not good}
     faults = [
         *faults,

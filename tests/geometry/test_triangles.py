@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from simulated.notch import notched
 
 from metrocli.formats import meshes
 from metrocli.geometry.nearest_triangles import Search
@@ -103,3 +104,32 @@ def test_open_and_inverted_meshes() -> None:
     turned[0] = turned[0, ::-1]
     assert Triangles(mesh.vertices, turned).doubled_edges.size == 3
     assert Triangles(mesh.vertices, mesh.faces[:, ::-1]).volume < 0
+
+
+def test_the_curvature_at_edges_and_corners_is_the_difference_of_normals() -> None:
+    """Also inside, where a notch has an edge towards the points."""
+    for mesh, points in ((block(), places(300)), (notched(), np.array([[30.0, 20.0, 30.0], [70.0, 22.0, 40.0]]))):
+        search = Search(mesh)
+        found = search.nearest(points)
+        steps = 1e-4 * np.eye(3)
+        ahead, behind = (np.stack([search.nearest(points + s * one).normal for one in steps], axis=2) for s in (1, -1))
+        bend = search.bend(found)
+        assert (np.abs(bend).max(axis=(1, 2)) > 1e-3).sum() > len(points) / 3
+        assert np.allclose((ahead - behind) / 2e-4, bend, atol=1e-6)
+
+
+def test_facets_of_a_smooth_patch_have_no_curvature_at_their_edges() -> None:
+    """A shaft of 24 facets: only its two rims are edges."""
+    about = np.arange(24) * np.pi / 12
+    ring = 10 * np.column_stack([np.cos(about), np.sin(about), 0 * about])
+    here, ahead = np.arange(24), np.roll(np.arange(24), -1)
+    walls = np.concatenate([np.column_stack([here, ahead, ahead + 24]), np.column_stack([here, ahead + 24, here + 24])])
+    ends = np.concatenate(
+        [np.column_stack([0 * here + 48, ahead, here]), np.column_stack([0 * here + 49, here + 24, ahead + 24])]
+    )
+    top = np.array([0.0, 0.0, 30.0])
+    shaft = Search(Triangles(np.concatenate([ring, ring + top, [0 * top, top]]), np.concatenate([walls, ends])))
+    beside, beyond = 1.2 * (ring[:2] + ring[1:3]) / 2, 1.2 * ring[:1]
+    assert not shaft.bend(shaft.nearest(np.concatenate([beside, beyond]) + [0, 0, 15.0])).any()
+    bend = shaft.bend(shaft.nearest(beside + [0, 0, 32.0]))
+    assert bend.any(axis=(1, 2)).all()

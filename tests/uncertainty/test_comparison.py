@@ -61,10 +61,10 @@ def test_results_that_have_nothing_in_common_are_refused() -> None:
         compare(first, result({"b": 1.0}, [[1.0]]))
 
 
-def calibrated(machine: sim.Machine, seed: int) -> Result:
+def calibrated(machine: sim.Machine, seed: int, tools: dict[str, tuple[float, float, float]] | None = None) -> Result:
     rng = np.random.default_rng(seed)
-    table = lengths.measured(machine, rng, 50, sim.THREE)
-    settings = lengths.settings(sim.THREE, (3, 3, 3))
+    table = lengths.measured(machine, rng, 50, tools or sim.THREE)
+    settings = lengths.settings(tools or sim.THREE, (3, 3, 3))
     return calibrate_machine.run(calibrate_machine.TASK.job(settings, lengths=table))
 
 
@@ -84,6 +84,21 @@ def test_calibrations_of_one_machine_differ_by_their_uncertainty_and_a_changed_m
     worst = max(changed.compared, key=lambda one: one.en)
     assert (worst.group, worst.name) == ("EXX", "300 mm")
     assert worst.difference == pytest.approx(0.002, abs=4 * worst.std)
+
+
+def test_squareness_that_holds_for_one_tool_is_not_compared_with_squareness_alone() -> None:
+    """With one tool A0Z has what EAZ turns that tool by: the difference was 6.6 times its expanded uncertainty."""
+    machine = sim.random_machine(np.random.default_rng(60), knots=(3, 3, 3))
+    whole, alone, again = calibrated(machine, 600), calibrated(machine, 601, sim.ONE), calibrated(machine, 602, sim.ONE)
+    found = compare(whole, alone)
+    assert found.max_en < 2 and found.p_value > 1e-3
+    assert {"C0Y"} == {one.name for one in found.compared if one.group == "estimates" and one.name.endswith("0Y")}
+    assert any(name.startswith("estimates A0Z with EYZ") for name in found.only_in_one)
+    both = compare(alone, again)
+    assert any(
+        one.name.startswith("A0Z with EYZ") and one.name.endswith("of the tool (0, 0, 120) mm") for one in both.compared
+    )
+    assert both.p_value > 1e-3
 
 
 def test_a_result_is_no_different_from_itself() -> None:

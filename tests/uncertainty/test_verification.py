@@ -185,6 +185,21 @@ def test_rows_without_a_prediction_are_listed_together(result: Result, machine: 
         verify(result, replace(check, columns=two))
 
 
+def test_a_result_of_one_tool_predicts_no_other(machine: sim.Machine) -> None:
+    """Points of T2 were held against the prediction for T1, as if they were of that tool."""
+    known, check = calibrated(machine, 20, sim.ONE), checked(machine, 50, 20, sim.ONE)
+    other = replace(check, columns={**check.columns, "tool": np.array(["T2"] * 20)})
+    with pytest.raises(InputError, match="the result has no tool 'T2'"):
+        verify(known, other)
+    tools = known.tables["tools"]
+    nameless = replace(tools, columns={**tools.columns, "tool": np.array([""])})
+    unnamed = replace(known, tables={**known.tables, "tools": nameless})
+    assert verify(unnamed, other).largest == verify(known, check).largest
+    mixed = replace(check, columns={**check.columns, "tool": np.array(["T1", "T2"] * 10)})
+    with pytest.raises(InputError, match="the points have 2 tools"):
+        verify(unnamed, mixed)
+
+
 def test_tools_whose_errors_are_open_are_refused(machine: sim.Machine, result: Result) -> None:
     tools = result.tables["tools"]
     closed = replace(tools, columns={**tools.columns, "predictable": np.array([True, False, True])})

@@ -100,9 +100,9 @@ class OfMesh:
         return np.asarray((corners.max(axis=0) + corners.min(axis=0)) / 2)
 
     def shape(self, points: Array, surface: Index) -> Shape:
-        """Return distance and normal at points (n, 3); triangles have no curvature."""
+        """Return distance, normal and curvature at points (n, 3); triangles have one at edges and corners alone."""
         found = self._nearest(points)
-        return Shape(found.distance, found.normal, np.zeros((len(points), 3, 3)))
+        return Shape(found.distance, found.normal, self._search.bend(found))
 
     def smooth_normals(self, points: Array, surface: Index) -> Array:
         """Return the normals of the smooth surface that the triangles stand for, at points (n, 3)."""

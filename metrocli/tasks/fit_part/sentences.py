@@ -48,10 +48,13 @@ def notes(solved: Solved, holding: Table) -> Iterator[str]:
     if solved.prepared.part is not None:
         yield solved.prepared.part.note
     if solved.sensitivity.drawn:
-        yield (
+        drawn = (
             f"the covariance of the pose is that of {DRAWS} fits to points with drawn errors, since errors exchange "
             "the points that hold it"
         )
+        if solved.aim.name == MOST and others:
+            drawn += "; these are linear, too little for points as low to rounding: `monte_carlo` fits each anew"
+        yield drawn
 
 
 def exchanged(solved: Solved, low: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:

@@ -42,6 +42,7 @@ def test_points_that_are_equally_low_are_counted(tmp_path: Path, metrocli: Metro
     found = fitted(job_of(tmp_path, list(FACES), "most"), metrocli)
     held = int(found.statistics["active"])
     assert any(f"{24 - held} more are as low and can hold it as well" in note for note in found.notes)
+    assert any("`monte_carlo` fits each anew" in note for note in found.notes)
     assert found.statistics["least_overstock"] == pytest.approx(LEVEL, abs=1e-7)
 
 

@@ -27,6 +27,10 @@ _PROVEN = 1e4
 """Multiple of rounding that a proof may be off by"""
 _OVERSHOOT, _ROUNDING = 0.3, 1e-9
 """Relative growth of the zone up to which a step of Newton's method is taken, and that of its end"""
+_STEPS, _STEPS_OF_SETS = 20, 60
+"""Steps of Newton's method, and those for a set of points that may be in contact"""
+_FEW = 6
+"""Farthest points whose sets are all tried where no other way has a proof"""
 _NEAR = 1e-2
 """Points within this share of the zone from its limits may be in contact"""
 _SECOND = 1e-5
@@ -36,25 +40,49 @@ _SECOND = 1e-5
 def minimum_zone(shape: Shape, points: Array) -> Fit:
     """Return the feature whose largest deviation is least (ISO 1101: minimum zone), near that of least squares.
 
-    Linear programmes approach it; Newton's method on the points in contact ends it. Raises as `least_squares` does.
+    Programmes approach it; Newton's method on the points in contact ends it. Raises as `least_squares` does.
     """
     start = least_squares(shape, points)
     wanted = list(ZONE_UNKNOWNS[shape])
     level = _level(start.ideal, points)
     if level <= _EXACT * start.ideal.size:
         return Fit(start.ideal, Criterion.MINIMUM_ZONE, start.deviations, start.sensitivity)
-    ideal = start.ideal
-    nearer = _by_quadratic if shape is Shape.LINE else _by_linear
+    found = _approached(start.ideal, points, wanted) or _enumerated(start.ideal, points, wanted)
+    if found is None:
+        raise NotConvergedError(f"no points in contact prove the minimum zone of the {shape}")
+    ideal, contact = found[0].about(points.mean(axis=0)), found[1]
+    sensitivity = _of_contact(ideal, points, wanted, contact, start)
+    return Fit(ideal, Criterion.MINIMUM_ZONE, distances(ideal, points), sensitivity, contact)
+
+
+def _approached(ideal: Ideal, points: Array, wanted: list[int]) -> tuple[Ideal, Contact] | None:
+    """Return the minimum zone by programmes and Newton's method, and its points in contact; None without a proof."""
+    nearer = _by_quadratic if ideal.shape is Shape.LINE else _by_linear
     for gain, least in itertools.product(_GAINS, _LEAST_WEIGHTS):
         ideal = nearer(ideal, points, wanted, gain) if least == _LEAST_WEIGHTS[0] else ideal
         held, contact = _in_contact(ideal, points, wanted, least)
         if _proven(held, points, contact):
-            break
-    else:
-        raise NotConvergedError(f"no points in contact prove the minimum zone of the {shape}")
-    ideal = held.about(points.mean(axis=0))
-    sensitivity = _of_contact(ideal, points, wanted, contact, start)
-    return Fit(ideal, Criterion.MINIMUM_ZONE, distances(ideal, points), sensitivity, contact)
+            return held, contact
+    return None
+
+
+def _enumerated(ideal: Ideal, points: Array, wanted: list[int]) -> tuple[Ideal, Contact] | None:
+    """Return the least zone that a set of the farthest points proves, of all their sets; None without one.
+
+    Where two points hold nearly all of the zone, others come into contact far from where programmes end.
+    """
+    values = distances(ideal, points)
+    farthest = np.argsort(-np.abs(values))[:_FEW]
+    best, least = None, np.inf
+    for size in range(2, len(wanted) + 2):
+        for chosen in itertools.combinations(farthest, size):
+            rows = np.array(chosen)
+            contact = Contact(rows, np.sign(values[rows]), np.full(size, 1 / size), np.inf)
+            held = _newtons((ideal, contact), points, wanted, _STEPS_OF_SETS, ideal.size)
+            level = _level(held[0], points)
+            if level < least and _proven(held[0], points, held[1]):
+                best, least = held, level
+    return best
 
 
 def _level(ideal: Ideal, points: Array) -> float:
@@ -89,8 +117,8 @@ def _by_linear(ideal: Ideal, points: Array, wanted: list[int], gain: float) -> I
         else:
             reach /= 4
         if promised <= gain * level or reach < _SMALLEST_REACH:
-            return ideal
-    raise NotConvergedError(f"the minimum zone of the {ideal.shape} was not found in {_ITERATIONS} programmes")
+            break
+    return ideal
 
 
 def _by_quadratic(ideal: Ideal, points: Array, wanted: list[int], gain: float) -> Ideal:
@@ -119,8 +147,8 @@ def _by_quadratic(ideal: Ideal, points: Array, wanted: list[int], gain: float) -
             return ideal
         ideal, before = trial, level
         if before - _level(ideal, points) <= gain * before:
-            return ideal
-    raise NotConvergedError(f"the minimum zone of the line was not found in {_ITERATIONS} programmes")
+            break
+    return ideal
 
 
 def _in_contact(ideal: Ideal, points: Array, wanted: list[int], least: float) -> tuple[Ideal, Contact]:
@@ -128,17 +156,24 @@ def _in_contact(ideal: Ideal, points: Array, wanted: list[int], least: float) ->
 
     A step may overshoot the zone a little on the way: the next one mends what the bend of the distances left.
     """
-    begun = held = ideal, _contact(ideal, points, wanted, least)
-    level = _level(ideal, points)
-    for _ in range(20):
+    begun, level = (ideal, _contact(ideal, points, wanted, least)), _level(ideal, points)
+    held = _newtons(begun, points, wanted, _STEPS, level * (1 + _OVERSHOOT))
+    return held if _level(held[0], points) <= level * (1 + _ROUNDING) else begun
+
+
+def _newtons(
+    held: tuple[Ideal, Contact], points: Array, wanted: list[int], steps: int, limit: float
+) -> tuple[Ideal, Contact]:
+    """Return a feature and its points in contact after steps of Newton's method, while the zone is below a limit."""
+    for _ in range(steps):
         step, weights = _newton(held[0], points, wanted, held[1])
         trial = held[0].moved(step)
-        if not np.isfinite(step).all() or _level(trial, points) > level * (1 + _OVERSHOOT):
+        if not np.isfinite(step).all() or _level(trial, points) > limit:
             break
         held = trial, _weighted(trial, points, wanted, held[1], weights)
-        if np.abs(step).max() <= _EXACT * ideal.size:
+        if np.abs(step).max() <= _EXACT * trial.size:
             break
-    return held if _level(held[0], points) <= level * (1 + _ROUNDING) else begun
+    return held
 
 
 def _contact(ideal: Ideal, points: Array, wanted: list[int], least: float) -> Contact:

@@ -70,6 +70,30 @@ def test_squareness_alone() -> None:
     assert profile[:, -1] == pytest.approx(ends, abs=1e-8)
 
 
+def test_the_diagonals_of_a_worked_example() -> None:
+    """Travels of 600, 520 and 500 mm, so diagonals of D = sqrt(880 400) = 938.296 mm (ISO 230-6), by hand.
+
+    Axes 20 um/m too long, 10 too short and 15 too long, squareness a, b, c of 30, -20 and 40 urad: along a diagonal with
+    the signs s the deviation grows evenly to `(sum k L^2 - c sx sy Lx Ly + b sx sz Lx Lz - a sy sz Ly Lz)/D`, where
+    7.2 - 2.704 + 3.75 = 8.246 mm^2, c Lx Ly = 12.48, b Lx Lz = -6.0 and a Ly Lz = 7.8 mm^2. A screw with 12 um at x = 300
+    and 0 at both ends adds `12 um x 600/D` in the middle, and nothing at the end.
+    """
+    machine = sim.random_machine(np.random.default_rng(3), knots=KNOTS)
+    tables = {name: np.zeros_like(values) for name, values in machine.tables.items()}
+    linear = {f"E{a}{a}": k * machine.positions(a) for a, k in (("X", 20e-6), ("Y", -10e-6), ("Z", 15e-6))}
+    long = replace(machine, tables=tables | linear, squareness=(30e-6, -20e-6, 40e-6))
+    result = calibrated(long, np.random.default_rng(4), 0.0)
+    ends = np.array([-18.034, 18.926, 22.526, 9.566]) / 938.296
+    assert result.tables["diagonals"].numbers("deviation").reshape(4, -1)[:, -1] == pytest.approx(ends, abs=2e-8)
+    assert result.tables["diagonal_figures"].numbers("E") == pytest.approx(np.abs(ends), abs=2e-8)
+    screw = replace(machine, tables=tables | {"EXX": np.array([0, 6e-3, 12e-3, 6e-3, 0])}, squareness=(0.0, 0.0, 0.0))
+    result = calibrated(screw, np.random.default_rng(4), 0.0)
+    profile = result.tables["diagonals"].numbers("deviation").reshape(4, -1)
+    assert profile[:, 5] == pytest.approx(np.array([1, -1, 1, -1]) * 12e-3 * 600 / 938.296, abs=2e-8)
+    assert profile[:, -1] == pytest.approx(0.0, abs=2e-8)
+    assert result.tables["diagonal_figures"].numbers("E") == pytest.approx(12e-3 * 600 / 938.296, abs=2e-8)
+
+
 def test_the_circle_of_any_machine() -> None:
     machine = sim.random_machine(np.random.default_rng(8), knots=KNOTS)
     result = calibrated(machine, np.random.default_rng(9), 0.0)
