@@ -246,6 +246,7 @@ def _word(node: Node) -> str:
 class YamlFile:
     """The content of a YAML file."""
 
+    bytes: FileBytes
     text: str
     root: Node
     repeated: tuple[Fault, ...]
@@ -263,9 +264,10 @@ class YamlFiles:
         place = path.absolute()
         if place not in self.held:
             repeated: list[Fault] = []
-            text = read_text(path, str(path))
+            held = read_bytes(path, "a job file", str(path), MOST_BYTES)
+            text = text_of(held, str(path))
             root = parse(text, str(path), path.parent, repeated)
-            self.held[place] = YamlFile(text, root, tuple(repeated))
+            self.held[place] = YamlFile(held, text, root, tuple(repeated))
         return self.held[place]
 
     def root(self, path: Path) -> Node:
