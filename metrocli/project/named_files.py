@@ -48,6 +48,17 @@ class Input:
             return tuple(self.value.values())
         return self.value if isinstance(self.value, tuple) else (self.value,)
 
+    @property
+    def searched(self) -> tuple[Path, ...]:
+        """The folders that patterns of file names are matched in, such as `img` for `img/*.png`."""
+        patterns = (self.node.items or (self.node,)) if isinstance(self.value, tuple) else ()
+        return tuple((one.source.folder / one.text).parent for one in patterns if has_wildcards(one.text))
+
+
+def has_wildcards(path: Path | str) -> bool:
+    """Return whether a path is a pattern."""
+    return bool(set(str(path)) & set("*?["))
+
 
 def inputs_of(root: Node, settings: type, faults: list[Fault]) -> tuple[Input, ...]:
     """Return the inputs of a job whose entries have no fault; YAML files are read and checked at once."""

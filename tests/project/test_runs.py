@@ -130,6 +130,28 @@ def test_make_learns_what_results_depend_on(project: Path, metrocli: Callable[..
     assert made.stdout == "made results/a.h5\n"
 
 
+def test_make_learns_of_lists_of_parts_and_folders_of_images(job: Path, metrocli: Callable[..., Any]) -> None:
+    names = ("a:b", "c*?[d", "e #$f")
+    job.write_text(job.read_text() + "for: {part: parts.csv}\noutput: '{part}.h5'\n")
+    Path("parts.csv").write_text("part\n" + "".join(f"{name}\n" for name in names))
+    Path("metrocli.yaml").write_text("jobs: [line.yaml]\n")
+    assert metrocli("run", "--depfile", "jobs.d").code == 0
+    Path("Makefile").write_text("include jobs.d\n%.h5:\n\t@echo made\n")
+    alone = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
+    for said in ("is up to date.\n", "made\n"):
+        for name in names:
+            command = ["make", "--no-print-directory", f"{name}.h5"]
+            made = subprocess.run(command, env=alone, capture_output=True, text=True, check=True)
+            assert made.stdout.endswith(said), name
+        os.utime("parts.csv", (time.time() + 5, time.time() + 5))
+    Path("parts.csv").write_text("part\n50%\n")
+    done = metrocli("run", "--dry-run", "--depfile", "jobs.d")
+    assert (done.code, "50%.h5: error: Make cannot read this name" in done.err) == (3, True)
+    metrocli("init", "board", "--sample", "board-camera")
+    assert metrocli("run", "board", "--dry-run", "--depfile", "board.d").code == 0
+    assert " board/images" in Path("board.d").read_text().replace("\n", " ").split("board/images/")[-1]
+
+
 def test_results_keep_their_time_when_nothing_changed(project: Path, metrocli: Callable[..., Any]) -> None:
     metrocli("run")
     before = {name: Path(f"results/{name}.h5").stat().st_mtime_ns for name in ALL}

@@ -147,21 +147,13 @@ def _seen(path: str, by_digest: bool = True) -> list[Any]:
 
 def _looked_at(project_file: Path, steps: Iterable[Step]) -> Iterable[Path]:
     """Yield all files and folders that decide whether results are up to date; OSError for what cannot be listed."""
+    from metrocli.project.named_files import has_wildcards
+
     yield project_file
     for step in steps:
-        yield step.job.file
-        if step.job.wishes.part is not None and step.job.wishes.part.file is not None:
-            yield step.job.wishes.part.file
-        yield step.job.output
-        yield from step.job.own.files
+        yield from (*step.job.stated_in, *step.job.files, step.job.output)
         yield from (one.file for one in step.job.packages if one.file is not None)
-        if step.job.own.project is not None:
-            yield step.job.own.project
-        for item in step.job.inputs:
-            yield from item.paths
-            for pattern in item.node.items or (item.node,):
-                if isinstance(item.value, tuple) and set(pattern.text) & set("*?["):
-                    place = pattern.source.folder / pattern.text
-                    if set(str(place.parent)) & set("*?["):
-                        raise OSError("not listed: new folders may match")
-                    yield place.parent
+        for folder in (one for item in step.job.inputs for one in item.searched):
+            if has_wildcards(folder):
+                raise OSError("not listed: new folders may match")
+            yield folder
