@@ -7,11 +7,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_text import read_text, taken_apart
+from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.nodes import Node
 from metrocli.settings import BAD, Schema, path_beside
 from metrocli.table import MOST_FAULTS
@@ -29,8 +29,8 @@ class Part:
     """The value that stands for the part itself, such as its serial number"""
     values: Mapping[str, str]
     """By name: the part, and all columns of its list"""
-    file: Path | None = None
-    """The CSV file with the list, if there is one"""
+    list: FileBytes | None = None
+    """The CSV file with the list as it was read, if there is one"""
 
 
 class ForEach:
@@ -87,7 +87,8 @@ def _in_file(name: str, value: Node) -> Iterator[_Placed]:
     if value.kind != "scalar" or value.empty:
         raise InputError([value.fault(f"{value.path}: there is no list", f"expected {ForEach.expects}")])
     path = path_beside(value)
-    raw = taken_apart(read_text(path, str(path)), str(path))
+    held = read_bytes(path, "a CSV file")
+    raw = taken_apart(read_text(path, str(path), held), str(path))
     if name not in raw.header:
         raise InputError([raw.fault(f"the column '{name}' is missing", raw.header_line, None, f"{KEY}: names it")])
     twice = [one for one, count in Counter(raw.header).items() if count > 1]
@@ -96,7 +97,7 @@ def _in_file(name: str, value: Node) -> Iterator[_Placed]:
     at = raw.header.index(name)
     for line, *cells in zip(raw.numbers, *raw.cells, strict=True):
         row = {column: cell.strip() for column, cell in zip(raw.header, cells, strict=True)}
-        yield Part(row[name], row, path), partial(raw.fault, line=line, cell=at)
+        yield Part(row[name], row, held), partial(raw.fault, line=line, cell=at)
 
 
 def bound(root: Node, part: Part) -> Node:

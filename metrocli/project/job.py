@@ -54,8 +54,8 @@ class JobFile:
     @property
     def stated_in(self) -> tuple[Path, ...]:
         """The files that state the job: its own, the list of its part, and a project that names effects for it."""
-        part = self.wishes.part
-        return tuple(one for one in (self.file, part and part.file, self.own.project) if one is not None)
+        parts = self.wishes.part and self.wishes.part.list
+        return tuple(one for one in (self.file, parts and parts.path, self.own.project) if one is not None)
 
     @property
     def effects_of_packages(self) -> tuple[str, ...]:
@@ -109,7 +109,7 @@ class Wishes:
 
     def elsewhere(self) -> Wishes:
         """Return them for a process that loads the job again when all its inputs exist, and needs no list of parts."""
-        return replace(self, made=(), files=YamlFiles(), part=self.part and replace(self.part, file=None))
+        return replace(self, made=(), files=YamlFiles(), part=self.part and replace(self.part, list=None))
 
 
 def load(path: Path, wishes: Wishes | None = None) -> JobFile:

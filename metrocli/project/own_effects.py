@@ -93,9 +93,8 @@ def own_effects(kind: str, heading: Heading, job: Path, read_before: YamlFiles, 
 
 def of_project(folder: Path, read_before: YamlFiles) -> Node | None:
     """Return the node of `effects_from` in the nearest metrocli.yaml above a folder, or None."""
-    here = folder.absolute()
-    place = next((one / PROJECT_FILE for one in (here, *here.parents) if (one / PROJECT_FILE).is_file()), None)
-    if place is None:
+    *_, place = project_files_above(folder)
+    if not place.is_file():
         return None
     try:
         root = read_before.root(place)
@@ -104,6 +103,15 @@ def of_project(folder: Path, read_before: YamlFiles) -> Node | None:
         return None
     node = root.get("effects_from") if root.get("jobs") is not None else None
     return None if node is None or node.empty or node.kind != "scalar" else node
+
+
+def project_files_above(folder: Path) -> Iterator[Path]:
+    """Yield where a project file of a folder may be, the nearest first, up to the first that there is."""
+    here = folder.absolute()
+    for one in (here, *here.parents):
+        yield one / PROJECT_FILE
+        if (one / PROJECT_FILE).is_file():
+            return
 
 
 def of_file(

@@ -17,7 +17,7 @@ import pytest
 from benchmarks.projects.hard_ends import groups_at_work
 from metrocli.errors import InputError
 from metrocli.formats import hdf5
-from metrocli.project.running import memo
+from metrocli.project.running import crew, memo
 from metrocli.project.running.crew import processes
 from metrocli.project.running.lock import locked
 from metrocli.project.steps import load_project
@@ -189,11 +189,11 @@ def test_one_run_at_a_time_and_the_lock_dies_with_its_process(project: Path, met
         locked(Path("metrocli.yaml"), False),
     ):
         pass
-    assert sorted(os.listdir()) == ["jobs", "metrocli.yaml", "results"]
+    assert sorted(os.listdir()) == [memo.NAME, "jobs", "metrocli.yaml", "results"]
 
 
 class TestMemo:
-    """What is remembered of a run with nothing to do."""
+    """What is remembered of a run that leaves nothing to do."""
 
     @pytest.fixture(autouse=True)
     def settled(self, project: Path, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -281,11 +281,43 @@ class TestMemo:
         os.mkfifo(memo.NAME)
         assert memo.unmoved_jobs("metrocli.yaml") is None
 
-    def test_young_files_are_not_remembered(self, metrocli: Callable[..., Any], monkeypatch: Any) -> None:
+    @pytest.mark.parametrize("jobs", [1, 2])
+    @pytest.mark.parametrize("file", FILES)
+    def test_what_a_run_read_and_wrote_is_remembered_by_its_bytes_while_it_is_young(
+        self, file: str, jobs: int, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("metrocli.project.running.memo._SETTLED_NS", 10**12)
+        real, stopped = memo._signature, memo.now_ns()  # a clock of files too coarse for the change below
+        monkeypatch.setattr(memo, "_signature", lambda path: real(path) and [real(path)[0], stopped, stopped, 1])
+        job = Path("jobs/c.yaml")
+        job.write_text(job.read_text().replace("1 um", "3 um"))
+        assert ran(metrocli("run", "--jobs", jobs)) == "cd"
+        assert memo.unmoved_jobs("metrocli.yaml") == [[f"jobs/{n}.yaml", f"results/{n}.h5"] for n in ALL]
+        data = Path(file).read_bytes()
+        Path(file).write_bytes(data[:-2] + bytes([data[-2] ^ 1]) + data[-1:])
+        assert memo.unmoved_jobs("metrocli.yaml") is None
+
+    def test_a_young_file_that_was_edited_while_its_job_ran_is_not_remembered(
+        self, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         monkeypatch.setattr("metrocli.project.running.memo._SETTLED_NS", 10**12)
         Path(memo.NAME).unlink()
-        metrocli("run", Path.cwd())
+        job, computed = Path("jobs/c.yaml"), crew.compute
+
+        def edited_meanwhile(*arguments: Any) -> Any:
+            job.write_text(job.read_text().replace("2 um", "3 um"))
+            return computed(*arguments)
+
+        job.write_text(job.read_text().replace("1 um", "2 um"))
+        with monkeypatch.context() as patch:
+            patch.setattr(crew, "compute", edited_meanwhile)
+            assert metrocli("run").code == 0
         assert not Path(memo.NAME).exists()
+        assert "-> 3 um" in metrocli("run").out
+
+    def test_a_project_nearer_to_a_job_ends_it(self) -> None:
+        Path("jobs/metrocli.yaml").write_text("jobs: [a.yaml]\neffects_from: own.yaml\n")
+        assert memo.unmoved_jobs("metrocli.yaml") is None
 
 
 def test_an_output_that_is_a_broken_link_is_refused_in_words(project: Path, metrocli: Callable[..., Any]) -> None:
