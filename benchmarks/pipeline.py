@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from benchmarks.projects.hard_ends import edges, kills
-from benchmarks.projects.many_jobs import idle, idle_campaign
+from benchmarks.projects.many_jobs import NO_MEMO, ONE_TO_DO, OTHERS, bound, idle, idle_campaign
 from benchmarks.projects.on_cluster import cluster_runs, diagnosis_on_cluster, overhead, trials_overhead
 from benchmarks.projects.six_jobs import changes, damages
 
@@ -87,12 +87,19 @@ def of_diagnosis(_: int) -> Iterator[Line]:
 
 def of_idle(count: int) -> Iterator[Line]:
     """Yield the line of the runs with nothing to do."""
-    yield f"{count} jobs, nothing to do, CPU: {_times(idle(count))}", False
+    found = idle(count)
+    yield f"{count} jobs, CPU: {_times(found)}", _too_long(found, count)
 
 
 def of_campaign(count: int) -> Iterator[Line]:
     """Yield the line of the runs of a campaign with nothing to do."""
-    yield f"{count} parts of one job, nothing to do, CPU: {_times(idle_campaign(count))}", False
+    found = idle_campaign(count)
+    yield f"{count} parts of one job, CPU: {_times(found)}", _too_long(found, count)
+
+
+def _too_long(found: dict[str, float | str], count: int) -> bool:
+    held = (one for name, one in found.items() if name not in (ONE_TO_DO, NO_MEMO, *OTHERS))
+    return any(not isinstance(one, str) and one > bound(count) for one in held)
 
 
 def _times(found: dict[str, float | str]) -> str:

@@ -54,8 +54,8 @@ class JobFile:
     @property
     def stated_in(self) -> tuple[Path, ...]:
         """The files that state the job: its own, the list of its part, and a project that names effects for it."""
-        parts = self.wishes.part and self.wishes.part.list
-        return tuple(one for one in (self.file, parts and parts.path, self.own.project) if one is not None)
+        parts = self.wishes.part.list if self.wishes.part is not None else None
+        return tuple(one for one in (self.file, parts.path if parts else None, self.own.project) if one is not None)
 
     @property
     def effects_of_packages(self) -> tuple[str, ...]:

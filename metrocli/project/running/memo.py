@@ -99,7 +99,7 @@ def remember(
     nearer = {one for place in {step.job.folder for step in steps} for one in project_files_above(place)}
     with suppress(OSError, InputError):
         looked_at = dict.fromkeys(_looked_at(project_file, steps))
-        files = {os.path.relpath(path, folder): [[], ""] for path in nearer if not path.exists()}
+        files: dict[str, list[Any]] = {os.path.relpath(path, folder): [[], ""] for path in nearer if not path.exists()}
         looked_at |= dict.fromkeys(path for path in nearer if path.exists())
         files |= {os.path.relpath(path, folder): _seen(os.fspath(path), path not in packages) for path in looked_at}
         young = {name: digest for name, (seen, digest) in files.items() if not _settled(seen, begun_ns)}
