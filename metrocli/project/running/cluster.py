@@ -60,7 +60,9 @@ def _carry_out(packed: Packed) -> Outcome:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
         try:
-            outcome = attempt(load(Path(folder) / packed.file, packed.wishes), packed.strict, workers=Workers(1))
+            outcome = attempt(
+                load(Path(folder) / packed.file, packed.wishes), packed.strict, workers=Workers(1, helped=True)
+            )
         except MetrocliError as error:
             outcome = Outcome(exit_code=error.exit_code, error=str(error))
         return replace(outcome, error=outcome.error.replace(folder + os.sep, packed.shown))
