@@ -23,6 +23,7 @@ from metrocli.settings import (
     MeshFile,
     Section,
     TableFile,
+    has_wildcards,
     settings_of,
 )
 from metrocli.words import suggestion
@@ -49,15 +50,10 @@ class Input:
         return self.value if isinstance(self.value, tuple) else (self.value,)
 
     @property
-    def searched(self) -> tuple[Path, ...]:
-        """The folders that patterns of file names are matched in, such as `img` for `img/*.png`."""
-        patterns = (self.node.items or (self.node,)) if isinstance(self.value, tuple) else ()
-        return tuple((one.source.folder / one.text).parent for one in patterns if has_wildcards(one.text))
-
-
-def has_wildcards(path: Path | str) -> bool:
-    """Return whether a path is a pattern."""
-    return bool(set(str(path)) & set("*?["))
+    def patterns(self) -> tuple[Path, ...]:
+        """The patterns of file names from the folder of the job, such as `../img/*.png`."""
+        named = (self.node.items or (self.node,)) if isinstance(self.value, tuple) else ()
+        return tuple(Path(os.path.normpath(one.text)) for one in named if has_wildcards(one.text))
 
 
 def inputs_of(root: Node, settings: type, faults: list[Fault]) -> tuple[Input, ...]:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats.own_files import write_all
-from metrocli.project.named_files import has_wildcards
 from metrocli.project.steps import Step
+from metrocli.settings import has_wildcards
 
 _SPECIAL = re.compile(r"(\\*)([ #:*?\[])")
 """What Make takes as itself behind a backslash, and the backslashes before it, which then count twice"""
@@ -28,7 +28,8 @@ def write(path: Path, project_file: Path, steps: Sequence[Step], force: bool = F
     faults: list[Fault] = []
     rules = []
     for step in steps:
-        searched = (one for item in step.job.inputs for one in item.searched if not has_wildcards(one))
+        folders = (one.parent for item in step.job.inputs for one in item.patterns if not has_wildcards(one.parent))
+        searched = (step.job.folder / one for one in folders)
         needed = (step.job.file, project_file, *step.job.stated_in, *step.job.files, *searched)
         words = dict.fromkeys(_word(one, faults) for one in needed)
         rules.append(f"{_word(step.job.output, faults)}: {' '.join(words)}\n")

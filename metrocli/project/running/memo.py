@@ -206,13 +206,13 @@ def _seen(path: str, by_digest: bool = True) -> list[Any]:
 
 def _looked_at(project_file: Path, steps: Iterable[Step]) -> Iterable[Path]:
     """Yield all files and folders that decide whether results are up to date; OSError for what cannot be listed."""
-    from metrocli.project.named_files import has_wildcards
+    from metrocli.settings import has_wildcards
 
     yield project_file
     for step in steps:
         yield from (*step.job.stated_in, *step.job.files, step.job.output)
         yield from (one.file for one in step.job.packages if one.file is not None)
-        for folder in (one for item in step.job.inputs for one in item.searched):
+        for folder in (one.parent for item in step.job.inputs for one in item.patterns):
             if has_wildcards(folder):
                 raise OSError("not listed: new folders may match")
-            yield folder
+            yield step.job.folder / folder
