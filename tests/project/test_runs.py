@@ -110,6 +110,14 @@ def test_errors_for_programs(project: Path, metrocli: Callable[..., Any]) -> Non
         assert fault["hint"] == "did you mean 'quantities'?"
 
 
+def test_errors_for_programs_have_the_part_of_a_long_line_that_is_shown(
+    project: Path, metrocli: Callable[..., Any]
+) -> None:
+    Path("jobs/a.yaml").write_text("a" * 100_000)
+    (fault,) = json.loads(metrocli("check", "jobs/a.yaml", "--json").out)["errors"]
+    assert (fault["source"], fault["line"]) == ("a" * 160, 1)
+
+
 def test_make_learns_what_results_depend_on(project: Path, metrocli: Callable[..., Any]) -> None:
     Path("jobs/b c.yaml").write_text(Path("jobs/b.yaml").read_text().replace("b.h5", "b c.h5"))
     Path("metrocli.yaml").write_text("jobs: [jobs/a.yaml, 'jobs/b c.yaml']\n")
