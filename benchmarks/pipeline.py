@@ -1,7 +1,7 @@
 """Projects that never lie: changes, damages, kills, hard edges, a cluster, and the cost of having nothing to do.
 
 python -m benchmarks pipeline [changes N | damages N | kills N | edges 1 | cluster N | overhead N |
-    trials MILLIONS | diagnosis 1 | idle N | campaign N ...]
+    trials MILLIONS | shared MILLIONS | diagnosis 1 | idle N | campaign N ...]
 """
 
 from __future__ import annotations
@@ -13,13 +13,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from benchmarks.projects.hard_ends import edges, kills
-from benchmarks.projects.many_jobs import idle, idle_campaign
-from benchmarks.projects.on_cluster import cluster_runs, diagnosis_on_cluster, overhead, trials_overhead
+from benchmarks.projects.many_jobs import NO_MEMO, ONE_TO_DO, OTHERS, bound, idle, idle_campaign
+from benchmarks.projects.on_cluster import cluster_runs, diagnosis_on_cluster, overhead, shared_trials, trials_overhead
 from benchmarks.projects.six_jobs import changes, damages
 
 FULL = (
     ("changes", 1000), ("damages", 2000), ("kills", 200), ("edges", 1), ("cluster", 200), ("overhead", 200),
-    ("trials", 200), ("diagnosis", 1), ("idle", 50), ("idle", 1000), ("idle", 10_000), ("campaign", 10_000),
+    ("trials", 200), ("shared", 200), ("diagnosis", 1),
+    ("idle", 50), ("idle", 1000), ("idle", 10_000), ("campaign", 10_000),
 )  # fmt: skip
 Line = tuple[str, bool]
 """What to print, and whether anything lied"""
@@ -79,6 +80,17 @@ def of_trials(millions: int) -> Iterator[Line]:
     yield f"{text} ({there / here - 1:+.1%}), {wrong or 'the same result'}", bool(wrong) or there > 1.05 * here
 
 
+def of_shared(millions: int) -> Iterator[Line]:
+    """Yield the line of a project of one large Monte Carlo job on a cluster of two workers."""
+    workers, wrong = shared_trials(millions)
+    share = min(workers) / sum(workers)
+    spent = " and ".join(f"{one:.1f} s" for one in workers)
+    text = (
+        f"{millions} million trials of one job of a project, CPU of two workers: {spent}, {wrong or 'the same result'}"
+    )
+    yield text, bool(wrong) or share < 0.3
+
+
 def of_diagnosis(_: int) -> Iterator[Line]:
     """Yield a line for each diagnosis whose folds go to a cluster."""
     for name, wrong in diagnosis_on_cluster():
@@ -87,12 +99,19 @@ def of_diagnosis(_: int) -> Iterator[Line]:
 
 def of_idle(count: int) -> Iterator[Line]:
     """Yield the line of the runs with nothing to do."""
-    yield f"{count} jobs, nothing to do, CPU: {_times(idle(count))}", False
+    found = idle(count)
+    yield f"{count} jobs, CPU: {_times(found)}", _too_long(found, count)
 
 
 def of_campaign(count: int) -> Iterator[Line]:
     """Yield the line of the runs of a campaign with nothing to do."""
-    yield f"{count} parts of one job, nothing to do, CPU: {_times(idle_campaign(count))}", False
+    found = idle_campaign(count)
+    yield f"{count} parts of one job, CPU: {_times(found)}", _too_long(found, count)
+
+
+def _too_long(found: dict[str, float | str], count: int) -> bool:
+    held = (one for name, one in found.items() if name not in (ONE_TO_DO, NO_MEMO, *OTHERS))
+    return any(not isinstance(one, str) and one > bound(count) for one in held)
 
 
 def _times(found: dict[str, float | str]) -> str:
@@ -107,6 +126,7 @@ CAMPAIGNS: dict[str, Callable[[int], Iterator[Line]]] = {
     "cluster": of_cluster,
     "overhead": of_overhead,
     "trials": of_trials,
+    "shared": of_shared,
     "diagnosis": of_diagnosis,
     "idle": of_idle,
     "campaign": of_campaign,

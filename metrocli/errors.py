@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 SHOWN = 160
@@ -27,12 +27,23 @@ class Fault:
         place = ":".join(str(part) for part in (self.file, self.line, self.column) if part not in (None, ""))
         text = f"{place}: error: {self.message}" if place else f"error: {self.message}"
         if self.source is not None and self.line is not None:
-            start = max((self.column or 1) - 1, 0)
-            cut = max(start - SHOWN // 2, 0) if len(self.source) > SHOWN else 0
-            shown = self.source[cut : cut + SHOWN].replace("\t", " ")
+            start, (cut, shown) = self._start, self._shown(self.source)
             hint = f" {self.hint}" if self.hint else ""
             return f"{text}\n{self.line:6d} | {shown}\n       | {' ' * (start - cut)}^{hint}"
         return f"{text}\n       {self.hint}" if self.hint else text
+
+    @property
+    def _start(self) -> int:
+        return max((self.column or 1) - 1, 0)
+
+    def _shown(self, source: str) -> tuple[int, str]:
+        """Return the part of the offending line around the fault, and where in the line it begins."""
+        cut = max(self._start - SHOWN // 2, 0) if len(source) > SHOWN else 0
+        return cut, source[cut : cut + SHOWN].replace("\t", " ")
+
+    def as_data(self) -> dict[str, Any]:
+        """Return the fault for programs: its fields, and of a long line the part that is shown."""
+        return asdict(self) | ({} if self.source is None else {"source": self._shown(self.source)[1]})
 
 
 class MetrocliError(Exception):

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from metrocli.formats import hdf5
 from metrocli.project import meaning, runner
+from metrocli.project.running import memo
 from metrocli.project.steps import load_project
 
 ROOT = Path(__file__).parents[2]
@@ -53,25 +54,42 @@ def idle_campaign(count: int) -> dict[str, float | str]:
 
 
 def idle(count: int) -> dict[str, float | str]:
-    """Return the CPU times [ms] of runs with nothing to do: the first, the next and one after all files moved.
+    """Return the CPU times [ms] of runs: as `_own_idle`, and those of other programs with nothing to do.
 
-    Beside them are those of the other programs. For one that is not there or takes too long, that is returned in words.
+    For one that is not there or takes too long, that is returned in words.
     """
     write(count)
     return _own_idle() | {name: _by_another(name, count) for name in OTHERS}
 
 
+ONE_TO_DO, NO_MEMO = "one job to do", "without memo"
+"""Runs that are not held to the bounds of a run with nothing to do"""
+
+
 def _own_idle() -> dict[str, float | str]:
-    jobs = [step.job for step in load_project(Path())]
+    """Return the CPU times [ms] of a run with one job to do, and of runs with nothing to do.
+
+    These are the next one, one when all files have settled, one after all files moved and one without a memo.
+    """
+    *jobs, _ = (step.job for step in load_project(Path()))
     result, record = runner.compute(jobs[0])
     for job in jobs:
         hdf5.write(job.output, result, replace(record, job_text=job.text, meaning=meaning.of_job(job)))
     compileall.compile_dir(str(ROOT / "metrocli"), quiet=1)  # as pip does
-    time.sleep(3)  # younger files are not remembered
-    found: dict[str, float | str] = {name: cpu_of([*RUN, "--quiet"]) for name in ("looked at", "remembered")}
+    found: dict[str, float | str] = {name: cpu_of([*RUN, "--quiet"]) for name in (ONE_TO_DO, "the next")}
+    time.sleep(3)  # the times of younger files do not count
+    cpu_of([*RUN, "--quiet"])
+    found["settled"] = cpu_of([*RUN, "--quiet"])
     for path in filter(Path.is_file, Path().rglob("[!.]*")):
         path.touch()  # as a checkout does
-    return found | {"moved": cpu_of([*RUN, "--quiet"])}
+    found["moved"] = cpu_of([*RUN, "--quiet"])
+    Path(memo.NAME).unlink()
+    return found | {NO_MEMO: cpu_of([*RUN, "--quiet"])}
+
+
+def bound(count: int) -> float:
+    """Return the longest CPU time [ms] that a run of so many jobs may take with nothing to do."""
+    return 100.0 if count <= 50 else 1000.0 if count <= 1000 else 5000.0
 
 
 OTHERS = ("make", "doit", "snakemake", "dvc")

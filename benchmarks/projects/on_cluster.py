@@ -120,6 +120,16 @@ def trials_overhead(millions: int) -> tuple[float, float, str]:
     return here, there, "" if alike else "other results than here"
 
 
+def shared_trials(millions: int) -> tuple[list[float], str]:
+    """Return the CPU time [s] of each of two workers on a project of one Monte Carlo job, and what went wrong."""
+    write(1, millions * 1_000_000)
+    subprocess.run([*RUN, "--quiet"], check=True, capture_output=True, env=environment())
+    wanted = _contents()
+    with cluster() as (file, (_, *workers)):
+        _, wrong = _run(file, wanted)
+        return [_cpu(worker) for worker in workers], wrong
+
+
 def diagnosis_on_cluster() -> Iterator[tuple[str, str]]:
     """Yield each diagnosis with the CPU time [s] here and on a cluster, and what went wrong, empty for nothing."""
     for name, adjusted, _ in measurements():

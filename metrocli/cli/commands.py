@@ -82,11 +82,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 def _print_as_json(code: int, error: Exception) -> None:
     import json
-    from dataclasses import asdict
 
     faults = error.faults if isinstance(error, InputError) else ()
     message = error.format_message() if isinstance(error, click.ClickException) else str(error)
-    errors = [asdict(fault) for fault in faults] or [{"message": message}]
+    errors = [fault.as_data() for fault in faults] or [{"message": message}]
     echo(json.dumps({"status": "error", "exit_code": code, "errors": errors}, indent=2, ensure_ascii=False))
 
 

@@ -12,8 +12,11 @@ from pathlib import Path
 
 import click
 
-_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
-"""Characters by which a text could take over a terminal: all control characters but the tab and the end of a line"""
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+"""Characters by which a text could take over a terminal, or show its letters in another order
+
+All control characters but the tab and the end of a line, and those that turn the direction of writing.
+"""
 _FIRST_S, _EVERY_S = 2.0, 0.5
 """Time before a line of progress appears, and between two of them [s]"""
 

@@ -68,8 +68,9 @@ def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: b
         if dry_run:
             return _dry_run(list(states(steps, order.force, order.strict)), console, as_json)
         reports = _run(steps, order, console, how["jobs"], how["scheduler"])
-    if plain and all(report.action == pipeline.Action.UP_TO_DATE and not report.exit_code for report in reports):
-        memo.remember(file, steps, begun)
+    labels = {report.step.name: report.sealed for report in reports if not report.exit_code}
+    if plain and len(labels) == len(steps):
+        memo.remember(file, steps, begun, labels)
     code = pipeline.worst(report.exit_code for report in reports)
     if as_json:
         from metrocli.cli.summary import as_json as json_text

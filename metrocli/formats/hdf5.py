@@ -26,7 +26,7 @@ def write(path: Path, result: Result, record: Record) -> bool:
     """
     from metrocli.formats.hdf5_writing import image_of
 
-    label = _label(result, record)
+    label = label_of(result, record)
     before = _label_there(path)
     if before == label and label.content:
         return False
@@ -39,7 +39,8 @@ def write(path: Path, result: Result, record: Record) -> bool:
     return not same
 
 
-def _label(result: Result, record: Record) -> Label:
+def label_of(result: Result, record: Record) -> Label:
+    """Return the label with which a result is written."""
     return Label(
         kind=result.kind,
         status=record.status,

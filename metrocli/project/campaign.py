@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_text import read_text, taken_apart
+from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.nodes import Node
 from metrocli.settings import BAD, Schema, path_beside
+from metrocli.table import MOST_FAULTS
 from metrocli.words import suggestion
 
 KEY = "for"
@@ -26,8 +29,8 @@ class Part:
     """The value that stands for the part itself, such as its serial number"""
     values: Mapping[str, str]
     """By name: the part, and all columns of its list"""
-    file: Path | None = None
-    """The CSV file with the list, if there is one"""
+    list: FileBytes | None = None
+    """The CSV file with the list as it was read, if there is one"""
 
 
 class ForEach:
@@ -50,7 +53,7 @@ class ForEach:
 
 
 def parts_of(root: Node) -> tuple[Part, ...]:
-    """Return the parts of a job file, none if it is for one only; raise InputError if the list has faults."""
+    """Return the parts of a job file, none if it is for one only; raise InputError with the faults of the list."""
     node = root.get(KEY)
     if node is None:
         return ()
@@ -58,32 +61,43 @@ def parts_of(root: Node) -> tuple[Part, ...]:
     if ForEach().read(node, faults) is BAD:
         raise InputError(faults)
     (name, value), *_ = node.entries
-    parts = _listed(name.text, value) if value.kind == "list" else _in_file(name.text, value)
-    seen: set[str] = set()
-    for part in parts:
-        if not part.name or part.name in seen or part.name in (".", "..") or set(part.name) & set("/\\\0\n"):
-            reason = "is there twice" if part.name in seen else "cannot be part of a file name"
-            raise InputError([value.fault(f"{value.path}: the {name.text} '{part.name}' {reason}")])
-        seen.add(part.name)
-    return parts
+    parts: dict[str, Part] = {}
+    for part, fault_at in _listed(name.text, value) if value.kind == "list" else _in_file(name.text, value):
+        if part.name in parts:
+            faults.append(fault_at(f"the {name.text} '{part.name}' is there twice"))
+        elif part.name in ("", ".", "..") or set(part.name) & set("/\\") or not part.name.isprintable():
+            faults.append(fault_at(f"the {name.text} '{part.name}' cannot be part of a file name"))
+        parts[part.name] = part
+    if faults:
+        raise InputError(faults[:MOST_FAULTS])
+    return tuple(parts.values())
 
 
-def _listed(name: str, value: Node) -> tuple[Part, ...]:
+_Placed = tuple[Part, Callable[[str], Fault]]
+"""A part, and what makes a fault at its place of a message"""
+
+
+def _listed(name: str, value: Node) -> Iterator[_Placed]:
     if not value.items or any(item.kind != "scalar" for item in value.items):
         raise InputError([value.fault(f"{value.path}: this is not a list of names", f"expected {ForEach.expects}")])
-    return tuple(Part(item.text, {name: item.text}) for item in value.items)
+    return ((Part(item.text, {name: item.text}), item.fault) for item in value.items)
 
 
-def _in_file(name: str, value: Node) -> tuple[Part, ...]:
+def _in_file(name: str, value: Node) -> Iterator[_Placed]:
     if value.kind != "scalar" or value.empty:
         raise InputError([value.fault(f"{value.path}: there is no list", f"expected {ForEach.expects}")])
     path = path_beside(value)
-    raw = taken_apart(read_text(path, str(path)), str(path))
+    held = read_bytes(path, "a CSV file")
+    raw = taken_apart(read_text(path, str(path), held), str(path))
     if name not in raw.header:
         raise InputError([raw.fault(f"the column '{name}' is missing", raw.header_line, None, f"{KEY}: names it")])
-    rows = zip(*([cell.strip() for cell in cells] for cells in raw.cells), strict=True)
-    listed = (dict(zip(raw.header, row, strict=True)) for row in rows)
-    return tuple(Part(row[name], row, path) for row in listed)
+    twice = [one for one, count in Counter(raw.header).items() if count > 1]
+    if twice:
+        raise InputError([raw.fault(f"the column '{one}' is there twice", raw.header_line) for one in twice])
+    at = raw.header.index(name)
+    for line, *cells in zip(raw.numbers, *raw.cells, strict=True):
+        row = {column: cell.strip() for column, cell in zip(raw.header, cells, strict=True)}
+        yield Part(row[name], row, held), partial(raw.fault, line=line, cell=at)
 
 
 def bound(root: Node, part: Part) -> Node:

@@ -41,7 +41,7 @@ def read_with_files(job: JobFile, absent: Collection[str] = ()) -> tuple[dict[st
             faults.extend(error.faults)
     if faults:
         raise InputError(faults)
-    files |= {_relative(path, job.folder): _of_own(job, path) for path in job.own.files}
+    files |= {one.path: one for one in _of_own(job)}
     elsewhere = {key: value for key, value in held.items() if "." in key}
     named = {key: value for key, value in held.items() if key not in elsewhere}
     return named | ({"files": elsewhere} if elsewhere else {}), tuple(files[path] for path in sorted(files))
@@ -113,6 +113,7 @@ def _read_one(spec: Any, path: Path, item: Input, folder: Path) -> tuple[Any, In
 def input_files(job: JobFile) -> tuple[InputFile, ...]:
     """Return the existing files of a job with the hashes of their bytes; paths are relative to the job file."""
     held = {path: item.bytes for item in job.inputs for path in item.paths if item.bytes is not None}
+    held |= {path: file.bytes for path, file in job.own.files.items()}
     paths = sorted({path for path in job.files if path.is_file()})
     return tuple(_recorded(held.get(path) or read_bytes(path), job.folder, "") for path in paths)
 
@@ -125,13 +126,12 @@ def content_now(job: JobFile, path: str) -> str:
                 return next((one.content for one in _read(item, job.folder)[1] if one.path == path), "")
             except InputError:
                 return ""
-    return next((_of_own(job, own).content for own in job.own.files if path == _relative(own, job.folder)), "")
+    return next((one.content for one in _of_own(job) if one.path == path), "")
 
 
-def _of_own(job: JobFile, path: Path) -> InputFile:
-    """Return the record of a file with effects of one's own."""
-    held = read_bytes(path)
-    return _recorded(held, job.folder, meaning.of_yaml(path))
+def _of_own(job: JobFile) -> tuple[InputFile, ...]:
+    """Return the record of the files with effects of one's own, as they were read with the job."""
+    return tuple(_recorded(one.bytes, job.folder, meaning.of_yaml(one.root)) for one in job.own.files.values())
 
 
 def _recorded(held: FileBytes, folder: Path, content: str) -> InputFile:

@@ -52,6 +52,12 @@ class JobFile:
         return (*(path for item in self.inputs for path in item.paths), *self.own.files)
 
     @property
+    def stated_in(self) -> tuple[Path, ...]:
+        """The files that state the job: its own, the list of its part, and a project that names effects for it."""
+        parts = self.wishes.part.list if self.wishes.part is not None else None
+        return tuple(one for one in (self.file, parts.path if parts else None, self.own.project) if one is not None)
+
+    @property
     def effects_of_packages(self) -> tuple[str, ...]:
         """The names of the effects of packages that it uses."""
         return tuple(sorted({one.name for one in self.effects} & self.own.packages.keys()))
@@ -102,8 +108,8 @@ class Wishes:
     """YAML files that were read for other jobs at the same time"""
 
     def elsewhere(self) -> Wishes:
-        """Return them for a process that loads the job again when all its inputs exist."""
-        return replace(self, made=(), files=YamlFiles())
+        """Return them for a process that loads the job again when all its inputs exist, and needs no list of parts."""
+        return replace(self, made=(), files=YamlFiles(), part=self.part and replace(self.part, list=None))
 
 
 def load(path: Path, wishes: Wishes | None = None) -> JobFile:
@@ -116,7 +122,7 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     root, text = _root(path, wishes, faults)
     if wishes.part is not None:
         root = bound(root, wishes.part)
-        text = f"# {path.name}, for {wishes.part.name}\n{yaml_text.emit(root)}"
+        text = yaml_text.emit(root, f"{path.name}, for {wishes.part.name}")
     elif root.get(CAMPAIGN) is not None:
         hint = "name it in a project (metrocli.yaml) and use: metrocli run PROJECT --only JOB[PART]"
         raise InputError([root.at(CAMPAIGN).fault("this file is a job for each of many parts", hint)])
@@ -181,7 +187,7 @@ def _root(path: Path, wishes: Wishes, faults: list[Fault]) -> tuple[Node, str]:
         root = overridden(root, override, path.parent)
     if wishes.overrides:
         used = ", ".join(f"--set {override}" for override in wishes.overrides)
-        text = f"# as used, with {used}\n{yaml_text.emit(root)}"
+        text = yaml_text.emit(root, f"as used, with {used}")
     return root, text
 
 

@@ -17,7 +17,6 @@ from typing import Any
 
 from metrocli import __version__
 from metrocli.nodes import Node
-from metrocli.project import yaml_text
 from metrocli.project.job import JobFile
 from metrocli.record import InputFile, Record
 from metrocli.result import Result
@@ -58,9 +57,9 @@ def of_result(result: Result, record: Record) -> str:
     return digest([values, tables, record.verdicts, record.doubts, sorted(one.content for one in record.inputs)])
 
 
-def of_yaml(path: Path) -> str:
+def of_yaml(root: Node) -> str:
     """Return the digest of the values of a YAML file, whatever its comments and notation."""
-    return digest(list(_leaves(yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent))))
+    return digest(list(_leaves(root)))
 
 
 def same_version(made_by: str) -> bool:

@@ -23,6 +23,7 @@ from metrocli.settings import (
     MeshFile,
     Section,
     TableFile,
+    has_wildcards,
     settings_of,
 )
 from metrocli.words import suggestion
@@ -47,6 +48,12 @@ class Input:
         if isinstance(self.value, Mapping):
             return tuple(self.value.values())
         return self.value if isinstance(self.value, tuple) else (self.value,)
+
+    @property
+    def patterns(self) -> tuple[Path, ...]:
+        """The patterns of file names from the folder of the job, such as `../img/*.png`."""
+        named = (self.node.items or (self.node,)) if isinstance(self.value, tuple) else ()
+        return tuple(Path(os.path.normpath(one.text)) for one in named if has_wildcards(one.text))
 
 
 def inputs_of(root: Node, settings: type, faults: list[Fault]) -> tuple[Input, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
@@ -15,9 +16,9 @@ from metrocli.effects.own.define import read
 from metrocli.errors import Fault, InputError
 from metrocli.formats.file_bytes import read_bytes
 from metrocli.nodes import Node
-from metrocli.project import PROJECT_FILE, yaml_text
+from metrocli.project import PROJECT_FILE
 from metrocli.project.heading import Heading
-from metrocli.project.yaml_text import YamlFiles
+from metrocli.project.yaml_text import YamlFile, YamlFiles
 from metrocli.settings import path_beside
 from metrocli.words import listed, suggestion
 
@@ -51,7 +52,8 @@ class Own:
     """Effects of one's own, and the files and packages that define them."""
 
     effects: tuple[Effect, ...] = ()
-    files: tuple[Path, ...] = ()
+    files: Mapping[Path, YamlFile] = field(default_factory=dict)
+    """By their paths, as they were read"""
     project: Path | None = None
     """The project file, if it names one of the files"""
     packages: Mapping[str, Package] = field(default_factory=dict)
@@ -66,7 +68,7 @@ def own_effects(kind: str, heading: Heading, job: Path, read_before: YamlFiles, 
     task = tasks.KINDS[kind].task()
     taken = {effect.name for effect in task.effects}
     found: list[Effect] = []
-    files: list[Path] = []
+    files: dict[Path, YamlFile] = {}
     packages: dict[str, Package] = {}
     for effect, package in with_packages(kind):
         packages[effect.name] = package
@@ -79,20 +81,20 @@ def own_effects(kind: str, heading: Heading, job: Path, read_before: YamlFiles, 
         path = path_beside(node)
         if path in files:
             continue
-        files.append(path)
-        effects = of_file(kind, path, taken, faults, node)
+        effects = of_file(kind, path, taken, faults, read_before, node)
+        with suppress(InputError):  # which is among the faults by now
+            files[path] = read_before.read(path)
         taken |= {effect.name for effect in effects}
         found += effects
     found += read(heading.define, task.places, taken, faults)
     project = None if by_project is None else by_project.source.folder / PROJECT_FILE
-    return Own(tuple(found), tuple(files), project, packages)
+    return Own(tuple(found), files, project, packages)
 
 
 def of_project(folder: Path, read_before: YamlFiles) -> Node | None:
     """Return the node of `effects_from` in the nearest metrocli.yaml above a folder, or None."""
-    here = folder.absolute()
-    place = next((one / PROJECT_FILE for one in (here, *here.parents) if (one / PROJECT_FILE).is_file()), None)
-    if place is None:
+    *_, place = project_files_above(folder)
+    if not place.is_file():
         return None
     try:
         root = read_before.root(place)
@@ -103,8 +105,22 @@ def of_project(folder: Path, read_before: YamlFiles) -> Node | None:
     return None if node is None or node.empty or node.kind != "scalar" else node
 
 
+def project_files_above(folder: Path) -> Iterator[Path]:
+    """Yield where a project file of a folder may be, the nearest first, up to the first that there is."""
+    here = folder.absolute()
+    for one in (here, *here.parents):
+        yield one / PROJECT_FILE
+        if (one / PROJECT_FILE).is_file():
+            return
+
+
 def of_file(
-    kind: str, path: Path, taken: Iterable[str], faults: list[Fault], named: Node | None = None
+    kind: str,
+    path: Path,
+    taken: Iterable[str],
+    faults: list[Fault],
+    read_before: YamlFiles,
+    named: Node | None = None,
 ) -> list[Effect]:
     """Return the effects that a file defines for a kind; those that only fit other kinds are left out."""
     if not path.is_file():
@@ -112,7 +128,7 @@ def of_file(
         faults.append(named.fault(message, hint) if named is not None else Fault(message, str(path), hint=hint))
         return []
     try:
-        root = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent)
+        root = read_before.root(path)
     except InputError as error:
         faults.extend(error.faults)
         return []

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from metrocli.errors import InputError
 from metrocli.formats.aside import sweep
-from metrocli.formats.hdf5 import refuse_unwritable
+from metrocli.formats.hdf5 import label_of, refuse_unwritable
 from metrocli.formats.seal import Label
 from metrocli.project.staleness import State, refuse_lost, state_of, unfit_words
 from metrocli.project.steps import Step
@@ -42,6 +42,11 @@ class Report:
     error: str = ""
     label: Label | None = None
     """Of the result, if it was up to date"""
+
+    @property
+    def sealed(self) -> Label | None:
+        """The label of the result, if the job was up to date or has run."""
+        return self.label if self.done is None else label_of(self.done.result, self.done.record)
 
     @property
     def record(self) -> Record | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from metrocli import __version__
@@ -128,13 +129,21 @@ def refuse_lost(steps: Sequence[Step]) -> None:
             continue
         paths = [one.path for one in label.inputs if absolute(step.job.folder / one.path) not in made]
         lost = [path for path in paths if not (step.job.folder / path).is_file()]
-        if lost and label.meaning == meaning.of_job(step.job):
-            hint = "restore it, or run without it by --force"
-            faults += [
-                Fault(f"the input {path} of the last result is gone", str(step.job.file), hint=hint) for path in lost
-            ]
+        if lost and label.meaning != meaning.of_job(step.job):
+            lost = [path for path in lost if _still_named(step.job, path)]
+        hint = "restore it, or run without it by --force"
+        faults += [
+            Fault(f"the input {path} of the last result is gone", str(step.job.file), hint=hint) for path in lost
+        ]
     if faults:
         raise InputError(faults)
+
+
+def _still_named(job: JobFile, path: str) -> bool:
+    """Return whether a pattern of a job would match a file, given from the folder of the job."""
+    patterns = (one for item in job.inputs for one in item.patterns)
+    places = ((os.path.abspath(job.folder / path) if one.is_absolute() else path, str(one)) for one in patterns)
+    return any(fnmatchcase(place, pattern.replace("**/", "*")) for place, pattern in places)
 
 
 def unfit_words(status: str) -> str:

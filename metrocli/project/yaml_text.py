@@ -22,6 +22,12 @@ MOST_BYTES = 4_000_000
 DEEPEST, MOST_VALUES = 30, 100_000
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f]")
+_ESCAPED = re.compile("[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
+"""What JSON leaves as it is in quotes, and YAML does not read"""
+_NOT_PLAIN = re.compile(
+    r"[\s,\[\]{}#&*!|>'\"%@`]|[-?:](\s|$)|---|\.\.\.|.*(\s#|:\s|:$|\s$|[\x00-\x1f]|" + _ESCAPED.pattern + ")", re.DOTALL
+)
+"""Text that YAML reads as itself only in quotes"""
 _PLAIN_WORDS = (
     ("tab character", "the line is indented with a tab", "indent with spaces"),
     ("cannot start any token", "text cannot begin with this character", "put the text in quotes"),
@@ -219,8 +225,13 @@ def without_lines(node: Node) -> Node:
     return replace(node, items=items, entries=entries, line=None, column=None)
 
 
-def emit(node: Node, indent: int = 0) -> str:
-    """Return the node as YAML text in block form; comments are lost."""
+def emit(node: Node, comment: str = "") -> str:
+    """Return the node as YAML text in block form below one line of comment; its own comments are lost."""
+    line = "".join(letter if letter.isprintable() else " " for letter in comment)
+    return (f"# {line}\n" if comment else "") + _emitted(node, 0)
+
+
+def _emitted(node: Node, indent: int) -> str:
     pad = " " * indent
     if node.kind == "mapping" and node.entries:
         return "".join(f"{pad}{_word(key)}:{_below(value, indent)}" for key, value in node.entries)
@@ -231,7 +242,7 @@ def emit(node: Node, indent: int = 0) -> str:
 
 def _below(node: Node, indent: int) -> str:
     nested = node.entries or node.items
-    return f"\n{emit(node, indent + 2)}" if nested else f" {_word(node)}\n"
+    return f"\n{_emitted(node, indent + 2)}" if nested else f" {_word(node)}\n"
 
 
 def _word(node: Node) -> str:
@@ -239,13 +250,16 @@ def _word(node: Node) -> str:
 
     if node.kind != "scalar":
         return "{}" if node.kind == "mapping" else "[]"
-    return json.dumps(node.text, ensure_ascii=False) if node.quoted or "\n" in node.text else node.text
+    if not node.quoted and not _NOT_PLAIN.match(node.text):
+        return node.text
+    return _ESCAPED.sub(lambda found: f"\\u{ord(found[0]):04x}", json.dumps(node.text, ensure_ascii=False))
 
 
 @dataclass(frozen=True)
 class YamlFile:
     """The content of a YAML file."""
 
+    bytes: FileBytes
     text: str
     root: Node
     repeated: tuple[Fault, ...]
@@ -263,9 +277,10 @@ class YamlFiles:
         place = path.absolute()
         if place not in self.held:
             repeated: list[Fault] = []
-            text = read_text(path, str(path))
+            held = read_bytes(path, "a job file", str(path), MOST_BYTES)
+            text = text_of(held, str(path))
             root = parse(text, str(path), path.parent, repeated)
-            self.held[place] = YamlFile(text, root, tuple(repeated))
+            self.held[place] = YamlFile(held, text, root, tuple(repeated))
         return self.held[place]
 
     def root(self, path: Path) -> Node:

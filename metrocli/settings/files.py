@@ -66,9 +66,14 @@ class ImageFiles:
         return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
 
 
+def has_wildcards(path: Path | str) -> bool:
+    """Return whether a path is a pattern."""
+    return bool(set(str(path)) & set("*?["))
+
+
 def _matches(node: Node) -> list[Path]:
     """Return the files that match a pattern; a path without wildcards is returned even if it does not exist."""
-    if not set(node.text) & set("*?["):
+    if not has_wildcards(node.text):
         return [path_beside(node)]
     return [Path(os.path.normpath(path)) for path in _glob(node) if path.is_file()]
 
@@ -96,7 +101,7 @@ def _matching(folder: Path, parts: tuple[str, ...], looked_at: Callable[[str], s
         yield folder
         return
     first, rest = parts[0], parts[1:]
-    if not set(first) & set("*?["):
+    if not has_wildcards(first):
         yield from _matching(folder / first, rest, looked_at)
         return
     if first == "**":

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from metrocli.cli.console import printable
 from metrocli.cli.shell.live_table import LiveTable, time_text
 
 _PIECE = re.compile(r"\x1b\[\??(\d*)([A-Za-z])|(\r)|(\n)|(.)", re.DOTALL)
@@ -216,3 +217,7 @@ def test_a_run_on_a_terminal_shows_the_table_and_leaves_a_line_a_job_and_the_cou
     expected = "".join([*lines, "2 jobs: 2 ran, in S s"])
     assert re.sub(r"in \d+ s$", "in S s", after).replace(" ", "") == expected.replace(" ", "")
     assert on_a_terminal(30, 10, "run", "--only", "b.yaml", "--force", "--quiet") == (0, "")
+
+
+def test_no_name_turns_the_direction_of_writing() -> None:
+    assert printable("rfp\u202e5h.\u2066 tab\tend\n\x1b") == "rfp\ufffd5h.\ufffd tab\tend\n\ufffd"

@@ -55,6 +55,15 @@ def test_each_part_has_its_result(project: Path, metrocli: Callable[..., Any]) -
     assert [line.split(": ")[1] for line in metrocli("status").out.splitlines()] == ["up to date"] * 3
 
 
+def test_values_with_the_marks_of_yaml_are_recorded_as_they_are(project: Path, metrocli: Callable[..., Any]) -> None:
+    Path("parts.csv").write_text(PARTS.replace("Smith", "x: y #3").replace("012,Müller", '012,"a ""b"" \\ \x85\ufeff"'))
+    assert metrocli("run").code == 0
+    for part in ("A1", "A2", "012"):
+        assert metrocli("rerun", f"results/{part}.h5").code == 0
+    Path("parts.csv").write_text(Path("parts.csv").read_text().replace("#3", "#4"))
+    assert "title: Gear A2 of x: y #3 -> Gear A2 of x: y #4" in metrocli("status").out
+
+
 def test_only_the_part_that_changed_runs(project: Path, metrocli: Callable[..., Any]) -> None:
     metrocli("run")
     Path("parts.csv").write_text(PARTS.replace("Smith", "Smythe"))
@@ -99,7 +108,9 @@ def test_all_estimates_in_one_table(project: Path, metrocli: Callable[..., Any])
 FAULTS = {
     "no such column": (JOB.replace("{customer}", "{custmer}"), PARTS, "jobs/gear.yaml:4:8: error: title: no part has '{custmer}'"),
     "column of parts missing": (JOB, PARTS.replace("part,", "prt,"), "parts.csv:1"),
-    "two parts of a name": (JOB, PARTS + "A1,x,0.1\n", "the part 'A1' is there twice"),
+    "two parts of a name": (JOB, PARTS + "A1,x,0.1\nA2,x,1\n", "parts.csv:6:1: error: the part 'A2' is there twice"),
+    "a part twice in a list": (JOB.replace("../parts.csv", "[A1, A1]"), PARTS, "jobs/gear.yaml:3:18: error: the part"),
+    "a column twice": (JOB, PARTS.replace("customer", "noise"), "parts.csv:1:1: error: the column 'noise' is there tw"),
     "a part that leads elsewhere": (JOB, PARTS + "../x,x,0.1\n", "the part '../x' cannot be part of a file name"),
     "one output for all": (JOB.replace("/{part}.h5", "/all.h5"), PARTS, "write the part in braces into the output"),
     "a value that does not fit": (JOB, PARTS.replace("0.2", "0.2 mm"), "jobs/gear.yaml:5:8: error: noise: "),

@@ -332,3 +332,24 @@ def test_every_sample_has_a_meaning_that_comments_do_not_change(tmp_path: Path) 
         except InputError:
             continue  # the results that it uses are not there yet
         assert meaning.of_job(load(other)) == first
+
+
+@pytest.mark.parametrize("edited", [False, True])
+def test_a_job_never_runs_with_fewer_images_unasked(edited: bool, job: Path, metrocli: Callable[..., Any]) -> None:
+    Path("img/b").mkdir(parents=True)
+    for n, name in enumerate(("img/a.png", "img/b/c.png")):
+        cv2.imwrite(name, np.full((20, 30), n, np.uint8))
+    job.write_text(job.read_text().replace("{", "{images: 'img/**/*.png', "))
+    Path("metrocli.yaml").write_text("jobs: [line.yaml]\n")
+    assert metrocli("run").code == 0
+    Path("img/a.png").unlink()
+    if edited:
+        job.write_text(job.read_text() + "title: another\n")
+    for command in ("run", "status"):
+        refused = metrocli(command)
+        assert (refused.code, "the input img/a.png of the last result is gone" in refused.err) == (3, True)
+    if edited:
+        job.write_text(job.read_text().replace("img/**/*.png", "img/b/*.png"))
+        assert metrocli("run").code == 0, "the job names the others only"
+    else:
+        assert metrocli("run", "--force").code == 0

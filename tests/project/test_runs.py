@@ -17,7 +17,7 @@ import pytest
 from benchmarks.projects.hard_ends import groups_at_work
 from metrocli.errors import InputError
 from metrocli.formats import hdf5
-from metrocli.project.running import memo
+from metrocli.project.running import crew, memo
 from metrocli.project.running.crew import processes
 from metrocli.project.running.lock import locked
 from metrocli.project.steps import load_project
@@ -110,6 +110,14 @@ def test_errors_for_programs(project: Path, metrocli: Callable[..., Any]) -> Non
         assert fault["hint"] == "did you mean 'quantities'?"
 
 
+def test_errors_for_programs_have_the_part_of_a_long_line_that_is_shown(
+    project: Path, metrocli: Callable[..., Any]
+) -> None:
+    Path("jobs/a.yaml").write_text("a" * 100_000)
+    (fault,) = json.loads(metrocli("check", "jobs/a.yaml", "--json").out)["errors"]
+    assert (fault["source"], fault["line"]) == ("a" * 160, 1)
+
+
 def test_make_learns_what_results_depend_on(project: Path, metrocli: Callable[..., Any]) -> None:
     Path("jobs/b c.yaml").write_text(Path("jobs/b.yaml").read_text().replace("b.h5", "b c.h5"))
     Path("metrocli.yaml").write_text("jobs: [jobs/a.yaml, 'jobs/b c.yaml']\n")
@@ -128,6 +136,28 @@ def test_make_learns_what_results_depend_on(project: Path, metrocli: Callable[..
     os.utime("jobs/a.yaml", (time.time() + 5, time.time() + 5))
     made = subprocess.run(command, env=alone, capture_output=True, text=True, check=True)
     assert made.stdout == "made results/a.h5\n"
+
+
+def test_make_learns_of_lists_of_parts_and_folders_of_images(job: Path, metrocli: Callable[..., Any]) -> None:
+    names = ("a:b", "c*?[d", "e #$f")
+    job.write_text(job.read_text() + "for: {part: parts.csv}\noutput: '{part}.h5'\n")
+    Path("parts.csv").write_text("part\n" + "".join(f"{name}\n" for name in names))
+    Path("metrocli.yaml").write_text("jobs: [line.yaml]\n")
+    assert metrocli("run", "--depfile", "jobs.d").code == 0
+    Path("Makefile").write_text("include jobs.d\n%.h5:\n\t@echo made\n")
+    alone = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
+    for said in ("is up to date.\n", "made\n"):
+        for name in names:
+            command = ["make", "--no-print-directory", f"{name}.h5"]
+            made = subprocess.run(command, env=alone, capture_output=True, text=True, check=True)
+            assert made.stdout.endswith(said), name
+        os.utime("parts.csv", (time.time() + 5, time.time() + 5))
+    Path("parts.csv").write_text("part\n50%\n")
+    done = metrocli("run", "--dry-run", "--depfile", "jobs.d")
+    assert (done.code, "50%.h5: error: Make cannot read this name" in done.err) == (3, True)
+    metrocli("init", "board", "--sample", "board-camera")
+    assert metrocli("run", "board", "--dry-run", "--depfile", "board.d").code == 0
+    assert " board/images" in Path("board.d").read_text().replace("\n", " ").split("board/images/")[-1]
 
 
 def test_results_keep_their_time_when_nothing_changed(project: Path, metrocli: Callable[..., Any]) -> None:
@@ -167,11 +197,11 @@ def test_one_run_at_a_time_and_the_lock_dies_with_its_process(project: Path, met
         locked(Path("metrocli.yaml"), False),
     ):
         pass
-    assert sorted(os.listdir()) == ["jobs", "metrocli.yaml", "results"]
+    assert sorted(os.listdir()) == [memo.NAME, "jobs", "metrocli.yaml", "results"]
 
 
 class TestMemo:
-    """What is remembered of a run with nothing to do."""
+    """What is remembered of a run that leaves nothing to do."""
 
     @pytest.fixture(autouse=True)
     def settled(self, project: Path, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -259,11 +289,43 @@ class TestMemo:
         os.mkfifo(memo.NAME)
         assert memo.unmoved_jobs("metrocli.yaml") is None
 
-    def test_young_files_are_not_remembered(self, metrocli: Callable[..., Any], monkeypatch: Any) -> None:
+    @pytest.mark.parametrize("jobs", [1, 2])
+    @pytest.mark.parametrize("file", FILES)
+    def test_what_a_run_read_and_wrote_is_remembered_by_its_bytes_while_it_is_young(
+        self, file: str, jobs: int, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("metrocli.project.running.memo._SETTLED_NS", 10**12)
+        real, stopped = memo._signature, memo.now_ns()  # a clock of files too coarse for the change below
+        monkeypatch.setattr(memo, "_signature", lambda path: real(path) and [real(path)[0], stopped, stopped, 1])
+        job = Path("jobs/c.yaml")
+        job.write_text(job.read_text().replace("1 um", "3 um"))
+        assert ran(metrocli("run", "--jobs", jobs)) == "cd"
+        assert memo.unmoved_jobs("metrocli.yaml") == [[f"jobs/{n}.yaml", f"results/{n}.h5"] for n in ALL]
+        data = Path(file).read_bytes()
+        Path(file).write_bytes(data[:-2] + bytes([data[-2] ^ 1]) + data[-1:])
+        assert memo.unmoved_jobs("metrocli.yaml") is None
+
+    def test_a_young_file_that_was_edited_while_its_job_ran_is_not_remembered(
+        self, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         monkeypatch.setattr("metrocli.project.running.memo._SETTLED_NS", 10**12)
         Path(memo.NAME).unlink()
-        metrocli("run", Path.cwd())
+        job, computed = Path("jobs/c.yaml"), crew.compute
+
+        def edited_meanwhile(*arguments: Any) -> Any:
+            job.write_text(job.read_text().replace("2 um", "3 um"))
+            return computed(*arguments)
+
+        job.write_text(job.read_text().replace("1 um", "2 um"))
+        with monkeypatch.context() as patch:
+            patch.setattr(crew, "compute", edited_meanwhile)
+            assert metrocli("run").code == 0
         assert not Path(memo.NAME).exists()
+        assert "-> 3 um" in metrocli("run").out
+
+    def test_a_project_nearer_to_a_job_ends_it(self) -> None:
+        Path("jobs/metrocli.yaml").write_text("jobs: [a.yaml]\neffects_from: own.yaml\n")
+        assert memo.unmoved_jobs("metrocli.yaml") is None
 
 
 def test_an_output_that_is_a_broken_link_is_refused_in_words(project: Path, metrocli: Callable[..., Any]) -> None:

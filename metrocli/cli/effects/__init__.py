@@ -60,11 +60,12 @@ def _own(kind: str, source: Path | None) -> list[Effect]:
 
     taken = {effect.name for effect in KINDS[kind].task().effects}
     found = list(of_packages(kind))
-    node = None if source is not None else of_project(Path(), YamlFiles())
+    files = YamlFiles()
+    node = None if source is not None else of_project(Path(), files)
     path = source if node is None else path_beside(node)
     faults: list[Fault] = []
     if path is not None:
-        found += of_file(kind, path, taken | {effect.name for effect in found}, faults, node)
+        found += of_file(kind, path, taken | {effect.name for effect in found}, faults, files, node)
     if faults:
         raise InputError(faults)
     return found

@@ -38,13 +38,12 @@ class Packed:
 
 def pack(name: str, job: JobFile, strict: bool) -> Packed:
     """Return a job ready to travel; raises InputError if a file cannot be read."""
-    beside = job.files if job.own.project is None else (*job.files, job.own.project)
-    paths = {Path(os.path.abspath(path)) for path in beside}
+    wishes = job.wishes.elsewhere()
+    job = replace(job, wishes=wishes)
+    paths = {Path(os.path.abspath(path)) for path in (*job.stated_in, *job.files)}
     file = Path(os.path.abspath(job.file))
-    root = os.path.commonpath([file.parent, os.path.abspath(job.output.parent), *(path.parent for path in paths)])
-    files = {os.path.relpath(path, root): read_bytes(path).data for path in (file, *paths)}
-    part = job.wishes.part and replace(job.wishes.part, file=None)
-    wishes = replace(job.wishes.elsewhere(), part=part)
+    root = os.path.commonpath([os.path.abspath(job.output.parent), *(path.parent for path in paths)])
+    files = {os.path.relpath(path, root): read_bytes(path).data for path in paths}
     shown = "" if os.path.samefile(root, ".") else os.path.relpath(root) + os.sep
     return Packed(name, shown, os.path.relpath(file, root), wishes, strict, files)
 
@@ -61,7 +60,9 @@ def _carry_out(packed: Packed) -> Outcome:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
         try:
-            outcome = attempt(load(Path(folder) / packed.file, packed.wishes), packed.strict, workers=Workers(1))
+            outcome = attempt(
+                load(Path(folder) / packed.file, packed.wishes), packed.strict, workers=Workers(1, helped=True)
+            )
         except MetrocliError as error:
             outcome = Outcome(exit_code=error.exit_code, error=str(error))
         return replace(outcome, error=outcome.error.replace(folder + os.sep, packed.shown))

@@ -1,4 +1,4 @@
-"""What the last run with nothing to do looked at: while none of it changes, there is again nothing to do.
+"""What the last run looked at if it left nothing to do: while none of it changes, there is nothing to do.
 
 A file that moved, as all do in a checkout, is read: it is unchanged if its bytes have the digest that they had.
 
@@ -13,15 +13,16 @@ from metrocli import __version__
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
     from typing import Any
 
+    from metrocli.formats.seal import Label
     from metrocli.project.steps import Step
 
 NAME = ".metrocli-seen"
 _SETTLED_NS = 2_500_000_000
-"""Age that a file must have [ns]: within it, a second change may leave size and times as they are"""
+"""Age from which the times of a file count [ns]: within it, a second change may leave them as they are"""
 
 _MOST_BYTES = 200_000_000
 
@@ -50,7 +51,7 @@ def unmoved_jobs(project_file: str) -> list[list[str]] | None:
         found = {name: _seen(os.path.join(folder, name)) for name in moved if _could_be_the_same(folder, name, files)}
         if any(name not in found or found[name][1] != files[name][1] for name in moved):
             return None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None
     if moved:
         _write(project_file, jobs, files | found, begun)
@@ -59,9 +60,9 @@ def unmoved_jobs(project_file: str) -> list[list[str]] | None:
 
 def _could_be_the_same(folder: str, name: str, files: dict[str, list[Any]]) -> bool:
     """Return whether the size of a file is as it was, and its bytes decide; cheaper than reading it."""
-    (size, *_), digest = files[name]
+    seen, digest = files[name]
     path = os.path.join(folder, name)
-    return bool(digest) and (os.path.isdir(path) or os.stat(path).st_size == size)
+    return bool(digest) and (os.path.isdir(path) or os.stat(path).st_size == seen[0])
 
 
 def _text(path: str) -> str:
@@ -78,26 +79,79 @@ def _text(path: str) -> str:
         return ""
 
 
-def remember(project_file: Path, steps: Sequence[Step], begun_ns: int) -> None:
+def remember(
+    project_file: Path, steps: Sequence[Step], begun_ns: int, labels: Mapping[str, Label | None] | None = None
+) -> None:
     """Remember that all results are up to date, as of `begun_ns`, when the project was read.
 
-    Nothing is remembered if any file is too young, or if a pattern of images has wildcards in the name of a folder. A
-    folder that cannot be written is no fault: the next run looks again.
+    `labels` are those of the results by the names of the steps, as they were judged or written. Nothing is remembered
+    if a file is too young and has not the bytes that were judged, or if a pattern of images has wildcards in the name
+    of a folder. A folder that cannot be written is no fault: the next run looks again.
     """
     from contextlib import suppress
+
+    from metrocli.errors import InputError
+    from metrocli.project.own_effects import project_files_above
 
     folder = project_file.parent
     # a package is more than the file that offers its effects: one that moved may be another
     packages = {one.file for step in steps for one in step.job.packages}
-    with suppress(OSError):
+    nearer = {one for place in {step.job.folder for step in steps} for one in project_files_above(place)}
+    with suppress(OSError, InputError):
         looked_at = dict.fromkeys(_looked_at(project_file, steps))
-        files = {os.path.relpath(path, folder): _seen(os.fspath(path), path not in packages) for path in looked_at}
+        files: dict[str, list[Any]] = {os.path.relpath(path, folder): [[], ""] for path in nearer if not path.exists()}
+        looked_at |= dict.fromkeys(path for path in nearer if path.exists())
+        files |= {os.path.relpath(path, folder): _seen(os.fspath(path), path not in packages) for path in looked_at}
+        young = {name: digest for name, (seen, digest) in files.items() if not _settled(seen, begun_ns)}
+        judged = _judged(folder, steps, labels, young) if young and labels else {}
+        if any(judged.get(name) != {digest} for name, digest in young.items()):
+            return
         jobs = [[step.name, os.path.relpath(step.job.output, folder)] for step in steps]
         _write(str(project_file), jobs, files, begun_ns)
 
 
+def _judged(
+    folder: Path, steps: Sequence[Step], labels: Mapping[str, Label | None], young: Iterable[str]
+) -> dict[str, set[str]]:
+    """Return the digests of the bytes by which results are up to date, of files by their paths from a folder.
+
+    A file that changed during the run has several, or none. A job may have been computed in another process, which
+    loaded it again: it counts if it meant the same there. Raises InputError for a result that cannot be believed.
+    """
+    from metrocli.formats.file_bytes import read_bytes
+    from metrocli.formats.seal import unsealed
+    from metrocli.project import meaning
+
+    found: dict[str, set[str]] = {}
+
+    def add(path: Path, digest: str) -> None:
+        found.setdefault(os.path.relpath(path, folder), set()).add(digest)
+
+    for step in steps:
+        job, label = step.job, labels.get(step.name)
+        if label is None or label.meaning != meaning.of_job(job):
+            return {}
+        if {os.path.relpath(path, job.folder) for path in job.files} != {one.path for one in label.inputs}:
+            return {}
+        for one in label.inputs:
+            add(job.folder / one.path, one.sha256)
+        if job.wishes.part is not None and job.wishes.part.list is not None:
+            add(job.wishes.part.list.path, job.wishes.part.list.sha256)
+        if os.path.relpath(job.output, folder) in young:
+            held = read_bytes(job.output, "a result file")
+            add(job.output, held.sha256 if unsealed(held.data, str(job.output))[0] == label else "")
+    for path, file in steps[0].job.wishes.files.held.items():
+        add(path, file.bytes.sha256)
+    return found
+
+
+def _settled(seen: Sequence[int], begun_ns: int) -> bool:
+    """Return whether the times of a file decide whether it changed since a run began; so they do if it is not there."""
+    return max(seen[1:3], default=0) <= begun_ns - _SETTLED_NS
+
+
 def _write(project_file: str, jobs: list[list[str]], files: dict[str, list[Any]], begun_ns: int) -> None:
-    """Write what is remembered, unless a file is too young; a folder that cannot be written is no fault."""
+    """Write what is remembered, of young files no times; a folder that cannot be written is no fault."""
     import json
     from contextlib import suppress
     from pathlib import Path
@@ -105,8 +159,7 @@ def _write(project_file: str, jobs: list[list[str]], files: dict[str, list[Any]]
     from metrocli.errors import InputError
     from metrocli.formats.aside import write_bytes
 
-    if any(max(seen[1:3]) > begun_ns - _SETTLED_NS for seen, _ in files.values()):
-        return
+    files = {name: [seen if _settled(seen, begun_ns) else seen[:1], digest] for name, (seen, digest) in files.items()}
     folder, name = os.path.split(project_file)
     held = {"version": __version__, "project": name, "jobs": jobs, "files": files}
     with suppress(OSError, InputError):
@@ -121,8 +174,14 @@ def now_ns() -> int:
 
 
 def _signature(path: str) -> list[int]:
-    """Return what changes whenever a file or folder does; its ctime cannot be set back by its owner."""
-    found = os.stat(path)
+    """Return what changes whenever a file or folder does, empty if it is not there.
+
+    The ctime cannot be set back by the owner of a file.
+    """
+    try:
+        found = os.stat(path)
+    except FileNotFoundError:
+        return []
     return [found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino]
 
 
@@ -147,21 +206,13 @@ def _seen(path: str, by_digest: bool = True) -> list[Any]:
 
 def _looked_at(project_file: Path, steps: Iterable[Step]) -> Iterable[Path]:
     """Yield all files and folders that decide whether results are up to date; OSError for what cannot be listed."""
+    from metrocli.settings import has_wildcards
+
     yield project_file
     for step in steps:
-        yield step.job.file
-        if step.job.wishes.part is not None and step.job.wishes.part.file is not None:
-            yield step.job.wishes.part.file
-        yield step.job.output
-        yield from step.job.own.files
+        yield from (*step.job.stated_in, *step.job.files, step.job.output)
         yield from (one.file for one in step.job.packages if one.file is not None)
-        if step.job.own.project is not None:
-            yield step.job.own.project
-        for item in step.job.inputs:
-            yield from item.paths
-            for pattern in item.node.items or (item.node,):
-                if isinstance(item.value, tuple) and set(pattern.text) & set("*?["):
-                    place = pattern.source.folder / pattern.text
-                    if set(str(place.parent)) & set("*?["):
-                        raise OSError("not listed: new folders may match")
-                    yield place.parent
+        for folder in (one.parent for item in step.job.inputs for one in item.patterns):
+            if has_wildcards(folder):
+                raise OSError("not listed: new folders may match")
+            yield step.job.folder / folder

@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from metrocli.uncertainty.workers.dask_cluster import ordered_on
+from metrocli.uncertainty.workers.dask_cluster import ordered_on, with_help
 
 T = TypeVar("T")
 
@@ -54,6 +54,8 @@ class Workers:
     """Number of threads; 0 for one per core"""
     scheduler: str = ""
     """Address of a Dask scheduler, tcp://..., or the path of its scheduler file; "" for this process"""
+    helped: bool = False
+    """Whether this is a task on a Dask cluster, and the other workers share what takes long"""
     finished: Finished = Nothing()
     tell: Callable[[int, int | None], None] = lambda done, of: None
     """Progress function: takes the number of finished chunks and the total"""
@@ -63,6 +65,8 @@ class Workers:
         if self.scheduler:
             with ordered_on(self.scheduler) as ordered:
                 yield from ordered(work, numbers)
+        elif self.helped:
+            yield from with_help(work, numbers)
         elif self.threads == 1:
             yield from map(work, numbers)
         else:

@@ -102,6 +102,23 @@ def _on_cluster(client: Any, address: str, work: Callable[[int], T], numbers: It
             size = min(max(int(len(done.values) * _TASK_S / max(done.seconds, 1e-3)), 1), _MOST_AT_ONCE)
 
 
+def with_help(work: Callable[[int], T], numbers: Iterable[int], alone_s: float = 2.0) -> Iterator[T]:
+    """Yield work(number) in order, within a task of a cluster: for a time [s] here, then by all its workers."""
+    left, begun = iter(numbers), time.monotonic()
+    for number in left:
+        yield work(number)
+        if time.monotonic() - begun > alone_s:
+            break
+    else:
+        return
+    import distributed
+
+    library: Any = distributed
+    # meanwhile this task takes no thread of its worker: tasks that wait for others could else wait for ever
+    with library.worker_client() as client:
+        yield from _on_cluster(client, client.scheduler.address, work, left)
+
+
 @contextmanager
 def ends_in_words(address: str, kept: str) -> Iterator[None]:
     """Raise InputError, with what is `kept`, for any way in which the library reports that the cluster has gone."""
