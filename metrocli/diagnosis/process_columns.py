@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -77,21 +78,32 @@ def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> F
         return None
     functions, distances = around_circle(several, count) if covariate.angle else between_knots(several, labels, count)
     count = len(distances)
-    entries, place, of_copies = list[tuple[Array, Index, Index]](), 0, list[str]()
-    for group, values, label in zip(groups, functions, labels, strict=True):
-        every, knots = np.nonzero(values)
+    each = functions[0][0].shape[1]
+    terms, numbers = np.zeros((system.rows, each)), np.zeros((system.rows, each), dtype=np.intp)
+    place, of_copies = 0, list[str]()
+    for group, (values, knots), label in zip(groups, functions, labels, strict=True):
+        components = len(group.observations.readings)
         for component, deviations in enumerate(group.observations.deviations):
-            rows = system.first[group.name] + len(group.observations.readings) * every + component
+            first = system.first[group.name]
+            rows = slice(first + component, first + components * len(values), components)
             # in units of the declared noise, so that lengths and angles can share a variance
-            weights = deviations[every] / system.scale[rows]
-            entries.append((values[every, knots] * weights, rows, place + label[every] * count + knots))
+            terms[rows] = values * (deviations / system.scale[rows])[:, None]
+            numbers[rows] = place + label[:, None] * count + knots
             place += units * count
             of_copies += [group.observations.unit] * units
-    terms, rows, numbers = (np.concatenate(one) for one in zip(*entries, strict=True))
-    columns = csr_matrix((terms, (rows, numbers)), shape=(system.rows, copies * count))
-    gram = (columns.T @ columns).toarray() - system.basis.gram_of(columns)
+    ends = np.arange(0, terms.size + 1, each)
+    columns = csr_matrix((terms.ravel(), numbers.ravel(), ends), shape=(system.rows, copies * count))
+    gram = _gram(terms, numbers, copies * count) - system.basis.gram_of(columns)
     sigmas = {unit: _typical(job, unit) for unit in of_copies}
     return Functions(covariate.name, by, distances, tuple(of_copies), sigmas, columns, gram)
+
+
+def _gram(terms: Array, numbers: Index, count: int) -> Array:
+    """Return the products of columns that have the values `terms` (rows, m) at their numbers (rows, m)."""
+    found = np.zeros(count * count)
+    for i, j in product(range(terms.shape[1]), repeat=2):
+        found += np.bincount(numbers[:, i] * count + numbers[:, j], terms[:, i] * terms[:, j], count * count)
+    return found.reshape(count, count)
 
 
 def _typical(job: AdjustedJob, unit: str) -> float:

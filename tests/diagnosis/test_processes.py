@@ -132,15 +132,17 @@ def test_random_columns_are_the_covariance_of_the_readings() -> None:
 def test_knots_add_up_to_one() -> None:
     turns, chords = around_circle([np.linspace(-4, 9, 50)[None]], 16)
     plane, apart = between_knots([np.random.default_rng(1).uniform(size=(2, 40))], [np.zeros(40, dtype=np.intp)], 5)
-    for functions, distances in ((turns[0], chords), (plane[0], apart)):
+    for (functions, numbers), distances in ((turns[0], chords), (plane[0], apart)):
         np.testing.assert_allclose(functions.sum(axis=1), 1.0)
-        assert functions.shape[1] == len(distances)
+        assert set(numbers.ravel()) <= set(range(len(distances)))
         np.testing.assert_allclose(distances, distances.T)
 
 
 def test_views_that_are_measured_one_after_the_other_each_have_all_knots() -> None:
     once = np.linspace(0.0, 30.0, 20)
     labels = np.repeat([0, 1], [20, 20])
-    (functions,), distances = between_knots([np.concatenate([once, 500.0 + once])[None]], [labels], 9)
+    ((values, numbers),), distances = between_knots([np.concatenate([once, 500.0 + once])[None]], [labels], 9)
+    functions = np.zeros((40, 9))
+    np.add.at(functions, (np.arange(40)[:, None], numbers), values)
     np.testing.assert_allclose(functions[:20], functions[20:], atol=1e-12)
     assert (functions[:20].max(axis=0) > 0.5).all() and distances.max() == 1.0

@@ -144,7 +144,7 @@ class Basis:
 
     def with_shared(self, columns: Array) -> Basis:
         """Return the basis with further orthonormal columns (rows, k)."""
-        return replace(self, shared=np.concatenate([self.shared, columns], axis=1))
+        return replace(self, shared=np.concatenate([self.shared, columns], axis=1)) if columns.shape[1] else self
 
     def rows(self, rows: Index) -> Array:
         """Return some rows of all columns, (rows, columns)."""

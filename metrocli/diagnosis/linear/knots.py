@@ -9,23 +9,25 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 
+Values = tuple[Array, Index]
+"""Functions that are not 0 at each reading: their values (n, m), 1 at their knots, and the numbers of these (n, m)"""
 
-def around_circle(several: Sequence[Array], count: int) -> tuple[list[Array], Array]:
-    """Return functions of angles (1, n) of each group, (n, knots), and the distances of their knots.
+
+def around_circle(several: Sequence[Array], count: int) -> tuple[list[Values], Array]:
+    """Return functions of angles (1, n) of each group, and the distances of their knots.
 
     The distance is the chord, as a share of the diameter: a distance for which the covariance stays one on the circle.
     """
     turns = np.arange(count) / count
     functions = []
     for values in several:
-        own = piecewise(np.mod(values[0] / (2 * np.pi), 1.0), np.append(turns, 1.0))
-        own[:, 0] += own[:, -1]
-        functions.append(own[:, :-1])
+        own, knots = _between(np.mod(values[0] / (2 * np.pi), 1.0), np.append(turns, 1.0))
+        functions.append((own, knots % count))
     return functions, np.abs(np.sin(np.pi * (turns[:, None] - turns)))
 
 
-def between_knots(several: Sequence[Array], labels: Sequence[Index], count: int) -> tuple[list[Array], Array]:
-    """Return functions of coordinates (k, n) of each group, (n, knots), and the distances of their knots.
+def between_knots(several: Sequence[Array], labels: Sequence[Index], count: int) -> tuple[list[Values], Array]:
+    """Return functions of coordinates (k, n) of each group, and the distances of their knots.
 
     Knots begin at the lowest value of each unit (`labels`, (n,)) and span the largest range of a unit: views that are
     measured one after the other each have all of them.
@@ -40,18 +42,18 @@ def between_knots(several: Sequence[Array], labels: Sequence[Index], count: int)
     ends = np.linspace(0.0, 1.0, count)
     functions = []
     for values, label in zip(several, labels, strict=True):
-        product = np.ones((values.shape[1], 1))
+        product, numbers = np.ones((values.shape[1], 1)), np.zeros((values.shape[1], 1), dtype=np.intp)
         for row in (values - low[:, label]) / span:
-            product = (product[:, :, None] * piecewise(row, ends)[:, None, :]).reshape(len(product), -1)
-        functions.append(product)
+            own, knots = _between(row, ends)
+            product = (product[:, :, None] * own[:, None]).reshape(len(own), -1)
+            numbers = (numbers[:, :, None] * count + knots[:, None]).reshape(len(own), -1)
+        functions.append((product, numbers))
     places = np.stack([one.ravel() for one in np.meshgrid(*[ends] * len(whole), indexing="ij")], axis=1)
     return functions, np.asarray(np.linalg.norm(places[:, None] - places, axis=2))
 
 
-def piecewise(values: Array, knots: Array) -> Array:
-    """Return piecewise linear functions of values (n,), each 1 at its knot and 0 at the others, (n, knots)."""
+def _between(values: Array, knots: Array) -> Values:
+    """Return the two functions of values (n,) between whose knots each lies."""
     at = np.clip(np.searchsorted(knots, values, side="right") - 1, 0, len(knots) - 2)
     part = (values - knots[at]) / (knots[at + 1] - knots[at])
-    found, rows = np.zeros((len(values), len(knots))), np.arange(len(values))
-    found[rows, at], found[rows, at + 1] = 1 - part, part
-    return found
+    return np.stack([1 - part, part], axis=1), np.stack([at, at + 1], axis=1)
