@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -14,6 +14,7 @@ from benchmarks.hidden.case import Case, Hidden
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import needed
 from metrocli.diagnosis.extended_fit import score_tests_of_job
+from metrocli.effects.wanted import Wanted
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import task as selfcal_grid
 from metrocli.tasks.selfcal_grid.settings import GridSettings, Inputs, Rotate, Settings, ViewSettings
@@ -132,14 +133,16 @@ class Measurement:
     noise: float = 1.0
     """By which the true noise is divided in the job's declaration"""
 
-    def adjusted(self) -> AdjustedJob:
-        """Return it as the job that a user would give."""
+    def adjusted(self, effects: Sequence[Wanted] = ()) -> AdjustedJob:
+        """Return it as the job that a user would give, with the effects that the job has in its model."""
         v = self.views
         balls = v.balls[v.ball]
         columns = {"view": np.array(list(v.names))[v.view], **dict(zip("ijk", balls.T, strict=True))}
         columns |= dict(zip("xyz", self.readings.T, strict=True)) | {"t": self.t, "temp": self.temp}
         table = Table(columns, {"x": "mm", "y": "mm", "z": "mm", "t": "s", "temp": "degC"})
-        return selfcal_grid.diagnosed(selfcal_grid.TASK.job(job(v.names, NOISE / self.noise, v.half), table))
+        return selfcal_grid.diagnosed(
+            selfcal_grid.TASK.job(job(v.names, NOISE / self.noise, v.half), table, effects=effects)
+        )
 
 
 def job(names: str, noise: float, half: int = HALF) -> Settings:

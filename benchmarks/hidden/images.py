@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from benchmarks.hidden.case import Case, Hidden
 from benchmarks.hidden.scenes import Scene, Sight, board_scene, cmm_scene, part_scene, sight
 from benchmarks.hidden.stated import stated
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.effects.wanted import Wanted
 from metrocli.table import Table
 from metrocli.tasks.align_part import settings as part_job
 from metrocli.tasks.align_part import task as align_part
@@ -36,8 +37,8 @@ class Images:
     declared: float = 1.0
     """Declared noise over the true one"""
 
-    def adjusted(self) -> AdjustedJob:
-        """Return it as the job that a user would give."""
+    def adjusted(self, effects: Sequence[Wanted] = ()) -> AdjustedJob:
+        """Return it as the job that a user would give, with the effects that the job has in its model."""
         scene = self.scene
         names, images = _names("T", len(scene.targets)), _names("I", len(scene.time))
         seen = {"image": images[scene.view], "target": names[scene.target], "u": self.uv[:, 0], "v": self.uv[:, 1]}
@@ -45,7 +46,7 @@ class Images:
         targets = Table({"target": names, **points}, dict.fromkeys(points, "mm"))
         noise = scene.noise * self.declared
         if scene.kind == "align-part":
-            return self._alignment(Table(seen, {"u": "px", "v": "px"}), targets, noise)
+            return self._alignment(Table(seen, {"u": "px", "v": "px"}), targets, noise, effects)
         seen |= {"t": scene.time[scene.view], "temp": scene.warmth[scene.view]}
         settings = camera_job.Settings(
             rig=scene.rig,
@@ -55,10 +56,10 @@ class Images:
         )
         units = {"u": "px", "v": "px", "t": "s", "temp": "degC"}
         return calibrate_camera.diagnosed(
-            calibrate_camera.TASK.job(settings, observations=Table(seen, units), targets=targets)
+            calibrate_camera.TASK.job(settings, observations=Table(seen, units), targets=targets, effects=effects)
         )
 
-    def _alignment(self, observations: Table, targets: Table, noise: float) -> AdjustedJob:
+    def _alignment(self, observations: Table, targets: Table, noise: float, effects: Sequence[Wanted]) -> AdjustedJob:
         scene = self.scene
         held, mounting = scene.given["spindle"].T, scene.given["mounting"]
         columns = {"image": _names("I", len(scene.time)), **dict(zip("xyzabc", held, strict=True)), "t": scene.time}
@@ -69,7 +70,7 @@ class Images:
         estimate = ("part-pose", "clamping-angle") if scene.angle_free else ("part-pose",)
         settings = part_job.Settings(inputs=inputs, noise=noise, estimate=estimate)
         files = {"camera": camera, "poses": poses, "targets": targets, "observations": observations}
-        return align_part.diagnosed(align_part.TASK.job(settings, **files))
+        return align_part.diagnosed(align_part.TASK.job(settings, effects=effects, **files))
 
 
 def _names(letter: str, count: int) -> npt.NDArray[np.str_]:

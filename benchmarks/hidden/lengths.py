@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from benchmarks.hidden.case import Case, Hidden
 from benchmarks.hidden.stated import stated
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.effects.wanted import Wanted
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.settings import Inputs, Settings
@@ -61,8 +62,8 @@ class Measurement:
         """True standard deviation of readings, (n,)."""
         return np.sqrt(NOISE[0] ** 2 + (NOISE[1] * self.distance) ** 2)
 
-    def adjusted(self) -> AdjustedJob:
-        """Return it as the job that a user would give."""
+    def adjusted(self, effects: Sequence[Wanted] = ()) -> AdjustedJob:
+        """Return it as the job that a user would give, with the effects that the job has in its model."""
         names, stations = _names("P", len(self.points)), _names("T", len(self.tracers))
         lengths = {"point": names[self.point], "tracer": stations[self.tracer], "length": self.length}
         table = Table({**lengths, "t": self.t, "temp": self.temp}, {"length": "mm", "t": "s", "temp": "degC"})
@@ -70,7 +71,9 @@ class Measurement:
         tracers = Table({"tracer": stations, **dict(zip("xyz", self.said.T, strict=True))}, dict.fromkeys("xyz", "mm"))
         declared = LengthNoise(NOISE[0] / self.noise, NOISE[1] / self.noise)
         return multilaterate.diagnosed(
-            multilaterate.TASK.job(Settings(Inputs(Path("-"), Path("-")), declared), table, points, tracers)
+            multilaterate.TASK.job(
+                Settings(Inputs(Path("-"), Path("-")), declared), table, points, tracers, effects=effects
+            )
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from benchmarks.hidden.case import Case, Hidden
 from benchmarks.hidden.stated import stated
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.effects.wanted import Wanted
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.files import Inputs
@@ -110,15 +111,17 @@ class Measurement:
         white = self.whitened(change)
         return np.asarray(white - self.absorbed @ (self.absorbed.T @ white))
 
-    def adjusted(self) -> AdjustedJob:
-        """Return it as the job that a user would give."""
+    def adjusted(self, effects: Sequence[Wanted] = ()) -> AdjustedJob:
+        """Return it as the job that a user would give, with the effects that the job has in its model."""
         columns = {"point": names(self), "tool": np.array(list(TOOLS))[self.tool], "t": self.t}
         columns |= dict(zip("xyz", self.at.T, strict=True)) | dict(zip(("mx", "my", "mz"), self.read.T, strict=True))
         columns |= {f"from_{axis}": side for axis, side in zip("xyz", self.came.T, strict=True)}
         axes = AxesSettings(*(AxisSettings((low, high), self.knots) for low, high in zip(LOW, HIGH, strict=True)))
         noise = Noise(beam=BEAM / self.noise, lateral=LateralNoise(CONSTANT / self.noise, PROPORTIONAL / self.noise))
         settings = Settings("standstill", MachineSettings("wXbYZt", axes, tools=TOOLS), Inputs(Path("-")), noise)
-        return calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, points=Table(columns, {})))
+        return calibrate_machine.diagnosed(
+            calibrate_machine.TASK.job(settings, points=Table(columns, {}), effects=effects)
+        )
 
 
 def names(m: Measurement) -> npt.NDArray[np.str_]:

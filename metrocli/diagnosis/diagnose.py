@@ -85,7 +85,7 @@ def diagnose(
     white = searched.beside_white_noise
     library = Library(searched.job, white.test_set.system)
     if job.places:
-        only = without_imitations(library, white, sum(one.gain for one in searched.processes))
+        only = without_imitations(library, white, searched.processes)
         searched = searched if only is None else searched.with_white_noise(only)
         white = searched.beside_white_noise
         if searched.processes:

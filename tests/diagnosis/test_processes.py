@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden import launch, lengths
+from benchmarks.hidden.foreign import planted
 from benchmarks.hidden.rest import of_each
-from benchmarks.random_laws import planted
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
@@ -56,7 +56,7 @@ def test_what_wavers_is_no_law() -> None:
 def test_a_step_is_a_law_and_no_process() -> None:
     """A process along the time can imitate it, but has far less evidence."""
     one = planted("calibrate-machine", 24)
-    found = diagnose(one.job)
+    found = diagnose(one.job())
     assert (one.form, found.processes, found.findings) == ("step", (), ())
     assert found.law is not None and found.law.part_of_structure > 0.9
     assert {name for term in found.law.terms for name in term.form.variables} == one.variables

@@ -14,6 +14,7 @@ from metrocli.diagnosis.laws.search import fits
 from metrocli.diagnosis.laws.steps import LEVEL, Search, forward, plain_tests, refined_step, tests_of_terms
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 
 _FAR_MORE = 5.0
@@ -22,21 +23,25 @@ _SHOWS = 10.0
 """ln of the evidence above which a term shows in its scan"""
 
 
-def without_imitations(library: Library, selection: Selection, processes: float = 0.0) -> Selection | None:
+def without_imitations(library: Library, selection: Selection, processes: Sequence[Process] = ()) -> Selection | None:
     """Return the selection without those of its effects that only imitate a law; None if nothing does.
 
     Effects can imitate a cause that is not among them, as three jumps do a saturation. They are left out if they are
     not significant beside the law, and if the law has far more evidence than they have. The evidence is
     `-n/2 ln S - q/2 ln n - sum ln m`, S the squares left, q the number of sizes, m the number of tests of each member.
-    Smooth processes imitate a law too. `processes` is by how much they raise the log-likelihood beside the effects,
-    which the law has to exceed as well; then they are left out with the effects.
+    Smooth processes imitate a law too. The law has to exceed as well by how much they raise the log-likelihood, beside
+    the effects for which they do not stand; then they are left out with the effects.
     """
     tests = selection.test_set
     sought = (selection.named or processes) and not tests.budget.ended and fits(tests.system)
     if not sought or not library.families:
         return None
     bare = _reduced(selection, selection.named)
-    imitated = _of_names(selection, selection.named) + processes
+    imitated = _of_names(selection, selection.named)
+    if processes:
+        stood_for = {lost.spot for process in processes for lost in process.instead_of}
+        others = _reduced(selection, [one for one in selection.named if selection.alternative(one).spot in stood_for])
+        imitated = max(imitated, _of_names(others, others.named) + sum(process.gain for process in processes))
     if not _could_exceed(bare, library, imitated):
         return None
     of_terms, start = tests_of_terms(bare, library)

@@ -113,8 +113,9 @@ class Library:
     def _forms(self) -> list[tuple[_Carrier, list[Form]]]:
         for periods in (59, 29, 15, 7):
             found = [(carrier, carrier.forms(periods)) for carrier in self._carriers]
-            count = sum(len(form.factors) for _, forms in found for form in forms)
-            if count * self.system.rows <= MOST_NUMBERS:
+            # a term at one place has the rows of its readings only
+            count = sum(len(form.factors) * len(carrier.rows) for carrier, forms in found for form in forms)
+            if count <= MOST_NUMBERS:
                 return found
         return [(carrier, forms) for carrier, forms in found if not carrier.spot.where]
 
