@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from benchmarks.hidden.foreign import NOTHING, SIMULATED, Planted, planted
@@ -28,6 +27,7 @@ from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.job_entries import as_job, scatter_as_job
 from metrocli.diagnosis.laws.definition import as_define, as_wanted, written
+from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.effects import wanted
@@ -65,7 +65,8 @@ def outcome(one: Planted) -> Outcome:
     """Return what the diagnosis of a measurement concludes."""
     diagnosis = diagnose(one.job())
     law, noticed = diagnosis.law, diagnosis.verdict is not Verdict.CLEAN
-    names = ", ".join(str(finding.effect.alternative) for finding in diagnosis.findings)
+    found = [str(finding.effect.alternative) for finding in diagnosis.findings]
+    names = ", ".join([*found, *(f"{one.found.effect.name} everywhere" for one in diagnosis.scatters)])
     if law is None:
         return Outcome(f"- [{names}]" if names else "-", False, False, False, noticed)
     in_camera = law.terms[0].spot.acting.name == "point-in-camera" and one.kind == "calibrate-camera"
@@ -75,19 +76,16 @@ def outcome(one: Planted) -> Outcome:
     text += f" [{names}]" if names else ""
     there, after = law.terms[0].spot.where == one.where, _after(one, diagnosis)
     text += f", extended: {after}"
-    part, right = _explained(one, diagnosis, law), used == one.variables
+    part, right = _explained(one, law), used == one.variables
     text = f"{part:.0%}, {text}"
     return Outcome(text, part >= 0.9, right, there, noticed, after is Verdict.CLEAN)
 
 
-def _explained(one: Planted, diagnosis: Diagnosis, law: Law) -> float:
+def _explained(one: Planted, law: Law) -> float:
     """Return the share of a law in what the error does to the residuals, `1 - |e - l|^2 / |e|^2`."""
     system, right = (linearised(read.adjusted().model) for read in (one.measured, one.correct))
-    error, by_law = system.residual - right.residual, law.columns @ np.concatenate(law.sizes)
-    by_law = by_law[: len(error)]
-    for unit in diagnosis.noisier_units:
-        # as if its readings had the declared weight
-        by_law[system.rows_at({unit.key: unit.name})] *= unit.ratio
+    error, library = system.residual - right.residual, Library(one.job(), system)
+    by_law = sum(library.columns(term) @ sizes for term, sizes in zip(law.terms, law.sizes, strict=True))
     return 1 - float(((error - system.seen(by_law)) ** 2).sum() / (error**2).sum())
 
 

@@ -14,14 +14,17 @@ import pytest
 from simulated import lengths as simulated_lengths
 
 from benchmarks.hidden import launch
+from benchmarks.hidden import lengths as simulated
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.diagnose import Attended, diagnose, no_interrupt
 from metrocli.diagnosis.extended_fit import score_tests_of_job
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.laws.definition import as_define, as_wanted, written
+from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.near import near_effects
 from metrocli.diagnosis.laws.terms import columns_of, forms_of
+from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.verdict import as_data
 from metrocli.effects.own.define import read
 from metrocli.errors import Fault
@@ -204,3 +207,16 @@ def test_the_parts_of_a_gain_are_the_gain(found: Diagnosis) -> None:
 
 def test_noise_alone_has_no_law() -> None:
     assert diagnosed(0.0, 5).laws == ()
+
+
+def test_terms_at_a_place_take_the_memory_of_its_readings_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Terms of one tracer have a sixth of the rows; counted with all of them, they were left out of larger jobs."""
+    measured = simulated.measurement(np.random.default_rng(4), 8)
+    job = replace(measured.adjusted(), places=TASK.places)
+    system = linearised(job.model)
+    monkeypatch.setattr("metrocli.diagnosis.laws.library.MOST_NUMBERS", 100_000)
+    library = Library(job, system)
+    numbers = sum(part.values.size for family in library.families for part in family.columns.parts)
+    places = {term.spot.where for terms in library.terms for term in terms}
+    assert len(places) == 1 + len(measured.tracers)
+    assert numbers <= 100_000 < sum(len(terms) for terms in library.terms) * system.rows
