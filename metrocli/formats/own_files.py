@@ -9,7 +9,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from metrocli.errors import Fault, InputError
-from metrocli.formats.aside import write_bytes
+from metrocli.formats.aside import refuse_unwritable, write_bytes
 
 LIST = ".metrocli-files"
 """In each folder: a line `SHA-256  NAME` for each file that metrocli wrote there, as `sha256sum --check` reads it"""
@@ -34,6 +34,8 @@ def write_all(contents: Mapping[Path, bytes], force: bool = False) -> Iterator[P
 
 
 def _write_all(contents: Mapping[Path, bytes], force: bool) -> Iterator[Path]:
+    for path in contents:
+        refuse_unwritable(path)
     lists = {path.parent: _listed(path.parent) for path in contents}
     faults = []
     for path, data in contents.items():

@@ -73,3 +73,12 @@ def test_an_export_does_not_replace_what_the_result_is_made_from(job: Path, metr
     assert "data/residuals.csv: error: the result is made from this file" in refused.err
     assert not Path("data/estimates.csv").exists()
     assert metrocli("export", "results/line.h5", "--to", "csv", "--out", "data", "--force").code == 0
+
+
+def test_a_closed_folder_is_named_by_the_file_that_was_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("metrocli.formats.aside.os.access", lambda *arguments: False)
+    with pytest.raises(InputError, match="a.txt: error: cannot be written: no right to write into"):
+        list(write_all({tmp_path / "a.txt": b"1"}))
+    assert not list(tmp_path.iterdir())
