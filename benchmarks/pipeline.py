@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from benchmarks.projects.hard_ends import edges, kills
+from benchmarks.projects.hard_ends import NOT_TRIED, edges, kills
 from benchmarks.projects.many_jobs import NO_MEMO, ONE_TO_DO, OTHERS, bound, idle, idle_campaign
 from benchmarks.projects.on_cluster import cluster_runs, diagnosis_on_cluster, overhead, shared_trials, trials_overhead
 from benchmarks.projects.six_jobs import changes, damages
@@ -56,13 +56,13 @@ def of_kills(count: int) -> Iterator[Line]:
 def of_edges(_: int) -> Iterator[Line]:
     """Yield a line for each hard edge."""
     for name, wrong in edges():
-        yield f"{name}: {wrong or 'as it should be'}", bool(wrong) and not wrong.startswith("not tried")
+        yield f"{name}: {wrong or 'as it should be'}", bool(wrong) and not wrong.startswith(NOT_TRIED)
 
 
 def of_cluster(count: int) -> Iterator[Line]:
     """Yield a line for each run on the cluster."""
     for name, wrong in cluster_runs(count):
-        yield f"cluster, {name}: {wrong or 'the same results as here'}", bool(wrong)
+        yield f"cluster, {name}: {wrong or 'the same results as here'}", bool(wrong) and not wrong.startswith(NOT_TRIED)
 
 
 def of_overhead(count: int) -> Iterator[Line]:

@@ -34,6 +34,8 @@ class Node:
     """Keys and values of a mapping, in the order of the file."""
     line: int | None = None
     column: int | None = None
+    part: str = ""
+    """The part of a campaign whose values stand in the text, and where they are listed"""
 
     @property
     def empty(self) -> bool:
@@ -44,7 +46,8 @@ class Node:
         """Return a fault at the place of this node."""
         lines = self.source.lines
         shown = lines[self.line - 1] if self.line is not None and self.line <= len(lines) else None
-        return Fault(message, self.source.file, self.line, self.column, shown, hint)
+        text = f"{message} (for {self.part})" if self.part else message
+        return Fault(text, self.source.file, self.line, self.column, shown, hint)
 
     def get(self, key: str) -> Node | None:
         """Return the value of a key, or None if the key is absent."""

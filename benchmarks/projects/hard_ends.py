@@ -21,6 +21,8 @@ from metrocli.errors import InputError
 from metrocli.formats import hdf5
 
 JOBS = 8
+NOT_TRIED = "not tried"
+"""How a finding begins that is no fault"""
 
 
 @dataclass
@@ -188,7 +190,7 @@ def _on_a_disk(full: bool) -> str:
     Path("results").mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", f"size={room}", "tmpfs", "results"]
     if subprocess.run(mount, capture_output=True, check=False).returncode:
-        return "not tried: no right to mount a disk"
+        return f"{NOT_TRIED}: no right to mount a disk"
     try:
         for path in kept:
             shutil.copy(path, "results")

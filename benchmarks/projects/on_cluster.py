@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from benchmarks.diagnosis_speed import measurements
+from benchmarks.projects.hard_ends import NOT_TRIED
 from benchmarks.projects.many_jobs import RUN, cpu_of, environment, write
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import diagnose
@@ -24,6 +25,7 @@ from metrocli.uncertainty.workers.dask_cluster import ordered_on
 
 TRIALS = 100_000
 LONG_TRIALS = 1_000_000
+TOO_LATE = f"{NOT_TRIED}: the workers had done all jobs before; take more of them"
 SCHEDULER = ["-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
 WORKER = ["-m", "distributed.cli.dask_worker", "--nthreads", "1", "--no-dashboard", "--no-nanny"]
 
@@ -173,27 +175,30 @@ def _begin(file: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen([*RUN, "--scheduler", file], stdout=-1, stderr=-1, env=environment())
 
 
-def _kill_in_the_middle(victim: subprocess.Popen[bytes], running: subprocess.Popen[bytes]) -> None:
-    while running.poll() is None and len(list(Path().glob("results/*.h5"))) < 20:
+def _kill_in_the_middle(victim: subprocess.Popen[bytes], running: subprocess.Popen[bytes], jobs: int) -> bool:
+    """Kill a process after the first tenth of the results; return whether that was before the last."""
+    while running.poll() is None and len(list(Path().glob("results/*.h5"))) < jobs / 10:
         time.sleep(0.02)
     victim.send_signal(signal.SIGKILL)
+    return len(list(Path().glob("results/*.h5"))) < jobs
 
 
 def _run(file: str, wanted: dict[str, str], victim: subprocess.Popen[bytes] | None = None) -> tuple[float, str]:
     begun = time.monotonic()
     process = _begin(file)
-    if victim is not None:
-        _kill_in_the_middle(victim, process)
+    in_time = victim is None or _kill_in_the_middle(victim, process, len(wanted))
     error = process.communicate()[1].decode()
-    wrong = f"exit code {process.returncode}: {error[-300:]}" if process.returncode else ""
+    wrong = f"exit code {process.returncode}: {error[-300:]}" if process.returncode else "" if in_time else TOO_LATE
     return time.monotonic() - begun, wrong or ("" if _contents() == wanted else "other results than here")
 
 
 def _without_scheduler(file: str, wanted: dict[str, str], scheduler: subprocess.Popen[bytes]) -> str:
     process = _begin(file)
-    _kill_in_the_middle(scheduler, process)
+    _kill_in_the_middle(scheduler, process, len(wanted))
     error = process.communicate()[1].decode()
     kept = _contents()
+    if not process.returncode and kept == wanted:
+        return TOO_LATE
     if process.returncode != 3 or "the cluster has ended" not in error or "Traceback" in error:
         return f"exit code {process.returncode}: {error[-300:]}"
     if not 0 < len(kept) < len(wanted) or not kept.items() <= wanted.items():

@@ -29,7 +29,8 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
     """
     from metrocli.cli.summary import as_json as json_text
     from metrocli.errors import Fault, InputError, UsageError
-    from metrocli.formats.hdf5 import refuse_foreign, refuse_unwritable
+    from metrocli.formats.aside import refuse_unwritable
+    from metrocli.formats.hdf5 import refuse_foreign
     from metrocli.project import PROJECT_FILE
     from metrocli.project.job import Wishes, load_parts
     from metrocli.project.runner import verify

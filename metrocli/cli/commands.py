@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import sys
 from collections.abc import Sequence
 from importlib import import_module
 
@@ -12,7 +13,7 @@ from metrocli import __version__
 from metrocli.cli.console import echo
 from metrocli.cli.help import COMMANDS, MODULES, ROOMS, example_of, help_text, version_text
 from metrocli.cli.shell.signals import INTERRUPTED, TERMINATED, Terminated, ending
-from metrocli.errors import InputError, MetrocliError
+from metrocli.errors import Fault, InputError, MetrocliError
 from metrocli.tasks import KINDS
 
 BROKEN_PIPE = 141
@@ -71,8 +72,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
     With --json a failure is also printed to stdout, as the summary that programs expect there.
     """
-    import sys
-
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     code, error = _carry_out(arguments)
     if error is not None and "--json" in arguments:
@@ -121,6 +120,11 @@ def _carry_out(arguments: list[str]) -> tuple[int, Exception | None]:
             # a file may vanish or be closed to us at any moment between the check and the end
             echo(f"{error.filename}: error: cannot be opened: {error.strerror}", err=True)
             return InputError.exit_code, error
+        if isinstance(error, UnicodeEncodeError) and error.encoding == sys.getfilesystemencoding() != "utf-8":
+            message = f"'{error.object}' cannot be a file name in {error.encoding}, the encoding of this shell"
+            refused = InputError([Fault(message, hint="set LC_ALL=C.UTF-8 or PYTHONUTF8=1")])
+            echo(str(refused), err=True)
+            return refused.exit_code, refused
         import traceback
 
         traceback.print_exc()

@@ -30,8 +30,8 @@ def command(
 ) -> int:
     """Write the files of a format: as NAME into the given folder, else as RESULT.NAME beside the result.
 
-    Raises InputError if the result is not fit for use, unless that is accepted; the files then state it. Files that
-    metrocli did not write are replaced with `force` only.
+    Raises InputError if the result is not fit for use, unless that is accepted; the files then state it. Inputs of the
+    result, which an import may have written, and files that metrocli did not write are replaced with `force` only.
     """
     from metrocli.errors import Fault, InputError
     from metrocli.exports import export
@@ -45,10 +45,16 @@ def command(
         reasons = "; ".join(record.reasons)
         raise InputError([Fault(f"not fit for use ({record.status}): {reasons}", str(result), hint=hint)])
     found = replace(found, doubts=record.reasons)
+    folder_of_job = os.path.dirname(result.parent / record.job_file)
+    inputs = {os.path.realpath(os.path.join(folder_of_job, one.path)) for one in record.inputs}
     if record.job_file:  # messages name it from the working folder, the result from its own
         record = replace(record, job_file=Path(os.path.relpath(result.parent / record.job_file)).as_posix())
     contents = {}
     for name, content in export(form, found, record).items():
         path = inside(out, name) if out is not None else inside(result.parent, f"{result.stem}.{name}")
         contents[path] = (csv.to_text(content) if isinstance(content, Table) else content).encode()
+    used = [str(path) for path in contents if os.path.realpath(path) in inputs]
+    if used and not force:
+        hint = "choose another folder, or use --force"
+        raise InputError([Fault("the result is made from this file", path, hint=hint) for path in used])
     return print_files(write_all(contents, force), as_json, quiet, status=record.status)

@@ -30,8 +30,6 @@ def all_samples() -> dict[str, Path]:
 @options.JSON
 def command(folder: Path | None, sample: str | None, as_json: bool) -> int:
     """Copy a sample, or list all samples."""
-    import shutil
-
     from metrocli.cli.summary import as_json as json_text
     from metrocli.errors import Fault, InputError, UsageError
     from metrocli.words import suggestion
@@ -51,15 +49,43 @@ def command(folder: Path | None, sample: str | None, as_json: bool) -> int:
         raise UsageError(f"name the folder to copy it to: metrocli init DIR --sample {sample}")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError([Fault("the folder is not empty", str(folder), hint="name a new folder")])
-    try:
-        shutil.copytree(samples[sample], folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns("results"))
-    except (OSError, shutil.Error) as error:
-        raise InputError([Fault(f"cannot be written: {error}", str(folder))]) from error
+    _copy(samples[sample], folder)
     if as_json:
         echo(json_text({"folder": str(folder), "sample": sample}))
         return 0
     echo(f"{folder}: sample {sample} copied. Next: metrocli run {folder}")
     return 0
+
+
+def _copy(sample: Path, folder: Path) -> None:
+    """Copy a sample into a folder that is empty or not there; if it fails, take back what was begun.
+
+    Raises InputError with the first file that cannot be written.
+    """
+    import shutil
+    from contextlib import suppress
+
+    from metrocli.errors import Fault, InputError
+
+    def copied(source: str, target: str) -> None:
+        try:
+            shutil.copy2(source, target)
+        except OSError as error:
+            raise InputError([Fault(f"cannot be written: {error.strerror}", target)]) from error
+
+    there = folder.exists()
+    left_out = shutil.ignore_patterns("results")
+    try:
+        shutil.copytree(sample, folder, dirs_exist_ok=True, ignore=left_out, copy_function=copied)
+    except BaseException as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        with suppress(OSError):
+            if there:
+                folder.mkdir()
+        if isinstance(error, OSError):
+            fault = Fault(f"cannot be written: {error.strerror or error}", str(error.filename or folder))
+            raise InputError([fault]) from error
+        raise
 
 
 def _title(path: Path) -> str:

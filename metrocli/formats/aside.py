@@ -48,6 +48,15 @@ def write_bytes(path: Path, data: bytes) -> None:
         file.write(data)
 
 
+def refuse_unwritable(path: Path) -> None:
+    """Raise InputError if no file can be written at `path`, or its folder cannot be made; nothing is tried."""
+    there = next(one for one in path.absolute().parents if os.path.exists(one))  # False where a folder is closed
+    if not there.is_dir():
+        raise InputError([Fault(f"cannot be written: {there} is a file, not a folder", str(path))])
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise InputError([Fault(f"cannot be written: no right to write into {there}", str(path))])
+
+
 def sweep(folder: Path, begin: str = ".") -> None:
     """Remove the temporary files in a folder whose writers no longer live, of those whose names begin so."""
     names: list[str] = []

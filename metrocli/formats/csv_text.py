@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -112,22 +112,25 @@ def _is_row(line: str) -> bool:
 
 
 def _quoted(raw: Raw) -> Raw:
-    """Split a file with quotation marks, in which a cell may contain separators and line ends."""
-    rows, numbers, wrong = [], [], []
-    reader = csv.reader(raw.lines[raw.header_line :], delimiter=raw.separator, strict=True)
-    before = 0
+    """Split a file with quotation marks, in which a cell may contain separators, and line ends, which are spaces."""
+    rows: list[list[str]] = []
+    numbers: list[int] = []
+
+    def lines() -> Iterator[str]:
+        for number, line in enumerate(raw.lines[raw.header_line :], raw.header_line + 1):
+            if len(numbers) > len(rows):  # within a cell
+                yield f" {line}"
+            elif _is_row(line):
+                numbers.append(number)
+                yield line
+
     try:
-        for row in reader:
-            line, before = raw.header_line + before + 1, reader.line_num
-            if not _is_row(raw.lines[line - 1]):
-                continue
+        for row in csv.reader(lines(), delimiter=raw.separator, strict=True):
             rows.append(row)
-            numbers.append(line)
-            wrong += [(line, len(row))] if len(row) != len(raw.header) else []
     except csv.Error as error:
-        line = min(raw.header_line + before + 1, len(raw.lines))
         message = "a quotation mark is not closed, or text follows a closing quotation mark"
-        raise InputError([raw.fault(message, line)]) from error
+        raise InputError([raw.fault(message, numbers[-1])]) from error
+    wrong = [(number, len(row)) for number, row in zip(numbers, rows, strict=True) if len(row) != len(raw.header)]
     refuse_cells(raw, wrong)
     return replace(raw, cells=tuple(zip(*rows, strict=True)), numbers=numbers)
 

@@ -103,15 +103,6 @@ def kind_of(path: Path) -> str | None:
         return "" if is_remains(held.data[:4096]) else None
 
 
-def refuse_unwritable(path: Path) -> None:
-    """Raise InputError if no file can be written at `path`, or its folder cannot be made; nothing is tried."""
-    there = next(one for one in path.absolute().parents if os.path.exists(one))  # False where a folder is closed
-    if not there.is_dir():
-        raise InputError([Fault(f"cannot be written: {there} is a file, not a folder", str(path))])
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError([Fault(f"cannot be written: no right to write into {there}", str(path))])
-
-
 def refuse_foreign(path: Path, kind: str) -> None:
     """Raise InputError if a file exists at `path` that is neither a result of this kind nor the remains of a result."""
     if path.is_dir():

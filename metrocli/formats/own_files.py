@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 
 from metrocli.errors import Fault, InputError
-from metrocli.formats.aside import write_bytes
+from metrocli.formats.aside import refuse_unwritable, write_bytes
 
 LIST = ".metrocli-files"
 """In each folder: a line `SHA-256  NAME` for each file that metrocli wrote there, as `sha256sum --check` reads it"""
@@ -34,6 +34,8 @@ def write_all(contents: Mapping[Path, bytes], force: bool = False) -> Iterator[P
 
 
 def _write_all(contents: Mapping[Path, bytes], force: bool) -> Iterator[Path]:
+    for path in contents:
+        refuse_unwritable(path)
     lists = {path.parent: _listed(path.parent) for path in contents}
     faults = []
     for path, data in contents.items():
@@ -42,14 +44,23 @@ def _write_all(contents: Mapping[Path, bytes], force: bool) -> Iterator[Path]:
             faults.append(Fault("the file exists, and metrocli did not write it so", str(path), hint=hint))
     if faults:
         raise InputError(faults)
-    for folder, names in lists.items():
-        # listed before they are written: after a kill the next call still knows them, by either digest
-        names |= {path.name: _digest(data) for path, data in contents.items() if path.parent == folder}
-        text = "".join(f"{digest}  {name}\n" for name, digest in sorted(names.items()))
-        write_bytes(folder / LIST, text.encode())
+    # listed before they are written, beside what is there: after a kill the next call knows them by either digest
+    before = {path: lists[path.parent].get(path.name, set()) for path in contents}
+    for path, data in contents.items():
+        lists[path.parent][path.name] = before[path] | {_digest(data)}
+    _write_lists(lists)
     for path, data in contents.items():
         write_bytes(path, data)
+        lists[path.parent][path.name] = {_digest(data)}
         yield path
+    if any(before.values()):
+        _write_lists(lists)
+
+
+def _write_lists(lists: Mapping[Path, Mapping[str, Collection[str]]]) -> None:
+    for folder, names in lists.items():
+        lines = (f"{digest}  {name}\n" for name, digests in sorted(names.items()) for digest in sorted(digests))
+        write_bytes(folder / LIST, "".join(lines).encode())
 
 
 @contextmanager
@@ -77,19 +88,23 @@ def _alone_in(folders: Iterable[Path]) -> Iterator[None]:
             os.close(handle)
 
 
-def _may_replace(path: Path, data: bytes, listed: Mapping[str, str]) -> bool:
+def _may_replace(path: Path, data: bytes, listed: Mapping[str, Collection[str]]) -> bool:
     if not path.is_file():
         return False
     there = path.read_bytes()
-    return there == data or _digest(there) == listed.get(path.name)
+    return there == data or _digest(there) in listed.get(path.name, ())
 
 
-def _listed(folder: Path) -> dict[str, str]:
+def _listed(folder: Path) -> dict[str, set[str]]:
+    """Return the digests of the files of a folder by their names, several where a call was killed."""
+    found: dict[str, set[str]] = {}
     try:
         lines = (folder / LIST).read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
         return {}
-    return {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+    for digest, _, name in (line.partition("  ") for line in lines):
+        found.setdefault(name, set()).add(digest)
+    return found
 
 
 def _digest(data: bytes) -> str:

@@ -31,6 +31,13 @@ class Part:
     """By name: the part, and all columns of its list"""
     list: FileBytes | None = None
     """The CSV file with the list as it was read, if there is one"""
+    place: str = ""
+    """The line of that file, as messages name it"""
+
+    @property
+    def shown(self) -> str:
+        """The part as messages name it."""
+        return f"{self.name}, {self.place}" if self.place else self.name
 
 
 class ForEach:
@@ -97,7 +104,7 @@ def _in_file(name: str, value: Node) -> Iterator[_Placed]:
     at = raw.header.index(name)
     for line, *cells in zip(raw.numbers, *raw.cells, strict=True):
         row = {column: cell.strip() for column, cell in zip(raw.header, cells, strict=True)}
-        yield Part(row[name], row, held), partial(raw.fault, line=line, cell=at)
+        yield Part(row[name], row, held, f"{path}:{line}"), partial(raw.fault, line=line, cell=at)
 
 
 def bound(root: Node, part: Part) -> Node:
@@ -114,10 +121,12 @@ def bound(root: Node, part: Part) -> Node:
 
 def _bound(node: Node, part: Part, faults: list[Fault]) -> Node:
     if node.kind == "scalar":
-        unknown = [name for name in _NAME.findall(node.text) if name not in part.values]
+        names = _NAME.findall(node.text)
         faults += [
-            node.fault(f"{node.path}: no part has '{{{name}}}'", suggestion(name, part.values)) for name in unknown
-        ]
-        return replace(node, text=_NAME.sub(lambda found: part.values.get(found[1], ""), node.text))
+            node.fault(f"{node.path}: no part has '{{{name}}}'", suggestion(name, part.values))
+            for name in names if name not in part.values
+        ]  # fmt: skip
+        text = _NAME.sub(lambda found: part.values.get(found[1], ""), node.text)
+        return replace(node, text=text, part=part.shown) if names else node
     items = tuple(_bound(item, part, faults) for item in node.items)
     return replace(node, items=items, entries=tuple((k, _bound(v, part, faults)) for k, v in node.entries))

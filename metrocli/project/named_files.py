@@ -23,6 +23,7 @@ from metrocli.settings import (
     MeshFile,
     Section,
     TableFile,
+    folders_searched,
     has_wildcards,
     settings_of,
 )
@@ -52,8 +53,16 @@ class Input:
     @property
     def patterns(self) -> tuple[Path, ...]:
         """The patterns of file names from the folder of the job, such as `../img/*.png`."""
-        named = (self.node.items or (self.node,)) if isinstance(self.value, tuple) else ()
-        return tuple(Path(os.path.normpath(one.text)) for one in named if has_wildcards(one.text))
+        return tuple(Path(os.path.normpath(one.text)) for one in self._named if has_wildcards(one.text))
+
+    @property
+    def searched(self) -> tuple[Path, ...]:
+        """The folders whose names decide which files match its patterns."""
+        return tuple(folder for one in self._named for folder in folders_searched(one))
+
+    @property
+    def _named(self) -> tuple[Node, ...]:
+        return (self.node.items or (self.node,)) if isinstance(self.value, tuple) else ()
 
 
 def inputs_of(root: Node, settings: type, faults: list[Fault]) -> tuple[Input, ...]:

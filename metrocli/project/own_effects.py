@@ -58,6 +58,8 @@ class Own:
     """The project file, if it names one of the files"""
     packages: Mapping[str, Package] = field(default_factory=dict)
     """By the name of the effect, for those of packages"""
+    sought: tuple[Path, ...] = ()
+    """Where a project file was sought that may name one of the files: the nearest first, up to the one that was read"""
 
 
 def own_effects(kind: str, heading: Heading, job: Path, read_before: YamlFiles, faults: list[Fault]) -> Own:
@@ -76,7 +78,8 @@ def own_effects(kind: str, heading: Heading, job: Path, read_before: YamlFiles, 
             faults.append(Fault(f"a package offers an effect '{effect.name}', which exists already"))
         taken.add(effect.name)
         found.append(effect)
-    by_project = of_project(job.parent, read_before)
+    sought = tuple(_project_files_above(job.parent))
+    by_project = _of_project(sought[-1], read_before)
     for node in filter(None, (heading.effects_from, by_project)):
         path = path_beside(node)
         if path in files:
@@ -88,12 +91,16 @@ def own_effects(kind: str, heading: Heading, job: Path, read_before: YamlFiles, 
         found += effects
     found += read(heading.define, task.places, taken, faults)
     project = None if by_project is None else by_project.source.folder / PROJECT_FILE
-    return Own(tuple(found), files, project, packages)
+    return Own(tuple(found), files, project, packages, sought)
 
 
 def of_project(folder: Path, read_before: YamlFiles) -> Node | None:
     """Return the node of `effects_from` in the nearest metrocli.yaml above a folder, or None."""
-    *_, place = project_files_above(folder)
+    *_, place = _project_files_above(folder)
+    return _of_project(place, read_before)
+
+
+def _of_project(place: Path, read_before: YamlFiles) -> Node | None:
     if not place.is_file():
         return None
     try:
@@ -105,7 +112,7 @@ def of_project(folder: Path, read_before: YamlFiles) -> Node | None:
     return None if node is None or node.empty or node.kind != "scalar" else node
 
 
-def project_files_above(folder: Path) -> Iterator[Path]:
+def _project_files_above(folder: Path) -> Iterator[Path]:
     """Yield where a project file of a folder may be, the nearest first, up to the first that there is."""
     here = folder.absolute()
     for one in (here, *here.parents):

@@ -9,8 +9,8 @@ from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Any
 
 from metrocli.errors import InputError
-from metrocli.formats.aside import sweep
-from metrocli.formats.hdf5 import label_of, refuse_unwritable
+from metrocli.formats.aside import refuse_unwritable, sweep
+from metrocli.formats.hdf5 import label_of
 from metrocli.formats.seal import Label
 from metrocli.project.staleness import State, refuse_lost, state_of, unfit_words
 from metrocli.project.steps import Step

@@ -14,7 +14,8 @@ from metrocli import __version__, tasks
 from metrocli.doubt import doubts_of
 from metrocli.effects.wanted import planted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError, UsageError
-from metrocli.formats.hdf5 import refuse_foreign, refuse_unwritable
+from metrocli.formats.aside import refuse_unwritable
+from metrocli.formats.hdf5 import refuse_foreign
 from metrocli.formats.images import ImageFiles
 from metrocli.plan import Plan
 from metrocli.project import meaning

@@ -1,7 +1,16 @@
 """Specifications of job files: they read nodes into frozen dataclasses and describe themselves as JSON schema."""
 
 from metrocli.settings.composites import At, Either, ListOf, MapOf, Placed
-from metrocli.settings.files import ANY_KIND, FileOf, ImageFiles, MeshFile, TableFile, has_wildcards, path_beside
+from metrocli.settings.files import (
+    ANY_KIND,
+    FileOf,
+    ImageFiles,
+    MeshFile,
+    TableFile,
+    folders_searched,
+    has_wildcards,
+    path_beside,
+)
 from metrocli.settings.sections import Section, Setting, read_sections, sections_schema, setting, settings_of
 from metrocli.settings.uncertain import UNKNOWN, Known, Uncertain
 from metrocli.settings.values import BAD, Choice, Flag, Limits, Number, Quantity, Schema, Spec, Text, Whole
@@ -32,6 +41,7 @@ __all__ = [
     "Text",
     "Uncertain",
     "Whole",
+    "folders_searched",
     "has_wildcards",
     "path_beside",
     "read_sections",

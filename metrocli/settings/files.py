@@ -82,8 +82,18 @@ class TooManyFilesError(ValueError):
     """A pattern looks through more files than a measurement has."""
 
 
-def _glob(node: Node) -> Iterable[Path]:
+def folders_searched(node: Node) -> list[Path]:
+    """Return the folders whose names decide which files match a pattern, none of a path without wildcards."""
+    searched: list[Path] = []
+    for _ in _glob(node, searched) if has_wildcards(node.text) else ():
+        pass
+    return [path for path in dict.fromkeys(searched) if path.is_dir()]
+
+
+def _glob(node: Node, searched: list[Path] | None = None) -> Iterable[Path]:
+    """Yield the paths that match a pattern, existing or not; folders that decide which are added to `searched`."""
     pattern, seen = Path(node.text), itertools.count(1)
+    searched = [] if searched is None else searched
 
     def looked_at(name: str) -> str:
         if next(seen) > MOST_FILES:
@@ -91,29 +101,33 @@ def _glob(node: Node) -> Iterable[Path]:
         return name
 
     if pattern.is_absolute():
-        return _matching(Path(pattern.anchor), pattern.parts[1:], looked_at)
-    return _matching(node.source.folder, pattern.parts, looked_at)
+        return _matching(Path(pattern.anchor), pattern.parts[1:], looked_at, searched)
+    return _matching(node.source.folder, pattern.parts, looked_at, searched)
 
 
-def _matching(folder: Path, parts: tuple[str, ...], looked_at: Callable[[str], str]) -> Iterator[Path]:
+def _matching(
+    folder: Path, parts: tuple[str, ...], looked_at: Callable[[str], str], searched: list[Path]
+) -> Iterator[Path]:
     """Yield the paths below a folder that match the parts of a pattern; `**` stands for any number of folders."""
     if not parts:
         yield folder
         return
     first, rest = parts[0], parts[1:]
+    if searched or has_wildcards(first):
+        searched.append(folder)
     if not has_wildcards(first):
-        yield from _matching(folder / first, rest, looked_at)
+        yield from _matching(folder / first, rest, looked_at, searched)
         return
     if first == "**":
-        yield from _matching(folder, rest, looked_at)
+        yield from _matching(folder, rest, looked_at, searched)
     with contextlib.suppress(OSError):
         for name in sorted(map(looked_at, os.listdir(folder))):
             below = folder / name
             if first == "**":
                 if below.is_dir() and not below.is_symlink():
-                    yield from _matching(below, parts, looked_at)
+                    yield from _matching(below, parts, looked_at, searched)
             elif fnmatch.fnmatchcase(name, first) and (not rest or below.is_dir()):
-                yield from _matching(below, rest, looked_at)
+                yield from _matching(below, rest, looked_at, searched)
 
 
 ANY_KIND = ("any kind of job",)

@@ -42,6 +42,26 @@ def test_a_sample_is_copied(there: bool, samples: Path, metrocli: Metrocli) -> N
     assert sorted(path.name for path in new.iterdir()) == ["README.md", "metrocli.yaml"]
 
 
+@pytest.mark.parametrize("there", [False, True])
+def test_on_a_full_disk_nothing_is_left(
+    there: bool, samples: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    new, copied = samples / "new", list[str]()
+    if there:
+        new.mkdir()
+
+    def full(source: str, target: str) -> None:
+        copied.append(target)
+        Path(target).touch()
+        if len(copied) > 1:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("shutil.copy2", full)
+    ran = metrocli("init", new, "--sample", "line")
+    assert (ran.code, ran.err) == (3, f"{copied[1]}: error: cannot be written: No space left on device\n")
+    assert (list(new.iterdir()) if there else new.exists()) == ([] if there else False)
+
+
 def test_nothing_is_overwritten(samples: Path, metrocli: Metrocli) -> None:
     new = samples / "new"
     new.mkdir()

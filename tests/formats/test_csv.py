@@ -54,6 +54,8 @@ def faults(folder: Path, text: str | bytes, columns: Columns = COLUMNS) -> str:
         "image,target,u_px,t_min\ra,1,2.5,3\r",
         "image,target,u_px,t_s\na,1,25e-1,180\n",
         "image,target,u_px,t_h\na,1,+2.5,0.05\n",
+        'image,target,u_px,t_min\n# of "LT1", "LT2\n"a",1,2.5,3\n\n  # and "LT3"\n',
+        'image,target,u_px,t_min\n#,"a\na,1,2.5,3\n#",""\n',
     ],
 )
 def test_forms_of_the_same_table(tmp_path: Path, text: str) -> None:
@@ -132,6 +134,7 @@ BROKEN = {
     "repeated key": (HEAD + "a,1,2\nb,1,2\na,1,3\n", "4:1", "image a, target 1: a second row", "first in line 2"),
     "open quote": (HEAD + 'a,1,2\n"b,1,2\n', "3:1", "quotation mark", ""),
     "long text": (HEAD + f"{'a' * 300},1,2\n", "2:1", "more than 200 characters", ""),
+    "number of two lines": (HEAD + '"a",1,"2\n5"\n', "2:7", "'2 5' is not a number", ""),
     "after a quoted comma": (HEAD + '"a,b",1,x\n', "2:9", "'x' is not a number", ""),
 }  # fmt: skip
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from metrocli.errors import InputError
 from metrocli.formats.own_files import LIST, write_all
 
 
@@ -48,3 +49,36 @@ def test_writers_at_the_same_time_lose_no_entry(tmp_path: Path) -> None:
         list(pool.map(write, range(24)))
     listed = dict(line.split("  ")[::-1] for line in (tmp_path / LIST).read_text().splitlines())
     assert listed == {f"{n}.txt": sha256(b"%d" % n).hexdigest() for n in range(24)}
+
+
+def test_after_a_kill_its_own_files_are_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "a.txt"
+    list(write_all({file: b"1"}))
+    next(iter(write_all({file: b"2", tmp_path / "b.txt": b"2"})))  # killed after the first file
+    file.write_bytes(b"1")  # or before it
+    list(write_all({file: b"3"}))
+    assert (tmp_path / LIST).read_text().count("a.txt") == 1
+    file.write_bytes(b"2")
+    with pytest.raises(InputError, match="did not write it so"):
+        list(write_all({file: b"4"}))
+
+
+def test_an_export_does_not_replace_what_the_result_is_made_from(job: Path, metrocli: Callable[..., Any]) -> None:
+    job.write_text(job.read_text().replace("readings.csv", "data/residuals.csv") + "output: results/line.h5\n")
+    readings = Path("readings.csv").read_bytes()
+    list(write_all({Path("data/residuals.csv"): readings}))  # as an import does
+    assert metrocli("straight-line", str(job)).code == 0
+    refused = metrocli("export", "results/line.h5", "--to", "csv", "--out", "data")
+    assert (refused.code, Path("data/residuals.csv").read_bytes()) == (3, readings)
+    assert "data/residuals.csv: error: the result is made from this file" in refused.err
+    assert not Path("data/estimates.csv").exists()
+    assert metrocli("export", "results/line.h5", "--to", "csv", "--out", "data", "--force").code == 0
+
+
+def test_a_closed_folder_is_named_by_the_file_that_was_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("metrocli.formats.aside.os.access", lambda *arguments: False)
+    with pytest.raises(InputError, match="a.txt: error: cannot be written: no right to write into"):
+        list(write_all({tmp_path / "a.txt": b"1"}))
+    assert not list(tmp_path.iterdir())

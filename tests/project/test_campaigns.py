@@ -113,7 +113,10 @@ FAULTS = {
     "a column twice": (JOB, PARTS.replace("customer", "noise"), "parts.csv:1:1: error: the column 'noise' is there tw"),
     "a part that leads elsewhere": (JOB, PARTS + "../x,x,0.1\n", "the part '../x' cannot be part of a file name"),
     "one output for all": (JOB.replace("/{part}.h5", "/all.h5"), PARTS, "write the part in braces into the output"),
-    "a value that does not fit": (JOB, PARTS.replace("0.2", "0.2 mm"), "jobs/gear.yaml:5:8: error: noise: "),
+    "a value that does not fit": (JOB, PARTS.replace("0.2", "0.2 mm"), "jobs/gear.yaml:5:8: error: noise: 'mm mm' after 0.2"),
+    "the part whose value does not fit": (JOB, PARTS.replace("0.2", "0.2 mm"), "(for A2, parts.csv:3)"),
+    "the part whose file is not there": (JOB.replace("../parts.csv", "[A1, B2]").replace(" of {customer}", "")
+                                         .replace("{noise}", "1"), PARTS, "data/B2.csv (for B2)"),
     "no list": (JOB.replace("../parts.csv", "../none.csv"), PARTS, "none.csv: error: there is no such file"),
     "an empty list": (JOB.replace("../parts.csv", "[]"), PARTS, "this is not a list of names"),
     "two names": (JOB.replace("{part: ../parts.csv}", "{part: [a], b: [c]}"), PARTS, "this is not a list of parts"),

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -69,3 +72,13 @@ def test_an_output_that_cannot_be_written_is_found_without_computing(
     )  # which a test that root runs cannot have otherwise
     ran = metrocli(command, "." if command == "run" else job)
     assert (ran.code, "cannot be written: no right to write into" in ran.err) == (3, True)
+
+
+def test_a_name_that_the_encoding_of_the_shell_lacks_is_refused_in_words(job: Path) -> None:
+    Path("metrocli.yaml").write_text("jobs: [größe.yaml]\n", encoding="utf-8")
+    shell = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "metrocli", "check", ".", "--json"]
+    done = subprocess.run(command, capture_output=True, check=False, env=os.environ | shell)
+    (fault,) = json.loads(done.stdout.decode("utf-8", "replace"))["errors"]
+    assert (done.returncode, "cannot be a file name in ascii" in fault["message"]) == (3, True)
+    assert b"Traceback" not in done.stderr and b"PYTHONUTF8=1" in done.stderr

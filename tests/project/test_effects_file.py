@@ -18,6 +18,7 @@ from metrocli.project.running import crew
 from metrocli.project.running.cluster import carry_out, pack
 from metrocli.project.running.memo import remember, unmoved_jobs
 from metrocli.project.steps import load_project
+from metrocli.uncertainty.workers.dask_cluster import Versions
 
 Metrocli = Callable[..., Any]
 EFFECT = "effects: [{name: cable-wrap, tracer: LT5}]\n"
@@ -110,5 +111,5 @@ def test_make_knows_the_file(shop: Path, metrocli: Metrocli) -> None:
 def test_the_file_travels_with_its_job(shop: Path) -> None:
     packed = pack("hall", load(shop / "jobs" / "hall.yaml"), False)
     assert {"lab-effects.yaml", "metrocli.yaml"} <= {os.path.basename(name) for name in packed.files}
-    ((name, outcome),) = carry_out([packed])
+    ((name, outcome),) = carry_out([packed], Versions.here(None))
     assert (name, outcome.exit_code, outcome.error) == ("hall", 0, "")

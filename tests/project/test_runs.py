@@ -125,7 +125,8 @@ def test_make_learns_what_results_depend_on(project: Path, metrocli: Callable[..
     assert Path("jobs.d").read_text().splitlines() == [
         "results/a.h5: jobs/a.yaml metrocli.yaml",
         "results/b\\ c.h5: jobs/b\\ c.yaml metrocli.yaml results/a.h5",
-    ]
+        "jobs.d: jobs/a.yaml metrocli.yaml jobs/b\\ c.yaml", "jobs/a.yaml:", "metrocli.yaml:", "jobs/b\\ c.yaml:",
+    ]  # fmt: skip
     Path("Makefile").write_text("include jobs.d\nresults/%.h5:\n\t@echo made $@\n")
     for path in ("results/a.h5", "results/b c.h5"):
         os.utime(path)
@@ -158,6 +159,52 @@ def test_make_learns_of_lists_of_parts_and_folders_of_images(job: Path, metrocli
     metrocli("init", "board", "--sample", "board-camera")
     assert metrocli("run", "board", "--dry-run", "--depfile", "board.d").code == 0
     assert " board/images" in Path("board.d").read_text().replace("\n", " ").split("board/images/")[-1]
+
+
+@pytest.fixture
+def shots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A job whose images are those of all folders of a name."""
+    monkeypatch.chdir(tmp_path)
+    for folder in ("shots1", "shots2", "jobs", "results"):
+        Path(folder).mkdir()
+    Path("metrocli.yaml").write_text("jobs: [jobs/camera.yaml]\n")
+    Path("jobs/camera.yaml").write_text(
+        "metrocli: 1\njob: calibrate-camera\nrig: board\ninputs: {images: ../shots*/a.png}\noutput: ../results/c.h5\n"
+        "pattern: {type: chessboard, columns: 9, rows: 6, pitch: 25 mm}\nnoise: 0.1 px\n"
+        "camera: {image_size: [640, 480], estimate: [f]}\n"
+    )
+    for name in ("shots1/a.png", "results/c.h5"):
+        Path(name).touch()
+    return tmp_path
+
+
+@pytest.mark.parametrize("change", ["shots2/a.png", "shots3/b.png"])
+def test_make_learns_of_images_in_new_folders_and_makes_its_rules_again(
+    change: str, shots: Path, metrocli: Callable[..., Any]
+) -> None:
+    assert metrocli("run", "--dry-run", "--depfile", "jobs.d", "--force").code == 0
+    Path("Makefile").write_text("include jobs.d\njobs.d:\n\t@echo rules; touch $@\n%.h5:\n\t@echo made\n")
+    os.utime("results/c.h5", (time.time() + 5, time.time() + 5))
+    alone = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
+    command = ["make", "--no-print-directory", "results/c.h5"]
+    before = subprocess.run(command, env=alone, capture_output=True, text=True, check=True)
+    assert before.stdout.endswith("is up to date.\n"), (
+        "a file that it writes beside the folders does not start it again"
+    )
+    Path("shots3").mkdir(exist_ok=True)
+    Path(change).touch()
+    for place in ("shots1/a.png", "results/c.h5"):
+        os.utime(place, (0, 0))
+    after = subprocess.run(command, env=alone, capture_output=True, text=True, check=True)
+    assert after.stdout == "rules\nmade\n"
+
+
+@pytest.mark.parametrize("change", ["shots2/a.png", "shots3", "shots1/b.png"])
+def test_a_new_folder_that_a_pattern_matches_ends_the_memo(change: str, shots: Path) -> None:
+    memo.remember(Path("metrocli.yaml"), load_project(Path()), memo.now_ns() + 10**10)
+    assert memo.unmoved_jobs("metrocli.yaml") is not None
+    Path(change).touch()
+    assert memo.unmoved_jobs("metrocli.yaml") is None
 
 
 def test_results_keep_their_time_when_nothing_changed(project: Path, metrocli: Callable[..., Any]) -> None:
@@ -325,6 +372,24 @@ class TestMemo:
 
     def test_a_project_nearer_to_a_job_ends_it(self) -> None:
         Path("jobs/metrocli.yaml").write_text("jobs: [a.yaml]\neffects_from: own.yaml\n")
+        assert memo.unmoved_jobs("metrocli.yaml") is None
+
+    def test_a_project_nearer_to_a_job_that_goes_during_the_run_ends_it(
+        self, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        nearer, computed = Path("jobs/metrocli.yaml"), crew.compute
+        nearer.write_text("jobs: [a.yaml]\n")
+        assert metrocli("run").code == 0
+        assert memo.unmoved_jobs("metrocli.yaml") is not None
+
+        def gone_meanwhile(*arguments: Any) -> Any:
+            nearer.unlink(missing_ok=True)
+            return computed(*arguments)
+
+        Path("results/d.h5").unlink()
+        with monkeypatch.context() as patch:
+            patch.setattr(crew, "compute", gone_meanwhile)
+            assert metrocli("run").code == 0
         assert memo.unmoved_jobs("metrocli.yaml") is None
 
 

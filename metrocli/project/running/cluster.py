@@ -16,7 +16,7 @@ from metrocli.project.job import JobFile, Wishes, load
 from metrocli.project.own_effects import alike_for
 from metrocli.project.running.crew import Outcome, attempt
 from metrocli.uncertainty.workers import Workers
-from metrocli.uncertainty.workers.dask_cluster import cluster, ends_in_words, first_finished
+from metrocli.uncertainty.workers.dask_cluster import Versions, cluster, ends_in_words, first_finished
 
 _MOST_AT_ONCE = 25
 """Most jobs in one task of the cluster, so that its overhead of some milliseconds does not count"""
@@ -48,8 +48,12 @@ def pack(name: str, job: JobFile, strict: bool) -> Packed:
     return Packed(name, shown, os.path.relpath(file, root), wishes, strict, files)
 
 
-def carry_out(jobs: Sequence[Packed]) -> list[tuple[str, Outcome]]:
-    """Compute jobs on a worker, in a folder of their own, and return what became of them."""
+def carry_out(jobs: Sequence[Packed], versions: Versions) -> list[tuple[str, Outcome]]:
+    """Compute jobs on a worker, in a folder of their own, and return what became of them.
+
+    Raises InputError if the worker has other versions than the process that asks.
+    """
+    versions.require()
     return [(job.name, _carry_out(job)) for job in jobs]
 
 
@@ -71,8 +75,8 @@ def _carry_out(packed: Packed) -> Outcome:
 class Cluster:
     """A crew of the workers of a Dask cluster."""
 
-    def __init__(self, client: Any, address: str) -> None:
-        self._client, self._address = client, address
+    def __init__(self, client: Any, address: str, versions: Versions) -> None:
+        self._client, self._address, self._versions = client, address, versions
         self._threads = max(sum(client.nthreads().values()), 1)
         self.places = self._threads * _TASKS_PER_THREAD * _MOST_AT_ONCE
         self._packed: list[Packed] = []
@@ -90,7 +94,7 @@ class Cluster:
         batches = [self._packed[at : at + size] for at in range(0, len(self._packed), size)]
         self._packed = []
         with ends_in_words(self._address, "finished results are kept, "):
-            self._running |= {self._client.submit(carry_out, batch, pure=False) for batch in batches}
+            self._running |= {self._client.submit(carry_out, batch, self._versions, pure=False) for batch in batches}
             if not self._done:
                 self._take(first_finished(self._client, self._running))
         yield from self._done
@@ -108,5 +112,6 @@ def on_cluster(address: str, jobs: Iterable[JobFile]) -> Iterator[Cluster]:
 
     Raises InputError if it cannot be used, or has another metrocli or other packages with effects of these jobs.
     """
-    with cluster(address, alike_for((job.kind, job.effects_of_packages) for job in jobs)) as client:
-        yield Cluster(client, address)
+    more = alike_for((job.kind, job.effects_of_packages) for job in jobs)
+    with cluster(address, more) as client:
+        yield Cluster(client, address, Versions.here(more))

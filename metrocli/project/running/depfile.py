@@ -10,7 +10,6 @@ from pathlib import Path
 from metrocli.errors import Fault, InputError
 from metrocli.formats.own_files import write_all
 from metrocli.project.steps import Step
-from metrocli.settings import has_wildcards
 
 _SPECIAL = re.compile(r"(\\*)([ #:*?\[])")
 """What Make takes as itself behind a backslash, and the backslashes before it, which then count twice"""
@@ -21,21 +20,28 @@ _FOREIGN = re.compile(r"[%=;|\x00-\x1f\x7f]|\\$")
 def write(path: Path, project_file: Path, steps: Sequence[Step], force: bool = False) -> None:
     """Write a rule without commands for each result: it depends on its job, its inputs and the project file.
 
-    A folder in which a pattern of images is matched counts as an input. Paths are relative to the working folder, as
-    Make needs them, if they lie below it. Raises InputError with each name that Make cannot read, and if a file is
-    there that metrocli did not write, unless forced.
+    A folder in which a pattern of images is matched counts as an input. What decides which files these are is in a rule
+    for the file itself, and each of them in a rule of its own, so that Make goes on if it is gone. Paths are relative
+    to the working folder, as Make needs them, if they lie below it. Raises InputError with each name that Make cannot
+    read, and if a file is there that metrocli did not write, unless forced.
     """
     faults: list[Fault] = []
-    rules = []
+    rules: dict[str, dict[str, None]] = {}
+    deciding: dict[str, None] = {}
     for step in steps:
-        folders = (one.parent for item in step.job.inputs for one in item.patterns if not has_wildcards(one.parent))
-        searched = (step.job.folder / one for one in folders)
-        needed = (step.job.file, project_file, *step.job.stated_in, *step.job.files, *searched)
-        words = dict.fromkeys(_word(one, faults) for one in needed)
-        rules.append(f"{_word(step.job.output, faults)}: {' '.join(words)}\n")
+        searched = (folder for item in step.job.inputs for folder in item.searched)
+        stated = dict.fromkeys(_word(one, faults) for one in (step.job.file, project_file, *step.job.stated_in))
+        folders = dict.fromkeys(_word(one, faults) for one in searched)
+        needed = stated | dict.fromkeys(_word(one, faults) for one in step.job.files) | folders
+        rules[_word(step.job.output, faults)] = needed
+        deciding |= stated | folders
+    rules |= {_word(path, faults): deciding} | {name: {} for name in deciding}
     if faults:
         raise InputError(list(dict.fromkeys(faults)))
-    list(write_all({path: "".join(rules).encode()}, force))
+    text = "".join(f"{' '.join((f'{name}:', *needed))}\n" for name, needed in rules.items())
+    list(write_all({path: text.encode()}, force))
+    # a folder of images that holds this file has its time, and must not be younger
+    os.utime(path)
 
 
 def _word(path: Path, faults: list[Fault]) -> str:

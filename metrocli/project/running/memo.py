@@ -53,7 +53,7 @@ def unmoved_jobs(project_file: str) -> list[list[str]] | None:
             return None
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None
-    if moved:
+    if moved and moved != [os.curdir]:  # which moves whenever this is written
         _write(project_file, jobs, files | found, begun)
     return jobs
 
@@ -85,22 +85,23 @@ def remember(
     """Remember that all results are up to date, as of `begun_ns`, when the project was read.
 
     `labels` are those of the results by the names of the steps, as they were judged or written. Nothing is remembered
-    if a file is too young and has not the bytes that were judged, or if a pattern of images has wildcards in the name
-    of a folder. A folder that cannot be written is no fault: the next run looks again.
+    if a file is too young and has not the bytes that were judged, or if a project file nearer to a job appeared or
+    went meanwhile. A folder that cannot be written is no fault: the next run looks again.
     """
     from contextlib import suppress
 
     from metrocli.errors import InputError
-    from metrocli.project.own_effects import project_files_above
 
     folder = project_file.parent
     # a package is more than the file that offers its effects: one that moved may be another
     packages = {one.file for step in steps for one in step.job.packages}
-    nearer = {one for place in {step.job.folder for step in steps} for one in project_files_above(place)}
+    sought = {one for step in steps for one in step.job.own.sought}
+    read = sought & steps[0].job.wishes.files.held.keys() if steps else sought
+    if any(path.exists() for path in sought - read):
+        return
     with suppress(OSError, InputError):
-        looked_at = dict.fromkeys(_looked_at(project_file, steps))
-        files: dict[str, list[Any]] = {os.path.relpath(path, folder): [[], ""] for path in nearer if not path.exists()}
-        looked_at |= dict.fromkeys(path for path in nearer if path.exists())
+        looked_at = dict.fromkeys((*_looked_at(project_file, steps), *read))
+        files: dict[str, list[Any]] = {os.path.relpath(path, folder): [[], ""] for path in sought - read}
         files |= {os.path.relpath(path, folder): _seen(os.fspath(path), path not in packages) for path in looked_at}
         young = {name: digest for name, (seen, digest) in files.items() if not _settled(seen, begun_ns)}
         judged = _judged(folder, steps, labels, young) if young and labels else {}
@@ -197,7 +198,8 @@ def _seen(path: str, by_digest: bool = True) -> list[Any]:
     kind = os.stat(path).st_mode
     digest = ""
     if by_digest and stat.S_ISDIR(kind):
-        digest = hashlib.sha256("\0".join(sorted(os.listdir(path))).encode("utf-8", "surrogateescape")).hexdigest()
+        names = sorted({*os.listdir(path)} - {NAME})
+        digest = hashlib.sha256("\0".join(names).encode("utf-8", "surrogateescape")).hexdigest()
     elif by_digest and stat.S_ISREG(kind):
         with open(path, "rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -205,14 +207,9 @@ def _seen(path: str, by_digest: bool = True) -> list[Any]:
 
 
 def _looked_at(project_file: Path, steps: Iterable[Step]) -> Iterable[Path]:
-    """Yield all files and folders that decide whether results are up to date; OSError for what cannot be listed."""
-    from metrocli.settings import has_wildcards
-
+    """Yield all files and folders that decide whether results are up to date."""
     yield project_file
     for step in steps:
         yield from (*step.job.stated_in, *step.job.files, step.job.output)
         yield from (one.file for one in step.job.packages if one.file is not None)
-        for folder in (one.parent for item in step.job.inputs for one in item.patterns):
-            if has_wildcards(folder):
-                raise OSError("not listed: new folders may match")
-            yield step.job.folder / folder
+        yield from (folder for item in step.job.inputs for folder in item.searched)

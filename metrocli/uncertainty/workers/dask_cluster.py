@@ -76,10 +76,12 @@ def ordered_on(
         yield map
         return
     with cluster(address, more) as client:
-        yield lambda work, numbers: _on_cluster(client, address, work, numbers)
+        yield lambda work, numbers: _on_cluster(client, address, work, numbers, more)
 
 
-def _on_cluster(client: Any, address: str, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
+def _on_cluster(
+    client: Any, address: str, work: Callable[[int], T], numbers: Iterable[int], more: Callable[[], str] | None = None
+) -> Iterator[T]:
     def finished(future: Any) -> _Done[T]:
         with ends_in_words(address, ""):
             first_finished(client, {future})
@@ -90,10 +92,10 @@ def _on_cluster(client: Any, address: str, work: Callable[[int], T], numbers: It
         scattered = client.scatter(work, broadcast=True, hash=False)
         threads = max(sum(client.nthreads().values()), 1)
     waiting: deque[Any] = deque()
-    left, size = iter(numbers), 1
+    left, size, versions = iter(numbers), 1, Versions.here(more)
     while (batch := list(islice(left, size))) or waiting:
         if batch:
-            waiting.append(client.submit(_do, scattered, batch, pure=False))
+            waiting.append(client.submit(_do, scattered, batch, versions, pure=False))
         if not batch or len(waiting) >= 4 * threads:
             done = finished(waiting.popleft())
             yield from done.values
@@ -144,10 +146,33 @@ def _refuse_other_versions(client: Any, address: str, more: Callable[[], str] | 
     """Raise InputError if a worker could give other numbers than this process."""
     answers = client.run(_versions, more, on_error="return").values()
     # an OSError is that of a worker which has just died; the scheduler will drop it
-    others = {str(one) for one in answers if not isinstance(one, OSError)} - {_versions(more)}
+    here = _versions(more)
+    others = {str(one) for one in answers if not isinstance(one, OSError)} - {here}
     if others:
-        message = f"--scheduler {address}: workers have {'; '.join(sorted(others))}, and this is {_versions(more)}"
-        raise InputError(f"{message}: install the same versions everywhere")
+        raise InputError(f"--scheduler {address}: {_unlike('; '.join(sorted(others)), here)}")
+
+
+@dataclass(frozen=True)
+class Versions:
+    """What the process that asks a cluster has, and each worker that computes for it must have."""
+
+    stated: str
+    more: Callable[[], str] | None
+
+    @classmethod
+    def here(cls, more: Callable[[], str] | None) -> Versions:
+        """Return those of this process; `more` as for `cluster`."""
+        return cls(_versions(more), more)
+
+    def require(self) -> None:
+        """Raise InputError on a worker that has others: it joined after the first were asked."""
+        there = _versions(self.more)
+        if there != self.stated:
+            raise InputError(f"the cluster: {_unlike(there, self.stated)}")
+
+
+def _unlike(there: str, here: str) -> str:
+    return f"workers have {there}, and this is {here}: install the same versions everywhere"
 
 
 def _versions(more: Callable[[], str] | None) -> str:
@@ -169,10 +194,11 @@ class _Done(Generic[T]):
     seconds: float
 
 
-def _do(work: Callable[[int], T], numbers: Sequence[int]) -> _Done[T]:
+def _do(work: Callable[[int], T], numbers: Sequence[int], versions: Versions) -> _Done[T]:
     """Return what work gives for numbers, up to its first error."""
     begun, values = time.monotonic(), list[T]()
     try:
+        versions.require()
         for number in numbers:
             values.append(work(number))
     except Exception as error:

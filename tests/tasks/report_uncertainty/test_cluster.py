@@ -22,7 +22,9 @@ from tasks.report_uncertainty.jobs import carry_out, write
 
 from metrocli.errors import InputError
 from metrocli.formats import hdf5
+from metrocli.project.running import cluster as cluster_of_jobs
 from metrocli.uncertainty.workers import dask_cluster
+from metrocli.uncertainty.workers.dask_cluster import Versions
 
 JOB: dict[str, Any] = {
     "quantities": {
@@ -146,10 +148,12 @@ class AtOnce:
     def nthreads(self) -> dict[str, int]:
         return {"worker": 1}
 
-    def submit(self, do: Callable[..., object], work: object, numbers: list[int], **options: object) -> Future[object]:
+    def submit(
+        self, do: Callable[..., object], work: object, numbers: list[int], versions: Versions, **options: object
+    ) -> Future[object]:
         self.sizes.append(len(numbers))
         found: Future[object] = Future()
-        found.set_result(do(work, numbers))
+        found.set_result(do(work, numbers, versions))
         return found
 
 
@@ -168,6 +172,19 @@ def test_short_chunks_travel_together_and_come_back_in_order(monkeypatch: pytest
     monkeypatch.setattr(dask_cluster, "_TASK_S", 1e-9)
     assert list(dask_cluster._on_cluster(client, "tcp://there", abs, range(9))) == list(range(9))
     assert client.sizes == [1] * 9, "long ones travel alone"
+
+
+def test_a_worker_that_joins_later_with_other_versions_computes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dask_cluster, "first_finished", lambda client, futures: futures)
+    found = dask_cluster._on_cluster(AtOnce(), "tcp://there", abs, range(60))
+    assert next(found) == 0
+    asked = Versions.here(None)
+    monkeypatch.setattr(dask_cluster, "__version__", "9.9")
+    refused = r"workers have metrocli 9\.9 with .*: install the same versions everywhere"
+    with pytest.raises(InputError, match=refused):
+        list(found)
+    with pytest.raises(InputError, match=refused):
+        cluster_of_jobs.carry_out([], asked)
 
 
 SCHEDULER = ["-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
