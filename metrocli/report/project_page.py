@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from metrocli.record import DONE
+from metrocli.report.findings import BAD, GOOD
 from metrocli.report.html import EMPTY, Html, code, joined, table, tag
 from metrocli.report.look import page
 
@@ -41,7 +42,7 @@ def project_page(name: str, entries: Sequence[Entry], charts: Sequence[Html] = (
     parts = [
         tag("p", "metrocli project", class_="muted"),
         tag("h1", name),
-        tag("div", tag("p", tag("strong", words)), class_="verdict bad" if stale or bad else "verdict"),
+        tag("div", tag("p", tag("strong", words)), class_=f"verdict {BAD if stale or bad else GOOD}"),
         tag("p", "Bring it up to date by ", code("metrocli run"), ".") if stale else EMPTY,
         tag("h2", "Jobs"),
         table(("job", "kind", "title", "state", "needs"), rows, "Jobs in the order in which they run"),

@@ -50,10 +50,10 @@ def _measured(content: Content) -> Iterator[str]:
 
 
 def _verdict(content: Content) -> Html:
-    good, words = verdict(content)
+    level, words = verdict(content)
     lines = [tag("p", tag("strong", words)), *(tag("p", doubt) for doubt in content.record.doubts)]
     lines.append(tag("p", tag("b", "Next: "), next_step(content)))
-    return tag("div", *lines, class_="verdict" if good else "verdict bad")
+    return tag("div", *lines, class_=f"verdict {level}")
 
 
 def _estimates(content: Content) -> Html:

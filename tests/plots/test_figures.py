@@ -14,9 +14,11 @@ from plots import results
 from metrocli import plots
 from metrocli.errors import UsageError
 from metrocli.plots import scene
+from metrocli.plots.places import places_of
 from metrocli.plots.readings import residuals_of
 from metrocli.plots.style import DARK, LIGHT
-from metrocli.result import Result
+from metrocli.report.findings import worst
+from metrocli.result import Estimate, Result
 from metrocli.table import Table
 
 RNG = np.random.default_rng(881)
@@ -174,6 +176,33 @@ def test_readings_are_named_so_that_they_can_be_found() -> None:
     path = Table({**along, "residual_a": np.ones(2), "normalised_a": np.ones(2)})
     (one,) = residuals_of(Result("calibrate-machine", "", (), np.zeros((0, 0)), {}, {"residuals": path}))
     assert one.name(1) == "28 at (12.5, 0, -50) mm a"
+
+
+def test_a_launch_unit_has_a_view_with_its_beams() -> None:
+    beams = Table(
+        {
+            "pose": np.array(["1", "2"]), "length": np.array([50.0, 200.0]),
+            "wx": np.array([0.6, 0.0]), "wy": np.array([0.8, 0.0]), "wz": np.array([0.0, -1.0]),
+        },
+        {"length": "mm"},
+    )  # fmt: skip
+    estimates = tuple(Estimate(name, value, 1.0, "mm") for name, value in zip("xyz", (1.0, 2.0, 3.0), strict=True))
+    covariance = np.diag([1.0, 4.0, 9.0])
+    unit, receivers = places_of(Result("locate-launch-unit", "", estimates, covariance, {}, {"beams": beams}))
+    assert unit.at.tolist() == [[1.0, 2.0, 3.0]] and np.array_equal(unit.covariance, covariance[None])
+    assert receivers.names == ("1", "2") and np.allclose(receivers.at, [[31.0, 42.0, 3.0], [1.0, 2.0, -197.0]])
+
+
+def test_the_worst_may_be_a_calibrated_length() -> None:
+    ends = {f"{axis}{end}": np.array([float(end), 0.0]) for end in (1, 2) for axis in "ijk"}
+    residual = np.array([0.001, 0.009])
+    columns = {**ends, "component": np.repeat("length", 2), "reading": np.full(2, 100.0)}
+    columns |= {"residual": residual, "normalised": residual / 1e-3}
+    readings = {"component": np.repeat("x", 3), "residual": np.full(3, 1e-3), "normalised": np.ones(3)}
+    tables = {"residuals": Table(readings), "lengths": Table(columns, {"reading": "mm"})}
+    result = Result("selfcal-grid", "", (), np.zeros((0, 0)), {}, tables)
+    assert [one.kind for one in residuals_of(result)] == ["residuals", "lengths"]
+    assert next(worst(result)).startswith("Reading ball (0, 0, 0)/ball (0, 0, 0)/length: |w| = 9.00")
 
 
 def test_correlations() -> None:

@@ -203,6 +203,9 @@ def test_a_doubtful_result_cannot_be_overlooked() -> None:
     page = page_of(lens(), record=replace(RECORD, doubts=("sigma0 = 7",)))
     assert "Doubtful: do not use this result. sigma0 = 7" in page.text
     assert {"class": "verdict bad"} in page.named("div")
+    assert {"class": "verdict good"} in page_of(lens()).named("div")
+    warned = page_of(replace(lens(), warnings=("correlations",)))
+    assert {"class": "verdict warned"} in warned.named("div") and "Done, with 1 warning." in warned.text
     unmet = replace(RECORD, verdicts=(Verdict("sigma0", "< 0.5", 1.0, "", False),))
     assert "does not meet its requirements" in page_of(lens(), record=unmet).text
 
