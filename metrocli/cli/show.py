@@ -21,9 +21,7 @@ QUESTIONS = {question.name: question for kind in KINDS.values() for question in 
 
 @click.command("show", help="Print a result.")
 @click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.h5")
-@click.option(
-    "--table", "name", metavar="NAME", help="Print one whole table as CSV.", shell_complete=tables
-)
+@click.option("--table", "name", metavar="NAME", help="Print one whole table as CSV.", shell_complete=tables)
 @options.all_of(*map(options.asking, QUESTIONS.values()))
 @options.UNITS
 @options.JSON

@@ -72,6 +72,19 @@ def test_the_worst_reading_is_named() -> None:
     assert shown.vectors[shown.worst].tolist() == [0.0, 0.9]
 
 
+def test_panels_share_the_bound_of_all_readings() -> None:
+    """A figure and the first lines of its page judge a reading alike: 4 of 40 readings are in a panel of their own."""
+    found = {"residual": np.zeros(36), "normalised": np.zeros(36)}, {"residual": np.zeros(4), "normalised": np.zeros(4)}
+    found[1]["normalised"][2] = 2.7  # beyond the bound of 4 readings, 2.49, not beyond that of 40, 3.22
+    tables = {name: Table(columns) for name, columns in zip(("angles", "distances"), found, strict=True)}
+    result = Result("locate-launch-unit", "", (), np.zeros((0, 0)), {}, tables)
+    panels = plots.data_of("residuals", result).panels
+    assert [len(one.beyond) for one in panels] == [0, 0] and panels[0].most == panels[1].most == pytest.approx(
+        3.22, abs=0.01
+    )
+    assert next(worst(result)).endswith("|w| = 2.70 standard deviations; as noise may be (bound 3.22).")
+
+
 def test_vectors_over_the_image_fit_into_it() -> None:
     shown = plots.data_of("residuals-image", results.camera(UV, np.full((300, 2), 0.03)))
     assert shown.magnification == 1000.0  # 0.0424 px become 42 px, at most 640 / 14

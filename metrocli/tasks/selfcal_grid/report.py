@@ -101,7 +101,7 @@ def _residuals(solved: Solved) -> Table:
     found = residual_table(solved.residuals[0], group)
     places = (grid.sites * grid.pitch)[group.observations.index[bg.MACHINE]]
     at = dict(zip("xyz", np.repeat(places, len(group.observations.components), axis=0).T, strict=True))
-    return Table(found.columns | at, found.units | dict.fromkeys(at, "mm"))
+    return Table({**found.columns, **at}, {**found.units, **dict.fromkeys(at, "mm")})
 
 
 def _at_sites(solved: Solved, machine: _Field) -> SiteErrors:
