@@ -22,6 +22,7 @@ from metrocli.report.html import listed as list_of
 from metrocli.report.project_page import Entry, project_page, ranks
 from metrocli.report.result_page import result_page
 from metrocli.result import Estimate, Result
+from metrocli.table import Table
 from metrocli.words import listed
 
 Metrocli = Callable[..., Any]
@@ -133,6 +134,18 @@ def test_first_comes_what_decides() -> None:
     assert "Reading C/L2: |w| = 4" in text
     assert "required sigma0 < 1.5: met (1)" in text
     assert "ab" * 32 in text
+
+
+def test_what_the_diagnosis_added_stands_first() -> None:
+    """Not behind the coordinates of all stations, of which the first screen has a part."""
+    stations = [Estimate(f"LT{n}.x", float(n), 0.1, "mm") for n in range(20)]
+    found = Estimate("dead-path-jump.LT2.step", 1.5e-3, 1e-4, "mm", "length")
+    result = Result("multilaterate", "", (*stations, found), np.eye(21), {}, {})
+    parameters = Table({"parameter": np.array(["step"]), "value": np.array([1.5e-3])})
+    first = [page_of(one).text.index(found.name) < page_of(one).text.index("LT0.x") for one in (
+        replace(result, tables={"effects/dead-path-jump.LT2/parameters": parameters}), result
+    )]  # fmt: skip
+    assert first == [True, False]
 
 
 def test_u_is_that_of_the_result_where_it_states_one() -> None:
