@@ -6,7 +6,8 @@ import json
 import re
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 from plots import results
 
+from metrocli.cli.console import Console
 from metrocli.record import InputFile, Record, Verdict
 from metrocli.report.content import Content, Diagnosis
 from metrocli.report.html import listed as list_of
@@ -348,6 +350,21 @@ def test_the_command_for_a_project(job: Path, metrocli: Metrocli) -> None:
     page = Page(Path("report/index.html").read_text(encoding="utf-8"))
     assert "Lines" in page.text and page.named("a")[0]["href"] == "line.html"
     assert metrocli("report", ".", "--diagnosis", "x.json").code == 2
+
+
+def test_pages_of_a_project_are_counted_while_they_are_made(
+    job: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[tuple[int, int | None]] = []
+
+    @contextmanager
+    def counter(console: Console) -> Iterator[Callable[[int, int | None], None]]:
+        yield lambda done, of: told.append((done, of))
+
+    monkeypatch.setattr(Console, "part_counter", counter)
+    Path("metrocli.yaml").write_text("jobs: [line.yaml]\n", encoding="utf-8")
+    assert metrocli("run").code == 0 and metrocli("report", ".").code == 0
+    assert told[-1] == (0, 1)
 
 
 def test_results_of_one_name_and_damaged_ones(job: Path, metrocli: Metrocli) -> None:
