@@ -1,6 +1,6 @@
 "use strict";
 // Opens pages in frames of several widths and reports, as JSON in the document, what a reader would stumble over.
-const CLIPS = /auto|scroll|hidden|clip/;
+const CLIPS = /auto|scroll|hidden|clip/, LEAST = 7.5;  // px
 function clipped(rect, element) {
   let [x0, y0, x1, y1] = [rect.left, rect.top, rect.right, rect.bottom];
   for (let e = element; e && e !== e.ownerDocument.documentElement; e = e.parentElement) {
@@ -20,7 +20,7 @@ function shownTexts(page) {
     range.selectNodeContents(node);
     for (const rect of range.getClientRects()) {
       const box = clipped(rect, holder);
-      if (box.x1 - box.x0 > 1 && box.y1 - box.y0 > 1) found.push({ ...box, text: node.data.trim().slice(0, 40) });
+      if (box.x1 - box.x0 > 1 && box.y1 - box.y0 > 1) found.push({ ...box, size: letterSize(holder), text: node.data.trim().slice(0, 40) });
     }
   }
   return found.sort((a, b) => a.y0 - b.y0);
@@ -35,6 +35,14 @@ function overlaps(page) {
     }
   }
   return found;
+}
+function letterSize(holder) {
+  const size = parseFloat(holder.ownerDocument.defaultView.getComputedStyle(holder).fontSize);
+  const drawn = holder.getScreenCTM?.();  // letters of a figure, which the page scales and which may be turned
+  return drawn ? size * Math.sqrt(Math.abs(drawn.a * drawn.d - drawn.b * drawn.c)) : size;
+}
+function small(page) {
+  return shownTexts(page).filter((one) => one.size < LEAST).map((one) => `${one.text} (${one.size.toFixed(1)} px)`);
 }
 async function opened(width, source) {
   const frame = document.createElement("iframe");
@@ -70,8 +78,9 @@ async function checked(path, width, axe) {
   }
   for (const one of page.querySelectorAll("details")) one.open = true;
   const beyond = page.documentElement.scrollWidth - page.documentElement.clientWidth, over = overlaps(page);
+  const tiny = small(page);
   frame.remove();
-  return { path, width, fetched, turns, beyond, overlaps: over, ...(await judged(path, width, axe)) };
+  return { path, width, fetched, turns, beyond, overlaps: over, small: tiny, ...(await judged(path, width, axe)) };
 }
 async function withoutScripts(path) {
   const frame = await opened(1280, { sandbox: "allow-same-origin", src: `file://${path}` }), page = frame.contentDocument;

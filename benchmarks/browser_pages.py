@@ -1,7 +1,7 @@
 """Pages of all sample projects in headless Chromium: what a reader would stumble over, at three widths.
 
-No line on the console, no request, no text over another or beyond the page, 3-D views that turn, numbers with scripts
-off, nothing serious by axe-core. With folders, their pages are opened instead:
+No line on the console, no request, no text over another, beyond the page or too small to read, 3-D views that turn,
+numbers with scripts off, nothing serious by axe-core. With folders, their pages are opened instead:
 
     python -m benchmarks browser_pages
     python -m benchmarks browser_pages build/site
@@ -57,6 +57,7 @@ class Seen:
             at = f"{one['path']} at {one['width']} px"
             yield from (f"{at}: fetches {name}" for name in one["fetched"])
             yield from (f"{at}: texts over one another: {texts}" for texts in one["overlaps"])
+            yield from (f"{at}: letters too small to read: {text}" for text in one["small"])
             yield from (f"{at}: {words}" for words in one["serious"])
             if one["beyond"] > 0:
                 yield f"{at}: {one['beyond']} px wider than the window"

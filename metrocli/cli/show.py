@@ -10,6 +10,7 @@ import click
 from metrocli.cli import options
 from metrocli.cli.console import echo
 from metrocli.cli.look.held import print_reasons
+from metrocli.cli.shell.choices import tables
 from metrocli.tasks import KINDS
 
 if TYPE_CHECKING:
@@ -20,13 +21,14 @@ QUESTIONS = {question.name: question for kind in KINDS.values() for question in 
 
 @click.command("show", help="Print a result.")
 @click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.h5")
-@click.option("--table", "name", metavar="NAME", help="Print one whole table as CSV.")
+@click.option("--table", "name", metavar="NAME", help="Print one whole table as CSV.", shell_complete=tables)
 @options.all_of(*map(options.asking, QUESTIONS.values()))
 @options.UNITS
 @options.JSON
 def command(result: Path, name: str | None, units: str, as_json: bool, **asked: tuple[str, ...] | None) -> int:
     """Print a result as its job did, or one of its tables, or the answer to a question of its kind."""
     from metrocli.cli import summary, terminal
+    from metrocli.cli.look.inches import INCHES, in_units
     from metrocli.errors import UsageError
     from metrocli.formats import csv, hdf5
     from metrocli.words import suggestion
@@ -35,37 +37,35 @@ def command(result: Path, name: str | None, units: str, as_json: bool, **asked: 
     wanted = [f"--{one}" for one in QUESTIONS if asked[one] is not None] + ["--table"] * (name is not None)
     if len(wanted) > 1:
         raise UsageError(f"{' and '.join(wanted)}: one question at a time")
-    if units == "inch":
-        if as_json or wanted:
-            raise UsageError("--units inch is for the result on the terminal; tables, questions and --json are in mm")
-        from metrocli.cli.look.inches import in_inches
-
-        found = in_inches(found)
+    if units == INCHES and as_json:
+        raise UsageError("--units inch is for people and tables; --json is in mm")
+    stated = in_units(found, units)
     if wanted:
         print_reasons(result, record)
     if name is not None:
         if name not in found.tables:
             raise UsageError(f"{result} has no table '{name}'; {suggestion(name, found.tables)}")
-        table = found.tables[name]
+        table = stated.tables[name]
         echo(summary.json_of_table(table) if as_json else csv.to_text(table), nl=as_json, as_is=True)
         return 0
     question = next((one for one in QUESTIONS if asked[one] is not None), None)
     if question is not None:
-        echo(_answer(found, question, asked[question] or (), as_json))
+        echo(_answer(found, question, asked[question] or (), units, as_json))
         return 0
     if as_json:
         echo(summary.json_of(found, record, result))
         return 0
-    echo(terminal.result_text(found, record, result))
+    echo(terminal.result_text(stated, record, result))
     echo(f"tables: {', '.join(found.tables) or 'none'}")
     for line in found.warnings:
         echo(f"warning: {line}", err=True)
     return 0
 
 
-def _answer(result: Result, question: str, values: tuple[str, ...], as_json: bool) -> str:
+def _answer(result: Result, question: str, values: tuple[str, ...], units: str, as_json: bool) -> str:
     """Return the answer to a question about a result as text; raise UsageError if its kind has no such question."""
     from metrocli.cli import summary, terminal
+    from metrocli.cli.look.inches import estimates_in
     from metrocli.errors import UsageError
 
     answering = [kind.name for kind in KINDS.values() if question in {one.name for one in kind.result_questions}]
@@ -73,6 +73,6 @@ def _answer(result: Result, question: str, values: tuple[str, ...], as_json: boo
         raise UsageError(f"--{question} is for results of {' and '.join(answering)}; this is a result of {result.kind}")
     estimates = KINDS[result.kind].task().result_answers[question](result, values)
     if not as_json:
-        return terminal.estimates_text(estimates)
+        return terminal.estimates_text(estimates_in(estimates, units))
     found = [{"name": estimate.name, **summary.of_estimate(estimate)} for estimate in estimates]
     return summary.as_json(found if len(found) > 1 else found[0])

@@ -26,7 +26,7 @@ LABELS = {
 }
 CAPTION = (
     "Points: residual (reading minus model) divided by its own standard deviation. Line: means of bins; the band "
-    "holds all of them with 95 % if there is noise only. Dashed: bound of the largest |w|, exceeded in 5 %."
+    "holds all of them with 95 % if there is noise only. Dashed: bound of the largest |w| here, exceeded in 5 %."
 )
 
 
@@ -42,11 +42,8 @@ class Panel:
     """Readings that are shown"""
     label: str
     """Name of the reading with the largest |w|, if that is beyond `most`"""
-
-    @property
-    def most(self) -> float:
-        """The bound that the largest |w| of pure noise exceeds in 5 % of measurements."""
-        return largest_of(len(self.w))
+    most: float
+    """The bound that the largest |w| of all readings exceeds in 5 % of measurements if there is noise only"""
 
     @property
     def room(self) -> float:
@@ -96,16 +93,20 @@ def _others(result: Result, about: str) -> list[Panel]:
 def _panels(sets: Sequence[tuple[str, Array, Array, Callable[[int], str]]]) -> list[Panel]:
     """Return a panel for each set of residuals that others check; together they have at most `MOST` marks."""
     checked = [one for one in sets if np.isfinite(one[2]).any()]
-    return [panel_of(*one, MOST // len(checked)) for one in checked]
+    count = sum(int(np.isfinite(one[2]).sum()) for one in checked)
+    return [panel_of(*one, MOST // len(checked), count) for one in checked]
 
 
-def panel_of(name: str, covariate: Array, w: Array, named: Callable[[int], str], most: int) -> Panel:
-    """Return a panel of the residuals w (n,) that others check, with at most `most` marks; `named` is given a row."""
-    kept = np.flatnonzero(np.isfinite(w))
+def panel_of(name: str, covariate: Array, w: Array, named: Callable[[int], str], marks: int, count: int) -> Panel:
+    """Return a panel of the residuals w (n,) that others check, with at most that many marks; `named` is given a row.
+
+    The bound of the largest |w| is that of `count` readings, those of all panels.
+    """
+    kept, most = np.flatnonzero(np.isfinite(w)), largest_of(count)
     covariate, w = covariate[kept], w[kept]
     worst = int(np.argmax(np.abs(w)))
-    text = named(int(kept[worst])) if abs(w[worst]) > largest_of(len(w)) else ""
-    return Panel(name, covariate, w, trend(covariate, w), thinned(covariate, w, most), text)
+    text = named(int(kept[worst])) if abs(w[worst]) > most else ""
+    return Panel(name, covariate, w, trend(covariate, w), thinned(covariate, w, marks), text, most)
 
 
 def height(found: Against) -> float:
@@ -118,6 +119,7 @@ def draw(canvas: Canvas, found: Against) -> str:
     panels = canvas.axes(len(found.panels), 1, sharex=found.about != "order")
     for axes, panel in zip(panels, found.panels, strict=True):
         draw_panel(axes, panel, canvas.theme)
+        axes.locator_params(axis="x", integer=found.about == "order")
     panels[-1].set_xlabel(LABELS[found.about])
     panels[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return _caption(found)

@@ -32,7 +32,7 @@ def places_of(result: Result) -> tuple[Places, ...]:
     """Return the points of a result with deviations and covariances, then its instruments."""
     found = [_points(result), *_grids(result), _volume(result), _instruments(result, "tracers", "tracer")]
     cameras = _instruments(result, "views", "image") if result.statistics.get("rig") == "network" else None
-    return tuple(one for one in (*found, cameras, _launch(result)) if one is not None and len(one.at))
+    return tuple(one for one in (*found, cameras, *_launch(result)) if one is not None and len(one.at))
 
 
 def _points(result: Result) -> Places | None:
@@ -103,13 +103,16 @@ def _instruments(result: Result, name: str, key: str) -> Places | None:
     return Places({"views": "cameras"}.get(name, name), tuple(table.texts(key)), table.stacked(_XYZ))
 
 
-def _launch(result: Result) -> Places | None:
-    """Return the place of a launch unit, with its covariance."""
-    if result.kind != "locate-launch-unit":
-        return None
-    known = {estimate.name: n for n, estimate in enumerate(result.estimates)}
-    if not set(_XYZ) <= set(known):
-        return None
+def _launch(result: Result) -> list[Places]:
+    """Return the place of a launch unit with its covariance, and the receiver at the other end of each beam."""
+    beams, known = result.tables.get("beams"), {estimate.name: n for n, estimate in enumerate(result.estimates)}
+    if result.kind != "locate-launch-unit" or beams is None or not set(_XYZ) <= set(known):
+        return []
     rows = [known[name] for name in _XYZ]
     at = np.array([[result.estimates[row].value for row in rows]])
-    return Places("launch unit", ("launch unit",), at, covariance=result.covariance[np.ix_(rows, rows)][None])
+    covariance = result.covariance[np.ix_(rows, rows)][None]
+    receivers = at + beams.numbers("length")[:, None] * beams.stacked(("wx", "wy", "wz"))
+    return [
+        Places("launch unit", ("launch unit",), at, covariance=covariance),
+        Places("receiver in each pose", tuple(beams.texts("pose")), receivers),
+    ]

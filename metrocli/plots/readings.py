@@ -13,11 +13,13 @@ from metrocli.table import Table
 
 Array = npt.NDArray[np.float64]
 
-_TABLES = ("residuals", "angles", "distances")
-"""Tables of residuals; those of the launch unit are by the kind of its readings"""
+_TABLES = ("residuals", "angles", "distances", "lengths")
+"""Tables of residuals: by the kind of its readings for a launch unit, and of calibrated lengths for a ball grid"""
 _KEYS = ("image", "target", "point", "tracer", "station", "pose", "view", "leg", "line", "at", "reading", "component")
 _COUNTED, _COMMANDED = ("i", "j", "k"), ("x", "y", "z")
 """Columns of the ball of an artefact, and of the commanded place in mm"""
+_ENDS = (("i1", "j1", "k1"), ("i2", "j2", "k2"))
+"""Columns of the balls at the ends of a length"""
 
 
 @dataclass(frozen=True)
@@ -39,13 +41,16 @@ class Residuals:
         return np.isfinite(self.w)
 
     def name(self, row: int) -> str:
-        """Return what identifies a reading: "view01/r00c00/u", "1/ball (2, -1, 0)/x" or "28 at (0, 50, 0) mm a"."""
+        """Return what identifies a reading: "view01/r00c00/u", "1/ball (2, -1, 0)/x", "28 at (0, 50, 0) mm a"."""
         cells = [(key, str(self.table.columns[key][row])) for key in _KEYS if self._is_key(key)]
         names = [text for key, text in cells if text and key != "component"]
-        names += [f"ball {self._triple(_COUNTED, row)}"] if all(key in self.table for key in _COUNTED) else []
+        names += [f"ball {self._triple(keys, row)}" for keys in (_COUNTED, *_ENDS) if self._has(keys)]
         names += [text for key, text in cells if key == "component"]
-        place = f" at {self._triple(_COMMANDED, row)} mm" if all(key in self.table for key in _COMMANDED) else ""
+        place = f" at {self._triple(_COMMANDED, row)} mm" if self._has(_COMMANDED) else ""
         return "/".join(names) + place + self.part.replace("_", " ")
+
+    def _has(self, keys: tuple[str, ...]) -> bool:
+        return all(key in self.table for key in keys)
 
     def _triple(self, keys: tuple[str, ...], row: int) -> str:
         return f"({', '.join(f'{float(self.table.columns[key][row]):g}' for key in keys)})"

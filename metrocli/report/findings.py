@@ -40,20 +40,24 @@ def row_of(result: Result, estimate: Estimate) -> tuple[str, str, str, str]:
     return estimate.name, value, "" if value == uncertainty == units.NOT_DETERMINED else uncertainty, micro(unit)
 
 
-def verdict(content: Content) -> tuple[bool, str]:
-    """Return whether the result may be used, and that in one sentence."""
+GOOD, WARNED, BAD = "good", "warned", "bad"
+"""Use the result, read its warnings before, do not use it as it is"""
+
+
+def verdict(content: Content) -> tuple[str, str]:
+    """Return GOOD, WARNED or BAD, and whether the result may be used in one sentence."""
     record = content.record
     if record.status == DOUBTFUL:
-        return False, "Doubtful: do not use this result."
+        return BAD, "Doubtful: do not use this result."
     if record.status != DONE:
-        return False, "The result does not meet its requirements."
+        return BAD, "The result does not meet its requirements."
     held = content.diagnosis
     if held is not None and held.of_this and held.data.get("verdict") != "clean":
-        return False, f"Done, but its model is not complete: the diagnosis is {held.data['verdict']}."
+        return BAD, f"Done, but its model is not complete: the diagnosis is {held.data['verdict']}."
     count = len(content.result.warnings)
     if count:
-        return True, f"Done, with {count} warning{'s' if count > 1 else ''}."
-    return True, "Done."
+        return WARNED, f"Done, with {count} warning{'s' if count > 1 else ''}."
+    return GOOD, "Done."
 
 
 def worst(result: Result) -> Iterator[str]:

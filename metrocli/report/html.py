@@ -49,6 +49,11 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "",
     return tag("div", whole, class_="wide", tabindex="0", role="region", aria_label=caption or "table")
 
 
+def scrolling(picture: Html) -> Html:
+    """Return a picture that scrolls on its own where its letters would be too small to read."""
+    return tag("div", picture, class_="picture", tabindex="0")
+
+
 def code(text: str) -> Html:
     """Return a text to type, whose lines break between words only, where they fit."""
     return tag("code", Html(" ".join(tag("span", word) for word in text.split(" "))))

@@ -15,7 +15,7 @@ from metrocli import plots
 from metrocli.plots import control_chart, style
 from metrocli.plots.beside import ALONE, Beside
 from metrocli.plots.scene import TILT, TURN, Scene
-from metrocli.report.html import EMPTY, Html, code, joined, tag
+from metrocli.report.html import EMPTY, Html, code, joined, scrolling, tag
 from metrocli.report.look import roles, variable
 from metrocli.result import Result
 from metrocli.table import Table
@@ -55,7 +55,7 @@ def _figure(name: str, data: Any) -> Html:
     help_text = tag("p", "Drag, or use the arrow keys, to turn; + and - zoom.", class_="turning hidden muted")
     held = tag("script", _as_json(turning), type="application/json") if turning else EMPTY
     under = tag("figcaption", caption)
-    parts = [tag("h3", plots.title_of(name)), held, picture, help_text if turning else EMPTY, under]
+    parts = [tag("h3", plots.title_of(name)), held, scrolling(picture), help_text if turning else EMPTY, under]
     return tag("figure", *parts, id=f"figure-{name}", data_scene=bool(turning))
 
 
@@ -72,7 +72,7 @@ def control_charts(name: str, table: Table) -> Html:
         picture = (
             inline(text, name, f"{title}. {caption}") if len(text) <= LARGEST else _image(style.png(canvas), caption)
         )
-    return tag("figure", tag("h3", title), picture, tag("figcaption", caption))
+    return tag("figure", tag("h3", title), scrolling(picture), tag("figcaption", caption))
 
 
 def inline(text: str, name: str, label: str) -> Html:

@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from metrocli.record import DONE
-from metrocli.report.html import EMPTY, Html, code, joined, table, tag
+from metrocli.report.findings import BAD, GOOD
+from metrocli.report.html import EMPTY, Html, code, joined, scrolling, table, tag
 from metrocli.report.look import page
 
 _WIDE, _HIGH, _GAP = 190, 46, 60
+_LEAST = 0.75
+"""Scale below which the lineage scrolls: its letters are then 9 px"""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ def project_page(name: str, entries: Sequence[Entry], charts: Sequence[Html] = (
     parts = [
         tag("p", "metrocli project", class_="muted"),
         tag("h1", name),
-        tag("div", tag("p", tag("strong", words)), class_="verdict bad" if stale or bad else "verdict"),
+        tag("div", tag("p", tag("strong", words)), class_=f"verdict {BAD if stale or bad else GOOD}"),
         tag("p", "Bring it up to date by ", code("metrocli run"), ".") if stale else EMPTY,
         tag("h2", "Jobs"),
         table(("job", "kind", "title", "state", "needs"), rows, "Jobs in the order in which they run"),
@@ -93,11 +96,10 @@ def _lineage(entries: Sequence[Entry]) -> Html:
     wide = len(columns) * (_WIDE + _GAP) - _GAP + 2
     high = max(map(len, columns), default=1) * _HIGH
     size = f"0 0 {wide} {high}"
-    drawn = tag(
-        "svg", tag("title", "Files and jobs; the list below has the same"), *lines, *boxes, viewBox=size, role="img"
-    )
+    title = tag("title", "Files and jobs; the list below has the same")
+    drawn = tag("svg", title, *lines, *boxes, viewBox=size, role="img", style=f"min-width:{_LEAST * wide:.0f}px")
     items = [tag("li", f"{one.name} takes {', '.join((*one.needs, *one.inputs)) or 'no file'}") for one in entries]
-    return joined([tag("figure", drawn, style=f"max-width:{wide}px"), tag("ul", *items)])
+    return joined([tag("figure", scrolling(drawn), style=f"max-width:{wide}px"), tag("ul", *items)])
 
 
 def _box(name: str, column: int, row: int, entry: Entry | None) -> Html:

@@ -11,6 +11,7 @@ from metrocli.report.findings import diagnosed, next_step, row_of, verdict, wors
 from metrocli.report.html import EMPTY, Html, joined, listed, table, tag
 from metrocli.report.look import page
 from metrocli.report.pictures import shown
+from metrocli.result import Estimate, Result
 from metrocli.words import listed as listed_words
 
 _FIRST = 12
@@ -50,19 +51,20 @@ def _measured(content: Content) -> Iterator[str]:
 
 
 def _verdict(content: Content) -> Html:
-    good, words = verdict(content)
+    level, words = verdict(content)
     lines = [tag("p", tag("strong", words)), *(tag("p", doubt) for doubt in content.record.doubts)]
     lines.append(tag("p", tag("b", "Next: "), next_step(content)))
-    return tag("div", *lines, class_="verdict" if good else "verdict bad")
+    return tag("div", *lines, class_=f"verdict {level}")
 
 
 def _estimates(content: Content) -> Html:
     result = content.stated or content.result
     if not result.estimates:
         return EMPTY
-    factors = [f"{result.expanded(one)[1]:.3g}" for one in result.estimates]
+    estimates = sorted(result.estimates, key=lambda one: not _of_effect(result, one))
+    factors = [f"{result.expanded(one)[1]:.3g}" for one in estimates]
     head: tuple[str, ...] = ("estimate", "value", f"U (k = {factors[0]})", "unit")
-    rows: list[tuple[str, ...]] = [row_of(result, one) for one in result.estimates]
+    rows: list[tuple[str, ...]] = [row_of(result, one) for one in estimates]
     if len(set(factors)) > 1:
         head = ("estimate", "value", "U", "unit", "k")
         rows = [(*row, k) for row, k in zip(rows, factors, strict=True)]
@@ -71,6 +73,11 @@ def _estimates(content: Content) -> Html:
         return joined([tag("h2", "Estimates"), first])
     rest = tag("details", tag("summary", f"{len(rows) - _FIRST} more"), table(head, rows[_FIRST:], "", (1, 2)))
     return joined([tag("h2", "Estimates"), first, rest])
+
+
+def _of_effect(result: Result, estimate: Estimate) -> bool:
+    """Return whether an estimate is the size of an effect in the model: a reader looks for these first."""
+    return f"effects/{estimate.name.rpartition('.')[0]}/parameters" in result.tables
 
 
 def _facts(content: Content) -> Html:

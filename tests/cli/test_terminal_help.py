@@ -11,10 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.shell_completion import BashComplete
 
+from metrocli.cli.commands import commands
 from metrocli.cli.console import progress_text
 from metrocli.cli.help import COMMANDS
-from metrocli.cli.look.inches import in_inches
+from metrocli.cli.look.inches import estimates_in, in_inches
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
 from metrocli.tasks import KINDS
@@ -75,11 +77,36 @@ def test_a_result_in_inches(job: Path, metrocli: Metrocli) -> None:
     assert "offset 0.0406 ± 0.0033 in" in plain and "0.000980 ± 0.000045 rad" in plain
     assert "rms 0.002" in shown and "residual [in]" in shown and " mm\n" not in shown
     assert metrocli("show", "results/line.h5", "--units", "inch", "--json").code == 2
+    heads = [
+        metrocli("show", "results/line.h5", "--table", "residuals", "--units", unit).out.splitlines()[:2]
+        for unit in ("mm", "inch")
+    ]
+    name, column = "residual_mm", heads[0][0].split(",").index("residual_mm")
+    assert heads[1][0].split(",")[column] == name.replace("_mm", "_in")
+    in_mm, in_inches = (float(rows[1].split(",")[column]) for rows in heads)
+    assert in_inches == pytest.approx(in_mm / 25.4, rel=1e-12) and in_mm != 0
     assert metrocli("report", "results/line.h5", "--units", "inch").code == 0
     page = Path("results/line.html").read_text(encoding="utf-8")
     assert '<td>offset</td><td class="n">0.0406</td><td class="n">0.0066</td><td>in</td>' in page
     assert "residual [in]" in page
     assert metrocli("show", "results/line.h5", "--units", "mm").out == metrocli("show", "results/line.h5").out
+
+
+def test_an_answer_in_inches() -> None:
+    found = estimates_in((Estimate("d", 25.4, 0.0254, "mm"), Estimate("turn", 1.0, 0.1, "rad")), "inch")
+    assert [(one.value, one.std, one.unit) for one in found] == [(1.0, 0.001, "in"), (1.0, 0.1, "rad")]
+
+
+def test_tables_are_completed_by_those_of_the_result(job: Path, metrocli: Metrocli) -> None:
+    metrocli("straight-line", job)
+
+    def offered(result: str, begun: str) -> list[str]:
+        shell = BashComplete(commands, {}, "metrocli", "_METROCLI_COMPLETE")
+        return [one.value for one in shell.get_completions(["show", result, "--table"], begun)]
+
+    assert offered("results/line.h5", "res") == ["residuals"]
+    assert "residuals" in offered("results/line.h5", "")
+    assert offered("absent.h5", "") == offered(str(job), "") == []
 
 
 def test_rows_with_a_unit_each_and_stated_uncertainties_in_inches() -> None:

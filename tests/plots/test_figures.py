@@ -14,9 +14,11 @@ from plots import results
 from metrocli import plots
 from metrocli.errors import UsageError
 from metrocli.plots import scene
+from metrocli.plots.places import places_of
 from metrocli.plots.readings import residuals_of
 from metrocli.plots.style import DARK, LIGHT
-from metrocli.result import Result
+from metrocli.report.findings import worst
+from metrocli.result import Estimate, Result
 from metrocli.table import Table
 
 RNG = np.random.default_rng(881)
@@ -68,6 +70,19 @@ def test_the_worst_reading_is_named() -> None:
     shown = plots.data_of("residuals-image", results.camera(UV, residuals))
     assert shown.worst_name == "i12/t3" and shown.beyond.tolist().count(True) == 1
     assert shown.vectors[shown.worst].tolist() == [0.0, 0.9]
+
+
+def test_panels_share_the_bound_of_all_readings() -> None:
+    """A figure and the first lines of its page judge a reading alike: 4 of 40 readings are in a panel of their own."""
+    found = {"residual": np.zeros(36), "normalised": np.zeros(36)}, {"residual": np.zeros(4), "normalised": np.zeros(4)}
+    found[1]["normalised"][2] = 2.7  # beyond the bound of 4 readings, 2.49, not beyond that of 40, 3.22
+    tables = {name: Table(columns) for name, columns in zip(("angles", "distances"), found, strict=True)}
+    result = Result("locate-launch-unit", "", (), np.zeros((0, 0)), {}, tables)
+    panels = plots.data_of("residuals", result).panels
+    assert [len(one.beyond) for one in panels] == [0, 0] and panels[0].most == panels[1].most == pytest.approx(
+        3.22, abs=0.01
+    )
+    assert next(worst(result)).endswith("|w| = 2.70 standard deviations; as noise may be (bound 3.22).")
 
 
 def test_vectors_over_the_image_fit_into_it() -> None:
@@ -174,6 +189,33 @@ def test_readings_are_named_so_that_they_can_be_found() -> None:
     path = Table({**along, "residual_a": np.ones(2), "normalised_a": np.ones(2)})
     (one,) = residuals_of(Result("calibrate-machine", "", (), np.zeros((0, 0)), {}, {"residuals": path}))
     assert one.name(1) == "28 at (12.5, 0, -50) mm a"
+
+
+def test_a_launch_unit_has_a_view_with_its_beams() -> None:
+    beams = Table(
+        {
+            "pose": np.array(["1", "2"]), "length": np.array([50.0, 200.0]),
+            "wx": np.array([0.6, 0.0]), "wy": np.array([0.8, 0.0]), "wz": np.array([0.0, -1.0]),
+        },
+        {"length": "mm"},
+    )  # fmt: skip
+    estimates = tuple(Estimate(name, value, 1.0, "mm") for name, value in zip("xyz", (1.0, 2.0, 3.0), strict=True))
+    covariance = np.diag([1.0, 4.0, 9.0])
+    unit, receivers = places_of(Result("locate-launch-unit", "", estimates, covariance, {}, {"beams": beams}))
+    assert unit.at.tolist() == [[1.0, 2.0, 3.0]] and np.array_equal(unit.covariance, covariance[None])
+    assert receivers.names == ("1", "2") and np.allclose(receivers.at, [[31.0, 42.0, 3.0], [1.0, 2.0, -197.0]])
+
+
+def test_the_worst_may_be_a_calibrated_length() -> None:
+    ends = {f"{axis}{end}": np.array([float(end), 0.0]) for end in (1, 2) for axis in "ijk"}
+    residual = np.array([0.001, 0.009])
+    columns = {**ends, "component": np.repeat("length", 2), "reading": np.full(2, 100.0)}
+    columns |= {"residual": residual, "normalised": residual / 1e-3}
+    readings = {"component": np.repeat("x", 3), "residual": np.full(3, 1e-3), "normalised": np.ones(3)}
+    tables = {"residuals": Table(readings), "lengths": Table(columns, {"reading": "mm"})}
+    result = Result("selfcal-grid", "", (), np.zeros((0, 0)), {}, tables)
+    assert [one.kind for one in residuals_of(result)] == ["residuals", "lengths"]
+    assert next(worst(result)).startswith("Reading ball (0, 0, 0)/ball (0, 0, 0)/length: |w| = 9.00")
 
 
 def test_correlations() -> None:

@@ -6,7 +6,8 @@ import json
 import re
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,12 +17,14 @@ import numpy as np
 import pytest
 from plots import results
 
+from metrocli.cli.console import Console
 from metrocli.record import InputFile, Record, Verdict
 from metrocli.report.content import Content, Diagnosis
 from metrocli.report.html import listed as list_of
 from metrocli.report.project_page import Entry, project_page, ranks
 from metrocli.report.result_page import result_page
 from metrocli.result import Estimate, Result
+from metrocli.table import Table
 from metrocli.words import listed
 
 Metrocli = Callable[..., Any]
@@ -135,6 +138,18 @@ def test_first_comes_what_decides() -> None:
     assert "ab" * 32 in text
 
 
+def test_what_the_diagnosis_added_stands_first() -> None:
+    """Not behind the coordinates of all stations, of which the first screen has a part."""
+    stations = [Estimate(f"LT{n}.x", float(n), 0.1, "mm") for n in range(20)]
+    found = Estimate("dead-path-jump.LT2.step", 1.5e-3, 1e-4, "mm", "length")
+    result = Result("multilaterate", "", (*stations, found), np.eye(21), {}, {})
+    parameters = Table({"parameter": np.array(["step"]), "value": np.array([1.5e-3])})
+    first = [page_of(one).text.index(found.name) < page_of(one).text.index("LT0.x") for one in (
+        replace(result, tables={"effects/dead-path-jump.LT2/parameters": parameters}), result
+    )]  # fmt: skip
+    assert first == [True, False]
+
+
 def test_u_is_that_of_the_result_where_it_states_one() -> None:
     text = page_of(results.budget()).text
     assert "U (k = 2)" in text and "50.00050 0.00020 mm" in text
@@ -203,6 +218,9 @@ def test_a_doubtful_result_cannot_be_overlooked() -> None:
     page = page_of(lens(), record=replace(RECORD, doubts=("sigma0 = 7",)))
     assert "Doubtful: do not use this result. sigma0 = 7" in page.text
     assert {"class": "verdict bad"} in page.named("div")
+    assert {"class": "verdict good"} in page_of(lens()).named("div")
+    warned = page_of(replace(lens(), warnings=("correlations",)))
+    assert {"class": "verdict warned"} in warned.named("div") and "Done, with 1 warning." in warned.text
     unmet = replace(RECORD, verdicts=(Verdict("sigma0", "< 0.5", 1.0, "", False),))
     assert "does not meet its requirements" in page_of(lens(), record=unmet).text
 
@@ -332,6 +350,21 @@ def test_the_command_for_a_project(job: Path, metrocli: Metrocli) -> None:
     page = Page(Path("report/index.html").read_text(encoding="utf-8"))
     assert "Lines" in page.text and page.named("a")[0]["href"] == "line.html"
     assert metrocli("report", ".", "--diagnosis", "x.json").code == 2
+
+
+def test_pages_of_a_project_are_counted_while_they_are_made(
+    job: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[tuple[int, int | None]] = []
+
+    @contextmanager
+    def counter(console: Console) -> Iterator[Callable[[int, int | None], None]]:
+        yield lambda done, of: told.append((done, of))
+
+    monkeypatch.setattr(Console, "part_counter", counter)
+    Path("metrocli.yaml").write_text("jobs: [line.yaml]\n", encoding="utf-8")
+    assert metrocli("run").code == 0 and metrocli("report", ".").code == 0
+    assert told[-1] == (0, 1)
 
 
 def test_results_of_one_name_and_damaged_ones(job: Path, metrocli: Metrocli) -> None:

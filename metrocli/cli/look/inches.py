@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -33,6 +33,11 @@ def in_inches(result: Result) -> Result:
 def in_units(result: Result, units: str) -> Result:
     """Return a result in the units of `--units`."""
     return in_inches(result) if units == INCHES else result
+
+
+def estimates_in(estimates: Iterable[Estimate], units: str) -> tuple[Estimate, ...]:
+    """Return estimates in the units of `--units`."""
+    return tuple(map(_estimate, estimates)) if units == INCHES else tuple(estimates)
 
 
 def _estimate(one: Estimate) -> Estimate:

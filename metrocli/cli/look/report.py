@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,12 +11,15 @@ from typing import TYPE_CHECKING
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import print_files
+from metrocli.cli.console import Console, print_files
 
 if TYPE_CHECKING:
     from metrocli.project.staleness import State
     from metrocli.project.steps import Step
     from metrocli.report.html import Html
+
+Counter = Callable[[int, int], None]
+"""Takes how many of how many parts are done"""
 
 
 @click.command("report", help="Write a result, or a project with all its results, as self-contained HTML pages.")
@@ -50,18 +53,31 @@ def command(
     from metrocli.formats.own_files import write_all
     from metrocli.project import PROJECT_FILE
 
-    if place.is_dir() or place.name == PROJECT_FILE:
-        if diagnosis is not None:
-            raise UsageError("--diagnosis is for the page of one result; beside NAME.h5, NAME.diagnosis.json is found")
-        pages = _project(place, out, units)
-    else:
-        pages = {out or place.with_suffix(".html"): _page(place, diagnosis, Path(), units)}
+    project = place.is_dir() or place.name == PROJECT_FILE
+    if project and diagnosis is not None:
+        raise UsageError("--diagnosis is for the page of one result; beside NAME.h5, NAME.diagnosis.json is found")
+    console = Console(quiet or as_json)
+    with console.part_counter() as done:
+        if project:
+            pages = _project(place, out, units, done)
+        else:
+            pages = {out or place.with_suffix(".html"): _page(place, diagnosis, Path(), units)}
     files = {path: text.encode() for path, text in pages.items()}
     if pdf:
-        from metrocli.report.pdf import printed
-
-        files |= {path.with_suffix(".pdf"): printed(text) for path, text in pages.items()}
+        with console.part_counter() as done:
+            files |= _printed(pages, done)
     return print_files(write_all(files, force), as_json, quiet)
+
+
+def _printed(pages: Mapping[Path, str], done: Counter) -> dict[Path, bytes]:
+    """Return each page as PDF, beside it."""
+    from metrocli.report.pdf import printed
+
+    files = {}
+    for count, (path, text) in enumerate(pages.items()):
+        done(count, len(pages))
+        files[path.with_suffix(".pdf")] = printed(text)
+    return files
 
 
 def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: str = "") -> str:
@@ -91,7 +107,7 @@ def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: st
     return result_page(Content(found, record, _from(home, result), tables, held, job, beside_of(result, held), stated))
 
 
-def _project(place: Path, out: Path | None, units: str) -> dict[Path, str]:
+def _project(place: Path, out: Path | None, units: str, done: Counter) -> dict[Path, str]:
     """Return the page that leads to those of all results that exist, and these."""
     from metrocli.errors import InputError
     from metrocli.project.staleness import states
@@ -104,7 +120,8 @@ def _project(place: Path, out: Path | None, units: str) -> dict[Path, str]:
     outputs = [state.step.job.output for state in found]
     made = {output.resolve() for output in outputs}
     entries = []
-    for state in found:
+    for count, state in enumerate(found):
+        done(count, len(found))
         step, page = state.step, ""
         with suppress(InputError):  # a result that is absent or damaged has no page; its state names the reason
             text = _page(step.job.output, None, file.parent, units, step.name)

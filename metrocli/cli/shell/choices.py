@@ -28,3 +28,19 @@ def figures() -> Iterable[str]:
     from metrocli.plots import FIGURES
 
     return FIGURES
+
+
+def tables(context: click.Context, parameter: click.Parameter, begun: str) -> list[str]:
+    """Return the names of the tables of the result that the line names; none if it names none that can be read."""
+    from pathlib import Path
+
+    from metrocli.errors import InputError
+    from metrocli.formats import hdf5
+
+    # click leaves the arguments of a line whose last option has no value yet where it keeps those that nobody wants
+    given = [Path(one) for one in (context.params.get("result"), *context.args) if one is not None]
+    try:
+        found, _ = hdf5.read(given[0])
+    except (InputError, IndexError):
+        return []
+    return [name for name in found.tables if name.startswith(begun)]

@@ -53,7 +53,7 @@ class _View:
 
     def panel(self, name: str, of: Residuals) -> Panel:
         """Return the panel of one of the two sets."""
-        return panel_of(name, self.x, of.w[self.rows], lambda k: of.name(int(self.rows[k])), MOST // 2)
+        return panel_of(name, self.x, of.w[self.rows], lambda k: of.name(int(self.rows[k])), MOST // 2, len(self.rows))
 
 
 def data(result: Result, beside: Beside) -> BeforeAfter | None:

@@ -62,7 +62,7 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
         "correction": _correction(solved, machine),
         "undetermined": _undetermined(found),
         "views": _views(solved, left_out),
-        "residuals": residual_table(solved.residuals[0], solved.problem.readings),
+        "residuals": _residuals(solved),
         **({"lengths": residual_table(solved.residuals[1], groups[1])} if len(groups) > 1 else {}),
         "suspects": _suspects(solved),
         "rejected": _rejected(solved),
@@ -93,6 +93,15 @@ def _forms(solved: Solved, machine: _Field) -> tuple[Smooth | None, LengthError 
         return None, None
     sites = _at_sites(solved, machine)
     return smooth(sites, _of_machine(solved)), largest(sites.places, machine.values)
+
+
+def _residuals(solved: Solved) -> Table:
+    """Return the residuals with the place in the machine, a site of the grid, where each reading was taken."""
+    group, grid = solved.problem.readings, solved.problem.grid
+    found = residual_table(solved.residuals[0], group)
+    places = (grid.sites * grid.pitch)[group.observations.index[bg.MACHINE]]
+    at = dict(zip("xyz", np.repeat(places, len(group.observations.components), axis=0).T, strict=True))
+    return Table({**found.columns, **at}, {**found.units, **dict.fromkeys(at, "mm")})
 
 
 def _at_sites(solved: Solved, machine: _Field) -> SiteErrors:

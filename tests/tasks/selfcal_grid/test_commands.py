@@ -285,6 +285,16 @@ def test_the_correction_is_minus_the_error(project: Path, metrocli: Metrocli) ->
     assert np.allclose(table.stacked(["add_x", "add_y", "add_z"]), -sites.stacked(["ex", "ey", "ez"]))
 
 
+def test_residuals_know_where_their_readings_were_taken(project: Path, metrocli: Metrocli) -> None:
+    """The sites of the sample are 65 mm apart; its mountings and turns displace the readings by little more than 1 mm."""
+    assert metrocli("selfcal-grid", "jobs/views.yaml", "--quiet").code == 0
+    residuals = hdf5.read(Path("results/views.h5"))[0].tables["residuals"]
+    component = np.array(["xyz".index(one) for one in residuals.texts("component")])
+    own = residuals.stacked("xyz")[np.arange(len(residuals)), component]
+    assert np.abs(residuals.numbers("reading") - own).max() < 2.0
+    assert [residuals.units[axis] for axis in "xyz"] == ["mm"] * 3
+
+
 def test_the_largest_length_error_is_that_of_all_pairs(project: Path, metrocli: Metrocli) -> None:
     assert metrocli("selfcal-grid", "jobs/views.yaml", "--quiet").code == 0
     result = hdf5.read(project / "results" / "views.h5")[0]
