@@ -25,7 +25,7 @@ _ROUNDING = 1e-9
 _FLAT = 1e-6
 """Points whose spread across a line is below this share of their length lie on it"""
 _ENOUGH = 4
-"""Measurements from which a shift of all of them is told from their own errors"""
+"""Fewest measurements that can show a shift of all of them"""
 _MENDED = 0.1
 """Share of the largest deviation that a mistake in all measurements leaves, at most, once it is mended"""
 
