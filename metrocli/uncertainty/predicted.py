@@ -92,6 +92,12 @@ def reached(result: Result, commanded: Table) -> Places:
     return Places(position.T + vectors + displacement, common, core, np.zeros((len(which), 3, 3)))
 
 
+def tool_vectors(result: Result, commanded: Table) -> Array:
+    """Return the vector of the tool of each commanded position (n, 3) [mm]; raises InputError for unknown tools."""
+    tools = result.tables["tools"]
+    return tools.stacked(("x", "y", "z"))[_tools(tools, commanded, [])]
+
+
 def listed(result: Result, names: Table, columns: tuple[str, ...]) -> tuple[Places, ...]:
     """Return the points of a result that each of some columns names; raises InputError for names that it lacks."""
     points = result.tables[POINTS]

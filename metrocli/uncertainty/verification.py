@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.uncertainty import predicted
 from metrocli.uncertainty.coverage import COVERAGE, effective, factor
 from metrocli.uncertainty.predicted import Places
+from metrocli.units import find_unit
 from metrocli.units.ranges import Range, range_of
 
 Array = npt.NDArray[np.float64]
@@ -23,6 +24,10 @@ _ROUNDING = 1e-9
 """Share of the largest eigenvalue of a covariance below which others are rounding, and rounding of coordinates [mm]"""
 _FLAT = 1e-6
 """Points whose spread across a line is below this share of their length lie on it"""
+_ENOUGH = 4
+"""Fewest measurements that can show a shift of all of them"""
+_MENDED = 0.1
+"""Share of the largest deviation that a mistake in all measurements leaves, at most, once it is mended"""
 
 _SIGMA = Range(0.0, range_of("length").high)
 _PLACE = tuple(Column(name, "length") for name in ("x", "y", "z"))
@@ -70,6 +75,8 @@ class Verification:
     deviations: tuple[Deviation, ...]
     laid: bool = False
     """Whether points were laid onto the prediction"""
+    mistake: str = ""
+    """What all measurements have in common that the prediction contradicts, empty if nothing explains most of it"""
 
     @property
     def mean(self) -> float:
@@ -137,11 +144,13 @@ def verify(result: Result, check: Table, aligned: bool = False) -> Verification:
     dof = result.degrees_of_freedom()
     if "length" in check:
         first, second = predicted.listed(result, check, ("from", "to"))
-        return Verification(_lengths(check, first, second, dof))
+        found = Verification(_lengths(check, first, second, dof))
+        return replace(found, mistake=_shifted_lengths(found))
     if "mx" in check:
         places, measured = predicted.reached(result, check), check.stacked(("mx", "my", "mz"))
     else:
         (places,), measured = predicted.listed(result, check, ("point",)), check.stacked(("x", "y", "z"))
+    read = measured
     own = places.own + (check.numbers("sigma", 0.0) ** 2)[:, None, None] * np.eye(3)
     laid = not (aligned or predicted.in_machine(result))
     left = _after_fit if laid else _as_it_is
@@ -150,7 +159,58 @@ def verify(result: Result, check: Table, aligned: bool = False) -> Verification:
     covariance, predicted_part = left(places, own), left(places, places.own)
     traces = (np.trace(one, axis1=1, axis2=2) for one in (predicted_part, covariance))
     deviations = _points(check.texts("point"), measured - places.values, covariance, effective(dof, *traces))
-    return Verification(deviations, laid)
+    found = Verification(deviations, laid)
+    tools = predicted.tool_vectors(result, check) if "mx" in check else np.zeros_like(read)
+    return replace(found, mistake=_without_tool(found, check, read, places.values, tools) or _shifted(found))
+
+
+def _explained(found: Verification, left: Array) -> bool:
+    """Return whether deviations too large are small beside what they are once a mistake is mended, left (n, ...)."""
+    many = len(found.deviations) >= _ENOUGH and found.max_en > 1.0
+    return many and float(np.abs(left).max()) < _MENDED * found.largest
+
+
+def _without_tool(found: Verification, check: Table, measured: Array, onto: Array, tools: Array) -> str:
+    """Return the sentence about measured points that are without the vectors of their tools (n, 3), or nothing."""
+    without = onto - tools
+    left = np.linalg.norm((_laid(check, measured, without) if found.laid else measured) - without, axis=1)
+    if not _explained(found, left):
+        return ""
+    return (
+        "the measured points leave out the vector of the tool, which the prediction contains (x + T + d): without it "
+        f"the largest deviation would be {_um(left.max())}; measure at the tool's point, or add T to mx, my, mz"
+    )
+
+
+def _shifted(found: Verification) -> str:
+    """Return the sentence about points that are all off by one vector, or nothing."""
+    vectors = np.array([one.vector for one in found.deviations])
+    shift = vectors.mean(axis=0)
+    left = np.linalg.norm(vectors - shift, axis=1)
+    if not _explained(found, left):
+        return ""
+    place = ", ".join(f"{value:.4g}" for value in shift)
+    return (
+        f"all points are off by one vector, ({place}) mm, {np.linalg.norm(shift):.4g} mm long: without it the largest "
+        f"deviation would be {_um(left.max())}; the frames are shifted, or the length of the tool or a reflector is "
+        "left out"
+    )
+
+
+def _shifted_lengths(found: Verification) -> str:
+    """Return the sentence about lengths that are all off by one constant, or nothing."""
+    values = np.array([one.value for one in found.deviations])
+    left = values - values.mean()
+    if not _explained(found, left):
+        return ""
+    return (
+        f"all lengths are off by {values.mean():.4g} mm: without it the largest deviation would be "
+        f"{_um(np.abs(left).max())}; a constant of the instrument, or the diameter of a ball, is left out"
+    )
+
+
+def _um(length: float) -> str:
+    return f"{find_unit('um', 'length').outside(length):.3g} um"
 
 
 def _laid(check: Table, measured: Array, onto: Array) -> Array:

@@ -168,6 +168,36 @@ def test_a_true_machine_is_inside_and_a_planted_wrong_point_is_found(machine: si
     assert sorted(one.en for one in found.deviations)[-2] < 1.6
 
 
+@pytest.mark.parametrize("aligned", [False, True])
+def test_points_without_the_vector_of_their_tool_are_said_to_be(
+    result: Result, machine: sim.Machine, aligned: bool
+) -> None:
+    check = checked(machine, 5, 30)
+    vectors = np.array([sim.THREE[name] for name in check.texts("tool")])
+    seen = check.stacked(("mx", "my", "mz")) - (vectors @ TURN)
+    if aligned:
+        seen = seen @ TURN.T + HERE
+    found = verify(result, with_measured(check, seen), aligned)
+    assert "leave out the vector of the tool" in found.mistake
+    assert not verify(result, check).mistake
+
+
+def test_points_off_by_one_vector_are_said_to_be(result: Result, machine: sim.Machine) -> None:
+    check = checked(machine, 5, 30)
+    seen = check.stacked(("mx", "my", "mz")) @ TURN.T + HERE
+    moved = verify(result, with_measured(check, seen + [0.0, 0.0, 12.7]), aligned=True)
+    assert moved.mistake.startswith("all points are off by one vector, (")
+    assert "12.7 mm long" in moved.mistake
+    assert not verify(result, with_measured(check, seen), aligned=True).mistake
+    far = seen.copy()
+    far[3] += 12.7
+    assert not verify(result, with_measured(check, far), aligned=True).mistake
+
+
+def with_measured(check: Table, seen: np.ndarray) -> Table:  # type: ignore[type-arg]
+    return replace(check, columns={**check.columns, **dict(zip(("mx", "my", "mz"), seen.T, strict=True))})
+
+
 def test_rows_without_a_prediction_are_listed_together(result: Result, machine: sim.Machine) -> None:
     check = checked(machine, 4, 5)
     x, tool = check.columns["x"].copy(), check.columns["tool"].astype("U9")
@@ -234,6 +264,11 @@ def test_lengths_between_points_have_the_uncertainty_of_the_pair(placed: Result)
     assert [one.expanded for one in found.deviations] == pytest.approx(expanded, rel=1e-6)
     assert [one.en for one in found.deviations] == pytest.approx(np.abs(off) / expanded, rel=1e-5, abs=1e-6)
     assert found.mean == pytest.approx(off.mean(), abs=1e-9)
+    assert not found.mistake
+    four = {"from": np.append(ends["from"], "P1"), "to": np.append(ends["to"], "P4")}
+    read = np.array([*(one.value for one in truth), distance(placed, "P1", "P4").value]) + 12.7
+    shifted = verify(placed, Table({**four, "length": read, "sigma": np.append(sigma, 1e-3)}))
+    assert shifted.mistake.startswith("all lengths are off by 12.7 mm")
     named = replace(check, columns={**check.columns, "to": np.array(["P5", "P99", "P7"])})
     with pytest.raises(InputError, match=r"c.csv:3: error: the result has no point 'P99' \(column 'to'\)"):
         verify(placed, named)

@@ -52,7 +52,7 @@ def command(result: Path, check: Path, aligned: bool, mpe: str | None, require: 
     table = csv.read(check, columns_for(calibrated, header))
     found = verify(calibrated, table, aligned)
     tested = () if limit is None else length_errors(found.deviations, table, limit)
-    for remark in _remarks(calibrated, table):
+    for remark in [*_remarks(calibrated, table), *([found.mistake] if found.mistake else [])]:
         echo(f"warning: {remark}", err=True)
     if as_json:
         echo(summary.as_json(_figures(found) | _length_figures(tested)))

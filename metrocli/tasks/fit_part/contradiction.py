@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import UndeterminedError
-from metrocli.geometry.surfaces import Array
+from metrocli.geometry.surfaces import Array, Index
 from metrocli.tasks.fit_part.fit import LEAST_MOTION, most_of_many
 from metrocli.tasks.fit_part.own_patches import on_own_patches
 from metrocli.tasks.fit_part.stock import Local, Stock
@@ -50,35 +50,49 @@ def contradictions(stock: Stock, minimum: float, into: Array) -> list[Contradict
     """Return sets of contradicting surfaces that share none, until the other surfaces have the minimum together.
 
     The first one holds the largest least overstock of all, and has what the part leaves without its surfaces. There are
-    at most `_SETS`. A point counts for its own surface alone: in a notch, a wall that is left out would still hold
-    points of the floor, which then stood for it. Only where each surface alone has the minimum, the walls of a mesh
-    hold points of others. `into` has the largest least overstock.
+    at most `_SETS`. `into` has the largest least overstock.
     """
-    alone = on_own_patches(stock, stock.nominal.apart(), into)
-    begun = alone.at(into)
-    _, least, duals = most_of_many(alone, into, begun=begun)
-    if feasible(least, minimum):
-        begun = stock.at(into)
-        _, _, duals = most_of_many(stock, into, begun=begun)
-    else:
-        stock = alone
+    stock, rows, begun, duals = _contradicting(stock, minimum, into)
     first = contradiction(stock, duals, minimum, into, begun)
     left_out = (stock.surface != stock.nominal.names.index(name) for name in first.surfaces)
-    found = [replace(first, without=tuple(_least(stock, rows, into, begun)[0] for rows in left_out))]
+    without = tuple(_least(stock, others, into, begun)[0] for others in left_out)
+    found = [replace(first, points=tuple(rows[list(first.points)].tolist()), without=without)]
     while len(found) < _SETS:
         named = {name for one in found for name in one.surfaces}
         others = ~np.isin(stock.surface, [stock.nominal.names.index(name) for name in named])
         if not others.any():
             break
-        stock, begun = stock.of(others), begun.of(others)
+        stock, begun, rows = stock.of(others), begun.of(others), rows[others]
         _, least, duals = most_of_many(stock, into, begun=begun)
         if feasible(least, minimum):
             break
         further = contradiction(stock, duals, minimum, into, begun)
         if feasible(further.least, minimum):
             break
-        found.append(further)
+        found.append(replace(further, points=tuple(rows[list(further.points)].tolist())))
     return found
+
+
+def _contradicting(stock: Stock, minimum: float, into: Array) -> tuple[Stock, Index, Local, Array]:
+    """Return points that cannot all have the minimum, with their rows, their overstock at the pose, and their duals.
+
+    On a mesh a point counts for its own patch alone: in a notch, a wall that is left out would still hold points of the
+    floor, which then stood for it. One that has the level of no patch nearby counts for none. Only where the others
+    have the minimum it counts for the nearest, and only where each patch alone has the minimum, the walls hold points
+    of others.
+    """
+    every = np.arange(len(stock.measured))
+    tried, patches = [(stock, every)], stock.nominal.apart()
+    if patches is not None:
+        alone, at_level = on_own_patches(stock, patches, into)
+        tried = [(alone, every[at_level]), (alone, every), *tried]
+    for one, rows in tried:
+        some = one.of(rows)
+        begun = some.at(into)
+        _, least, duals = most_of_many(some, into, begun=begun)
+        if not feasible(least, minimum):
+            break
+    return some, rows, begun, duals
 
 
 def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun: Local) -> Contradiction:

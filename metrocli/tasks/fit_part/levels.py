@@ -82,7 +82,7 @@ def levels(nominal: Assigning, measured: Array, surface: Index | None, into: Arr
             break
         into = local.moved(into, step)
     _, off = robust_step(local.rows, local.overstock, stock.surface, count)
-    scatter = _scatter(off, stock.surface, count, sigma)
+    scatter = scatter_of(off, stock.surface, count, sigma)
     return Levels(into, stock, level, off, scatter)
 
 
@@ -121,7 +121,7 @@ def medians(values: Array, surface: Index, count: int) -> Array:
     return np.asarray(np.where(sizes > 0, (sorted_values[low] + sorted_values[high]) / 2, np.nan))
 
 
-def _scatter(off: Array, surface: Index, count: int, sigma: Array) -> Array:
+def scatter_of(off: Array, surface: Index, count: int, sigma: Array) -> Array:
     """Return the scatter of each point: of its surface or of all points, whichever is larger, or of the measurement."""
     size = np.abs(off)
     whole = _SIGMA * float(np.median(size))

@@ -63,13 +63,8 @@ class OfSurfaces:
                 gaps.append(float(((gap - axis * (gap @ axis)) ** 2).sum()))
         return float(np.sqrt(np.mean(gaps))) if gaps else 0.0
 
-    def apart(self) -> OfSurfaces:
-        """Return the same: surfaces without limits do not know each other."""
-        return self
-
-    def beside(self, points: Array, surface: Index, limit: float) -> tuple[Index, Index]:
-        """Return no pairs: without edges no surface has neighbours."""
-        return surface[:0], surface[:0]
+    def apart(self) -> None:
+        """Return None: surfaces without limits do not know each other."""
 
     def reversed(self, surface: int) -> OfSurfaces:
         """Return the geometry with the material of one surface on the other side."""
@@ -164,18 +159,31 @@ class OfPatches:
         """Return the normals of the smooth surface that the triangles stand for, at points (n, 3)."""
         return self._mesh.smooth_normals(self._moved(points, surface), surface)
 
-    def apart(self) -> OfPatches:
-        """Return the same."""
-        return self
+    def apart(self) -> None:
+        """Return None: they are."""
 
     def beside(self, points: Array, surface: Index, limit: float) -> tuple[Index, Index]:
-        """Return pairs (k,) of a point (n, 3) and a neighbour of its patch that may be within a limit of it."""
-        first, last = (np.searchsorted(self.neighbours[:, 0], surface, side) for side in ("left", "right"))
-        row = np.repeat(np.arange(len(points)), last - first)
-        place = np.arange(len(row)) + np.repeat(first - np.cumsum(last - first) + last - first, last - first)
-        patch = self.neighbours[place, 1]
-        near = self._mesh.may_be_within(self._moved(points[row], patch), limit)
-        return row[near], patch[near]
+        """Return pairs (k,) of a point (n, 3) and another patch that may be within a limit of it.
+
+        Patches are reached from that of the point (n,), from neighbour to neighbour within the limit.
+        """
+        count, seen = len(self.names), np.arange(len(points)) * len(self.names) + surface
+        found, reached = seen[:0], seen
+        while reached.size:
+            reached = np.setdiff1d(self._next_to(*np.divmod(reached, count)), seen)
+            seen = np.concatenate([seen, reached])
+            row, patch = np.divmod(reached, count)
+            reached = reached[self._mesh.may_be_within(self._moved(points[row], patch), limit)]
+            found = np.concatenate([found, reached])
+        row, patch = np.divmod(found, count)
+        return row, patch
+
+    def _next_to(self, row: Index, patch: Index) -> Index:
+        """Return the pairs of rows and the neighbours of their patches, each as row times the number of patches."""
+        first, last = (np.searchsorted(self.neighbours[:, 0], patch, side) for side in ("left", "right"))
+        pair = np.repeat(np.arange(len(row)), last - first)
+        place = np.arange(len(pair)) + np.repeat(first - np.cumsum(last - first) + last - first, last - first)
+        return np.asarray(row[pair] * len(self.names) + self.neighbours[place, 1])
 
     def _moved(self, points: Array, surface: Index) -> Array:
         return np.asarray(points + self.separation * surface[:, None] * np.eye(3)[0])

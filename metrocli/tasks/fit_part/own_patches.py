@@ -1,6 +1,6 @@
 """The patch of a mesh that each point belongs to, where the nearest one may not be its own.
 
-A point far inside the ideal part and close to an edge is nearer to the next patch than to its own. It lies off the
+A point far inside the ideal part and close to an edge is nearer to another patch than to its own. It lies off the
 level of that patch, and at the level of its own. Method: docs/algorithms/overstock-fit.md.
 """
 
@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from metrocli.geometry.surfaces import Array, Index
-from metrocli.tasks.fit_part.levels import medians, robust_step
+from metrocli.tasks.fit_part.levels import LIMIT, medians, robust_step, scatter_of
 from metrocli.tasks.fit_part.stock import Apart, Stock
 
 _ROUNDS = 20
@@ -23,8 +24,8 @@ _EACH = 500
 """Points of each patch from which the levels are found, at most"""
 
 
-def on_own_patches(stock: Stock, patches: Apart, into: Array) -> Stock:
-    """Return points on patches that are alone, each on the one among the nearest and its neighbours whose level it has.
+def on_own_patches(stock: Stock, patches: Apart, into: Array) -> tuple[Stock, npt.NDArray[np.bool_]]:
+    """Return points on patches that are alone, each on the one nearby whose level it has, and which have one (n,).
 
     The levels are medians after a robust step of the pose (6,) in which each patch has its own. With some points of
     each patch both are found anew until no point changes its patch. Then all points follow.
@@ -41,7 +42,9 @@ def on_own_patches(stock: Stock, patches: Apart, into: Array) -> Stock:
         if np.array_equal(surface, some.surface):
             break
         some = replace(some, surface=surface)
-    return replace(alone, surface=_of_nearest_level(alone, patches, into, level))
+    found = replace(alone, surface=_of_nearest_level(alone, patches, into, level))
+    off = found.at(into).overstock - level[found.surface]
+    return found, np.abs(off) <= LIMIT * scatter_of(off, found.surface, count, np.zeros(len(off)))
 
 
 def _some_of_each(surface: Index) -> Index:

@@ -31,15 +31,18 @@ class Nominal(Protocol):
     def smooth_normals(self, points: Array, surface: Index) -> Array:
         """Return the normals at points (n, 3) of the smooth surface that the geometry stands for."""
 
-    def apart(self) -> Apart:
-        """Return the geometry in which no surface holds points of another, and each goes on beyond its edges."""
+    def apart(self) -> Apart | None:
+        """Return the geometry in which no surface holds points of another, and each goes on beyond its edges.
+
+        None where this one is.
+        """
 
 
 class Apart(Nominal, Protocol):
     """An ideal geometry in which no surface holds points of another."""
 
     def beside(self, points: Array, surface: Index, limit: float) -> tuple[Index, Index]:
-        """Return pairs (k,) of a point (n, 3) and a neighbour of its surface that may be within a limit of it."""
+        """Return pairs (k,) of a point (n, 3) and another surface that may be within a limit of it."""
 
 
 @dataclass(frozen=True)

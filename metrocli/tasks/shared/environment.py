@@ -40,6 +40,8 @@ _LIGHT = Limits(300e-6, 1700e-6, f"300 to 1700 nm, {_HOLD}")
 _CARBON_DIOXIDE = Limits(0.0, 2000e-6, "0 to 2000 ppm: outdoor air has 420 ppm, a crowded room 2000 ppm")
 _STEPS = {"temperature": 0.01, "pressure": 0.1, "humidity": 0.1}
 """Steps of the derivatives of the index"""
+_ROUNDING = 1e-13
+"""Relative difference of two indices that is rounding"""
 _REACH = 1e-2
 """Plausible relative error of the index, as of a scale"""
 
@@ -117,8 +119,11 @@ class Air:
     @property
     def note(self) -> str:
         """What was corrected, in a sentence."""
-        change = units.sized(self.assumed / self.mean - 1, "ratio")
-        return f"lengths are corrected for the air by {change}: index {self.mean:.9f}, assumed {self.assumed:.9f}"
+        change = self.assumed / self.mean - 1
+        if abs(change) < _ROUNDING:
+            return f"the air is the one that the lengths assume: index {self.mean:.9f}"
+        size = units.sized(change, "ratio")
+        return f"lengths are corrected for the air by {size}: index {self.mean:.9f}, assumed {self.assumed:.9f}"
 
 
 def priors_of(air: Air | None) -> list[Group]:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from simulated.notch import largest_least, notched, plane_of, raw
 
+from metrocli.errors import UndeterminedError
+from metrocli.table import Table
 from metrocli.tasks.fit_part.contradiction import contradictions
-from metrocli.tasks.fit_part.fit import most_of_many
+from metrocli.tasks.fit_part.fit import EVEN, most_of_many
 from metrocli.tasks.fit_part.nominals import OfMesh
+from metrocli.tasks.fit_part.settings import Inputs, Overstock, Settings
+from metrocli.tasks.fit_part.solve import prepare, solve
 from metrocli.tasks.fit_part.stock import Stock
 
 MINIMUM = 0.5
@@ -35,3 +41,22 @@ def test_named_surfaces_contradict_each_other_and_each_is_needed(
         for one in named:
             others = np.isin(of, [other for other in named if other != one])
             assert largest_least(points[others], of[others]) >= MINIMUM
+
+
+@pytest.mark.parametrize(("seed", "named"), [(139, [[0, 2]]), (395, [[0, 2], [1, 3]])])
+def test_a_point_counts_for_a_patch_beyond_the_next_and_one_of_no_level_for_none(
+    seed: int, named: list[list[int]]
+) -> None:
+    """Walls that lack half of their thickness: points far inside are next to a patch two edges away from their own.
+
+    Both parts then named a further pair of faces, which by their planes leave 0.96 and 1.45 mm together.
+    """
+    points, _ = raw(seed, (3, 9), 0.0)
+    mesh, names = notched(), np.array([f"P{n}" for n in range(len(points))])
+    table = Table({"point": names, **{axis: points[:, k] for k, axis in enumerate("xyz")}})
+    settings = Settings(Inputs(Path("points.csv"), Path("part.stl")), Overstock(MINIMUM, EVEN), noise=0.02)
+    with pytest.raises(UndeterminedError) as raised:
+        solve(settings, prepare(settings, mesh, table))
+    lines = [line.strip().partition(": ") for line in str(raised.value).splitlines()]
+    sets = [text.partition(" (")[0] for start, _, text in lines if start.startswith(("surfaces that", "beside"))]
+    assert [[plane_of(OfMesh(mesh), name) for name in one.split(" and ")] for one in sets] == named

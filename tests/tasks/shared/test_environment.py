@@ -68,7 +68,9 @@ def test_lengths_are_corrected_from_the_assumed_air_to_the_true_one() -> None:
     assert np.abs(without_motion(found, net.points) - net.points).max() < 3e-6
     assert result.tables["tracers"].numbers("dead_path") == pytest.approx(net.dead, abs=5e-6)
     assert any("corrected for the air" in note and "-11 um/m" in note for note in result.notes)
-    uncorrected = places(run(net, in_air(net, COLD), environment()).tables["points"])
+    as_assumed = run(net, in_air(net, COLD), environment())
+    assert any("the air is the one that the lengths assume" in note for note in as_assumed.notes)
+    uncorrected = places(as_assumed.tables["points"])
     assert size(uncorrected) / size(net.points) - 1 == pytest.approx(COLD / STANDARD - 1, rel=1e-3)
 
 

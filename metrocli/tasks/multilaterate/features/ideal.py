@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -130,8 +131,12 @@ class Ideal:
         place = turned.numbers(centre)
         return replace(turned, origin=np.real(place[:3]), radius=float(np.real(place[6])))
 
+    @cached_property
+    def _tangents(self) -> tuple[Array, Array]:
+        return tangents(self.axis)
+
     def _parts(self, step: Numbers) -> tuple[Numbers, Numbers, Any, Any]:
-        first, second = tangents(self.axis)
+        first, second = self._tangents
         axis = self.axis + (step[3] * first + step[4] * second) / self.size
         origin = self.origin + step[0] * first + step[1] * second + step[2] * self.axis
         return origin, axis / np.sqrt(axis @ axis), self.radius + step[5], self.half_angle + step[6] / self.size
