@@ -10,6 +10,9 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.projection import FLAT, VISIBLE
 
+_NOTHING = 1e-150
+"""Size below which a column is 0: its square is"""
+
 
 def grams_of(columns: Array) -> Array:
     """Return the Gram matrix of each alternative, (k, q, q), of columns (rows, k, q)."""
@@ -22,7 +25,7 @@ def roots(gram: Array, scale: Array) -> Array:
 
     `scale` (k, q) is of size sqrt(diag A) or larger: directions are visible in its unit.
     """
-    s = np.where(scale > 0, scale, 1.0)
+    s = np.where(scale > _NOTHING, scale, 1.0)
     if gram.shape[1] == 1:
         value = gram / (s * s)[:, :, None]
         good = value > VISIBLE**2

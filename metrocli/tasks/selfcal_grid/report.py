@@ -97,11 +97,11 @@ def _forms(solved: Solved, machine: _Field) -> tuple[Smooth | None, LengthError 
 
 def _residuals(solved: Solved) -> Table:
     """Return the residuals with the place in the machine, a site of the grid, where each reading was taken."""
-    group, grid = solved.problem.readings, solved.problem.grid
-    found = residual_table(solved.residuals[0], group)
-    places = (grid.sites * grid.pitch)[group.observations.index[bg.MACHINE]]
-    at = dict(zip("xyz", np.repeat(places, len(group.observations.components), axis=0).T, strict=True))
-    return Table({**found.columns, **at}, {**found.units, **dict.fromkeys(at, "mm")})
+    grid, read = solved.problem.grid, solved.problem.readings.observations
+    found = residual_table(solved.residuals[0], solved.problem.readings)
+    at = np.repeat((grid.sites * grid.pitch)[read.index[bg.MACHINE]], len(read.components), axis=0)
+    sites = dict(zip("xyz", at.T, strict=True))
+    return Table({**found.columns, **sites}, {**found.units, **dict.fromkeys(sites, "mm")})
 
 
 def _at_sites(solved: Solved, machine: _Field) -> SiteErrors:
@@ -291,12 +291,7 @@ def _smooth_note(form: Smooth | None) -> tuple[str, ...]:
     if form is None:
         return ()
     um = find_unit("um", "length")
-    beyond = [
-        f"{um.outside(value):.2g} um in {axis}"
-        for axis, value in zip("xyz", form.misfit.tolist(), strict=True)
-        if value
-    ]
-    words = (
-        f"rms error at sites left out of the fit, beyond their noise: {in_a_row(beyond) if beyond else 'none shows'}"
-    )
+    shown = [(axis, value) for axis, value in zip("xyz", form.misfit.tolist(), strict=True) if value]
+    beyond = in_a_row([f"{um.outside(value):.2g} um in {axis}" for axis, value in shown]) if shown else "none shows"
+    words = f"rms error at sites left out of the fit, beyond their noise: {beyond}"
     return (f"smooth form: polynomial of degree {form.degree}, {words}",)
