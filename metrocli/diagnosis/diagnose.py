@@ -114,7 +114,7 @@ def diagnose(
         structure = _structure_of_processes(searched.processes, before)
     # without an extended fit and processes the law is about the same linearised system; what it explains is no noise
     law = next((one for one in laws if one.chosen and fit is None and not searched.processes), None)
-    explained = fitted if law is None else fitted.with_columns(law.columns)
+    explained = fitted.with_columns(law.columns) if law else fitted
     # what a process explains is structure, and is in the tests: only the white part beside it is noise
     noise = noise_of(searched.selection.fitted() if searched.processes else explained)
     say("computing what the measurement could not detect")
