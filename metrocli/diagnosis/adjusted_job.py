@@ -67,6 +67,20 @@ class Standing:
     """Values of its parameters"""
 
 
+@dataclass(frozen=True)
+class Part:
+    """The local members whose readings are diagnosed, where all would take more memory than there is."""
+
+    kind: str
+    """What they are: points, images"""
+    count: int
+    of: int
+    """How many have readings"""
+
+    def __str__(self) -> str:
+        return f"{self.count} of {self.of} {self.kind}s"
+
+
 class Budget:
     """CPU time of a search in the thread that made it: when it is spent, the search ends with what it has found."""
 
@@ -152,3 +166,5 @@ class AdjustedJob:
     """How readings could be made again otherwise than before: in words, with their changed conditions"""
     offers: Callable[[Model], Iterable[tuple[str, Model]]] = field(default=lambda model: ())
     """Further measurements that the kind of job proposes: in words, with the model of that measurement"""
+    part: Part | None = None
+    """The part of a larger job that this is; None if it is whole"""

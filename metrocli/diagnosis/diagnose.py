@@ -27,7 +27,7 @@ from metrocli.diagnosis.laws.imitations import without_imitations
 from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.search import Law, laws_in
 from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
-from metrocli.diagnosis.linear.memory import must_fit
+from metrocli.diagnosis.linear.memory import as_fits
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
@@ -77,8 +77,7 @@ def diagnose(
     `ordered` computes the folds of cross-validation, perhaps on other processors; the diagnosis is the same there.
     Raises UndeterminedError if the unknowns use up all readings, InputError if it needs more memory than there is.
     """
-    must_fit(job)
-    job = replace(job, budget=Budget(_OF_EFFECTS * limit))
+    job = replace(as_fits(job), budget=Budget(_OF_EFFECTS * limit))
     say("looking for structure")
     searched = first = search_about_solution(job, say)
     job, searched, scatters = with_scatters(job, searched, say)
@@ -192,7 +191,7 @@ def what_can_be_seen(job: AdjustedJob) -> Design:
 
     Raises InputError if this needs more memory than there is.
     """
-    must_fit(job)
+    job = as_fits(job)
     test_set, not_tested = score_tests_of_job(job, {}, np.random.default_rng(SEED))
     return design(job, test_set, not_tested)
 

@@ -41,6 +41,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.noisier_units],
             "repeats": None if repeats is None else {"ratio": repeats.ratio, "lack_of_fit": repeats.lack_of_fit},
         },
+        "part": _part(diagnosis.job),
         "limited": diagnosis.limited,
         "interrupted": diagnosis.interrupted,
         "mistake": None if diagnosis.mistaken is None else _correction(diagnosis.mistaken),
@@ -118,7 +119,11 @@ def _short(values: Array) -> list[float]:
 
 def design_data(job: AdjustedJob, design: Design) -> dict[str, Any]:
     """Return what a measurement can detect, as plain data."""
-    return {"candidates": candidates(job, design, []), "alike": alike(design)}
+    return {"part": _part(job), "candidates": candidates(job, design, []), "alike": alike(design)}
+
+
+def _part(job: AdjustedJob) -> dict[str, Any] | None:
+    return None if job.part is None else asdict(job.part)
 
 
 def _correction(mistaken: Mistaken) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.job_entries import as_job, proposed_noise, scatter_as_job
 from metrocli.diagnosis.laws.definition import as_define, as_wanted
 from metrocli.diagnosis.laws.search import Law
+from metrocli.diagnosis.linear.memory import as_fits
 from metrocli.diagnosis.mistakes import without_mistakes
 from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError, UsageError
 from metrocli.formats.aside import written_aside
@@ -70,7 +71,7 @@ def design_of(job: JobFile) -> tuple[AdjustedJob, Design]:
         files = simulate(job, SimulationOptions()).files
         made = {Path(name).stem: table for name, table in files.items()}
         held |= {item.key: made[item.key] for item in job.inputs if item.key in wanted and item.key in made}
-    adjusted = _adjuster(job)(held)
+    adjusted = as_fits(_adjuster(job)(held))
     return adjusted, what_can_be_seen(adjusted)
 
 

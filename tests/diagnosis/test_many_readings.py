@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden import lengths
-from metrocli.diagnosis import diagnose, extended_fit
+from metrocli.cli.diagnosis_report import findings
+from metrocli.diagnosis import diagnose, extended_fit, verdict
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.extended_fit import score_tests_of_job
 from metrocli.diagnosis.linear import counted_tests, memory
@@ -85,7 +86,59 @@ def test_a_diagnosis_that_needs_more_memory_than_there_is_is_refused(monkeypatch
 
 def test_a_few_readings_are_diagnosed_however_little_memory_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "at_hand", lambda: 1e8)
-    memory.must_fit(lengths.measurement(np.random.default_rng(1), 60).adjusted())
+    network = lengths.measurement(np.random.default_rng(1), 60).adjusted()
+    assert memory.as_fits(network) is network
+
+
+def only(m: lengths.Measurement, points: np.ndarray[tuple[int], np.dtype[np.intp]]) -> lengths.Measurement:
+    """Return a measurement of some of its points."""
+    kept = np.isin(m.point, points)
+    own = {key: getattr(m, key)[kept] for key in ("tracer", "t", "temp", "length")}
+    number = np.searchsorted(points, m.point[kept])
+    return replace(m, points=m.points[points], nominal=m.nominal[points], point=number, **own)
+
+
+def test_of_a_network_that_is_too_large_a_part_of_the_points_is_diagnosed(monkeypatch: pytest.MonkeyPatch) -> None:
+    m = lengths.measurement(np.random.default_rng(5), 700)
+    m = replace(m, length=m.length + lengths.signature("dead-path-drift", 1, {"rate": 1e-6})(m))
+    whole = m.adjusted()
+    monkeypatch.setattr(memory, "at_hand", lambda: 1e9)
+    monkeypatch.setattr(memory, "needed", lambda job: 2.1e9 if job is whole else 9e8)
+    found = diagnose.diagnose(whole)
+    part = found.job.part
+    assert part is not None
+    assert str(part) == "272 of 700 points"
+    names = dict.fromkeys(found.job.model.readings[0].observations.keys["point"])
+    alone = diagnose.diagnose(only(m, np.sort([int(name[1:]) for name in names])).adjusted())
+    assert alone.job.part is None
+    for one in (found, alone):
+        assert [str(own.effect.alternative) for own in one.findings] == ["dead-path-drift T1"]
+    (first,), (second,) = found.findings, alone.findings
+    assert first.sizes[0].value == pytest.approx(second.sizes[0].value, rel=1e-3)
+    assert first.sizes[0].std == pytest.approx(second.sizes[0].std, rel=1e-3)
+    assert first.effect.log_level == pytest.approx(second.effect.log_level, rel=0.02)
+    assert first.shift == pytest.approx(second.shift, rel=0.05)
+    assert found.noise.ratio == pytest.approx(alone.noise.ratio, rel=1e-3)
+    assert found.verdict == alone.verdict
+    assert findings.of_diagnosis(found, None).startswith(f"verdict: {found.verdict} in 272 of 700 points\n")
+    assert verdict.as_data(found)["part"] == {"kind": "point", "count": 272, "of": 700}
+    assert verdict.as_data(alone)["part"] is None
+
+
+def test_points_are_drawn_evenly_and_held_where_they_are_not_read() -> None:
+    whole = job(500)
+    part = memory.part_of(whole, 0.5)
+    assert part is not None
+    kept = np.flatnonzero(part.model.blocks["point"].free.all(axis=1))
+    assert len(kept) == 250
+    assert (np.diff(kept) <= 3).all()
+    observations = part.model.readings[0].observations
+    assert (np.unique(observations.index["point"]) == kept).all()
+    assert observations.count == 6 * 250
+    assert {one.values["lengths"].shape[-1] for one in part.covariates} == {1500}
+    assert part.folds["lengths"].shape == (1500,)
+    assert part.model.datum is not None
+    assert (np.flatnonzero(part.model.datum.members) == kept).all()
 
 
 def test_files_kept_in_memory_do_not_count_as_taken(monkeypatch: pytest.MonkeyPatch) -> None:

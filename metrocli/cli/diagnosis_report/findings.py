@@ -12,7 +12,7 @@ from metrocli.adjust.cluster_robust import STRUCTURED
 from metrocli.cli.diagnosis_report.candidates import candidate_lines
 from metrocli.cli.diagnosis_report.laws import law_lines
 from metrocli.cli.diagnosis_report.text_table import text_table
-from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Part
 from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.extended_fit import Size
@@ -54,6 +54,8 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
     parts += [list(_about(finding)) for finding in findings[:_DESCRIBED]]
     if diagnosis.separate_by:
         parts.append(["to distinguish them, measure:", *(f"  {words}" for words in diagnosis.separate_by)])
+    if job.part is not None:
+        parts.append([_of_part(job.part)])
     if diagnosis.limited is not None:
         parts.append([f"The search ended at the limit of {diagnosis.limited:g} s; `--limit` gives it more time."])
     if diagnosis.interrupted:
@@ -66,6 +68,14 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
         parts.append([f"next: run {extended}, {_extension(diagnosis)}"])
     parts.append(candidate_lines(job, diagnosis.design, [finding.effect for finding in findings]))
     return "\n\n".join("\n".join(lines) for lines in parts)
+
+
+def _of_part(part: Part) -> str:
+    """Return in words that a part of a measurement is diagnosed."""
+    return (
+        f"The diagnosis is that of {part}, drawn evenly, with all their readings: more take more memory than there is. "
+        "What can be detected is stated for these."
+    )
 
 
 def _extension(diagnosis: Diagnosis) -> str:
@@ -85,7 +95,8 @@ def headline(diagnosis: Diagnosis) -> str:
     as_declared = noise.as_declared or diagnosis.job.noise_model
     limits = [] if as_declared else [f"the noise is {noise.ratio:.2g} times what was declared"]
     limits += [_noisier(unit) for unit in diagnosis.noisier_units if unit.key != DECLARED_SIGMA]
-    return f"{diagnosis.verdict}{wrong}{', but ' if limits else ''}{', and '.join(limits)}"
+    where = f" in {diagnosis.job.part}" if diagnosis.job.part else ""
+    return f"{diagnosis.verdict}{where}{wrong}{', but ' if limits else ''}{', and '.join(limits)}"
 
 
 def _noisier(unit: Unit) -> str:
@@ -97,6 +108,7 @@ def _noisier(unit: Unit) -> str:
 def of_design(adjusted: AdjustedJob, design: Design) -> str:
     """Return the report of what a measurement can detect."""
     lines = ["what this measurement can detect (80 % power, counting everything that is tried):", ""]
+    lines = [*([_of_part(adjusted.part), ""] if adjusted.part else []), *lines]
     lines += candidate_lines(adjusted, design, None)
     alike = [
         f"  {pair.one} and {pair.other}: "

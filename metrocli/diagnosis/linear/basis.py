@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _FEW = 0.1
 """Share of the rows with a value below which these rows are gathered"""
 _AT_ONCE = 100_000
-"""Rows whose errors are followed to the unknowns at once"""
+"""Rows that are combined, or whose errors are followed to the unknowns, at once"""
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,13 @@ class Basis:
         count = self._sparse.shape[1]
         found = self._sparse @ flat[:count] + self.shared @ flat[count:]
         return np.asarray(found.reshape(len(found), *coordinates.shape[1:]))
+
+    def take_from(self, values: Array, coordinates: Array) -> None:
+        """Subtract `b coordinates` from values (rows, k) where they are, some rows at a time."""
+        count = self._sparse.shape[1]
+        for start in range(0, len(values), _AT_ONCE):
+            own = slice(start, start + _AT_ONCE)
+            values[own] -= self._sparse[own] @ coordinates[:count] + self.shared[own] @ coordinates[count:]
 
     def squares(self, rows: Index | Mask | slice = slice(None)) -> Array:
         """Return the sum of squares of each row, the share of a reading that the unknowns absorb."""

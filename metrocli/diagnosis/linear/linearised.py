@@ -33,7 +33,7 @@ def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> Syst
     The unknowns of one block are local: each reading uses one of its members (point, image). Their columns are removed
     member by member; the others are dense. Raises InputError if the dense part would be too large.
     """
-    whole, local = without_elimination(model.blocks), _local(model)
+    whole, local = without_elimination(model.blocks), local_members(model)
     layout = _shared(model, local)
     _must_fit(model, layout)
     residuals, parts, scales, first, place = [], [], [], {}, 0
@@ -56,11 +56,11 @@ def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> Syst
 
 def shared_unknowns(model: Model) -> int:
     """Return the number of unknowns that are not local."""
-    return _shared(model, _local(model)).width
+    return _shared(model, local_members(model)).width
 
 
 @dataclass(frozen=True)
-class _Local:
+class Local:
     """The members of a block whose unknowns are local: no reading uses two of them."""
 
     block: Block | None
@@ -68,7 +68,7 @@ class _Local:
     """Which members are local, (members,)"""
 
 
-def _local(model: Model) -> _Local:
+def local_members(model: Model) -> Local:
     """Return the block with the most unknowns of which no reading uses two members.
 
     A few conditions, such as calibrated distances, may use two: their members are shared.
@@ -77,18 +77,18 @@ def _local(model: Model) -> _Local:
     candidates = [block for block in model.blocks.values() if block.free.any() and single_touch(block, measured)]
     block = max(candidates, key=lambda one: int(one.free.sum()), default=None)
     if block is None or len(block.members) < 2:
-        return _Local(None, np.zeros(0, dtype=bool))
+        return Local(None, np.zeros(0, dtype=bool))
     members = np.ones(len(block.members), dtype=bool)
     for group in model.groups:
         index = group.observations.index.get(block.name) if block.name in group.chain.blocks else None
         if index is not None and index.ndim > 1 and len(index) > 1:
             members[np.unique(index)] = False
         elif index is None and block.name in group.chain.blocks:
-            return _Local(None, np.zeros(0, dtype=bool))
-    return _Local(block, members)
+            return Local(None, np.zeros(0, dtype=bool))
+    return Local(block, members)
 
 
-def _shared(model: Model, local: _Local) -> Layout:
+def _shared(model: Model, local: Local) -> Layout:
     """Return the numbers of the unknowns that are not local."""
     if local.block is None:
         return without_elimination(model.blocks)
@@ -107,7 +107,7 @@ class _Rows:
     """(rows, width)"""
 
     @classmethod
-    def of(cls, local: _Local, layout: Layout, linear: Linear) -> _Rows:
+    def of(cls, local: Local, layout: Layout, linear: Linear) -> _Rows:
         """Return the rows of a group, ordered by reading."""
         d, n = linear.residual.shape
         block = local.block
@@ -149,17 +149,19 @@ def _must_fit(model: Model, layout: Layout) -> None:
         )
 
 
-def _factored(model: Model, local: _Local, layout: Layout, whole: Layout, rows: _Rows) -> tuple[Basis, Solver, Array]:
+def _factored(model: Model, local: Local, layout: Layout, whole: Layout, rows: _Rows) -> tuple[Basis, Solver, Array]:
     """Return basis, solver and the norm of the column of each unknown."""
     members = len(local.members)
     own, inverses = _orthonormal_members(rows.local, rows.member, members)
     before = Basis(own, rows.member, members, np.zeros((len(own), 0)))
-    sizes = np.sqrt((rows.shared**2).sum(axis=0))
-    scaled = rows.shared / np.where(sizes > 0, sizes, 1.0)
-    coupling = before.coordinates(scaled)
-    left = scaled - before.combined(coupling)
+    sizes = np.sqrt(np.einsum("rk,rk->k", rows.shared, rows.shared))
+    # many readings: the columns are turned where they are, without a second table of their size
+    left = rows.shared
+    left /= np.where(sizes > 0, sizes, 1.0)
+    coupling = before.coordinates(left)
+    before.take_from(left, coupling)
     # once more, so that rounding does not leave a part of the local columns
-    left -= before.combined(before.coordinates(left))
+    before.take_from(left, before.coordinates(left))
     gram = left.T @ left
     frame = None if model.datum is None else open_frame(model.datum, model.blocks, layout, _unscaled(gram, sizes))
     # a free network leaves as many directions open as its frame has movements

@@ -1,17 +1,24 @@
-"""The memory that a diagnosis takes, estimated before anything is computed.
+"""The memory that a diagnosis takes, estimated before anything is computed, and the part of a job that fits.
 
 It is linear in the readings. A diagnosis that would take more than there is would be ended by the system without a
-word, so it is refused with the numbers.
+word. So it is made of a part of the points (images) with all their readings, drawn evenly, and says so.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.linear.linearised import shared_unknowns
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.adjust.model.observations import Mask
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Part
+from metrocli.diagnosis.linear.linearised import local_members, shared_unknowns
+from metrocli.diagnosis.linear.projection import MOST_NUMBERS
 from metrocli.diagnosis.linear.smooth_terms import columns_of_smooth
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model
@@ -24,19 +31,79 @@ _FIXED = 0.3e9
 _COPIES = 4
 """Times that the derivatives by the shared unknowns are held at once, and candidates beside their own making"""
 _HELD = 2.5
+_FEWEST = 200
+"""Fewest members of a part: of fewer, what they show would depend on which were drawn"""
+_SEED = 22
 _STATISTICS = "/sys/fs/cgroup/memory.stat"
 
 
-def must_fit(job: AdjustedJob) -> None:
-    """Raise InputError, with the numbers, if a diagnosis of many readings would take more memory than there is."""
+def as_fits(job: AdjustedJob) -> AdjustedJob:
+    """Return the job, or one of a part of its local members where all take more memory than there is.
+
+    Raises InputError, with the numbers, if no part of them fits.
+    """
     need, most = needed(job), at_hand()
+    rows = sum(group.observations.readings.size for group in job.model.groups)
+    dense = MOST_NUMBERS / (rows * max(shared_unknowns(job.model), 1))
     # few readings take what the program takes anyhow, so that fewer of them would not help
-    if need > max(most, 2 * _FIXED):
+    if need <= max(most, 2 * _FIXED) and dense >= 1:
+        return job
+    part = part_of(job, min((most - _FIXED) / (need - _FIXED), dense))
+    if part is None:
         readings = sum(group.observations.readings.size for group in job.model.readings)
         raise InputError(
             f"diagnose needs about {need / 1e9:.1f} GB for {readings} readings, and can take {most / 1e9:.1f} GB\n"
             f"diagnose a part of the measurement, such as one point or pose in {math.ceil(need / most)}"
         )
+    return part
+
+
+def part_of(job: AdjustedJob, share: float) -> AdjustedJob | None:
+    """Return the job with the readings of a share of its local members only, such as one point in three.
+
+    One is drawn from each of as many stretches of equal length, so that no regular order of the members is met. The
+    unknowns of the others are held. None if the job has no local members, or if too few would be left.
+    """
+    model, local = job.model, local_members(job.model)
+    block = local.block
+    if block is None:
+        return None
+    read = np.zeros(len(block.members), dtype=bool)
+    for group in model.readings:
+        if block.name in group.observations.index:
+            read[group.observations.index[block.name]] = True
+    members = np.flatnonzero(read & local.members)
+    count = int(share * len(members))
+    if count < _FEWEST:
+        return None
+    ends = np.linspace(0, len(members), count + 1).astype(int)
+    there = ~local.members
+    there[members[np.random.default_rng(_SEED).integers(ends[:-1], ends[1:])]] = True
+    kept: dict[str, Mask] = {
+        group.name: np.atleast_1d(there[np.atleast_2d(group.observations.index[block.name])].all(axis=0))
+        for group in model.groups
+        if block.name in group.chain.blocks and block.name in group.observations.index
+    }
+    groups = tuple(group.selected(kept[group.name]) if group.name in kept else group for group in model.groups)
+    fewer = model.with_blocks({**model.blocks, block.name: replace(block, free=block.free & there[:, None])})
+    datum = model.datum
+    if datum is not None and datum.block == block.name:
+        datum = replace(datum, members=datum.members * there)
+    return replace(
+        job,
+        model=replace(fewer, groups=groups, datum=datum),
+        covariates=tuple(
+            replace(one, values={name: _some(values, kept.get(name)) for name, values in one.values.items()})
+            for one in job.covariates
+        ),
+        folds={name: _some(values, kept.get(name)) for name, values in job.folds.items()},
+        replicates={name: _some(values, kept.get(name)) for name, values in job.replicates.items()},
+        part=Part(block.name, count, len(members)),
+    )
+
+
+def _some(values: npt.NDArray[Any], kept: Mask | None) -> npt.NDArray[Any]:
+    return values if kept is None else values[..., kept]
 
 
 def needed(job: AdjustedJob) -> float:

@@ -34,8 +34,8 @@ _MOST_OF_UNITS, _LEAST_DEGREE = 2000, 2
 """Most terms of one covariate for all units together, and the degree that is kept in any case"""
 _FEWEST_FOR = 4
 """Least number of readings per term for which a unit gets its own terms"""
-_Terms = tuple[Alternative, Index, Array]
-"""An alternative, the rows that it changes (r,) and its terms there (r, k)"""
+_Shown = tuple[Alternative, Index, Array, Array]
+"""An alternative, the rows that it changes (r,), its visible directions there (r, k) and their visible squares (k,)"""
 
 
 def smooth_families(job: AdjustedJob, system: System) -> list[Family]:
@@ -64,7 +64,7 @@ def columns_of_smooth(job: AdjustedJob) -> int:
 
 
 def _of(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Family]:
-    found: list[_Terms] = []
+    found: list[_Shown] = []
     for group in job.model.readings:
         values = covariate.values.get(group.name)
         if values is None:
@@ -77,26 +77,22 @@ def _of(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Fami
             terms = (harmonics if covariate.angle else polynomials)(np.atleast_2d(values)[:, mask], degree)
             if mask.sum() < _FEWEST_FOR * terms.shape[1]:
                 continue
-            chosen = np.flatnonzero(mask)
-            found.append((_alternative(covariate, where), *_components(system, group, weights, chosen, terms)))
-    by_size: dict[int, list[_Terms]] = {}
+            rows, full = _components(system, group, weights, np.flatnonzero(mask), terms)
+            found.append((_alternative(covariate, where), rows, *visible_directions(system, rows, [full])[0]))
+    by_size: dict[int, list[_Shown]] = {}
     for item in found:
         by_size.setdefault(item[2].shape[1], []).append(item)
     for items in by_size.values():
-        yield _family(system, f"smooth in {covariate.name}", items, covariate)
+        yield _family(f"smooth in {covariate.name}", items, covariate)
 
 
-def _family(system: System, name: str, items: Sequence[_Terms], covariate: Covariate) -> Family:
-    """Return the family of some terms, by the directions that are visible."""
-    labels = [rows.tobytes() for _, rows, _ in items]
-    shown: dict[int, tuple[Array, Array]] = {}
-    for label in dict.fromkeys(labels):
-        own = [number for number, one in enumerate(labels) if one == label]
-        shown |= zip(own, visible_directions(system, items[own[0]][1], [items[i][2] for i in own]), strict=True)
-    columns = gathered((label, Own(items[i][1], shown[i][0])) for i, label in enumerate(labels))
+def _family(name: str, items: Sequence[_Shown], covariate: Covariate) -> Family:
+    """Return the family of some smooth functions."""
+    alternatives, rows, directions, squares = zip(*items, strict=True)
+    columns = gathered((one.tobytes(), Own(one, own)) for one, own in zip(rows, directions, strict=True))
     raw = np.ones((columns.count, columns.parameters))
-    gram = np.eye(columns.parameters) * np.stack([shown[i][1] for i in range(len(items))])[:, None, :]
-    return Family(name, tuple(alternative for alternative, _, _ in items), columns, raw, gram, covariate.name)
+    gram = np.eye(columns.parameters) * np.stack(squares)[:, None, :]
+    return Family(name, alternatives, columns, raw, gram, covariate.name)
 
 
 def _degree(job: AdjustedJob, group: Group, covariate: Covariate) -> int:
@@ -121,8 +117,10 @@ def visible_directions(system: System, rows: Index, several: Sequence[Array]) ->
     """
     bases = []
     for columns in several:
-        basis = orthonormal(columns / max(float(np.linalg.norm(columns, axis=0).max()), 1e-300), _RANK)
-        bases.append(np.pad(basis, ((0, 0), (0, columns.shape[1] - basis.shape[1]))))
+        largest = float(np.sqrt(np.einsum("rk,rk->k", columns, columns).max()))
+        basis = orthonormal(columns, _RANK * max(largest, 1e-300))
+        lost = columns.shape[1] - basis.shape[1]
+        bases.append(np.pad(basis, ((0, 0), (0, lost))) if lost else basis)
     visible = np.stack([basis.T @ basis for basis in bases]) - system.basis.at(rows).grams(side_by_side(bases))
     values, vectors = np.linalg.eigh(visible)
     shows = values[:, ::-1] > _SHOWS**2
@@ -153,8 +151,9 @@ def _together(job: AdjustedJob, system: System, covariate: Covariate) -> Family:
     for group in job.model.readings:
         rows = system.first[group.name] + np.arange(group.observations.count)
         full[rows] = np.atleast_2d(covariate.values[group.name]).T / system.scale[rows, None]
-    items = [(_alternative(covariate, ()), np.arange(system.rows), full)]
-    return _family(system, f"moving with {covariate.name}", items, covariate)
+    rows = np.arange(system.rows)
+    item = (_alternative(covariate, ()), rows, *visible_directions(system, rows, [full])[0])
+    return _family(f"moving with {covariate.name}", [item], covariate)
 
 
 def _waves(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Family]:
@@ -169,15 +168,18 @@ def _waves(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[F
         if values is None or len(steps) < _FEWEST_STEPS:
             continue
         turns = 2 * np.pi * (values - steps[0]) / np.ptp(steps)
-        items: list[_Terms] = []
         every, weights = np.arange(len(values)), _weights(system, group)
+        names: list[Alternative] = []
+        waves: list[Array] = []
         for periods in np.arange(1.0, min((len(steps) - 1) / 2, _MOST_PERIODS) + 0.1, 0.5):
             terms = np.stack([np.cos(periods * turns), np.sin(periods * turns)], axis=1)
             rows, full = _components(system, group, weights, every, terms)
             for i, component in enumerate(group.observations.components):
-                name = _alternative(covariate, (component, f"{periods:g} periods"))
-                items.append((name, rows, full[:, 2 * i : 2 * i + 2]))
-        yield _family(system, f"waves in {covariate.name}", items, covariate)
+                names.append(_alternative(covariate, (component, f"{periods:g} periods")))
+                waves.append(full[:, 2 * i : 2 * i + 2])
+        shown = visible_directions(system, rows, waves)
+        items = [(name, rows, *one) for name, one in zip(names, shown, strict=True)]
+        yield _family(f"waves in {covariate.name}", items, covariate)
 
 
 def _parts(job: AdjustedJob, group: Group) -> Iterator[tuple[tuple[str, ...], Array]]:

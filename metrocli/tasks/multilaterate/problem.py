@@ -148,13 +148,21 @@ def network_of(
     return Network(model, noise, readings.nominal, absolute, readings.said, warnings, settings.scale, air)
 
 
+def _of_each(names: tuple[str, ...], index: Index) -> tuple[str, ...]:
+    """Return the name of each reading's member; readings of the same member share the text in memory."""
+    return tuple(np.array(names, dtype=object)[index].tolist())
+
+
 def _observations(settings: Settings, readings: Readings, lengths: Table, air: Air | None) -> Observations:
     """Return the lengths, corrected for the air, with their points, tracers and conditions."""
     return Observations(
         readings.length[None] if air is None else (readings.length * air.towards)[None],
         np.array(settings.noise.constant),
         {t.POINT: readings.point, t.TRACER: readings.station},
-        keys={"point": tuple(lengths.texts("point")), "tracer": tuple(lengths.texts("tracer"))},
+        keys={
+            "point": _of_each(readings.names, readings.point),
+            "tracer": _of_each(readings.stations, readings.station),
+        },
         conditions={name: lengths.numbers(name) for name in ("t", "temp") if name in lengths},
         components=("length",),
         unit="mm",
