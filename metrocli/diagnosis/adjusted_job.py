@@ -156,6 +156,8 @@ class AdjustedJob:
     """Whether the search goes on beside dominant effects that were not adjusted"""
     not_sought: Mapping[str, str] = field(default_factory=dict)
     """Names of effects that cannot be searched for in these readings, each with the reason"""
+    even: frozenset[str] = frozenset()
+    """Kinds of unit that count as equally noisy, because a law explains what seemed to be noise of one of them"""
     budget: Budget = field(default_factory=Budget)
     """CPU time for the search of effects"""
     made_together: tuple[str, ...] = ()

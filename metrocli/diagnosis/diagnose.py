@@ -25,6 +25,7 @@ from metrocli.diagnosis.extended_fit import (
 from metrocli.diagnosis.findings import Diagnosis, Finding
 from metrocli.diagnosis.laws.imitations import without_imitations
 from metrocli.diagnosis.laws.library import Library
+from metrocli.diagnosis.laws.scatter_beside import explains_scatter, without_scatter
 from metrocli.diagnosis.laws.search import Law, laws_in
 from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
 from metrocli.diagnosis.linear.memory import as_fits
@@ -78,6 +79,25 @@ def diagnose(
     Raises UndeterminedError if the unknowns use up all readings, InputError if it needs more memory than there is.
     """
     job = replace(as_fits(job), budget=Budget(_OF_EFFECTS * limit))
+
+    def diagnosed(job: AdjustedJob) -> tuple[Diagnosis, Searched]:
+        return _diagnosed(job, say, limit, attended, ordered)
+
+    found, _ = diagnosed(job)
+    plain = without_scatter(job, found)
+    if plain is None:
+        return found
+    say("diagnosing again without the noise for which a law may stand")
+    again, searched = diagnosed(plain)
+    if again.law is not None and explains_scatter(again.law, job, found, searched.selection):
+        return again
+    return found
+
+
+def _diagnosed(
+    job: AdjustedJob, say: Say, limit: float, attended: Attended, ordered: Ordered
+) -> tuple[Diagnosis, Searched]:
+    """Return the diagnosis of a job within its budget, and the search from which it follows."""
     say("looking for structure")
     searched = first = search_about_solution(job, say)
     job, searched, scatters = with_scatters(job, searched, say)
@@ -117,7 +137,7 @@ def diagnose(
     # what a process explains is structure, and is in the tests: only the white part beside it is noise
     noise = noise_of(searched.selection.fitted() if searched.processes else explained)
     say("computing what the measurement could not detect")
-    return Diagnosis(
+    diagnosis = Diagnosis(
         job=job,
         noise=noise,
         noisier_units=searched.units,
@@ -137,6 +157,7 @@ def diagnose(
         limited=limit if job.budget.ended else None,
         interrupted=job.budget.interrupted,
     )
+    return diagnosis, searched
 
 
 def _findings(

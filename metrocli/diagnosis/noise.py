@@ -193,6 +193,10 @@ def moments_of_share(dof: float, first: float, second: float) -> tuple[float, fl
 
 
 def _units(job: AdjustedJob, system: System) -> Iterator[tuple[str, str, Mask]]:
+    yield from (unit for unit in _parts(job, system) if unit[0] not in job.even)
+
+
+def _parts(job: AdjustedJob, system: System) -> Iterator[tuple[str, str, Mask]]:
     for key in job.units:
         place = job.model.places[key]
         for name in place.names:

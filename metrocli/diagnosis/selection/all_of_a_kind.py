@@ -127,6 +127,12 @@ def estimated_again(found: AllOfAKind, selection: Selection) -> AllOfAKind:
     return _with_size(found, scatter, base.dof)
 
 
+def log_level_beside(fitted: FittedColumns, test_set: ScoreTests, name: str) -> float:
+    """Return ln of the level at which an effect scatters over all its places beside a fit."""
+    scatter = RestrictedLikelihood.beside(fitted, _columns(test_set, _effect(test_set, name))[0])
+    return scatter.log_level(scatter.best())
+
+
 def _with_size(found: AllOfAKind, scatter: RestrictedLikelihood, dof: float) -> AllOfAKind:
     best = scatter.best()
     std = float(np.sqrt(np.exp(best) * scatter.squares(best) / dof))
