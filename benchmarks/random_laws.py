@@ -19,17 +19,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from benchmarks.hidden.foreign import NOTHING, SIMULATED, Planted, planted
 from benchmarks.hidden.rates import Rate
+from metrocli.diagnosis.cross_validation import gain_of_model
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.job_entries import as_job, scatter_as_job
 from metrocli.diagnosis.laws.definition import as_define, as_wanted, written
 from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.search import Law
+from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
 from metrocli.diagnosis.linear.linearised import linearised
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.effects import wanted
 from metrocli.effects.own import define
 from metrocli.errors import MetrocliError
@@ -59,6 +63,8 @@ class Outcome:
     """Whether the verdict is not clean"""
     clean: bool = False
     """Whether the extended job is"""
+    held: float = np.inf
+    """Held-out error with the law, relative to that with the error itself in the model"""
 
 
 def outcome(one: Planted) -> Outcome:
@@ -77,8 +83,9 @@ def outcome(one: Planted) -> Outcome:
     there, after = law.terms[0].spot.where == one.where, _after(one, diagnosis)
     text += f", extended: {after}"
     part, right = _explained(one, law), used == one.variables
-    text = f"{part:.0%}, {text}"
-    return Outcome(text, part >= 0.9, right, there, noticed, after is Verdict.CLEAN)
+    held = _held(one, law)
+    text = f"{part:.0%}, held-out error {held:.2f} times that of the true law, {text}"
+    return Outcome(text, part >= 0.9, right, there, noticed, after is Verdict.CLEAN, held)
 
 
 def _explained(one: Planted, law: Law) -> float:
@@ -87,6 +94,19 @@ def _explained(one: Planted, law: Law) -> float:
     error, library = system.residual - right.residual, Library(one.job(), system)
     by_law = sum(library.columns(term) @ sizes for term, sizes in zip(law.terms, law.sizes, strict=True))
     return 1 - float(((error - system.seen(by_law)) ** 2).sum() / (error**2).sum())
+
+
+def _held(one: Planted, law: Law) -> float:
+    """Return the held-out error with a law, relative to that with the error itself, of which the size is estimated."""
+    job = one.job()
+    system, right = linearised(job.model), linearised(one.correct.adjusted().model)
+    shape = system.seen(system.residual - right.residual)[:, None]
+    tests = ScoreTests(
+        system, (), np.zeros((0, 1, 1)), np.zeros((0, 1), dtype=np.intp), excluded=np.zeros(0, dtype=bool)
+    )
+    before = nothing_fitted(system)
+    with_shape = before.with_columns(shape / np.linalg.norm(shape))
+    return law.gain.after / gain_of_model(job, (tests, before), (tests, with_shape)).after
 
 
 def _after(one: Planted, diagnosis: Diagnosis) -> Verdict | str:
@@ -115,6 +135,8 @@ def rates(found: list[Outcome]) -> Iterator[Rate]:
         yield Rate("  at the right place", sum(one.there for one in explained), len(explained))
     laws = [one for one in found if one.law[0] != "-"]
     if laws:
+        near = sum(one.held <= 1.1 for one in laws)
+        yield Rate("held-out error within 10 % of that with the true law", near, len(laws))
         yield Rate("extended jobs that are clean", sum(one.clean for one in laws), len(laws), 0.8, 1.0)
     yield Rate("not called clean", sum(one.noticed for one in found), len(found))
 
