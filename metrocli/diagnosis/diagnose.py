@@ -84,12 +84,13 @@ def diagnose(
         return _diagnosed(job, say, limit, attended, ordered)
 
     found, _ = diagnosed(job)
-    plain = without_scatter(job, found)
+    units, scattered = found.noisier_units, [one.found.effect.name for one in found.scatters]
+    plain = None if found.law is None or found.interrupted else without_scatter(job, units, scattered)
     if plain is None:
         return found
     say("diagnosing again without the noise for which a law may stand")
     again, searched = diagnosed(plain)
-    if again.law is not None and explains_scatter(again.law, job, found, searched.selection):
+    if again.law is not None and explains_scatter(again.law, job, searched.selection, units, scattered):
         return again
     return found
 

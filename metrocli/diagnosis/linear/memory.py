@@ -1,7 +1,7 @@
 """The memory that a diagnosis takes, estimated before anything is computed, and the part of a job that fits.
 
 It is linear in the readings. A diagnosis that would take more than there is would be ended by the system without a
-word. So it is made of a part of the points (images) with all their readings, drawn evenly, and says so.
+word. So a part of the points (images), drawn evenly, is diagnosed with all their readings.
 """
 
 from __future__ import annotations
