@@ -6,8 +6,7 @@ import json
 import re
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -356,12 +355,7 @@ def test_pages_of_a_project_are_counted_while_they_are_made(
     job: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: list[tuple[int, int | None]] = []
-
-    @contextmanager
-    def counter(console: Console) -> Iterator[Callable[[int, int | None], None]]:
-        yield lambda done, of: told.append((done, of))
-
-    monkeypatch.setattr(Console, "part_counter", counter)
+    monkeypatch.setattr(Console, "count", lambda console, done, of: told.append((done, of)))
     Path("metrocli.yaml").write_text("jobs: [line.yaml]\n", encoding="utf-8")
     assert metrocli("run").code == 0 and metrocli("report", ".").code == 0
     assert told[-1] == (0, 1)

@@ -57,15 +57,16 @@ def command(
     if project and diagnosis is not None:
         raise UsageError("--diagnosis is for the page of one result; beside NAME.h5, NAME.diagnosis.json is found")
     console = Console(quiet or as_json)
-    with console.part_counter() as done:
-        if project:
-            pages = _project(place, out, units, done)
-        else:
-            pages = {out or place.with_suffix(".html"): _page(place, diagnosis, Path(), units)}
+    if project:
+        console.doing("making the pages")
+        pages = _project(place, out, units, console.count)
+    else:
+        console.doing("making the page")
+        pages = {out or place.with_suffix(".html"): _page(place, diagnosis, Path(), units)}
     files = {path: text.encode() for path, text in pages.items()}
     if pdf:
-        with console.part_counter() as done:
-            files |= _printed(pages, done)
+        console.doing("printing the pages as PDF")
+        files |= _printed(pages, console.count)
     return print_files(write_all(files, force), as_json, quiet)
 
 
