@@ -237,6 +237,8 @@ def test_the_worst_may_be_a_calibrated_length() -> None:
 def test_correlations() -> None:
     found = plots.data_of("correlation", lens())
     assert found.matrix[0, 1] == pytest.approx(0.5) and found.largest == ("cx", "cy", pytest.approx(-0.9))
+    alone = replace(lens(), covariance=np.diag(np.diag(lens().covariance)))
+    assert plots.data_of("correlation", alone) is None
 
 
 def test_a_budget_is_sorted_and_adds_up() -> None:
