@@ -49,8 +49,8 @@ def project_page(name: str, entries: Sequence[Entry], charts: Sequence[Html] = (
     if stale or bad or lacking:
         counts = (stale, _STALE), (bad, _UNFIT), (lacking, _LACKING)
         words = " ".join(_count(some, len(entries), what) for some, what in counts if some)
-    head = ["job", "kind", "title", "state", *(["needs"] if any(one.needs for one in entries) else [])]
-    rows = [(_link(one), one.kind, one.title, _state(one), ", ".join(one.needs))[: len(head)] for one in entries]
+    head = ["job", "state", "kind", "title", *(["needs"] if any(one.needs for one in entries) else [])]
+    rows = [(_link(one), _state(one), one.kind, one.title, ", ".join(one.needs))[: len(head)] for one in entries]
     parts = [
         tag("p", "metrocli project", class_="muted"),
         tag("h1", name),
