@@ -107,8 +107,7 @@ def main(folders: list[str]) -> None:
     total = 0
     with tempfile.TemporaryDirectory() as name:
         for one in folders or sorted(path.name for path in SAMPLES.glob("*/")):
-            own = Path(name) / Path(one).name
-            own.mkdir()
+            own = Path(tempfile.mkdtemp(dir=name))  # folders may have the same name
             paths = sorted(Path(one).resolve().rglob("*.html")) if folders else reported(one, own)
             found = seen(paths, own)
             faults = list(found.faults())

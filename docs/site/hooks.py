@@ -90,11 +90,14 @@ def _shown(sample: str, place: Path, shown: set[str], files: Files, config: MkDo
             if name in shown:
                 continue
             shown.add(name)
-            figure = place / f"{name}.svg"
-            _metrocli("plot", result, name, "--save", figure, "--quiet")
-            files.append(File.generated(config, f"{pages}/{figure.name}", content=figure.read_text(encoding="utf-8")))
             text.append(f"    metrocli plot {sample}/results/{result.name} {name}\n")
-            text.append(f"![{name} of {result.stem}]({pages}/{figure.name})\n")
+            for theme, option in (("light", ()), ("dark", ("--dark",))):
+                figure = place / f"{name}.{theme}.svg"
+                _metrocli("plot", result, name, "--save", figure, *option, "--quiet")
+                drawn = figure.read_text(encoding="utf-8")
+                files.append(File.generated(config, f"{pages}/{figure.name}", content=drawn))
+                text.append(f"![{name} of {result.stem}]({pages}/{figure.name}#only-{theme})")
+            text.append("")
     return "\n".join(text)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import sys
 from collections.abc import Sequence
+from copy import copy
 from importlib import import_module
 
 import click
@@ -12,6 +13,7 @@ import click
 from metrocli import __version__
 from metrocli.cli.console import echo
 from metrocli.cli.help import COMMANDS, MODULES, ROOMS, example_of, help_text, version_text
+from metrocli.cli.shell.progress_line import with_progress
 from metrocli.cli.shell.signals import INTERRUPTED, TERMINATED, Terminated, ending
 from metrocli.errors import Fault, InputError, MetrocliError
 from metrocli.tasks import KINDS
@@ -30,14 +32,10 @@ class Commands(click.Group):
         if cmd_name in KINDS:
             from metrocli.cli.job_command import make
 
-            made = make(cmd_name)
-            made.epilog = example_of(cmd_name)
-            return made
+            return _complete(make(cmd_name))
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = import_module(module_of(cmd_name)).command
-        command.epilog = example_of(cmd_name)
-        return command
+        return _complete(import_module(module_of(cmd_name)).command)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -50,6 +48,15 @@ class Commands(click.Group):
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         formatter.write(help_text())
+
+
+def _complete(command: click.Command) -> click.Command:
+    """Return a command with its example in the help and, unless it has a table of its own, the progress line."""
+    whole = copy(command)
+    whole.epilog = example_of(str(command.name))
+    if command.name != "run" and command.callback is not None:
+        whole.callback = with_progress(command.callback)
+    return whole
 
 
 def module_of(command: str) -> str:

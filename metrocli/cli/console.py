@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import click
+
+from metrocli.progress import Progress
 
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 """Characters by which a text could take over a terminal, or show its letters in another order
 
 All control characters but the tab and the end of a line, and those that turn the direction of writing.
 """
-_FIRST_S, _EVERY_S = 2.0, 0.5
-"""Time before a line of progress appears, and between two of them [s]"""
+
+
+class DrawnLine(Progress, Protocol):
+    """A line that is drawn on the terminal while a command goes on."""
+
+    def away(self) -> AbstractContextManager[None]:
+        """Remove the line; what is printed within the context stands in its place."""
+
+
+LINES: list[DrawnLine] = []
+"""The line on the terminal, if there is one"""
 
 
 def echo(text: str, err: bool = False, nl: bool = True, as_is: bool = False) -> None:
@@ -35,26 +48,13 @@ def echo(text: str, err: bool = False, nl: bool = True, as_is: bool = False) -> 
         text = fitted(text, terminal_size(stream.fileno())[0])
         if not os.environ.get("NO_COLOR") and os.environ.get("TERM", "dumb") != "dumb":
             text = coloured(text)
-    click.echo(text, err=err, nl=nl)
+    with LINES[-1].away() if LINES else nullcontext():
+        click.echo(text, err=err, nl=nl)
 
 
 def printable(text: str) -> str:
     """Return a text without control characters."""
     return _CONTROL.sub("\N{REPLACEMENT CHARACTER}", text)
-
-
-def progress_text(done: int, of: int | None, elapsed: float) -> str:
-    """Return how many parts are done and, where their number is known, how long the others take at that rate [s].
-
-    Without parts, or after the last, return the time since the begin.
-    """
-    if not of:
-        return f"{done} parts" if done else f"{elapsed:.0f} s"
-    if not done:
-        return f"0 of {of} parts"
-    if done >= of:
-        return f"{done} of {of} parts, {elapsed:.0f} s"
-    return f"{done} of {of} parts, about {elapsed * (of - done) / done:.0f} s left"
 
 
 @dataclass(frozen=True)
@@ -79,47 +79,19 @@ class Console:
         if self.verbose:
             echo(line, err=True)
 
-    def waiting(self, line: str) -> None:
-        """Print to stderr what takes time, where a person watches the terminal or with --verbose."""
-        if self.verbose or (not self.quiet and sys.stderr.isatty()):
-            echo(line, err=True)
+    def doing(self, line: str, most: float = math.inf) -> None:
+        """Show on the progress line what is done from now on, with --verbose also print it.
 
-    @contextmanager
-    def part_counter(self) -> Iterator[Callable[[int, int | None], None]]:
-        """Yield a function that takes how many parts of a long computation are done.
-
-        A line on the terminal shows them, or the time while there are none, from the third second to the end.
+        The search in it ends after `most` CPU time at the latest [s].
         """
-        import threading
-        import time
+        for shown in LINES:
+            shown.doing(line, most)
+        self.detail(line)
 
-        begun, length = time.monotonic(), 0
-        told: tuple[int, int | None] = (0, None)
-        over = threading.Event()
-
-        def tell(done: int, of: int | None) -> None:
-            nonlocal told
-            told = (done, of)
-
-        def draw() -> None:
-            nonlocal length
-            pause = _FIRST_S
-            while not over.wait(pause):
-                text = progress_text(*told, time.monotonic() - begun)
-                click.echo(f"\r{text:{length}}", err=True, nl=False)
-                length, pause = len(text), _EVERY_S
-
-        if self.quiet or not sys.stderr.isatty():
-            yield tell
-            return
-        thread = threading.Thread(target=draw, daemon=True)
-        thread.start()
-        try:
-            yield tell
-        finally:
-            over.set()
-            thread.join()
-            click.echo(f"\r{'':{length}}\r" if length else "", err=True, nl=False)
+    def count(self, done: int, of: int | None) -> None:
+        """Show on the progress line how many parts are done, of how many if that is known."""
+        for shown in LINES:
+            shown.count(done, of)
 
 
 def print_files(paths: Iterable[Path], as_json: bool, quiet: bool, **more: str) -> int:

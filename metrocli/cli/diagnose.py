@@ -71,7 +71,8 @@ def _design(path: Path, asked: Wishes, as_json: bool, console: Console) -> int:
     from metrocli.tasks import KINDS
 
     kind = kind_of_job(path)
-    adjusted, found = diagnosed.design_of(load(path, replace(asked, not_needed=KINDS[kind].measured if kind else ())))
+    wished = replace(asked, not_needed=KINDS[kind].measured if kind else ())
+    adjusted, found = diagnosed.design_of(load(path, wished), console)
     if as_json:
         echo(summary.as_json(verdict.design_data(adjusted, found)))
     console.print(findings.of_design(adjusted, found))
@@ -94,7 +95,7 @@ def _once(
 
     console, limit = Console(wanted["quiet"] or as_json, wanted["verbose"]), _seconds(wanted["limit"])
     with ordered_on(wanted["scheduler"], alike_for([(loaded.kind, loaded.own.packages)])) as ordered:
-        diagnosis = diagnosed.carry_out(loaded, console.waiting, limit, first_interrupt, ordered)
+        diagnosis = diagnosed.carry_out(loaded, console, limit, first_interrupt, ordered)
     extended = _extended(loaded, diagnosis, output, force)
     proposed = None if following is None else next_readings(diagnosis, following)
     data = _data(loaded, diagnosis, extended)
@@ -160,7 +161,7 @@ def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> i
     console = Console(wanted["quiet"] or as_json, wanted["verbose"])
     limit = _seconds(wanted["limit"])
     with ordered_on(wanted["scheduler"], alike_for([(job.kind, job.own.packages)])) as ordered:
-        loop = until_clean(job, wanted["most"], console.waiting, limit, force, ordered)
+        loop = until_clean(job, wanted["most"], console, limit, force, ordered)
     if as_json:
         echo(summary.as_json(loop_data(loop)))
     console.print(of_loop(loop))

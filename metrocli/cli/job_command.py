@@ -66,9 +66,8 @@ def _carry_out(kind: str, path: Path, console: Console, wanted: dict[str, Any]) 
         return 0
     from metrocli.uncertainty.workers import Workers
 
-    with console.part_counter() as show_parts:
-        workers = Workers(wanted.get("workers", 0), wanted.get("scheduler", ""), tell=show_parts)
-        done = runner.carry_out(job, wanted["force"], console.detail, workers, wanted["strict"])
+    workers = Workers(wanted.get("workers", 0), wanted.get("scheduler", ""))
+    done = runner.carry_out(job, wanted["force"], console, workers, wanted["strict"])
     if wanted["as_json"]:
         echo(summary.json_of(done.result, done.record, done.path))
     else:

@@ -123,7 +123,7 @@ def _crew(console: Console, jobs: int, scheduler: str, steps: Sequence[Step]) ->
         from metrocli.project.running.cluster import on_cluster
 
         return on_cluster(scheduler, [step.job for step in steps])
-    return nullcontext(Alone(console.detail)) if jobs == 1 else processes(jobs)
+    return nullcontext(Alone(console)) if jobs == 1 else processes(jobs)
 
 
 def _dry_run(found: Sequence[State], console: Console, as_json: bool) -> int:

@@ -43,9 +43,10 @@ from metrocli.diagnosis.residual_structure import (
     pure_error,
     remaining_structure,
 )
-from metrocli.diagnosis.searched import SEED, Say, Searched, search_about_solution, with_scatters
+from metrocli.diagnosis.searched import SEED, Searched, search_about_solution, with_scatters
 from metrocli.diagnosis.selection.confidence_set import NamedEffect, confidence_sets
 from metrocli.diagnosis.wrong_readings import wrong_readings
+from metrocli.progress import SILENT, Progress
 
 Attended = Callable[[Callable[[], None]], AbstractContextManager[object]]
 """Takes what interrupts a search, and calls it if the user wants that within the context"""
@@ -66,7 +67,7 @@ def no_interrupt(heeded: Callable[[], None]) -> AbstractContextManager[object]:
 
 def diagnose(
     job: AdjustedJob,
-    say: Say = lambda line: None,
+    progress: Progress = SILENT,
     limit: float = LIMIT,
     attended: Attended = no_interrupt,
     ordered: Ordered = map,
@@ -81,14 +82,14 @@ def diagnose(
     job = replace(as_fits(job), budget=Budget(_OF_EFFECTS * limit))
 
     def diagnosed(job: AdjustedJob) -> tuple[Diagnosis, Searched]:
-        return _diagnosed(job, say, limit, attended, ordered)
+        return _diagnosed(job, progress, limit, attended, ordered)
 
     found, _ = diagnosed(job)
     units, scattered = found.noisier_units, [one.found.effect.name for one in found.scatters]
     plain = None if found.law is None or found.interrupted else without_scatter(job, units, scattered)
     if plain is None:
         return found
-    say("diagnosing again without the noise for which a law may stand")
+    progress.doing("diagnosing again without the noise for which a law may stand", job.budget.left())
     again, searched = diagnosed(plain)
     if again.law is not None and explains_scatter(again.law, job, searched.selection, units, scattered):
         return again
@@ -96,12 +97,12 @@ def diagnose(
 
 
 def _diagnosed(
-    job: AdjustedJob, say: Say, limit: float, attended: Attended, ordered: Ordered
+    job: AdjustedJob, progress: Progress, limit: float, attended: Attended, ordered: Ordered
 ) -> tuple[Diagnosis, Searched]:
     """Return the diagnosis of a job within its budget, and the search from which it follows."""
-    say("looking for structure")
-    searched = first = search_about_solution(job, say)
-    job, searched, scatters = with_scatters(job, searched, say)
+    progress.doing("looking for structure", job.budget.left())
+    searched = first = search_about_solution(job, progress)
+    job, searched, scatters = with_scatters(job, searched, progress)
     white = searched.beside_white_noise
     library = Library(searched.job, white.test_set.system)
     if job.places:
@@ -111,8 +112,8 @@ def _diagnosed(
         if searched.processes:
             library = Library(searched.job, searched.selection.test_set.system)
     names = confidence_sets(searched.selection)
-    say("cross-validating: predicting parts of the readings from the others")
     left = (1 - _OF_EFFECTS) * limit + max(job.budget.left(), 0.0)
+    progress.doing("cross-validating: predicting parts of the readings from the others", left)
     gains = cross_validated(searched.job, searched.selection, names, left, ordered) if names else []
     kept = readings_kept(searched.selection)
     fit = extended_fit(job, names, kept) if names else None
@@ -123,7 +124,7 @@ def _diagnosed(
     structure = _structure_of_repeats(repeats) if structure is None else structure
     laws: tuple[Law, ...] = ()
     if job.places:
-        say("looking for a law in what no effect explains")
+        progress.doing("looking for a law in what no effect explains", job.budget.left())
         with attended(job.budget.interrupt):
             # beside a process, which explains the structure, a law has to show as one does without structure
             structured = structure is not None and not searched.processes
@@ -137,7 +138,7 @@ def _diagnosed(
     explained = fitted.with_columns(law.columns) if law else fitted
     # what a process explains is structure, and is in the tests: only the white part beside it is noise
     noise = noise_of(searched.selection.fitted() if searched.processes else explained)
-    say("computing what the measurement could not detect")
+    progress.doing("computing what the measurement could not detect")
     diagnosis = Diagnosis(
         job=job,
         noise=noise,

@@ -5,7 +5,7 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,8 +44,8 @@ from metrocli.diagnosis.selection.search import STRUCTURED, continued, search, t
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.diagnosis.selection.thresholds import has_dominant_effect
 from metrocli.errors import UndeterminedError
+from metrocli.progress import Progress
 
-Say = Callable[[str], None]
 _ROUNDS = 3
 """Largest number of noisier units that are reweighted, one after the other"""
 _SEARCHES = 5
@@ -96,12 +96,12 @@ class Searched:
         return replace(self, tests=tests, selection=selection, processes=(), plain=None)
 
 
-def search_about_solution(job: AdjustedJob, say: Say) -> Searched:
+def search_about_solution(job: AdjustedJob, progress: Progress) -> Searched:
     """Return the selection beside the noise that the readings show, linearised about the job with its large effects."""
-    return _with_processes(_search_beside_white_noise(job, say), say)
+    return _with_processes(_search_beside_white_noise(job, progress), progress)
 
 
-def _with_processes(searched: Searched, say: Say) -> Searched:
+def _with_processes(searched: Searched, progress: Progress) -> Searched:
     """Return the search repeated beside the smooth processes that the readings show, one after the other."""
     job, tests, selection = searched.job, searched.tests, searched.selection
     plain, processes = selection, list[Process]()
@@ -111,7 +111,7 @@ def _with_processes(searched: Searched, say: Say) -> Searched:
         found = process_in(job, selection)
         if found is None:
             break
-        say(f"searching beside an error that varies smoothly with {found.covariate}")
+        progress.doing(f"searching beside an error that varies smoothly with {found.covariate}", job.budget.left())
         rng, before = np.random.default_rng(SEED), selection
         tests = beside_random_columns(tests, found.columns, rng, job.single_components)
         selection = refined_scans(job, search(tests, nothing_fitted(tests.system), STRUCTURED))
@@ -137,7 +137,7 @@ def _not_in(selection: Selection, effects: Iterable[Alternative]) -> tuple[Alter
     return tuple(one for one in wanted if one.spot not in named) if len(named) < len(wanted) else ()
 
 
-def _search_beside_white_noise(job: AdjustedJob, say: Say) -> Searched:
+def _search_beside_white_noise(job: AdjustedJob, progress: Progress) -> Searched:
     """Return the selection beside white noise, linearised about the job with its dominant effects adjusted.
 
     Why: decision 051.
@@ -155,7 +155,7 @@ def _search_beside_white_noise(job: AdjustedJob, say: Say) -> Searched:
         selection = refined_scans(point, found.selection)
         if not has_dominant_effect(selection):
             break
-        say("adjusting with what was found")
+        progress.doing("adjusting with what was found", job.budget.left())
         names = confidence_sets(selection)
         fit = extended_fit(job, names, readings_kept(selection))
         point = replace(point, patient=True) if fit is None else relinearised(job, names, fit)
@@ -174,7 +174,9 @@ def _search_beside_white_noise(job: AdjustedJob, say: Say) -> Searched:
     return Searched(point, tests, not_tested, found.units, selection)
 
 
-def with_scatters(job: AdjustedJob, searched: Searched, say: Say) -> tuple[AdjustedJob, Searched, tuple[Scatter, ...]]:
+def with_scatters(
+    job: AdjustedJob, searched: Searched, progress: Progress
+) -> tuple[AdjustedJob, Searched, tuple[Scatter, ...]]:
     """Return the job and the search with effects at all places of a kind in the model, where these explain more."""
     scatters: list[Scatter] = []
     while len(scatters) < _KINDS:
@@ -182,8 +184,8 @@ def with_scatters(job: AdjustedJob, searched: Searched, say: Say) -> tuple[Adjus
         # the standard deviation of one that is in the model already is tested as any that is declared
         if found is None or found.effect.name in {one.effect.name for one in job.model.added if one.std}:
             break
-        say(f"adjusting with {found.effect.name} at every {found.effect.keys[0]}")
-        settled = _with_scatter(job, searched, found, say)
+        progress.doing(f"adjusting with {found.effect.name} at every {found.effect.keys[0]}", job.budget.left())
+        settled = _with_scatter(job, searched, found, progress)
         if settled is None:
             break
         found, wider, after = settled
@@ -194,7 +196,7 @@ def with_scatters(job: AdjustedJob, searched: Searched, say: Say) -> tuple[Adjus
 
 
 def _with_scatter(
-    job: AdjustedJob, searched: Searched, found: AllOfAKind, say: Say
+    job: AdjustedJob, searched: Searched, found: AllOfAKind, progress: Progress
 ) -> tuple[AllOfAKind, AdjustedJob, Searched] | None:
     """Return a scatter, the job with it in the model, and the search about that; None if it cannot be adjusted.
 
@@ -205,7 +207,7 @@ def _with_scatter(
         wider = with_scatter(job, found, kept)
         if wider is None:
             break
-        after = search_about_solution(wider, say)
+        after = search_about_solution(wider, progress)
         done = found, wider, after
         again = estimated_again(found, transferred(after.selection, searched.tests))
         if abs(np.log(again.std / found.std)) < _STAYS:

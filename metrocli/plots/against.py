@@ -160,7 +160,7 @@ def _name_worst(axes: Axes, x: Array, w: Array, row: int, label: str, colour: st
     """Write the name of a reading beyond all others, where no mark and no bound is, towards the middle."""
     left, up = x[row] < (x.min() + x.max()) / 2, w[row] > 0
     axes.annotate(
-        label, (x[row], w[row]), xytext=(-3 if left else 3, 3 if up else -3), textcoords="offset points",
+        label, (x[row], w[row]), xytext=(-3 if left else 3, 4 if up else -4), textcoords="offset points",
         ha="left" if left else "right", va="bottom" if up else "top", fontsize=7.5, color=colour,
     )  # fmt: skip
 

@@ -33,13 +33,15 @@ class Correlation:
 
 
 def data(result: Result, about: str) -> Correlation | None:
-    """Return `C_ij / sqrt(C_ii C_jj)` of the estimates with a variance; None with fewer than two."""
+    """Return `C_ij / sqrt(C_ii C_jj)` of the estimates with a variance; None if no two of them are correlated."""
     variance = np.diag(result.covariance)
     rows = np.flatnonzero(np.isfinite(variance) & (variance > 0))
     if len(rows) < 2:
         return None
     std = np.sqrt(variance[rows])
     matrix = result.covariance[np.ix_(rows, rows)] / std[:, None] / std
+    if not np.any(matrix[~np.eye(len(rows), dtype=bool)]):
+        return None
     kept = np.arange(len(rows))
     if len(rows) > MOST:
         strongest = np.abs(matrix - np.eye(len(rows))).max(axis=1)
@@ -78,8 +80,7 @@ def draw(canvas: Canvas, found: Correlation) -> str:
     high = int((np.abs(np.triu(found.matrix, 1)) > HIGH).sum())
     first, second, value = found.largest
     beyond = f"{high} pair exceeds" if high == 1 else f"{high or 'No'} pairs exceed"
-    largest = f"the largest is {value:+.3f} of {first} and {second}" if value else "all are 0"
-    text = f"{beyond} {HIGH} in size; {largest}."
+    text = f"{beyond} {HIGH} in size; the largest is {value:+.3f} of {first} and {second}."
     if count == found.estimates:
         return text
     return f"{text} {count} of {found.estimates} estimates are shown, those with the largest correlations."

@@ -123,7 +123,7 @@ def draw(canvas: Canvas, found: Scene) -> str:
     axes.autoscale_view()
     _draw_scale(axes, found, rows, theme.ink, theme.muted)
     if len(found.places) > 1:
-        axes.legend(loc="upper left")
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(found.places), borderaxespad=0.2)
     return _caption(found)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -26,6 +26,8 @@ Array = npt.NDArray[np.float64]
 
 WIDTH = 6.4
 """Width of a figure in inches: that of the text on A4"""
+_EMPTY = 0.1
+"""Empty height by which a figure shrinks [inches]"""
 _CAPTION = 108
 """Letters of one line of the caption"""
 
@@ -124,13 +126,14 @@ class Canvas:
     def axes_and_bar(self, rows: int = 1, columns: int = 1, count: int = 1) -> tuple[list[Axes], Axes]:
         """Return `count` axes in rows and columns with common scales, and the place of a scale of colours.
 
-        The scale is as high as the axes, also where these are smaller than their room because of equal units.
+        The scale is as high as the axes and stands beside them, also where equal units make them smaller than their
+        room: they are then at its left.
         """
         grid = self.figure.add_gridspec(rows, columns + 1, width_ratios=[1.0] * columns + [0.035 * columns])
         found: list[Axes] = []
         for k in range(count):
             first = found[0] if found else None
-            found.append(self.figure.add_subplot(grid[divmod(k, columns)], sharex=first, sharey=first, anchor="E"))
+            found.append(self.figure.add_subplot(grid[divmod(k, columns)], sharex=first, sharey=first, anchor="NW"))
         bar = self.figure.add_subplot(grid[:, -1])
         bar.set_axes_locator(partial(_beside, found))
         return found, bar
@@ -164,7 +167,8 @@ def _beside(panels: list[Axes], bar: Axes, renderer: Any) -> Bbox:
     for one in panels:
         one.apply_aspect()
     whole, room = Bbox.union([one.get_position() for one in panels]), bar.get_position(original=True)
-    return Bbox.from_bounds(room.x0, whole.y0, room.width, whole.height)
+    gap = room.x0 - max(one.get_position(original=True).x1 for one in panels)
+    return Bbox.from_bounds(whole.x1 + gap, whole.y0, room.width, whole.height)
 
 
 def bare(axes: Axes) -> None:
@@ -176,6 +180,7 @@ def bare(axes: Axes) -> None:
 def arrange(canvas: Canvas, title: str = "", caption: str = "") -> None:
     """Fit the axes with their labels into the figure; with a title above and a caption below it, the figure grows.
 
+    It shrinks by the height that axes with equal units leave empty.
     By matplotlib's tight layout: its constrained layout takes four times as long. Once, unless the new sizes of the
     axes change their ticks, whose labels may then be wider.
     """
@@ -184,18 +189,43 @@ def arrange(canvas: Canvas, title: str = "", caption: str = "") -> None:
     lines = textwrap.wrap(caption, _CAPTION)
     above, below = 0.3 if title else 0.0, 0.155 * len(lines) + 0.1 if lines else 0.0
     whole = height + above + below
-    figure.set_size_inches(width, whole)
-    # without a part of the figure to fit into, matplotlib measures all texts once instead of twice
-    rect = (0, below / whole, 1, 1 - above / whole) if above or below else None
     ticks = _ticks(figure)
-    figure.tight_layout(pad=0.4, rect=rect)
-    if _ticks(figure) != ticks:
-        figure.tight_layout(pad=0.4, rect=rect)
+    # labels are measured from the room of the axes, which equal units would leave
+    equal = [axes for axes in figure.axes if axes.get_aspect() != "auto"]
+    for axes in equal:
+        axes.set_aspect("auto")
+    _fit(figure, above, below, (width, whole))
+    empty = _empty_height(equal, (width, whole))
+    if empty > _EMPTY:
+        whole -= empty
+        _fit(figure, above, below, (width, whole))
+    elif _ticks(figure) != ticks:
+        _fit(figure, above, below, (width, whole))
+    for axes in equal:
+        axes.set_aspect("equal")
     if title:
         figure.text(0.01, 1 - 0.08 / whole, title, va="top", fontsize=10.5, fontweight="bold")
     if lines:
         text = "\n".join(lines)
         figure.text(0.01, 0.06 / whole, text, va="bottom", fontsize=7.5, color=theme.muted, linespacing=1.3)
+
+
+def _fit(figure: Figure, above: float, below: float, size: tuple[float, float]) -> None:
+    """Fit the axes into a figure of a size, but for a strip above and one below them [inches]."""
+    figure.set_size_inches(*size)
+    # without a part of the figure to fit into, matplotlib measures all texts once instead of twice
+    rect = (0, below / size[1], 1, 1 - above / size[1]) if above or below else None
+    figure.tight_layout(pad=0.4, rect=rect)
+
+
+def _empty_height(equal: Iterable[Axes], size: tuple[float, float]) -> float:
+    """Return the height that axes in a figure of a size do not fill if their units are equal [inches]."""
+    rows: dict[float, float] = {}
+    for axes in equal:
+        room = axes.get_position(original=True)
+        free = room.height * size[1] - room.width * size[0] * axes.get_data_ratio()
+        rows[round(room.y0, 3)] = min(free, rows.get(round(room.y0, 3), free))
+    return sum(rows.values())
 
 
 def _ticks(figure: Figure) -> list[list[float]]:

@@ -24,10 +24,11 @@ from metrocli.diagnosis.mistakes import without_mistakes
 from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError, UsageError
 from metrocli.formats.aside import written_aside
 from metrocli.nodes import Node
+from metrocli.progress import SILENT, Named, Progress, counted
 from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import JobFile, Wishes, load
-from metrocli.project.runner import Progress, content, simulate
+from metrocli.project.runner import content, counting, simulate
 from metrocli.record import InputFile
 from metrocli.simulation import SimulationOptions
 
@@ -47,7 +48,7 @@ def adjusted_job_of(job: JobFile) -> AdjustedJob:
 
 def carry_out(
     job: JobFile,
-    progress: Progress = lambda line: None,
+    progress: Progress = SILENT,
     limit: float = LIMIT,
     attended: Attended = no_interrupt,
     ordered: Ordered = map,
@@ -57,21 +58,25 @@ def carry_out(
     `ordered` computes the folds of cross-validation, perhaps on other processors.
     """
     adjust = _adjuster(job)
-    progress(f"{job.file}: adjusting")
-    adjusted, mistaken = without_mistakes(read_inputs(job), adjust)
-    diagnosis = diagnose(adjusted, lambda line: progress(f"{job.file}: {line}"), limit, attended, ordered)
+    progress = Named(job.file, progress)
+    progress.doing("adjusting")
+    adjusted, mistaken = without_mistakes(counting(read_inputs(job), progress), adjust)
+    diagnosis = diagnose(adjusted, progress, limit, attended, counted(ordered, progress))
     return replace(diagnosis, mistaken=mistaken)
 
 
-def design_of(job: JobFile) -> tuple[AdjustedJob, Design]:
+def design_of(job: JobFile, progress: Progress = SILENT) -> tuple[AdjustedJob, Design]:
     """Return what the measurement of a job can detect; readings that do not exist yet are simulated."""
     wanted = tasks.KINDS[job.kind].measured
-    held = read_inputs(job, wanted)
+    progress = Named(job.file, progress)
+    held = counting(read_inputs(job, wanted), progress)
     if not set(wanted) & set(held) and any(item.key in wanted for item in job.inputs):
         files = simulate(job, SimulationOptions()).files
         made = {Path(name).stem: table for name, table in files.items()}
         held |= {item.key: made[item.key] for item in job.inputs if item.key in wanted and item.key in made}
+    progress.doing("adjusting")
     adjusted = as_fits(_adjuster(job)(held))
+    progress.doing("computing what the measurement can detect")
     return adjusted, what_can_be_seen(adjusted)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
@@ -18,6 +18,7 @@ from metrocli.formats.aside import refuse_unwritable
 from metrocli.formats.hdf5 import refuse_foreign
 from metrocli.formats.images import ImageFiles
 from metrocli.plan import Plan
+from metrocli.progress import SILENT, Named, Progress
 from metrocli.project import meaning
 from metrocli.project.inputs import read_inputs, read_with_files, unfit_inputs
 from metrocli.project.job import JobFile, figures_of
@@ -32,8 +33,6 @@ from metrocli.uncertainty.workers import Workers
 
 HERE = Workers()
 """Threads on all cores of this computer"""
-Progress = Callable[[str], None]
-"""Receives a line of progress."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class Done:
 def carry_out(
     file: JobFile,
     force: bool = False,
-    progress: Progress = lambda line: None,
+    progress: Progress = SILENT,
     workers: Workers = HERE,
     strict: bool = False,
 ) -> Done:
@@ -75,21 +74,23 @@ def write(file: JobFile, result: Result, record: Record) -> Done:
 
 
 def compute(
-    file: JobFile, progress: Progress = lambda line: None, workers: Workers = HERE, strict: bool = False
+    file: JobFile, progress: Progress = SILENT, workers: Workers = HERE, strict: bool = False
 ) -> tuple[Result, Record]:
     """Read the inputs, run the task and check the acceptance criteria; write nothing but finished chunks.
 
     With `strict` every warning makes the result doubtful.
     """
     kind = tasks.KINDS[file.kind]
-    progress(f"{file.file}: reading its inputs")
+    progress = Named(file.file, progress)
+    progress.doing("reading its inputs")
     held, files = read_with_files(file)
-    held = {key: replace(one, tell=workers.tell) if isinstance(one, ImageFiles) else one for key, one in held.items()}
+    held = counting(held, progress)
     _require_named(file, held)
     job = _job(file, held)
-    progress(f"{file.file}: {file.kind}")
+    progress.doing(file.kind)
     if kind.chunked:
-        job = replace(job, workers=replace(workers, finished=ChunkFolder(file.output.with_suffix(".chunks"))))
+        finished = ChunkFolder(file.output.with_suffix(".chunks"))
+        job = replace(job, workers=replace(workers, finished=finished, tell=progress.count))
     with _placed(file):
         result = _sound(file, job)
     result = replace(
@@ -107,6 +108,11 @@ def compute(
         certificate=certificate,
     )  # fmt: skip
     return result, replace(record, content=meaning.of_result(result, record))
+
+
+def counting(held: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
+    """Return inputs of which those that are read bit by bit, such as images, count what is read."""
+    return {key: replace(one, tell=progress.count) if isinstance(one, ImageFiles) else one for key, one in held.items()}
 
 
 def _sound(file: JobFile, job: Job[Any, Any]) -> Result:

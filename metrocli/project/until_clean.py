@@ -14,10 +14,11 @@ from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.diagnose import LIMIT
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.laws.definition import written
+from metrocli.progress import SILENT, Progress
 from metrocli.project import runner
 from metrocli.project.diagnosed import carry_out, write_extended
 from metrocli.project.job import JobFile, Wishes, load
-from metrocli.project.runner import Done, Progress
+from metrocli.project.runner import Done
 
 MOST = 5
 """Largest number of extensions unless given"""
@@ -63,7 +64,7 @@ class Loop:
 def until_clean(
     job: JobFile,
     most: int = MOST,
-    progress: Progress = lambda line: None,
+    progress: Progress = SILENT,
     limit: float = LIMIT,
     force: bool = False,
     ordered: Ordered = map,
@@ -91,8 +92,7 @@ def until_clean(
             path.unlink(missing_ok=True)
             return Loop(first, last, tuple(extensions), End.NOTHING_GAINED)
         current = load(path, Wishes(accept_doubtful=job.accept_doubtful))
-        progress(f"{path}: running")
-        extensions.append(_extension(path, runner.carry_out(current, force=force), gained))
+        extensions.append(_extension(path, runner.carry_out(current, force, progress), gained))
         last = carry_out(current, progress, limit, ordered=ordered)
 
 

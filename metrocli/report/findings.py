@@ -53,7 +53,7 @@ def verdict(content: Content) -> tuple[str, str]:
         return BAD, "The result does not meet its requirements."
     held = content.diagnosis
     if held is not None and held.of_this and held.data.get("verdict") != "clean":
-        return BAD, f"Done, but its model is not complete: the diagnosis is {held.data['verdict']}."
+        return BAD, f"Done, but its model is not complete: the verdict of the diagnosis is {held.data['verdict']}."
     count = len(content.result.warnings)
     if count:
         return WARNED, f"Done, with {count} warning{'s' if count > 1 else ''}."

@@ -31,23 +31,33 @@ class Entry:
     """Files that no job of the project writes"""
     page: str
     """Link to the page of the result; empty without one"""
+    verdict: str = ""
+    """Verdict of the diagnosis beside the result; empty without one of this result"""
+
+    @property
+    def fit(self) -> bool:
+        """Whether the result is fit for use, also by its diagnosis if there is one."""
+        return self.status == DONE and self.verdict in ("", "clean")
 
 
 def project_page(name: str, entries: Sequence[Entry], charts: Sequence[Html] = ()) -> str:
     """Return the page of a project as HTML, with control charts of its jobs that have many parts."""
     stale = [one for one in entries if one.stale]
     bad = [one for one in entries if not one.stale and one.status != DONE]
+    lacking = [one for one in entries if not one.stale and one.status == DONE and not one.fit]
     words = "All results are up to date and done."
-    if stale or bad:
-        words = " ".join(_count(some, len(entries), what) for some, what in ((stale, _STALE), (bad, _UNFIT)) if some)
-    rows = [(_link(one), one.kind, one.title, _state(one), ", ".join(one.needs)) for one in entries]
+    if stale or bad or lacking:
+        counts = (stale, _STALE), (bad, _UNFIT), (lacking, _LACKING)
+        words = " ".join(_count(some, len(entries), what) for some, what in counts if some)
+    head = ["job", "state", "kind", "title", *(["needs"] if any(one.needs for one in entries) else [])]
+    rows = [(_link(one), _state(one), one.kind, one.title, ", ".join(one.needs))[: len(head)] for one in entries]
     parts = [
         tag("p", "metrocli project", class_="muted"),
         tag("h1", name),
-        tag("div", tag("p", tag("strong", words)), class_=f"verdict {BAD if stale or bad else GOOD}"),
+        tag("div", tag("p", tag("strong", words)), class_=f"verdict {BAD if stale or bad or lacking else GOOD}"),
         tag("p", "Bring it up to date by ", code("metrocli run"), ".") if stale else EMPTY,
         tag("h2", "Jobs"),
-        table(("job", "kind", "title", "state", "needs"), rows, "Jobs in the order in which they run"),
+        table(head, rows, "Jobs in the order in which they run"),
         joined([tag("h2", "Control charts"), *charts]) if charts else EMPTY,
         tag("h2", "Lineage"),
         _lineage(entries),
@@ -55,7 +65,7 @@ def project_page(name: str, entries: Sequence[Entry], charts: Sequence[Html] = (
     return page(name, *parts)
 
 
-_STALE, _UNFIT = "up to date", "fit for use"
+_STALE, _UNFIT, _LACKING = "up to date", "fit for use", "complete in its model, by its diagnosis"
 
 
 def _count(some: Sequence[Entry], of: int, what: str) -> str:
@@ -69,7 +79,8 @@ def _link(one: Entry) -> Html:
 def _state(one: Entry) -> Html:
     if one.stale:
         return tag("span", f"not up to date: {one.stale}", class_="stale")
-    return tag("span", f"up to date, {one.status}", class_="" if one.status == DONE else "stale")
+    diagnosed = f"; diagnosis: {one.verdict}" if one.verdict else ""
+    return tag("span", f"up to date, {one.status}{diagnosed}", class_="" if one.fit else "stale")
 
 
 def ranks(entries: Sequence[Entry]) -> dict[str, int]:
@@ -104,7 +115,7 @@ def _lineage(entries: Sequence[Entry]) -> Html:
 
 def _box(name: str, column: int, row: int, entry: Entry | None) -> Html:
     x, y = column * (_WIDE + _GAP) + 1, row * _HIGH + 6
-    sound = entry is not None and not entry.stale and entry.status == DONE
+    sound = entry is not None and not entry.stale and entry.fit
     stroke = "var(--muted)" if entry is None else "var(--third)" if sound else "var(--second)"
     box = tag(
         "rect",

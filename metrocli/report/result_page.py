@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -15,7 +15,7 @@ from metrocli.result import Estimate, Result
 from metrocli.words import listed as listed_words
 
 _FIRST = 12
-"""Estimates on the first screen; all others follow when they are asked for"""
+"""Rows of a table that are seen at once; all others follow when they are asked for"""
 _STATISTICS = ("observations", "unknowns", "dof", "sigma0", "chi2", "p_value", "rms", "noise", "rejected")
 
 
@@ -68,11 +68,16 @@ def _estimates(content: Content) -> Html:
     if len(set(factors)) > 1:
         head = ("estimate", "value", "U", "unit", "k")
         rows = [(*row, k) for row, k in zip(rows, factors, strict=True)]
-    first = table(head, rows[:_FIRST], "Estimates with expanded uncertainty", (1, 2))
+    return joined([tag("h2", "Estimates"), _first_rows(head, rows, "Estimates with expanded uncertainty", (1, 2))])
+
+
+def _first_rows(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str, numbers: Sequence[int]) -> Html:
+    """Return a table of which the first rows are seen, and the others when they are asked for."""
+    first = table(head, rows[:_FIRST], caption, numbers)
     if len(rows) <= _FIRST:
-        return joined([tag("h2", "Estimates"), first])
-    rest = tag("details", tag("summary", f"{len(rows) - _FIRST} more"), table(head, rows[_FIRST:], "", (1, 2)))
-    return joined([tag("h2", "Estimates"), first, rest])
+        return first
+    more = f"{len(rows) - _FIRST} more"
+    return joined([first, tag("details", tag("summary", more), table(head, rows[_FIRST:], "", numbers))])
 
 
 def _of_effect(result: Result, estimate: Estimate) -> bool:
@@ -135,7 +140,9 @@ def _provenance(content: Content) -> Html:
             listed(_traceability(content)),
             tag("h2", "Provenance"),
             tag("p", made),
-            table(("input", "bytes", "SHA-256"), files, "Inputs, relative to the job file", (1,)) if files else EMPTY,
+            _first_rows(("input", "bytes", "SHA-256"), files, "Inputs, relative to the job file", (1,))
+            if files
+            else EMPTY,
             tag("details", tag("summary", "Job as used"), tag("pre", record.job_text, tabindex="0")),
         ]
     )
@@ -145,7 +152,8 @@ def _traceability(content: Content) -> Iterator[str]:
     """Yield what the result rests on, what the measurement does not control, and what its uncertainties are of."""
     files = [one.path for one in content.record.inputs]
     if files:
-        yield f"The result rests on {listed_words(files)}, whose digests are below."
+        digests = "digest is" if len(files) == 1 else "digests are"
+        yield f"The result rests on {listed_words(files)}, whose {digests} below."
     numbers = [f"{name}: certificate {number}" for name, number in content.record.references() if number]
     yield from numbers
     if not numbers:

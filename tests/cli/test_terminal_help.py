@@ -1,4 +1,4 @@
-"""Completion, examples in the help, and remaining time."""
+"""Completion, examples in the help, and lengths in inches."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ import pytest
 from click.shell_completion import BashComplete
 
 from metrocli.cli.commands import commands
-from metrocli.cli.console import progress_text
 from metrocli.cli.help import COMMANDS
 from metrocli.cli.look.inches import estimates_in, in_inches
 from metrocli.result import Estimate, Result
@@ -59,14 +58,6 @@ def test_words_are_completed(words: str, wanted: set[str]) -> None:
 def test_each_help_ends_with_an_example(name: str, metrocli: Metrocli) -> None:
     typed = metrocli(name, "--help").out.rstrip().splitlines()[-1]
     assert f"metrocli {name}" in typed
-
-
-def test_remaining_time() -> None:
-    assert progress_text(3, None, 9.0) == "3 parts"
-    assert progress_text(0, 8, 2.0) == "0 of 8 parts"
-    assert progress_text(2, 8, 10.0) == "2 of 8 parts, about 30 s left"
-    assert progress_text(8, 8, 40.0) == "8 of 8 parts, 40 s"
-    assert progress_text(0, None, 3.2) == "3 s"
 
 
 def test_a_result_in_inches(job: Path, metrocli: Metrocli) -> None:

@@ -28,7 +28,7 @@ LAYERS = [
     {"settings"},
     {"copies"},
     {"table"},
-    {"units", "nodes", "words"},
+    {"units", "nodes", "words", "progress"},
     {"errors"},
     {"__init__"},
 ]

@@ -171,6 +171,22 @@ def test_the_scale_of_colours_is_as_high_as_the_map() -> None:
     assert 0 < bar.x0 - matrix.x1 < bar.width * 4
 
 
+@pytest.mark.parametrize(("name", "result"), [("correlation", lens()), ("volumetric-error", results.machine())])
+def test_axes_with_equal_units_leave_no_empty_room(name: str, result: Result) -> None:
+    """They begin at the left, the scale of colours stands beside them, and rows are as high as what is drawn."""
+    from metrocli.plots import style
+
+    with plots.drawn(name, plots.data_of(name, result)) as (canvas, _):
+        style.arrange(canvas)
+        *panels, bar = canvas.figure.axes
+        places = [axes.get_tightbbox(canvas.figure.canvas.get_renderer()) for axes in (*panels, bar)]  # type: ignore[attr-defined]
+        dpi, (_, height) = canvas.figure.dpi, canvas.figure.get_size_inches()
+    assert min(place.x0 for place in places) < 0.3 * dpi
+    assert max(place.y1 for place in places) > (height - 0.3) * dpi and min(place.y0 for place in places) < 0.3 * dpi
+    right = max(axes.get_position().x1 for axes in panels)
+    assert 0 < places[-1].x0 / dpi / style.WIDTH - right < 0.05
+
+
 def test_readings_are_named_so_that_they_can_be_found() -> None:
     """Balls by their place in the artefact, readings of a path by the commanded place; their coordinates are no lengths."""
     three = {"residual": np.ones(2), "normalised": np.ones(2)}
@@ -221,6 +237,8 @@ def test_the_worst_may_be_a_calibrated_length() -> None:
 def test_correlations() -> None:
     found = plots.data_of("correlation", lens())
     assert found.matrix[0, 1] == pytest.approx(0.5) and found.largest == ("cx", "cy", pytest.approx(-0.9))
+    alone = replace(lens(), covariance=np.diag(np.diag(lens().covariance)))
+    assert plots.data_of("correlation", alone) is None
 
 
 def test_a_budget_is_sorted_and_adds_up() -> None:

@@ -6,8 +6,7 @@ import json
 import re
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -269,7 +268,7 @@ def test_figures_follow_the_theme_of_the_page() -> None:
 
 def test_traceability() -> None:
     text = page_of(lens()).text
-    assert "The result rests on a.csv, whose digests are below." in text
+    assert "The result rests on a.csv, whose digest is below." in text
     assert "Certificate numbers of references are not recorded" in text
     stated = replace(RECORD, certificate={"references": {"a.csv": "PTB-1"}})
     text = Page(result_page(Content(lens(), stated, "r.h5"))).text
@@ -279,7 +278,7 @@ def test_traceability() -> None:
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        ({"verdict": "explained", "effects": [{"name": "jump", "where": {"t": "LT2"}, "parameters": {"step": {"value": 0.0016, "std": 0.0001, "unit": "mm"}}}], "extended_job": "x.extended.yaml"}, ["model is not complete: the diagnosis is explained", "jump LT2: step = 1.60 ± 0.10 µm", "Run the job with what was found", "metrocli calibrate-camera x.extended.yaml"]),
+        ({"verdict": "explained", "effects": [{"name": "jump", "where": {"t": "LT2"}, "parameters": {"step": {"value": 0.0016, "std": 0.0001, "unit": "mm"}}}], "extended_job": "x.extended.yaml"}, ["model is not complete: the verdict of the diagnosis is explained", "jump LT2: step = 1.60 ± 0.10 µm", "Run the job with what was found", "metrocli calibrate-camera x.extended.yaml"]),
         ({"verdict": "clean", "outliers": [{"observation": {"p": "P1", "t": "LT1"}, "w": 6.5}]}, ["Wrong reading: P1/LT1 (w = 6.5)", "Check the wrong readings"]),
         ({"verdict": "unexplained"}, ["Verdict: unexplained.", "structure that no known effect explains"]),
         ({"verdict": "mistaken", "mistake": {"file": "points", "what": "is in inches"}}, ["Mistake in points: is in inches", "Correct the mistake"]),
@@ -324,7 +323,12 @@ def test_the_page_of_a_project() -> None:
     page = Page(project_page("House", [doubtful]))
     assert "1 of 1 results is not fit for use." in page.text and "up to date." not in page.text
     assert "stroke:var(--second)" in (page.named("rect")[-1]["style"] or "")
-    assert "All results are up to date and done." in Page(project_page("House", ENTRIES[:1])).text
+    page = Page(project_page("House", ENTRIES[:1]))
+    assert "All results are up to date and done." in page.text and "needs" not in page.text
+    assert "All results" in Page(project_page("House", [replace(ENTRIES[0], verdict="clean")])).text
+    page = Page(project_page("House", [replace(ENTRIES[0], verdict="explained")]))
+    assert "1 of 1 results is not complete in its model, by its diagnosis." in page.text
+    assert "up to date, done; diagnosis: explained" in page.text
 
 
 def test_the_command(job: Path, metrocli: Metrocli) -> None:
@@ -356,12 +360,7 @@ def test_pages_of_a_project_are_counted_while_they_are_made(
     job: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: list[tuple[int, int | None]] = []
-
-    @contextmanager
-    def counter(console: Console) -> Iterator[Callable[[int, int | None], None]]:
-        yield lambda done, of: told.append((done, of))
-
-    monkeypatch.setattr(Console, "part_counter", counter)
+    monkeypatch.setattr(Console, "count", lambda console, done, of: told.append((done, of)))
     Path("metrocli.yaml").write_text("jobs: [line.yaml]\n", encoding="utf-8")
     assert metrocli("run").code == 0 and metrocli("report", ".").code == 0
     assert told[-1] == (0, 1)

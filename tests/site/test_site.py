@@ -29,8 +29,11 @@ def test_every_page_is_in_the_site(site: Path) -> None:
 
 def test_the_gallery_has_the_figures_of_a_sample_that_was_run(site: Path) -> None:
     text = (site / "gallery.html").read_text()
-    figures = re.findall(r'src="(gallery/gauge-block/[\w-]+\.svg)"', text)
-    assert {"gallery/gauge-block/budget.svg", "gallery/gauge-block/conformity.svg"} <= set(figures)
+    figures = re.findall(r'src="(gallery/gauge-block/[\w.-]+\.svg)#only-(?:light|dark)"', text)
+    wanted = {
+        f"gallery/gauge-block/{name}.{theme}.svg" for name in ("budget", "conformity") for theme in ("light", "dark")
+    }
+    assert wanted <= set(figures)
     assert all("<svg" in (site / name).read_text() for name in figures)
     assert "gauge" in (site / "gallery/gauge-block/index.html").read_text().lower()
 

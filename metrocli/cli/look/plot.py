@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,8 +12,9 @@ from metrocli.cli.console import echo, print_files
 from metrocli.cli.shell.choices import figures, offering
 
 if TYPE_CHECKING:
+    from metrocli.plots.beside import Beside
     from metrocli.report.content import Diagnosis
-
+    from metrocli.result import Result
 
 _FILE = click.Path(path_type=Path)
 
@@ -28,52 +29,55 @@ _FILE = click.Path(path_type=Path)
 @options.FORCE
 @options.JSON
 @options.QUIET
-def command(
-    result: Path,
-    name: str | None,
-    save: Path | None,
-    dark: bool,
-    before: Path | None,
-    diagnosis: Path | None,
-    force: bool,
-    as_json: bool,
-    quiet: bool,
-) -> int:
+def command(result: Path, name: str | None, save: Path | None, as_json: bool, **wanted: Any) -> int:
     """Print the names, or write one figure (by default RESULT.NAME.svg beside the result) and print its path.
 
     A file that metrocli did not write is replaced with `force` only.
     """
-    from tempfile import TemporaryDirectory
-
-    from metrocli import plots
     from metrocli.cli.look.beside import beside_of, diagnosis_of
     from metrocli.errors import UsageError
     from metrocli.formats import hdf5
     from metrocli.formats.own_files import write_all
 
     found, record = hdf5.read(result)
-    beside = beside_of(result, _of_this(diagnosis_of(result, diagnosis, record), diagnosis), before)
+    given = wanted["diagnosis"]
+    beside = beside_of(result, _of_this(diagnosis_of(result, given, record), given), wanted["before"])
     if name is None:
         if save is not None:
             raise UsageError("--save needs the name of a figure; without a name and --save, plot lists them")
-        names = plots.names_of(found, beside)
-        summaries = {one: plots.FIGURES[one].summary for one in names}
-        if as_json:
-            from metrocli.cli.summary import as_json as json_text
-
-            echo(json_text({"figures": summaries}))
-            return 0
-        width = max(map(len, names), default=0)
-        # one table, whose columns stay aligned where the terminal is narrow
-        echo("\n".join(f"{one:{width}}  {text}" for one, text in summaries.items()))
-        return 0
+        return _list(found, beside, as_json)
     path = save or result.with_name(f"{result.stem}.{name}.svg")
-    plots.check(found, name, path, beside)
+    data = _drawn(found, name, path, beside, wanted["dark"])
+    return print_files(write_all({path: data}, wanted["force"]), as_json, wanted["quiet"])
+
+
+def _list(result: Result, beside: Beside, as_json: bool) -> int:
+    """Print the names of the figures that a result can show."""
+    from metrocli import plots
+
+    summaries = {one: plots.FIGURES[one].summary for one in plots.names_of(result, beside)}
+    if as_json:
+        from metrocli.cli.summary import as_json as json_text
+
+        echo(json_text({"figures": summaries}))
+        return 0
+    width = max(map(len, summaries), default=0)
+    # one table, whose columns stay aligned where the terminal is narrow
+    echo("\n".join(f"{one:{width}}  {text}" for one, text in summaries.items()))
+    return 0
+
+
+def _drawn(result: Result, name: str, path: Path, beside: Beside, dark: bool) -> bytes:
+    """Return the figure for a path, in the format that its ending names."""
+    from tempfile import TemporaryDirectory
+
+    from metrocli import plots
+
+    plots.check(result, name, path, beside)
     with TemporaryDirectory() as folder:
         drawn = Path(folder) / "figure"
-        plots.save(found, name, drawn, path.suffix, dark, beside)
-        data = drawn.read_bytes()
-    return print_files(write_all({path: data}, force), as_json, quiet)
+        plots.save(result, name, drawn, path.suffix, dark, beside)
+        return drawn.read_bytes()
 
 
 def _of_this(found: Diagnosis | None, given: Path | None) -> Diagnosis | None:

@@ -16,6 +16,7 @@ from metrocli.cli.console import Console, print_files
 if TYPE_CHECKING:
     from metrocli.project.staleness import State
     from metrocli.project.steps import Step
+    from metrocli.record import Record
     from metrocli.report.html import Html
 
 Counter = Callable[[int, int], None]
@@ -57,15 +58,16 @@ def command(
     if project and diagnosis is not None:
         raise UsageError("--diagnosis is for the page of one result; beside NAME.h5, NAME.diagnosis.json is found")
     console = Console(quiet or as_json)
-    with console.part_counter() as done:
-        if project:
-            pages = _project(place, out, units, done)
-        else:
-            pages = {out or place.with_suffix(".html"): _page(place, diagnosis, Path(), units)}
+    if project:
+        console.doing("making the pages")
+        pages = _project(place, out, units, console.count)
+    else:
+        console.doing("making the page")
+        pages = {out or place.with_suffix(".html"): _page(place, diagnosis, Path(), units)}
     files = {path: text.encode() for path, text in pages.items()}
     if pdf:
-        with console.part_counter() as done:
-            files |= _printed(pages, done)
+        console.doing("printing the pages as PDF")
+        files |= _printed(pages, console.count)
     return print_files(write_all(files, force), as_json, quiet)
 
 
@@ -122,17 +124,26 @@ def _project(place: Path, out: Path | None, units: str, done: Counter) -> dict[P
     entries = []
     for count, state in enumerate(found):
         done(count, len(found))
-        step, page = state.step, ""
+        step, page, verdict = state.step, "", ""
         with suppress(InputError):  # a result that is absent or damaged has no page; its state names the reason
             text = _page(step.job.output, None, file.parent, units, step.name)
             page = _page_name(step.job.output, outputs, file.parent)
             pages[index.parent / page] = text
+            verdict = _verdict(step.job.output, state.record)
         status = state.record.status if state.record is not None else ""
         own = tuple(_files(step, made, file.parent))
-        entry = Entry(step.name, step.job.kind, step.job.heading.title, status, state.reason, step.needs, own, page)
-        entries.append(entry)
+        title = step.job.heading.title
+        entries.append(Entry(step.name, step.job.kind, title, status, state.reason, step.needs, own, page, verdict))
     name = name_of_project(place) or file.parent.resolve().name
     return {index: project_page(name, entries, list(_charts(found, file.parent))), **pages}
+
+
+def _verdict(result: Path, record: Record | None) -> str:
+    """Return the verdict of the diagnosis beside a result, or "" without one of this result."""
+    from metrocli.cli.look.beside import diagnosis_of
+
+    held = None if record is None else diagnosis_of(result, None, record)
+    return str(held.data["verdict"]) if held is not None and held.of_this else ""
 
 
 def _charts(found: Sequence[State], home: Path) -> Iterator[Html]:

@@ -37,7 +37,7 @@ def command(
     from metrocli.uncertainty.workers import Workers
 
     console = Console(quiet or as_json, verbose)
-    made, record, same = rerun(result, accept_doubtful, console.detail, Workers(workers))
+    made, record, same = rerun(result, accept_doubtful, console, Workers(workers))
     before = hdf5.read(result)[1].metrocli_version  # the output may be the result itself
     if output is not None:
         if not force:

@@ -74,7 +74,7 @@ class LiveTable:
             columns, lines = self._size()
             now = time.monotonic()
             fits = columns >= _LEAST[0] and lines >= _LEAST[1]
-            table = tuple(_cropped(line, columns - 1) for line in self._lines(now, lines - 2)) if fits else ()
+            table = tuple(cropped(line, columns - 1) for line in self._lines(now, lines - 2)) if fits else ()
             if table == self._shown:
                 return
             text = "".join(f"{line}{_TO_LINE_END}\n" for line in table)
@@ -165,7 +165,7 @@ def _back(lines: int) -> str:
     return f"\r\x1b[{lines}A" if lines else ""
 
 
-def _cropped(line: str, columns: int) -> str:
+def cropped(line: str, columns: int) -> str:
     """Return a line that takes at most so many columns, since a longer one would take two lines of the terminal."""
     if line.isascii() and len(line) <= columns:
         return line

@@ -7,17 +7,18 @@ from pathlib import Path
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats import hdf5
+from metrocli.progress import SILENT, Progress
 from metrocli.project import meaning
 from metrocli.project.inputs import content_now, input_files
 from metrocli.project.job import JobFile, Wishes, load
-from metrocli.project.runner import HERE, Progress, compute
+from metrocli.project.runner import HERE, compute
 from metrocli.record import Record
 from metrocli.result import Result
 from metrocli.uncertainty.workers import Workers
 
 
 def rerun(
-    path: Path, accept_doubtful: bool = False, progress: Progress = lambda line: None, workers: Workers = HERE
+    path: Path, accept_doubtful: bool = False, progress: Progress = SILENT, workers: Workers = HERE
 ) -> tuple[Result, Record, bool]:
     """Return the result of a file made again with its record, and whether it is the same bit for bit.
 

@@ -15,8 +15,9 @@ from typing import Any, Protocol
 
 from metrocli import tasks
 from metrocli.errors import InputError, MetrocliError
+from metrocli.progress import SILENT, Progress
 from metrocli.project.job import JobFile, Wishes, load
-from metrocli.project.runner import HERE, Progress, compute
+from metrocli.project.runner import HERE, compute
 from metrocli.record import Record
 from metrocli.result import Result
 from metrocli.uncertainty.workers import Workers
@@ -47,7 +48,7 @@ class Crew(Protocol):
         """Wait until at least one job is finished, and yield the outcome of each."""
 
 
-def attempt(job: JobFile, strict: bool, progress: Progress = lambda line: None, workers: Workers = HERE) -> Outcome:
+def attempt(job: JobFile, strict: bool, progress: Progress = SILENT, workers: Workers = HERE) -> Outcome:
     """Compute a job and return what became of it; nothing is written but finished chunks."""
     try:
         return Outcome(*compute(job, progress, workers, strict))
