@@ -136,7 +136,7 @@ def campaign(seconds: float, seed: int = 0, most: int = 1_000_000, names: Sequen
     """Return the findings of at most so many cases in so many seconds, and print each, and how many were tried."""
     found: list[str] = []
     codes: dict[int, int] = {}
-    slowest, largest = 0.0, 0
+    slowest, largest = (0.0, 0), 0
     _warm()
     with tempfile.TemporaryDirectory() as place:
         home = Path(place)
@@ -145,14 +145,15 @@ def campaign(seconds: float, seed: int = 0, most: int = 1_000_000, names: Sequen
         while number < most and time.monotonic() < end:
             one = case(number, seed, projects, home / "mutated")
             codes[one.code] = codes.get(one.code, 0) + 1
-            slowest, largest = max(slowest, one.seconds), max(largest, one.bytes)
+            slowest, largest = max(slowest, (one.seconds, number)), max(largest, one.bytes)
             if one.fault:
                 last = (one.text.strip().splitlines() or [""])[-4:]
                 found.append(f"case {number}: {one.fault}: {one.command} with {one.file}: {' | '.join(last)[:600]}")
                 print(found[-1], flush=True)
             number += 1
     counts = ", ".join(f"{count} with exit code {code}" for code, count in sorted(codes.items()))
-    print(f"{number} cases: {counts}; {slowest:.1f} s CPU and {largest / 1e9:.2f} GB at most; {len(found)} findings")
+    most_used = f"{slowest[0]:.1f} s CPU (case {slowest[1]}) and {largest / 1e9:.2f} GB at most"
+    print(f"{number} cases: {counts}; {most_used}; {len(found)} findings")
     return found
 
 

@@ -1,7 +1,9 @@
 """Projects that never lie: changes, damages, kills, hard edges, a cluster, and the cost of having nothing to do.
 
-python -m benchmarks pipeline [changes N | damages N | kills N | edges 1 | cluster N | overhead N |
+python -m benchmarks pipeline [seed N | changes N | damages N | kills N | edges 1 | cluster N | overhead N |
     trials MILLIONS | shared MILLIONS | diagnosis 1 | idle N | campaign N ...]
+
+The seed is that of the changes, damages and kills that follow it; without, 0.
 """
 
 from __future__ import annotations
@@ -26,23 +28,23 @@ Line = tuple[str, bool]
 """What to print, and whether anything lied"""
 
 
-def of_changes(count: int) -> Iterator[Line]:
+def of_changes(count: int, seed: int) -> Iterator[Line]:
     """Yield the line of the random changes."""
-    wrong, needless, other = changes(count)
+    wrong, needless, other = changes(count, seed)
     text = f"{count} changes: {wrong} wrongly up to date, {needless} needless, {other} dry runs unlike the run"
     yield text, bool(wrong or needless or other)
 
 
-def of_damages(count: int) -> Iterator[Line]:
+def of_damages(count: int, seed: int) -> Iterator[Line]:
     """Yield the line of the damaged bits."""
-    believed, not_healed, longest = damages(count)
+    believed, not_healed, longest = damages(count, seed)
     text = f"{count} damaged bits: {believed} believed, {not_healed} not healed, {longest:.2f} s CPU at most"
     yield text, bool(believed or not_healed)
 
 
-def of_kills(count: int) -> Iterator[Line]:
+def of_kills(count: int, seed: int) -> Iterator[Line]:
     """Yield a line after every twentieth kill and after the last."""
-    for found in kills(count):
+    for found in kills(count, seed):
         if found.tried % 20 and found.tried != count:
             continue
         text = f"{found.tried} kills, {found.within} between the first result and the last:"
@@ -118,10 +120,12 @@ def _times(found: dict[str, float | str]) -> str:
     return ", ".join(f"{name} {one if isinstance(one, str) else f'{one:.0f} ms'}" for name, one in found.items())
 
 
-CAMPAIGNS: dict[str, Callable[[int], Iterator[Line]]] = {
+SEEDED: dict[str, Callable[[int, int], Iterator[Line]]] = {
     "changes": of_changes,
     "damages": of_damages,
     "kills": of_kills,
+}
+CAMPAIGNS: dict[str, Callable[[int], Iterator[Line]]] = {
     "edges": of_edges,
     "cluster": of_cluster,
     "overhead": of_overhead,
@@ -136,12 +140,15 @@ CAMPAIGNS: dict[str, Callable[[int], Iterator[Line]]] = {
 def main(wanted: list[str]) -> int:
     """Print the lines of each campaign, each in a new working folder; return 1 if anything lied."""
     pairs = list(zip(wanted[::2], map(int, wanted[1::2]), strict=True)) or FULL
-    here, failed = Path.cwd(), False
+    here, failed, seed = Path.cwd(), False, 0
     for name, count in pairs:
+        if name == "seed":
+            seed = count
+            continue
         with tempfile.TemporaryDirectory() as folder:
             os.chdir(folder)
             try:
-                for text, wrong in CAMPAIGNS[name](count):
+                for text, wrong in SEEDED[name](count, seed) if name in SEEDED else CAMPAIGNS[name](count):
                     print(text, flush=True)
                     failed |= wrong
             finally:

@@ -128,10 +128,9 @@ def _results() -> list[Path]:
 
 
 def _unexpected() -> list[str]:
-    """Return all files below the working folder that neither the user nor a finished run leaves."""
+    """Return all files and folders below the working folder that neither the user nor a finished run leaves."""
     named = {*map(str, _results()), "metrocli.yaml", ".metrocli-seen", *(f"jobs/j{n}.yaml" for n in range(JOBS))}
-    found = {str(path) for path in Path().rglob("*") if not path.is_dir()}
-    return sorted(found - named)
+    return sorted({str(path) for path in Path().rglob("*")} - named - {"jobs", "results"})
 
 
 def _sound(path: Path) -> bool:

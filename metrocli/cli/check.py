@@ -53,15 +53,22 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
     if faults:
         raise InputError(faults)
     root = place if place.is_dir() else place.parent
-    outside = {job.file: _outside(job, root) for job in jobs} if (root / PROJECT_FILE).is_file() else {}
+    within = (root / PROJECT_FILE).is_file()
+    found = [(_name(job), _outside(job, root) if within else []) for job in jobs]
     if as_json:
-        rows = [{"job": str(job.file), "outside": outside.get(job.file, [])} for job in jobs]
+        rows = [{"job": name, "outside": outside} for name, outside in found]
         echo(json_text({"status": "no faults", "jobs": rows}))
-    for job in jobs:
-        Console(quiet or as_json).print(f"{job.file}: no faults")
-        for path in outside.get(job.file, []):
-            Console(quiet or as_json).print(f"{job.file}: names a file outside the project: {path}")
+    console = Console(quiet or as_json)
+    for name, outside in found:
+        console.print(f"{name}: no faults")
+        for path in outside:
+            console.print(f"{name}: names a file outside the project: {path}")
     return 0
+
+
+def _name(job: JobFile) -> str:
+    part = job.wishes.part
+    return f"{job.file}[{part.name}]" if part is not None else str(job.file)
 
 
 def _outside(job: JobFile, root: Path) -> list[str]:

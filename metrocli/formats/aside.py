@@ -18,12 +18,33 @@ def written_aside(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the same folder to write to; on success it replaces `path` in one step.
 
     The temporary file is locked as long as its writer lives, so that others can see which ones are left over. Raises
-    InputError if the file cannot be written; `path` is then unchanged.
+    InputError if the file cannot be written; `path` and the folders are then as before.
     """
+    try:
+        with folder_made(path.parent), _replacing(path) as aside:
+            yield aside
+    except OSError as error:
+        raise InputError([Fault(f"cannot be written: {error.strerror or error}", str(path))]) from error
+
+
+@contextmanager
+def folder_made(folder: Path) -> Iterator[None]:
+    """Make a folder, and those above it, if need be; of those that were made the empty ones go at the end."""
+    absent = [one for one in (folder, *folder.parents) if not os.path.lexists(one)]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
+    finally:
+        with suppress(OSError):
+            for one in absent:
+                one.rmdir()
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
     aside = path.with_name(f".{path.name}.{os.getpid()}.part")
     handle = -1
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         sweep(path.parent, f".{path.name}.")
         _open.add(aside)
         handle = os.open(aside, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
@@ -32,8 +53,6 @@ def written_aside(path: Path) -> Iterator[Path]:
         os.fsync(handle)
         aside.replace(path)
         _flush(path.parent)
-    except OSError as error:
-        raise InputError([Fault(f"cannot be written: {error.strerror or error}", str(path))]) from error
     finally:
         with suppress(OSError):
             aside.unlink()

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from hashlib import sha256
 from pathlib import Path
 
 from metrocli.errors import Fault, InputError
-from metrocli.formats.aside import refuse_unwritable, write_bytes
+from metrocli.formats.aside import folder_made, refuse_unwritable, write_bytes
 
 LIST = ".metrocli-files"
 """In each folder: a line `SHA-256  NAME` for each file that metrocli wrote there, as `sha256sum --check` reads it"""
@@ -69,23 +69,20 @@ def _alone_in(folders: Iterable[Path]) -> Iterator[None]:
 
     Where the system has no such locks, nothing is held. Raises InputError if a folder cannot be made.
     """
-    handles: list[int] = []
-    try:
-        import fcntl
+    with ExitStack() as held:
+        try:
+            import fcntl
 
-        for folder in sorted(set(folders)):
-            folder.mkdir(parents=True, exist_ok=True)
-            handles.append(os.open(folder, os.O_RDONLY))
-            fcntl.flock(handles[-1], fcntl.LOCK_EX)
-    except ImportError:
-        pass
-    except OSError as error:
-        raise InputError([Fault(f"cannot be written: {error.strerror}", str(error.filename))]) from error
-    try:
+            for folder in sorted(set(folders)):
+                held.enter_context(folder_made(folder))
+                handle = os.open(folder, os.O_RDONLY)
+                held.callback(os.close, handle)
+                fcntl.flock(handle, fcntl.LOCK_EX)
+        except ImportError:
+            pass
+        except OSError as error:
+            raise InputError([Fault(f"cannot be written: {error.strerror}", str(error.filename))]) from error
         yield
-    finally:
-        for handle in handles:
-            os.close(handle)
 
 
 def _may_replace(path: Path, data: bytes, listed: Mapping[str, Collection[str]]) -> bool:

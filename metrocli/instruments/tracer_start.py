@@ -120,7 +120,7 @@ def _descended(local: Array, reading: Array, guess: Array, absolute: bool, weigh
     residual, jacobian = _residual(local, reading, state, absolute, weights)
     for _ in range(_STEPS):
         normal = jacobian.T @ jacobian
-        normal[np.diag_indices_from(normal)] += damping * np.diag(normal) + 1e-15
+        normal.flat[:: len(normal) + 1] += damping * normal.diagonal() + 1e-15
         step = np.zeros(4)
         step[: jacobian.shape[1]] = np.linalg.lstsq(normal, jacobian.T @ residual, rcond=None)[0]
         moved, by = _residual(local, reading, state + step, absolute, weights)

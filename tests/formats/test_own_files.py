@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from hashlib import sha256
@@ -11,6 +13,7 @@ from typing import Any
 import pytest
 
 from metrocli.errors import InputError
+from metrocli.formats import aside
 from metrocli.formats.own_files import LIST, write_all
 
 
@@ -82,3 +85,22 @@ def test_a_closed_folder_is_named_by_the_file_that_was_asked_for(
     with pytest.raises(InputError, match="a.txt: error: cannot be written: no right to write into"):
         list(write_all({tmp_path / "a.txt": b"1"}))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("others", [False, True], ids=["new folders", "a folder with a file"])
+def test_a_full_disk_leaves_no_folder_behind(others: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    above, folder = tmp_path / "new", tmp_path / "new" / "deep"
+    if others:
+        folder.mkdir(parents=True)
+        (folder / "theirs.txt").write_text("theirs")
+    before = sorted(tmp_path.rglob("*"))
+
+    def full(handle: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(aside.os, "fsync", full)
+    with pytest.raises(InputError, match="cannot be written: No space left"):
+        aside.write_bytes(folder / "result.h5", b"result")
+    with pytest.raises(InputError, match="cannot be written: No space left"):
+        list(write_all({above / "page.html": b"page", folder / "plot.svg": b"plot"}))
+    assert sorted(tmp_path.rglob("*")) == before

@@ -43,7 +43,9 @@ def ran(done: Any) -> list[str]:
 
 
 def test_each_part_has_its_result(project: Path, metrocli: Callable[..., Any]) -> None:
-    assert metrocli("check", ".").out.count("no faults") == 3
+    assert metrocli("check", ".").out.splitlines() == [
+        f"jobs/gear.yaml[{one}]: no faults" for one in ("A1", "A2", "012")
+    ]
     done = metrocli("run")
     assert (done.code, ran(done)) == (0, ["A1", "A2", "012"]), done.err
     with h5py.File("results/A2.h5") as file:
@@ -53,6 +55,19 @@ def test_each_part_has_its_result(project: Path, metrocli: Callable[..., Any]) -
     assert "for:" not in text
     assert metrocli("rerun", "results/A2.h5").code == 0
     assert [line.split(": ")[1] for line in metrocli("status").out.splitlines()] == ["up to date"] * 3
+
+
+def test_check_lists_the_files_outside_the_project_of_each_part(
+    project: Path, metrocli: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    elsewhere = Path("data/A1.csv").rename(tmp_path_factory.mktemp("elsewhere") / "A1.csv")
+    Path("parts.csv").write_text(f"part,customer,noise,at\nA1,Smith,0.1,{elsewhere}\nA2,Smith,0.2,../data/A2.csv\n")
+    Path("jobs/gear.yaml").write_text(JOB.replace("../data/{part}.csv", "{at}"))
+    rows = json.loads(metrocli("check", ".", "--json").out)["jobs"]
+    assert rows == [
+        {"job": "jobs/gear.yaml[A1]", "outside": [str(elsewhere)]},
+        {"job": "jobs/gear.yaml[A2]", "outside": []},
+    ]
 
 
 def test_values_with_the_marks_of_yaml_are_recorded_as_they_are(project: Path, metrocli: Callable[..., Any]) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli import units
+from metrocli.adjust.allowance import take
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.errors import Fault, InputError, UndeterminedError
@@ -19,6 +20,8 @@ _REMOTE = 500.0
 """A tracer farther away than this many times the volume is rejected: from there all lengths change alike"""
 _SPARE = 3
 """Redundant lengths that a tracer needs before its misfit is meaningful"""
+_AS_LONG = 5
+"""Steps of an adjustment that take as long as one start"""
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,7 @@ def _strange(readings: Seen, i: int, misfit: float, bad: int) -> Fault:
     )
     hint = "are its rows in another order?" if bad < len(readings.tracers) else "do points and lengths belong together?"
     for factor, symbol in _factors():
+        take(_AS_LONG)
         found = np.nan_to_num(start(points, factor * lengths, readings.absolute))
         if _misfit(points, factor * lengths, found) < _MISFIT * readings.extent / 10:
             hint = (

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from simulated.lengths import CORNERS, VOLUME, Network, network, places, settings, without_motion
 
-from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.adjust.allowance import allowance
+from metrocli.errors import InputError, NotConvergedError, UndeterminedError
 from metrocli.formats import csv
 from metrocli.instruments.tracer_start import start
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.problem import build
 from metrocli.tasks.multilaterate.solve import solve
+from metrocli.tasks.shared import tracer_places
 
 LAYOUTS = 500
 
@@ -205,3 +207,26 @@ def test_the_mirror_image_is_no_result() -> None:
     ):
         solve(built.with_model(replace(built.model, blocks=turned, datum=datum)), remove=False)
     assert solve(built, remove=False).solution.outcome.good
+
+
+def test_the_factor_of_wrong_lengths_is_sought_for_people_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another reading of a file that fits no better is dropped: nobody reads which factor would have helped it."""
+    calls: list[int] = []
+
+    def counted(*given: object) -> object:
+        calls.append(1)
+        return start(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(tracer_places, "start", counted)
+    rng = np.random.default_rng(8)
+    points, place = rng.uniform(0, 1000, (30, 3)), np.array([-700.0, 300, 1900])
+    lengths = np.linalg.norm(points - place, axis=1) * 17 + rng.normal(0, 900, 30)
+    nowhere, unknown = np.full((1, 3), np.nan), np.full((1, 3), np.nan)
+    seen = tracer_places.Seen(["LT1"], np.zeros(30, dtype=int), points, lengths, nowhere, unknown, 1000.0)
+    with pytest.raises(InputError, match="do not belong to these points"):
+        tracer_places.places_of(seen)
+    for_people = len(calls)
+    calls.clear()
+    with allowance(24), pytest.raises(NotConvergedError):
+        tracer_places.places_of(seen)
+    assert len(calls) < 6 < for_people
