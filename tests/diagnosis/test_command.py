@@ -191,7 +191,8 @@ def test_the_design_does_not_look_at_residuals(folder: Path, metrocli: Metrocli)
     plain = json.loads(metrocli("diagnose", job, "--design", "--json").out)
     write(folder, measured("dead-path-drift"))
     planted = json.loads(metrocli("diagnose", job, "--design", "--json").out)
-    assert set(plain) == {"candidates", "alike"}
+    assert set(plain) == {"part", "candidates", "alike"}
+    assert plain["part"] is None
     assert not any(one["status"] == "named" for one in planted["candidates"])
     for one, other in zip(plain["candidates"], planted["candidates"], strict=True):
         if one["minimal_detectable"] is not None:
