@@ -31,6 +31,8 @@ _LAST_DIGITS = 4 * float(np.finfo(float).eps)
 """Relative rounding error of a predicted reading"""
 _NEAR, _FAR_BELOW = 1e3, 1e-2
 """The last step is one shorter than `_NEAR` tolerances after which a step below `_FAR_BELOW` tolerances is expected"""
+_NOTHING = 1e-10
+"""Share of the diagonal of the normal matrix below which its reduction leaves nothing"""
 _FEW = 100
 """Most reduced unknowns that numpy solves for: loading scipy.linalg takes longer than it saves"""
 _DAMPING_START, _DAMPING_END, _DAMPING_LIMIT = 1e-9, 1e-11, 1e8
@@ -71,9 +73,9 @@ class _Problem:
         with np.errstate(all="ignore"):
             return cost_of(self.tiling, blocks)
 
-    def frame(self, blocks: Mapping[str, Block], matrix: Array) -> Frame | None:
+    def frame(self, blocks: Mapping[str, Block], matrix: Array, diagonal: Array) -> Frame | None:
         with np.errstate(all="ignore"):
-            return open_frame(self.datum, blocks, self.layout, matrix) if self.datum else None
+            return open_frame(self.datum, blocks, self.layout, matrix, diagonal) if self.datum else None
 
 
 def adjust(
@@ -189,22 +191,24 @@ def _relaxed(damping: float) -> float:
 def _solve(problem: _Problem, state: Mapping[str, Block], normals: Normals) -> tuple[Array, float, Frame | None]:
     """Return the step of the reduced unknowns, the decrease `g' H^-1 g` that all predict, and the open movements."""
     matrix, right, alone = normals.reduced()
-    frame = problem.frame(state, matrix)
+    frame = problem.frame(state, matrix, normals.diagonal)
     step = np.zeros(problem.layout.width)
     if len(step):
-        step[:] = _cholesky_solve(_held(matrix, frame), right)
+        step[:] = _cholesky_solve(_held(matrix, frame, normals.diagonal), right)
     return step, alone + float(right @ step), frame
 
 
-def _held(matrix: Array, frame: Frame | None) -> Array:
+def _held(matrix: Array, frame: Frame | None, diagonal: Array) -> Array:
     """Add stiffness along the open movements of the frame, so that the matrix can be factored.
 
     The stiffness is scaled so that it counts 1 for every unknown, because the units of the blocks may be as different
-    as mm and 1/s. Its size does not affect the result: the datum removes what it adds.
+    as mm and 1/s. Its size does not affect the result: the datum removes what it adds. Where the reduction leaves
+    nothing of the normal matrix, the size is that of its `diagonal` before, not of rounding.
     """
     if frame is None or not len(matrix):
         return matrix
-    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    left = np.diag(matrix)
+    size = np.sqrt(np.maximum(np.where(left > _NOTHING * diagonal, left, diagonal), 1e-300))
     unit, _ = np.linalg.qr(frame.reduced * size[:, None])
     stiff = unit * size[:, None]
     held: Array = matrix + stiff @ stiff.T
@@ -253,13 +257,13 @@ def _with_covariance(solution: Solution, problem: _Problem, normals: Normals) ->
     blocks, layout = solution.blocks, problem.layout
     try:
         matrix = normals.reduced()[0]
-        frame = problem.frame(blocks, matrix)
+        frame = problem.frame(blocks, matrix, normals.diagonal)
     except np.linalg.LinAlgError:
         matrix, frame = np.full((layout.width, layout.width), np.nan), None
     conditions = frame.reduced.shape[1] if frame else 0
     counted = replace(solution, conditions=conditions)
     # the datum's movements are held, so that they are not reported as undetermined
-    held = _held(matrix, frame)
+    held = _held(matrix, frame, normals.diagonal)
     combinations: tuple[Combination, ...] = open_combinations(blocks, layout, normals, held)
     if combinations:
         few = counted.dof < 0

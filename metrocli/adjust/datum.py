@@ -104,15 +104,20 @@ class Frame:
         return transform
 
 
-def open_frame(datum: Datum, blocks: Mapping[str, Block], layout: Layout, matrix: Array) -> Frame | None:
-    """Return the movements of the datum that the reduced normal matrix leaves open; None if it determines all."""
+def open_frame(
+    datum: Datum, blocks: Mapping[str, Block], layout: Layout, matrix: Array, diagonal: Array
+) -> Frame | None:
+    """Return the movements of the datum that the reduced normal matrix leaves open; None if it determines all.
+
+    `diagonal` (width,) is that of the normal matrix before its reduction.
+    """
     moves = datum.of(blocks)
     full = np.zeros((layout.width, len(datum.names)))
     for name, move in moves.items():
         columns = layout.columns.get(name)
         if columns is not None:
             full[columns[columns >= 0]] = move.at(blocks[name].values, np.arange(len(columns)))[columns >= 0]
-    mix = _open(full, matrix)
+    mix = _open(full, matrix, diagonal)
     if not mix.size:
         return None
     reference = datum.at_reference(blocks).mixed(mix)
@@ -121,15 +126,17 @@ def open_frame(datum: Datum, blocks: Mapping[str, Block], layout: Layout, matrix
     return Frame(datum, full @ mix, mixed, reference, amounts)
 
 
-def _open(full: Array, matrix: Array) -> Array:
+def _open(full: Array, matrix: Array, diagonal: Array) -> Array:
     """Return the combinations of the movements (width, f) that the matrix does not determine, (f, k).
 
     A movement without a part in the reduced system counts as determined: the readings of each eliminated member fix it.
     """
     moving = np.flatnonzero((full != 0).any(axis=0))
     size = np.abs(full[:, moving])
-    # largest value that the quadratic form could have without cancellation: what is far below it is rounding
-    lengths = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", size, np.abs(matrix), size, optimize=True), 1e-300))
+    # largest value that the quadratic form could have without cancellation: what is far below it is rounding. All of
+    # the matrix may be rounding of what the reduction takes from the diagonal
+    largest = np.einsum("ik,ij,jk->k", size, np.abs(matrix), size, optimize=True) + diagonal @ size**2
+    lengths = np.sqrt(np.maximum(largest, 1e-300))
     unit = full[:, moving] / lengths
     seen, basis = np.linalg.eigh(unit.T @ matrix @ unit)
     mix = np.zeros((full.shape[1], int((seen < _OPEN).sum())))

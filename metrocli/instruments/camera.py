@@ -97,6 +97,25 @@ FREEDOMS = (
 )
 
 
+def list_datum(targets: Block, takes_part: Array, pose: str, scale: bool) -> Datum:
+    """Return the inner constraints of an unknown list in a frame whose poses (block `pose`) are unknown, too.
+
+    The list keeps its mean place and rotation, and with `scale` its size. A point `R X + d` stays where it is if X
+    moves by `a x X + t`, d by `-R t`, and if R turns by `-R a`; it stays in its direction if X and d grow alike.
+    """
+    points = of_points(scale)
+
+    def movements(blocks: Mapping[str, Block]) -> dict[str, Array]:
+        values = blocks[pose].values
+        rotation = poses.rotation_of(values)
+        moves = np.zeros((*values.shape, len(points.shift)))
+        moves[:, :3, :3] = moves[:, 3:, 3:6] = -rotation
+        moves[:, :3, 6:] = values[:, :3, None]
+        return {TARGET: points.at(blocks[TARGET].values, slice(None)), pose: moves}
+
+    return Datum(TARGET, targets.values, takes_part, movements, FREEDOMS[: len(points.shift)])
+
+
 def network_datum(targets: Block, takes_part: Array) -> Datum:
     """Return the inner constraints of a free network: the datum targets keep their mean place, rotation and scale."""
     points = of_points(scale=True)

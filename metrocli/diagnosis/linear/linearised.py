@@ -163,7 +163,8 @@ def _factored(model: Model, local: Local, layout: Layout, whole: Layout, rows: _
     # once more, so that rounding does not leave a part of the local columns
     before.take_from(left, before.coordinates(left))
     gram = left.T @ left
-    frame = None if model.datum is None else open_frame(model.datum, model.blocks, layout, _unscaled(gram, sizes))
+    reduced = _unscaled(gram, sizes)
+    frame = None if model.datum is None else open_frame(model.datum, model.blocks, layout, reduced, sizes**2)
     # a free network leaves as many directions open as its frame has movements
     open_ones = 0 if frame is None else frame.reduced.shape[1]
     unit, turn = _orthonormal(left, left.shape[1] - open_ones)

@@ -40,7 +40,7 @@ def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
         ("image", "target"),
         folds(index["view"]),
         Delivered("place of the part", spindle.PART, (0, 1, 2), "um", "length"),
-        refit(None),
+        refit(problem.datum),
         ("px", "pixel"),
         fewest=2,
         single_components=True,

@@ -17,7 +17,7 @@ from metrocli.effects.modelled import Modelled
 from metrocli.errors import Fault, InputError
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
-from metrocli.instruments.camera import TARGET, lens_link, target_block
+from metrocli.instruments.camera import TARGET, lens_link, list_datum, target_block
 from metrocli.instruments.lens import ideal_point
 from metrocli.table import Table
 from metrocli.tasks.align_part.camera import CameraModel
@@ -25,7 +25,8 @@ from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION
 from metrocli.tasks.align_part.fitted_targets import TargetList
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
-from metrocli.tasks.shared.images.sightings import Sighted, check_inside
+from metrocli.tasks.shared.images.sightings import Sighted, check_inside, placed
+from metrocli.tasks.shared.images.target_list import images_needed
 from metrocli.tasks.shared.part import Part
 
 _ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
@@ -78,6 +79,7 @@ def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool,
     Raises InputError if readings do not fit the image size, or if an image has no spindle pose.
     """
     sighted = check_inside(sighted, camera.image_size)
+    sighted = placed(sighted, images_needed(sighted.targets))
     held, warnings, sighted = _spindle_poses(sighted, table)
     targets = sighted.targets
     seen = np.bincount(sighted.target, minlength=len(targets.names)) > 0
@@ -104,11 +106,13 @@ def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool,
     )
     group = Group(IMAGES, Chain((*spindle.to_camera(), lens_link(camera.convention))), observations)
     others: tuple[Group, ...] = (*camera.prior(), *listed.priors(blocks[TARGET], targets.sigma, free))
+    takes_part = free.all(axis=1).astype(float)
+    datum = list_datum(blocks[TARGET], takes_part, spindle.PART, scale=False) if free.any() else None
     if sighted.eccentric:
-        group, blocks = corrected(group, blocks, others, None, targets.radius)
+        group, blocks = corrected(group, blocks, others, datum, targets.radius)
     places = places_of(sighted.images, targets.names)
     nominal = {TARGET: targets.points}
-    model = Model(blocks, (group, *others), None, (IMAGES,), places, nominal=nominal)
+    model = Model(blocks, (group, *others), datum, (IMAGES,), places, nominal=nominal)
     return Problem(model, camera, sighted, (*listed.warnings, *warnings))
 
 

@@ -69,7 +69,7 @@ def predicted(problem: Problem) -> Prediction | None:
     """
     if not problem.free_angle:
         return None
-    design = covariance_at(problem.blocks.values(), [problem.images, *problem.others])
+    design = covariance_at(problem.blocks.values(), [problem.images, *problem.others], problem.datum)
     if design.covariance is None:
         return None
     names, _, covariance, _ = _estimates(design)
@@ -150,13 +150,25 @@ def _tables(problem: Problem, adjusted: Adjusted, found: Residuals) -> tuple[dic
     tables = {
         "residuals": residual_table(found, adjusted.group),
         "views": rms_table(found.values, adjusted.group, "image", index["view"], images),
-        "targets": rms_table(found.values, adjusted.group, "target", index[TARGET], targets),
+        "targets": _targets(adjusted, rms_table(found.values, adjusted.group, "target", index[TARGET], targets)),
         "rejected": adjusted.rejected,
         TABLE: uncontrolled(problem, adjusted),
     }
     effect_tables, effect_arrays = effect_results(problem.effects, adjusted.solution)
     owed_tables, owed_arrays = ({}, {}) if adjusted.structured is not None else _owed(problem, adjusted.solution)
     return tables | effect_tables | owed_tables, effect_arrays | owed_arrays
+
+
+def _targets(adjusted: Adjusted, table: Table) -> Table:
+    """Return the table of targets with their estimated coordinates in the part frame, if any of them is an unknown."""
+    block = adjusted.solution.blocks[TARGET]
+    if not block.free.any():
+        return table
+    rows = [block.members.index(name) for name in table.texts("target")]
+    std = np.sqrt(np.einsum("mii->mi", adjusted.solution.covariance_or_raise().members(TARGET)[rows]))
+    columns = dict(zip("xyz", block.values[rows].T, strict=True))
+    columns |= {f"s{axis}": std[:, k] for k, axis in enumerate("xyz")}
+    return Table({**table.columns, **columns}, {**table.units, **dict.fromkeys(columns, "mm")})
 
 
 def _growth(problem: Problem, solution: Solution) -> float:

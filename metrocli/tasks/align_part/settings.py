@@ -15,7 +15,7 @@ from metrocli.targets.pattern import Pattern
 from metrocli.tasks.align_part.fixturing import SUPPORTS
 from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.tasks.shared.images.camera_settings import CameraFile, Extrinsics
-from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults
+from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults, targets_setting
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
 from metrocli.tasks.shared.part import Part
@@ -113,6 +113,7 @@ class Settings:
     outliers: str = setting(
         Choice("report", "remove"), "name outliers, or leave them out and list them", default="report"
     )
+    targets: str = targets_setting()
     eccentricity: str = eccentricity_setting()
     simulation: AlignSimulation | None = setting(
         Section(AlignSimulation), "the truth for `metrocli simulate`", default=None

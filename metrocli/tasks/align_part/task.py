@@ -28,6 +28,7 @@ from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.planted_effects import planted, refuse_pictures
 from metrocli.tasks.shared.images.rendering import Draw, pictures
+from metrocli.tasks.shared.images.settings import ESTIMATE
 from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
 from metrocli.tasks.shared.images.simulation import Shown, sightings_table, sights
 from metrocli.tasks.shared.images.target_list import known_targets
@@ -62,7 +63,8 @@ def prepared(job: Job[Settings, Files]) -> Problem:
     if files.images is not None:
         model.must_fit(files.images)
     listed = target_list(files.targets, settings.part)
-    sighted = sightings(settings, files.observations, listed.table, files.images, Needs(fewest=1))
+    sigma = float("nan") if settings.targets == ESTIMATE else 0.0
+    sighted = sightings(settings, files.observations, listed.table, files.images, Needs(1, sigma, sigma))
     problem = build(model, sighted, files.poses, "clamping-angle" in settings.estimate, listed)
     problem = problem if settings.part is None else problem.with_part(settings.part)
     return problem.with_effects(job.effects)
@@ -86,7 +88,7 @@ def solved(settings: Settings, problem: Problem) -> Adjusted:
     if settings.noise == STRUCTURED:
         must_suffice(len(problem.sighted.images), "images")
     options = Options(settings.outliers == "remove", settings.noise in FROM_RESIDUALS, problem.camera.image_size)
-    adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, options)
+    adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         raise UndeterminedError(explained(problem, solution), solution.misfit)

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
-from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.datum import Datum
+from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group, priors
 from metrocli.adjust.model.observations import Mask
 from metrocli.adjust.robust import robust_start, typical
@@ -21,11 +22,12 @@ from metrocli.instruments.camera_start import Scene, plane_frame, start
 from metrocli.instruments.lens import DISTORTION, PRISM, RATIONAL, plane_point, undistort
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.mirrored_views import better_poses
-from metrocli.tasks.calibrate_camera.readings import check_targets, readings, scale_bars, seen_once
+from metrocli.tasks.calibrate_camera.readings import check_targets, readings, scale_bars
 from metrocli.tasks.calibrate_camera.settings import Camera
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
-from metrocli.tasks.shared.images.sightings import Sighted, check_inside
+from metrocli.tasks.shared.images.sightings import Sighted, check_inside, placed
+from metrocli.tasks.shared.images.target_list import images_needed
 from metrocli.words import listed
 
 _GUESSES = (1.0, 0.5, 2.0, 4.0, 8.0)
@@ -92,6 +94,7 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
     if size is None:
         raise InputError("camera: image_size is missing; give the width and height of the images, e.g. [2592, 1944]")
     sighted = check_inside(sighted, size)
+    sighted = placed(sighted, np.maximum(images_needed(sighted.targets), 2 if rig == "network" else 1))
     check_targets(rig, sighted)
     targets = sighted.targets
     values = _lens_values(settings, size)
@@ -101,9 +104,7 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
             values[name] = focal
     extent = float(np.ptp(targets.points[np.unique(sighted.target)], axis=0).max())
     seen = np.bincount(sighted.target, minlength=len(targets.names))
-    least = 2 if rig == "network" else 1
-    free = (targets.sigma != 0) & (seen >= least)[:, None]
-    sighted = seen_once(sighted, seen, least)
+    free = (targets.sigma != 0) & (seen > 0)[:, None]
     distance = float(np.median(np.linalg.norm(views[:, :3], axis=1)))
     images: tuple[str, ...] = sighted.images if rig != "cmm" else ("",)
     blocks = {
@@ -113,13 +114,9 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
         ),
         camera.TARGET: camera.target_block(targets.points, targets.names, free, extent),
     }
-    group = Group(IMAGES, camera.chain(rig, settings.convention), readings(sighted, seen, least, rig))
+    group = Group(IMAGES, camera.chain(rig, settings.convention), readings(sighted, rig))
     others = (*priors(blocks[camera.TARGET], targets.sigma, free), *scale_bars(bars, targets.names, seen))
-    datum = (
-        camera.network_datum(blocks[camera.TARGET], free.all(axis=1).astype(float))
-        if rig == "network" and free.any()
-        else None
-    )
+    datum = _datum(rig, blocks[camera.TARGET]) if free.any() else None
     places = {"image": Place(sighted.images, "view"), "target": Place(targets.names, camera.TARGET)}
     nominal = {camera.TARGET: targets.points}
     model = Model(blocks, (group, *others), datum, (IMAGES,), places, nominal=nominal)
@@ -129,6 +126,14 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
         return started
     group, found = corrected(started.images, started.blocks, started.others, datum, targets.radius)
     return started.with_model(started.model.with_group(group).with_blocks(found))
+
+
+def _datum(rig: str, targets: Block) -> Datum | None:
+    """Return the inner constraints on the unknown targets; None with rig cmm, whose reference frame is theirs."""
+    takes_part = np.broadcast_to(targets.free, targets.values.shape).all(axis=1).astype(float)
+    if rig == "board":
+        return camera.list_datum(targets, takes_part, camera.VIEW, scale=True)
+    return camera.network_datum(targets, takes_part) if rig == "network" else None
 
 
 def _lens_values(settings: Camera, size: tuple[int, int]) -> dict[str, float]:

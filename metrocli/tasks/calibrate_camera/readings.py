@@ -1,4 +1,4 @@
-"""Readings of a calibration: which targets and scale bars can be used, and the reason why others cannot."""
+"""Readings of a calibration: whether its targets and scale bars can be used, and the reason if they cannot."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from metrocli.instruments import camera
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
 from metrocli.tasks.shared.images.sightings import Sighted
-from metrocli.words import listed
 
 _STRANGE = "not in the list of targets"
 _FEWEST_READINGS = 4
@@ -38,21 +37,9 @@ def check_targets(rig: str, sighted: Sighted) -> None:
         )
 
 
-def seen_once(sighted: Sighted, seen: Index, least: int) -> Sighted:
-    """Return the sightings, with a warning that names the targets seen in fewer than `least` images.
-
-    `seen` (targets,) is the number of images of each target.
-    """
-    once = [name for name, n in zip(sighted.targets.names, seen, strict=True) if 0 < n < least]
-    if not once:
-        return sighted
-    line = f"left out: {len(once)} targets are seen in one image only, which does not place them: {listed(once)}"
-    return replace(sighted, warnings=(*sighted.warnings, line))
-
-
-def readings(sighted: Sighted, seen: Index, least: int, rig: str) -> Observations:
-    """Return the readings of targets that at least `least` images show; with rig cmm all share one camera pose."""
-    observations = sighted.observations.selected(seen[sighted.target] >= least)
+def readings(sighted: Sighted, rig: str) -> Observations:
+    """Return the readings; with rig cmm all share one camera pose."""
+    observations = sighted.observations
     index = dict(observations.index)
     if rig == "cmm":
         index[camera.TAPER] = np.zeros(observations.count, dtype=np.intp)

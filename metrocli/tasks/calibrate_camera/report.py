@@ -142,7 +142,7 @@ def _tables_and_arrays(solved: _Calibration, views: Table, hidden: Table) -> tup
     if problem.rig != "cmm":
         tables["views"] = views
         arrays |= _view_covariances(solved)
-    if problem.rig == "network":
+    if problem.rig == "network" or (problem.rig == "board" and problem.blocks[camera.TARGET].free.any()):
         tables["points"], of_points = _points(solved)
         arrays |= of_points
     return tables, arrays
@@ -238,7 +238,8 @@ def _points(solved: _Calibration) -> tuple[Table, dict[str, Array]]:
 def _ray_angles(solved: _Calibration) -> Array:
     """Return the largest angle [rad] between two rays of each target, 0 for a single ray."""
     points = solved.solution.blocks[camera.TARGET].values
-    origins = solved.solution.blocks[camera.VIEW].values[:, :3]
+    views = solved.solution.blocks[camera.VIEW].values
+    origins = (poses.inverse(views) if solved.problem.rig == "board" else views)[:, :3]
     target, view = solved.index(camera.TARGET), solved.index("view")
     angles = np.zeros(len(points))
     for i in np.unique(target):

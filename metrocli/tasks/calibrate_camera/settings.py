@@ -15,7 +15,7 @@ from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.tasks.shared.images.camera_settings import Extrinsics, LensValues
-from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults
+from metrocli.tasks.shared.images.settings import ESTIMATE, eccentricity_setting, image_faults, targets_setting
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
 from metrocli.tasks.shared.structured_noise import NOISE_HELP
@@ -176,6 +176,7 @@ class Settings:
         Choice("report", "remove"), "name outliers, or leave them out and list them", default="report"
     )
 
+    targets: str = targets_setting()
     eccentricity: str = eccentricity_setting()
     length_limit: LengthLimit | None = setting(
         Section(LengthLimit), "largest length measuring error that is allowed, for the test lengths", default=None
@@ -193,6 +194,8 @@ class Settings:
                 "image_size is missing: a table of observations does not contain it; "
                 "write e.g. image_size: [2592, 1944]",
             )
+        if self.targets == ESTIMATE and self.rig == "cmm":
+            yield "targets", "rig: cmm sees each target from one place, so their coordinates have to be known"
         if self.inputs.scale_bars is not None and self.rig != "network":
             yield "inputs.scale_bars", "scale bars belong to rig: network"
         if self.inputs.test_lengths is not None and self.rig != "network":

@@ -30,6 +30,7 @@ from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_im
 from metrocli.tasks.shared.images.camera_parameters import delivered
 from metrocli.tasks.shared.images.planted_effects import planted, refuse_pictures
 from metrocli.tasks.shared.images.rendering import Draw, pictures
+from metrocli.tasks.shared.images.settings import ESTIMATE
 from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
 from metrocli.tasks.shared.images.simulation import Shown, sightings_table, sights, true_targets
 from metrocli.tasks.shared.images.target_list import known_targets
@@ -70,7 +71,8 @@ def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
     if images is not None:
         _must_have_size(images, settings)
         settings = replace(settings, camera=replace(settings.camera, image_size=images.size))
-    needs = Needs(_FEWEST[settings.rig], float("nan") if settings.rig == "network" else 0.0)
+    sigma = float("nan") if settings.targets == ESTIMATE else 0.0
+    needs = Needs(_FEWEST[settings.rig], float("nan") if settings.rig == "network" else sigma, sigma)
     sighted = sightings(settings, files.observations, files.targets, images, needs)
     must_not_be_used(files.test_lengths, files.scale_bars)
     problem = build(settings.rig, settings.camera, sighted, files.scale_bars)

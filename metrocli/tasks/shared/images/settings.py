@@ -35,6 +35,19 @@ def eccentricity_setting() -> str:
     return chosen
 
 
+ESTIMATE = "estimate"
+
+
+def targets_setting() -> str:
+    """Return the setting for coordinates of targets that have no standard deviation."""
+    text = (
+        "coordinates of targets without a standard deviation: exact as listed, or unknowns that start at the list, "
+        "which then gives only their common place, rotation and size"
+    )
+    chosen: str = setting(Choice("listed", ESTIMATE), text, default="listed")
+    return chosen
+
+
 def image_faults(
     observations: object, images: object, pattern: Pattern | None, targets: object
 ) -> Iterable[tuple[str, str]]:

@@ -59,6 +59,8 @@ class Needs:
     """Targets that an image must show"""
     unknown_sigma: float = 0.0
     """Standard deviation [mm] of targets in a list without a sigma column; nan: unknown"""
+    of_pattern: float = 0.0
+    """Standard deviation [mm] of the targets of a pattern without a list; nan: unknown"""
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ def sightings(
         observations, warnings = sight(images, pattern)
     if observations is None:
         raise InputError("there are neither observations nor images")
-    known = known_targets(pattern, targets, needs.unknown_sigma)
+    known = known_targets(pattern, targets, needs.unknown_sigma, needs.of_pattern)
     noise = START_NOISE if isinstance(settings.noise, str) else settings.noise
     sighted = join(observations, known, noise, needs.fewest)
     if not sighted.images:
@@ -124,6 +126,17 @@ def _shown_size(pattern: Pattern, images: ImageSet, lost: Sequence[str]) -> str:
     chosen = set(lost[:: max(len(lost) // _TRIED, 1)][:_TRIED])
     size = likely_size(pattern, (picture for name, picture in images if name in chosen))
     return f"; they show {size[0]} x {size[1]}: is it columns: {size[0]}, rows: {size[1]}?" if size else ""
+
+
+def placed(sighted: Sighted, least: Index) -> Sighted:
+    """Return the sightings of targets that at least `least` (targets,) images show; a warning names the others."""
+    seen = np.bincount(sighted.target, minlength=len(least))
+    lost = [name for name, n, needed in zip(sighted.targets.names, seen, least, strict=True) if 0 < n < needed]
+    if not lost:
+        return sighted
+    line = f"left out: {len(lost)} targets are seen in one image only, which does not place them: {listed(lost)}"
+    observations = sighted.observations.selected((seen >= least)[sighted.target])
+    return replace(sighted, observations=observations, warnings=(*sighted.warnings, line))
 
 
 def _eccentric(settings: ImageSettings, sighted: Sighted, measured: bool) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
 from metrocli.errors import InputError, together
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern, pattern_points
@@ -37,16 +38,19 @@ class Targets:
     """(m,) mm, nan if it is not given"""
 
 
-def known_targets(pattern: Pattern | None, targets: Table | None, unknown_sigma: float) -> Targets:
+def known_targets(
+    pattern: Pattern | None, targets: Table | None, unknown_sigma: float, of_pattern: float = 0.0
+) -> Targets:
     """Return the targets of the list, or without a list those of the printed pattern.
 
     A target without a radius in the list has that of the pattern. `unknown_sigma` [mm] is the standard deviation in a
-    list without a sigma column. Raises InputError without list and pattern.
+    list without a sigma column, `of_pattern` that of a pattern without a list. Raises InputError without list and
+    pattern.
     """
     if targets is not None:
         known = read_targets(targets, unknown_sigma)
     elif pattern is not None:
-        known = targets_of(pattern)
+        known = targets_of(pattern, of_pattern)
     else:
         raise InputError("there is no list of targets")
     if pattern is not None and pattern.diameter is not None:
@@ -70,7 +74,12 @@ def _radii(table: Table) -> Array:
     return radius
 
 
-def targets_of(pattern: Pattern) -> Targets:
-    """Return the targets of a printed pattern, taken as exact."""
+def targets_of(pattern: Pattern, sigma: float = 0.0) -> Targets:
+    """Return the targets of a printed pattern with a standard deviation [mm]; nan: unknown."""
     names, points = pattern_points(pattern)
-    return Targets(tuple(names), points, np.zeros_like(points), np.full(len(names), np.nan))
+    return Targets(tuple(names), points, np.full_like(points, sigma), np.full(len(names), np.nan))
+
+
+def images_needed(targets: Targets) -> Index:
+    """Return in how many images each target has to be seen, (m,): two if a coordinate of it is unknown, else one."""
+    return np.where(np.isnan(targets.sigma).any(axis=1), 2, 1)
