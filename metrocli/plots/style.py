@@ -68,6 +68,8 @@ _INDENT = re.compile(r"\n +")
 _ELEMENT = re.compile("<[^<>]+>")
 _DIGITS = re.compile(r"(\d\.\d\d)\d+")
 """More digits of a point (1/72 inch) than an image can show"""
+LETTERS = 24
+"""Letters of a name inside a figure: a longer one would take the room of what is shown"""
 MARKERS = ("o", "s", "^", "D")
 
 

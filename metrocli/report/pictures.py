@@ -19,6 +19,7 @@ from metrocli.report.html import EMPTY, Html, code, joined, scrolling, tag
 from metrocli.report.look import roles, variable
 from metrocli.result import Result
 from metrocli.table import Table
+from metrocli.words import shortened
 
 LARGEST = 150_000
 """Characters of an SVG beyond which the figure is an image of pixels"""
@@ -102,7 +103,7 @@ def _turning(scene: Scene) -> dict[str, Any]:
     for one in scene.places:
         kind: dict[str, Any] = {"kind": one.kind, "at": _rounded(one.at - middle)}
         if len(one.names) <= _NAMED:
-            kind["names"] = list(one.names)
+            kind["names"] = [shortened(name, style.LETTERS) for name in one.names]
         if one.vectors is not None:
             kind["vectors"] = _rounded(one.vectors)
         if one.covariance is not None and np.isfinite(one.covariance).all():
