@@ -25,12 +25,17 @@ for (const holder of document.querySelectorAll("[data-scene]")) {
     const most = ends.map((p) => Math.max(Math.abs(dot(p, right)) / (wide / 2 - 64), Math.abs(dot(p, up)) / (high / 2 - 48)));
     return Math.min(1.6, 1 / (one * most.reduce((a, b) => Math.max(a, b), 1e-12)));
   }
-  function named(text, at, all) {
-    // on the side away from the nearest other place
-    const [x, y] = at, far = ([u, v]) => (Math.hypot(u - x, v - y) || Infinity);
-    const [u, v] = all.reduce((a, b) => (far(b) < far(a) ? b : a), at);
-    const long = pen.measureText(text).width, left = x >= u ? x + 7 : x - 7 - long;
-    pen.fillText(text, Math.max(2, Math.min(canvas.clientWidth - long - 2, left)), y + (y > v ? 15 : -6));
+  function named(text, at, all, taken) {
+    // on the side away from the nearest other place, else on one that no other name has; without room not at all
+    const [x, y] = at, far = ([u, v]) => (Math.hypot(u - x, v - y) || Infinity), long = pen.measureText(text).width;
+    const [u, v] = all.reduce((a, b) => (far(b) < far(a) ? b : a), at), [right, down] = [x >= u, y > v];
+    for (const [a, b] of [[right, down], [right, !down], [!right, down], [!right, !down]]) {
+      const left = Math.max(2, Math.min(canvas.clientWidth - long - 2, a ? x + 7 : x - 7 - long)), base = y + (b ? 15 : -6);
+      if (taken.some(([l, m, w]) => left < l + w && l < left + long && Math.abs(m - base) < 12)) continue;
+      taken.push([left, base, long]);
+      pen.fillText(text, left, base);
+      return;
+    }
   }
   const line = (x, y, u, v) => {
     pen.beginPath(); pen.moveTo(x, y); pen.lineTo(u, v);
@@ -46,7 +51,7 @@ for (const holder of document.querySelectorAll("[data-scene]")) {
     start.zoom ||= view.zoom = roomiest(wide, high);
     const [right, up] = axes(), scale = view.zoom * 0.84 * Math.min(wide, high) / scene.size;
     const flat = (p) => [wide / 2 + scale * dot(p, right), high / 2 - scale * dot(p, up)];
-    const everything = scene.kinds.flatMap((kind) => kind.at.map(flat));
+    const everything = scene.kinds.flatMap((kind) => kind.at.map(flat)), taken = [];
     pen.font = "12px system-ui, sans-serif";
     scene.kinds.forEach((kind, k) => {
       const ink = colour(["first", "third", "fourth", "second"][k % 4]);
@@ -66,7 +71,7 @@ for (const holder of document.querySelectorAll("[data-scene]")) {
           line(x, y, ...flat(tip(kind, i)));
         }
         pen.beginPath(); pen.arc(x, y, kind.names ? 4 : 1.8, 0, 7); pen.fill();
-        if (kind.names) { pen.fillStyle = colour("ink"); named(kind.names[i], [x, y], everything); }
+        if (kind.names) { pen.fillStyle = colour("ink"); named(kind.names[i], [x, y], everything, taken); }
       });
       pen.fillStyle = ink; pen.fillText("● " + kind.kind, 8, 18 + 16 * k);
     });
