@@ -70,7 +70,7 @@ for (const holder of document.querySelectorAll("[data-scene]")) {
         if (kind.vectors) {
           line(x, y, ...flat(tip(kind, i)));
         }
-        pen.beginPath(); pen.arc(x, y, kind.names ? 4 : 1.8, 0, 7); pen.fill();
+        pen.beginPath(); pen.arc(x, y, kind.names ? 4 : kind.at.length <= 100 ? 3 : 1.8, 0, 7); pen.fill();
         if (kind.names) { pen.fillStyle = colour("ink"); named(kind.names[i], [x, y], everything, taken); }
       });
       pen.fillStyle = ink; pen.fillText("● " + kind.kind, 8, 18 + 16 * k);

@@ -358,3 +358,15 @@ def test_ellipsoids_of_many_points_have_room() -> None:
     table = Table(columns, dict.fromkeys(("x", "y", "z", "sx", "sy", "sz"), "mm"))
     found = plots.data_of("scene", Result("x", "", (), np.zeros((0, 0)), {}, {"points": table}))
     assert 10.0 < 2 * 2e-3 * found.ellipsoids < 50.0
+
+
+def test_cameras_stand_about_the_board() -> None:
+    """One camera looks along z from 400 mm; the other sees the board turned by a right angle about y, from the side."""
+    columns = {"image": np.array(["a", "b"]), "x": np.zeros(2), "y": np.array([0.0, 5.0]), "z": np.full(2, 400.0)}
+    columns |= {"alpha": np.zeros(2), "beta": np.array([0.0, np.pi / 2]), "gamma": np.zeros(2)}
+    table = Table(columns, dict.fromkeys("xyz", "mm") | dict.fromkeys(("alpha", "beta", "gamma"), "rad"))
+    result = replace(lens(), statistics={"rig": "board"}, tables={"views": table})
+    board, cameras = places_of(result)
+    assert board.at.tolist() == [[0, 0, 0]] and cameras.names == ("a", "b")
+    np.testing.assert_allclose(cameras.at, [[0, 0, -400], [400, -5, 0]], atol=1e-9)
+    assert "scene" in plots.names_of(result)
