@@ -13,11 +13,12 @@ from metrocli.plots.magnify import in_words, length_in_words, magnification, rou
 from metrocli.plots.noise_bands import Array
 from metrocli.plots.places import Places, places_of
 from metrocli.plots.style import MARKERS, Canvas, arrows, bare
+from metrocli.plots.thinning import thinned_vectors
 from metrocli.result import Result
 from metrocli.words import in_a_row
 
 _MOST = 1500
-"""Most points of one kind; the longest vectors are always among them"""
+"""Most points of one kind; the longest vector is always among them"""
 _SHARE = 1 / 10
 _ROOMY = 25
 """Points of one kind from which on ellipsoids become smaller with the distance of the points"""
@@ -68,13 +69,13 @@ def data(result: Result, about: str) -> Scene | None:
 
 
 def _largest(one: Places) -> Places:
-    """Return the places with the longest vectors, or those at equal steps, in their order."""
+    """Return the place with the longest vector in each cell of the space, or places at equal steps, in their order."""
     if len(one.at) <= _MOST:
         return one
     if one.vectors is None:
         rows = np.linspace(0, len(one.at) - 1, _MOST).astype(np.intp)
     else:
-        rows = np.sort(np.argsort(-np.linalg.norm(one.vectors, axis=1), kind="stable")[:_MOST])
+        rows = thinned_vectors(one.at, np.linalg.norm(one.vectors, axis=1), _MOST)
     chosen = [None if values is None else values[rows] for values in (one.vectors, one.covariance)]
     return Places(one.kind, tuple(one.names[row] for row in rows), one.at[rows], chosen[0], one.vector_name, chosen[1])
 
@@ -178,6 +179,6 @@ def _caption(found: Scene) -> str:
             factor = in_words(found.ellipsoids)
             parts.append(f"Ellipsoids ({one.kind}): two standard deviations along each axis, magnified {factor}.")
     if found.left_out:
-        which = "with shorter vectors " if any(one.vectors is not None for one in found.places) else ""
-        parts.append(f"{found.left_out} points {which}are left out.")
+        longest = "; the longest vector of each cell stays" if any(x.vectors is not None for x in found.places) else ""
+        parts.append(f"{found.left_out} points are left out{longest}.")
     return " ".join(parts)
