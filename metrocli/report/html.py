@@ -13,7 +13,7 @@ class Html(str):
 
 
 EMPTY = Html("")
-_VOID = {"meta", "img", "br", "hr", "link"}
+_VOID = {"meta", "img", "br", "hr", "link", "source"}
 
 
 def tag(element: str, /, *content: str, **attributes: str | bool) -> Html:

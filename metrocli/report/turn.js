@@ -2,7 +2,7 @@
 // 3-D views: drag or arrow keys turn, wheel or + and - zoom, 0 resets. Parallel projection as in the static figure.
 for (const holder of document.querySelectorAll("[data-scene]")) {
   const scene = JSON.parse(holder.querySelector("script").textContent);
-  const still = holder.querySelector("svg, img"), canvas = document.createElement("canvas");
+  const still = holder.querySelector("svg, picture, img"), canvas = document.createElement("canvas");
   const pen = canvas.getContext("2d"), start = { turn: scene.turn, tilt: scene.tilt, zoom: 0 };
   let view = { ...start };
   canvas.tabIndex = 0;

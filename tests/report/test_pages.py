@@ -33,7 +33,7 @@ RECORD = Record(
     "metrocli: 1\njob: x\n", (InputFile("a.csv", "ab" * 32, 123),), "0.1.0", "2026-11-20T10:00:00Z",
     (Verdict("sigma0", "< 1.5", 1.0, "", True),),
 )  # fmt: skip
-VOID = {"meta", "img", "br", "hr", "link", "input"}
+VOID = {"meta", "img", "br", "hr", "link", "input", "source"}
 
 
 class Page(HTMLParser):
@@ -422,3 +422,13 @@ def test_the_worst_place_of_a_volume_and_the_largest_contributor_are_named() -> 
 def test_what_is_to_be_typed_is_marked_in_doubts_too() -> None:
     page = page_of(lens(), record=replace(RECORD, doubts=('sigma0 = 9; `require: {sigma0: "< 10"}` allows it',)))
     assert "`" not in page.text
+
+
+def test_figures_of_pixels_have_the_theme_of_the_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metrocli.report.pictures.LARGEST", 0)
+    page = page_of(results.network())
+    dark, light = page.named("source"), page.named("img")
+    assert len(dark) + 1 == len(light) == len(page.named("figure")) > 3  # the view that turns has its own colours
+    assert {one["media"] for one in dark} == {"screen and (prefers-color-scheme:dark)"}
+    links = [str(one["srcset"]) for one in dark] + [str(one["src"]) for one in light]
+    assert len(set(links)) == len(links) and all(link.startswith("data:image/png;base64,") for link in links)
