@@ -82,6 +82,19 @@ async function checked(path, width, axe) {
   frame.remove();
   return { path, width, fetched, turns, beyond, overlaps: over, small: tiny, ...(await judged(path, width, axe)) };
 }
+async function beyondPaper(path) {
+  // the paper of A4 without its margins of 16 mm, with the rules of print in place of those of the screen
+  const frame = await opened(Math.round((178 / 25.4) * 96), { src: `file://${path}` }), page = frame.contentDocument;
+  for (const sheet of page.styleSheets) {
+    for (const rule of sheet.cssRules) {
+      if (rule.media && /print|screen/.test(rule.media.mediaText)) rule.media.mediaText = /print/.test(rule.media.mediaText) ? "all" : "not all";
+    }
+  }
+  for (const one of page.querySelectorAll("details")) one.open = true;
+  const beyond = page.documentElement.scrollWidth - page.documentElement.clientWidth;
+  frame.remove();
+  return beyond;
+}
 async function withoutScripts(path) {
   const frame = await opened(1280, { sandbox: "allow-same-origin", src: `file://${path}` }), page = frame.contentDocument;
   const texts = shownTexts(page).map((one) => one.text), canvases = page.querySelectorAll("canvas").length;
@@ -92,7 +105,7 @@ async function reported(paths, widths, axe) {
   const pages = [], plain = [];
   for (const path of paths) {
     for (const width of widths) pages.push(await checked(path, width, axe));
-    plain.push(await withoutScripts(path));
+    plain.push({ ...(await withoutScripts(path)), paper: await beyondPaper(path) });
   }
   console.log(`REPORT${JSON.stringify({ pages, plain })}END`);
 }

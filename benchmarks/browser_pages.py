@@ -42,7 +42,7 @@ class Seen:
     pages: list[dict[str, Any]]
     """One for each page and width"""
     plain: list[dict[str, Any]]
-    """One for each page with scripts off"""
+    """One for each page: with scripts off, and on paper"""
     console: list[str]
 
     def of(self, path: str, wanted: bool = True) -> Seen:
@@ -63,6 +63,7 @@ class Seen:
                 yield f"{at}: {one['beyond']} px wider than the window"
             if one["turns"] is False:
                 yield f"{at}: the view does not turn"
+        yield from (f"{one['path']}: {one['paper']} px wider than A4" for one in self.plain if one["paper"] > 0)
 
 
 def reported(sample: str, folder: Path) -> list[Path]:

@@ -64,12 +64,19 @@ class Record:
     """The job file relative to the folder of the result, with forward slashes."""
     certificate: Mapping[str, Any] = field(default_factory=dict)
     """What the job states for a certificate (`certificate:`): texts, and mappings of texts, by key."""
+    below: tuple[tuple[str, str], ...] = ()
+    """Standards of the results that this one was made from, with certificate numbers; their files have them"""
 
     def references(self) -> list[tuple[str, str]]:
-        """Return what the result rests on, with certificate numbers: its inputs, then standards that are no files."""
+        """Return what the result rests on, with certificate numbers.
+
+        Its inputs come first, then standards that are no files, then those of the results among its inputs.
+        """
         stated: Mapping[str, str] = self.certificate.get("references", {})
         paths = [one.path for one in self.inputs]
-        return [(name, stated.get(name, "")) for name in (*paths, *(one for one in stated if one not in paths))]
+        return [(name, stated.get(name, "")) for name in (*paths, *(one for one in stated if one not in paths))] + [
+            *self.below
+        ]
 
     @property
     def status(self) -> str:

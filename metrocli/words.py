@@ -19,6 +19,14 @@ def in_a_row(names: Sequence[str]) -> str:
     return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)
 
 
+def shortened(text: str, letters: int) -> str:
+    """Return a text of at most so many letters: of a longer one the begin and the end, where names differ most."""
+    if len(text) <= letters:
+        return text
+    end = letters // 2
+    return f"{text[: letters - end - 1]}…{text[-end:]}"
+
+
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """Return the known word that is most similar, or None if none is similar enough."""
     known = list(known)

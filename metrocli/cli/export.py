@@ -49,6 +49,9 @@ def command(
     inputs = {os.path.realpath(os.path.join(folder_of_job, one.path)) for one in record.inputs}
     if record.job_file:  # messages name it from the working folder, the result from its own
         record = replace(record, job_file=Path(os.path.relpath(result.parent / record.job_file)).as_posix())
+    from metrocli.project.provenance.standards import with_standards
+
+    record = with_standards(result, record)
     contents = {}
     for name, content in export(form, found, record).items():
         path = inside(out, name) if out is not None else inside(result.parent, f"{result.stem}.{name}")

@@ -36,7 +36,7 @@ class Entry:
 
 
 FIGURES: dict[str, Entry] = {
-    "scene": Entry("scene", "3-D view of points, tracers, cameras, with deviations and ellipsoids"),
+    "scene": Entry("scene", "3-D view of the measurement"),
     "residuals": Entry("against", "normalised residuals in the order of the readings", "order"),
     "residuals-radius": Entry("against", "normalised residuals against the radius in the image", "radius"),
     "residuals-time": Entry("against", "normalised residuals against time", "time"),

@@ -10,9 +10,10 @@ from matplotlib.axes import Axes
 
 from metrocli.plots.noise_bands import Array, Trend, largest_of, trend
 from metrocli.plots.readings import image_residuals, radial, residuals_of
-from metrocli.plots.style import Canvas, Theme
+from metrocli.plots.style import LETTERS, Canvas, Theme
 from metrocli.plots.thinning import MOST, Index, thinned, words
 from metrocli.result import Result
+from metrocli.words import shortened
 
 LABELS = {
     "order": "order of the readings",
@@ -105,7 +106,7 @@ def panel_of(name: str, covariate: Array, w: Array, named: Callable[[int], str],
     kept, most = np.flatnonzero(np.isfinite(w)), largest_of(count)
     covariate, w = covariate[kept], w[kept]
     worst = int(np.argmax(np.abs(w)))
-    text = named(int(kept[worst])) if abs(w[worst]) > most else ""
+    text = shortened(named(int(kept[worst])), 2 * LETTERS) if abs(w[worst]) > most else ""
     return Panel(name, covariate, w, trend(covariate, w), thinned(covariate, w, marks), text, most)
 
 

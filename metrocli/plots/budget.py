@@ -9,10 +9,11 @@ import numpy as np
 from metrocli.plots.noise_bands import Array
 from metrocli.plots.style import Canvas
 from metrocli.result import Result
+from metrocli.words import shortened
 
 _MOST = 10
 """Contributors with a bar of their own; all others share one"""
-_LONGEST = 34
+_LETTERS = 34
 _INSIDE = 15.0
 """Percent from which on a bar has room for its number"""
 
@@ -72,7 +73,7 @@ def draw(canvas: Canvas, found: tuple[Chart, ...]) -> str:
                 ha="right" if inside else "left", color=theme.surface if inside else theme.ink,
                 bbox=None if inside else {"facecolor": theme.surface, "edgecolor": "none", "pad": 0.6},
             )  # fmt: skip
-        axes.set_yticks(rows, [name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…" for name in chart.names])
+        axes.set_yticks(rows, [shortened(name, _LETTERS) for name in chart.names])
         axes.invert_yaxis()
         axes.grid(axis="y", visible=False)
         axes.set_xlim(min(0.0, float(chart.shares.min()) * 1.2), 112)

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli.plots.noise_bands import Array
-from metrocli.plots.style import BOTH_SIDES, Canvas
+from metrocli.plots.style import BOTH_SIDES, LETTERS, Canvas
 from metrocli.result import Result
+from metrocli.words import shortened
 
 MOST = 60
 """Most estimates that are shown, those with the largest correlations"""
@@ -64,10 +65,10 @@ def draw(canvas: Canvas, found: Correlation) -> str:
     drawn = axes.pcolormesh(found.matrix, cmap=BOTH_SIDES, vmin=-1, vmax=1, edgecolor=canvas.theme.surface, lw=0.6)
     axes.set_aspect("equal")
     axes.invert_yaxis()
-    ticks = np.arange(count) + 0.5
+    ticks, names = np.arange(count) + 0.5, [shortened(name, LETTERS) for name in found.names]
     size = 8.0 if count <= 20 else 7.0 if count <= 32 else 4.5
-    axes.set_xticks(ticks, found.names, rotation=90, fontsize=size)
-    axes.set_yticks(ticks, found.names, fontsize=size)
+    axes.set_xticks(ticks, names, rotation=90, fontsize=size)
+    axes.set_yticks(ticks, names, fontsize=size)
     axes.tick_params(length=0)
     if count <= _WITH_NUMBERS:
         for (i, j), number in np.ndenumerate(found.matrix):

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli.plots.noise_bands import Array
-from metrocli.plots.style import Canvas
+from metrocli.plots.style import LETTERS, Canvas
 from metrocli.result import K, Result
+from metrocli.words import shortened
 
 _MOST = 40
 """Most surfaces that are shown, those with the least overstock"""
@@ -69,7 +70,7 @@ def draw(canvas: Canvas, found: Overstock) -> str:
         at = [(value, row[surface]) for surface, value in found.left_out]
         axes.plot(*np.transpose(at), "D", ms=5, mew=0, color=theme.second, label="left out")
     axes.axvline(found.minimum, color=theme.second, lw=1.2, ls=(0, (4, 3)), label="minimum")
-    axes.set_yticks(rows, found.surfaces)
+    axes.set_yticks(rows, [shortened(name, LETTERS) for name in found.surfaces])
     axes.invert_yaxis()
     axes.margins(0.05, 0.6 / len(rows))
     axes.set_xlabel("overstock (mm)")

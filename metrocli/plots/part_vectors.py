@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
 
+from metrocli.plots import labels
 from metrocli.plots.magnify import in_words, length_in_words, magnification
 from metrocli.plots.noise_bands import Array
 from metrocli.plots.places import Places, places_of
-from metrocli.plots.style import OUTLINE, SIZES, Canvas, Theme, arrows
+from metrocli.plots.style import OUTLINE, SIZES, Canvas, arrows
 from metrocli.plots.thinning import thinned_vectors, words
 from metrocli.result import Result
 
@@ -114,27 +114,16 @@ def draw(canvas: Canvas, found: PartResiduals) -> str:
         factor = in_words(found.magnification)
         moved = f"Arrows: residuals of the lengths, summed along the beams, magnified {factor}; longest {longest}. "
     worst = int(np.argmax(found.rms))
-    _name(axes, found.names[worst], found.at[:, found.plane], worst, canvas.theme)
+    ground = {"facecolor": canvas.theme.surface, "edgecolor": "none", "alpha": 0.8, "pad": 0.4}
+    look = {"color": canvas.theme.second, "fontweight": "bold", "zorder": 5, "bbox": ground}
+    labels.name(axes, found.names[worst], found.at[:, found.plane], worst, _NEAREST, **look)
     axes.plot(x[worst], y[worst], "o", ms=9, mfc="none", mec=canvas.theme.second, mew=1.4, zorder=4)
     axes.margins(0.12)
     axes.set_xlabel(f"{_AXES[i]} (mm)")
     axes.set_ylabel(f"{_AXES[j]} (mm)")
-    canvas.colour_bar(drawn, bar, "root mean square of w")
+    canvas.colour_bar(drawn, bar, "rms of w")
     text = (
         f"{moved}Colour: root mean square of the normalised residuals at the point, 1 if there is noise only; "
         f"the largest is {found.rms[worst]:.3g} at {found.names[worst]}."
     )
     return " ".join(filter(None, [text, words(len(found.at), found.points, "the largest of each cell", "points")]))
-
-
-def _name(axes: Axes, name: str, at: Array, row: int, theme: Theme) -> None:
-    """Write the name of a point on the side that has no other points: away from the middle of the nearest ones."""
-    near = np.argsort(np.linalg.norm(at - at[row], axis=1), kind="stable")[: _NEAREST + 1]
-    away = at[row] - at[near].mean(axis=0)
-    right, up = (1 if part >= 0 else -1 for part in away)
-    ground = {"facecolor": theme.surface, "edgecolor": "none", "alpha": 0.8, "pad": 0.4}
-    axes.annotate(
-        name, tuple(at[row]), xytext=(7 * right, 7 * up), textcoords="offset points", bbox=ground,
-        ha="left" if right > 0 else "right", va="bottom" if up > 0 else "top",
-        fontsize=8, color=theme.second, fontweight="bold", zorder=5,
-    )  # fmt: skip

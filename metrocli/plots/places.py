@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from metrocli.geometry.rotations import rotation_from_euler
 from metrocli.plots.noise_bands import Array
 from metrocli.result import Result
 from metrocli.table import Table
@@ -32,7 +33,9 @@ def places_of(result: Result) -> tuple[Places, ...]:
     """Return the points of a result with deviations and covariances, then its instruments."""
     found = [_points(result), *_grids(result), _volume(result), _instruments(result, "tracers", "tracer")]
     cameras = _instruments(result, "views", "image") if result.statistics.get("rig") == "network" else None
-    return tuple(one for one in (*found, cameras, *_launch(result)) if one is not None and len(one.at))
+    return tuple(
+        one for one in (*found, cameras, *_about_board(result), *_launch(result)) if one is not None and len(one.at)
+    )
 
 
 def _points(result: Result) -> Places | None:
@@ -101,6 +104,16 @@ def _instruments(result: Result, name: str, key: str) -> Places | None:
     if table is None or key not in table or not all(axis in table for axis in _XYZ):
         return None
     return Places({"views": "cameras"}.get(name, name), tuple(table.texts(key)), table.stacked(_XYZ))
+
+
+def _about_board(result: Result) -> list[Places]:
+    """Return the cameras about a board: those of its views, whose poses turn and shift its frame into the camera."""
+    table = result.tables.get("views")
+    if result.statistics.get("rig") != "board" or table is None or "alpha" not in table:
+        return []
+    rotation = rotation_from_euler(*table.stacked(("alpha", "beta", "gamma")).T)
+    at = -np.einsum("nji,nj->ni", rotation, table.stacked(_XYZ))
+    return [Places("board", ("origin",), np.zeros((1, 3))), Places("cameras", tuple(table.texts("image")), at)]
 
 
 def _launch(result: Result) -> list[Places]:

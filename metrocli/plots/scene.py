@@ -8,14 +8,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 
+from metrocli.plots import labels
 from metrocli.plots.magnify import in_words, length_in_words, magnification, round_size
 from metrocli.plots.noise_bands import Array
 from metrocli.plots.places import Places, places_of
 from metrocli.plots.style import MARKERS, Canvas, arrows, bare
+from metrocli.plots.thinning import thinned_vectors
 from metrocli.result import Result
+from metrocli.words import in_a_row
 
 _MOST = 1500
-"""Most points of one kind; the longest vectors are always among them"""
+"""Most points of one kind; the longest vector is always among them"""
 _SHARE = 1 / 10
 _ROOMY = 25
 """Points of one kind from which on ellipsoids become smaller with the distance of the points"""
@@ -66,13 +69,13 @@ def data(result: Result, about: str) -> Scene | None:
 
 
 def _largest(one: Places) -> Places:
-    """Return the places with the longest vectors, or those at equal steps, in their order."""
+    """Return the place with the longest vector in each cell of the space, or places at equal steps, in their order."""
     if len(one.at) <= _MOST:
         return one
     if one.vectors is None:
         rows = np.linspace(0, len(one.at) - 1, _MOST).astype(np.intp)
     else:
-        rows = np.sort(np.argsort(-np.linalg.norm(one.vectors, axis=1), kind="stable")[:_MOST])
+        rows = thinned_vectors(one.at, np.linalg.norm(one.vectors, axis=1), _MOST)
     chosen = [None if values is None else values[rows] for values in (one.vectors, one.covariance)]
     return Places(one.kind, tuple(one.names[row] for row in rows), one.at[rows], chosen[0], one.vector_name, chosen[1])
 
@@ -104,6 +107,7 @@ def height(found: Scene) -> float:
 def draw(canvas: Canvas, found: Scene) -> str:
     """Draw the figure and return its caption."""
     axes, theme, rows = canvas.axes()[0], canvas.theme, view()
+    everything, first = found.all_at @ rows[:2].T, 0
     bare(axes)
     axes.set_xticks([])
     axes.set_yticks([])
@@ -117,8 +121,9 @@ def draw(canvas: Canvas, found: Scene) -> str:
         size = 6.0 if few else 4.0 if len(one.names) <= _MANY else 2.2
         axes.plot(*flat.T, marker, ms=size, mew=0, color=colour, label=one.kind)
         if few:
-            for name, place in zip(one.names, flat, strict=True):
-                axes.annotate(name, place, xytext=(6, 5), textcoords="offset points", fontsize=8)
+            for name, row in zip(one.names, range(first, first + len(flat)), strict=True):
+                labels.name(axes, name, everything, row, 1)
+        first += len(flat)
     axes.margins(0.1)
     axes.autoscale_view()
     _draw_scale(axes, found, rows, theme.ink, theme.muted)
@@ -161,7 +166,9 @@ def _draw_scale(axes: Axes, found: Scene, rows: Array, ink: str, muted: str) -> 
 
 
 def _caption(found: Scene) -> str:
-    parts = ["Parallel projection; in the still picture the three arrows have the stated length along x, y and z."]
+    shown = in_a_row([one.kind for one in found.places])
+    still = "in the still picture the three arrows have the stated length along x, y and z"
+    parts = [f"Parallel projection: {shown}; {still}."]
     for one in found.places:
         if one.vectors is not None:
             sizes = np.linalg.norm(one.vectors, axis=1)
@@ -172,6 +179,6 @@ def _caption(found: Scene) -> str:
             factor = in_words(found.ellipsoids)
             parts.append(f"Ellipsoids ({one.kind}): two standard deviations along each axis, magnified {factor}.")
     if found.left_out:
-        which = "with shorter vectors " if any(one.vectors is not None for one in found.places) else ""
-        parts.append(f"{found.left_out} points {which}are left out.")
+        longest = "; the longest vector of each cell stays" if any(x.vectors is not None for x in found.places) else ""
+        parts.append(f"{found.left_out} points are left out{longest}.")
     return " ".join(parts)

@@ -68,6 +68,8 @@ _INDENT = re.compile(r"\n +")
 _ELEMENT = re.compile("<[^<>]+>")
 _DIGITS = re.compile(r"(\d\.\d\d)\d+")
 """More digits of a point (1/72 inch) than an image can show"""
+LETTERS = 24
+"""Letters of a name inside a figure: a longer one would take the room of what is shown"""
 MARKERS = ("o", "s", "^", "D")
 
 
@@ -250,9 +252,13 @@ def svg(canvas: Canvas) -> str:
 
 
 def png(canvas: Canvas) -> bytes:
-    """Return a figure as the bytes of a PNG image."""
-    found = BytesIO()
-    canvas.figure.savefig(found, format="png", dpi=150, metadata=_without_date("png"))
+    """Return a figure as the bytes of a PNG image of 256 colours, a third of the size of one of all colours."""
+    from PIL import Image  # matplotlib needs it for its images
+
+    drawn, found = BytesIO(), BytesIO()
+    canvas.figure.savefig(drawn, format="png", dpi=150, metadata=_without_date("png"))
+    few = Image.open(drawn).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    few.save(found, "png", optimize=True)
     return found.getvalue()
 
 

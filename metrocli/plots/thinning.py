@@ -32,17 +32,18 @@ def thinned(x: Array, y: Array, most: int = MOST) -> Index:
 
 
 def thinned_vectors(places: Array, sizes: Array, most: int = MOST) -> Index:
-    """Return the rows of at most `most` vectors at places (n, 2), in ascending order: the longest of each cell.
+    """Return the rows of at most `most` vectors at places (n, d), in ascending order: the longest of each cell.
 
-    The cells are equal squares over all places; the longest vector of all is always among them.
+    The cells are of one size, as many along each axis; the longest vector of all is always among them.
     """
     count = len(sizes)
     if count <= most:
         return np.arange(count)
     low, span = places.min(axis=0), np.maximum(np.ptp(places, axis=0), 1e-300)
-    side = max(int(np.sqrt(most)), 1)
+    axes = places.shape[1]
+    side = max(int(most ** (1 / axes) + 1e-9), 1)
     cell = np.minimum((places - low) / span * side, side - 1).astype(np.intp)
-    key = cell[:, 0] * side + cell[:, 1]
+    key = cell @ side ** np.arange(axes)
     order = np.lexsort((sizes, key))
     ends = np.append(np.flatnonzero(np.diff(key[order])), count - 1)
     return np.sort(order[ends])

@@ -124,8 +124,8 @@ def draw(canvas: Canvas, found: VolumeMap) -> str:
         axes.set_ylabel("y (mm)" if at_left else "")
         axes.set_xlabel("x (mm)" if at_bottom else "")
         axes.tick_params(labelleft=at_left, labelbottom=at_bottom)
-    label = "length of the error (µm)" if found.about == ERROR else "standard uncertainty (µm)"
-    canvas.colour_bar(drawn, bar, label)
+    # short, since the scale of a flat volume is low: the caption has the rest
+    canvas.colour_bar(drawn, bar, "error (µm)" if found.about == ERROR else "u (µm)")
     return _caption(found)
 
 

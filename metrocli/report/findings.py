@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
 from metrocli import units
-from metrocli.plots import overstock
-from metrocli.plots.beside import chosen_law, law_in_words, sizes_in_words
+from metrocli.plots import budget, overstock, volume_map
 from metrocli.plots.magnify import length_in_words, micro
 from metrocli.plots.noise_bands import largest_of
 from metrocli.plots.places import places_of
@@ -20,6 +20,7 @@ from metrocli.result import SCALE, Estimate, K, Result
 from metrocli.words import listed
 
 _CLEAN = ("clean", "explained")
+_MEASURANDS = 3
 _EQUAL = 1e-4
 """Readings whose |w| differ by this share are checked by the same readings: any of them may be the wrong one"""
 
@@ -44,6 +45,25 @@ GOOD, WARNED, BAD = "good", "warned", "bad"
 """Use the result, read its warnings before, do not use it as it is"""
 
 
+_INCOMPLETE = "its model is not complete: the diagnosis"
+_WRONG = {
+    "explained": f"{_INCOMPLETE} names what is missing",
+    "indistinct": f"{_INCOMPLETE} has several causes that fit alike",
+    "unexplained": f"{_INCOMPLETE} finds structure without a known cause",
+    "mistaken": "one of its files is wrong, by the diagnosis",
+}
+"""What verdicts mean for the result"""
+
+
+def _limits(data: Mapping[str, Any]) -> str:
+    """Return what a diagnosis has against a result whose model is complete; empty if nothing."""
+    count, noise = len(data.get("outliers", ())), data.get("noise") or {}
+    wrong = f"the diagnosis lists {count} wrong reading{'s' if count > 1 else ''}" if count else ""
+    other = f"the noise is {noise['ratio']:.2g} times what was declared" if noise.get("as_declared") is False else ""
+    ended = "the diagnosis ended at its limit of time" if data.get("limited") is not None else ""
+    return " and ".join(filter(None, [wrong, other, ended]))
+
+
 def verdict(content: Content) -> tuple[str, str]:
     """Return GOOD, WARNED or BAD, and whether the result may be used in one sentence."""
     record = content.record
@@ -52,8 +72,12 @@ def verdict(content: Content) -> tuple[str, str]:
     if record.status != DONE:
         return BAD, "The result does not meet its requirements."
     held = content.diagnosis
-    if held is not None and held.of_this and held.data.get("verdict") != "clean":
-        return BAD, f"Done, but its model is not complete: the verdict of the diagnosis is {held.data['verdict']}."
+    data = held.data if held is not None and held.of_this else {"verdict": "clean"}
+    if data["verdict"] != "clean":
+        return BAD, f"Done, but {_WRONG.get(data['verdict'], data['verdict'])}."
+    limits = _limits(data)
+    if limits:
+        return WARNED, f"Done, but {limits}."
     count = len(content.result.warnings)
     if count:
         return WARNED, f"Done, with {count} warning{'s' if count > 1 else ''}."
@@ -83,6 +107,7 @@ def worst(result: Result) -> Iterator[str]:
             k = int(np.argmax(known))
             size = length_in_words(K * float(known[k]))
             yield f"Least known of the {one.kind}: {one.names[k]}, {size} in space (k = 2)."
+    yield from _largest_shares(result)
     stock = overstock.data(result)
     if stock is not None:
         size, spread = units.rounded(float(stock.least[0]), float(stock.spread[0]))
@@ -90,31 +115,15 @@ def worst(result: Result) -> Iterator[str]:
         yield f"Least overstock: ({size} ± {spread}) mm (k = 2) {where}; the minimum is {stock.minimum:g} mm."
 
 
-def diagnosed(content: Content) -> Iterator[str | Html]:
-    """Yield what the diagnosis at hand found, or how to make one."""
-    held = content.diagnosis
-    if held is None and not residuals_of(content.result):
-        yield "Nothing to diagnose: no readings are adjusted."
-        return
-    if held is None:
-        yield Html(f"Not diagnosed yet: {code(f'metrocli diagnose {content.job}')}, then make this page again.")
-        return
-    if not held.of_this:
-        yield f"{held.path} is the diagnosis of another job, or of other inputs: diagnose again."
-        return
-    data = held.data
-    yield f"Verdict: {data.get('verdict', '')}."
-    for effect in data.get("effects", ()):
-        where = ", ".join(map(str, dict(effect.get("where", {})).values()))
-        yield f"{effect.get('name', '')} {where}: {sizes_in_words(effect.get('parameters', {}))}".replace(" :", ":")
-    law = chosen_law(data)
-    if law is not None:
-        yield f"Law without a known cause: {law_in_words(law)}; {sizes_in_words(law.get('parameters', {}))}"
-    for one in list(data.get("outliers", ()))[:5]:
-        keys = "/".join(map(str, dict(one.get("observation", {})).values()))
-        yield f"Wrong reading: {keys} (w = {float(one.get('w') or 0):.1f})"
-    if data.get("mistake"):
-        yield f"Mistake in {data['mistake'].get('file')}: {data['mistake'].get('what')}"
+def _largest_shares(result: Result) -> Iterator[str]:
+    """Yield the place of a volume that is known least, and the largest contributor to each of the first measurands."""
+    found = volume_map.data(result, volume_map.UNCERTAINTY) if "map" in result.tables else None
+    if found is not None:
+        x, y, z = found.largest_at
+        size = length_in_words(K * found.largest)
+        yield f"Least known of the volume: ({x:g}, {y:g}, {z:g}) mm, {size} in space (k = 2)."
+    for chart in (budget.data(result, "") or ())[:_MEASURANDS]:
+        yield f"Largest contributor to {chart.measurand}: {chart.names[0]}, {chart.shares[0]:.0f} % of the variance."
 
 
 def next_step(content: Content) -> str | Html:
@@ -123,16 +132,20 @@ def next_step(content: Content) -> str | Html:
     held = held if held is not None and held.of_this else None
     diagnose = code(f"metrocli diagnose {content.job}")
     if held is not None:
+        if held.data.get("mistake"):
+            return "Correct the mistake that the diagnosis found, and run the job again."
         extended = held.data.get("extended_job")
         if extended:
             command = code(f"metrocli {content.result.kind} {extended}")
             return Html(f"Run the job with what was found in its model: {command}.")
-        if held.data.get("mistake"):
-            return "Correct the mistake that the diagnosis found, and run the job again."
         if held.data.get("outliers"):
             return "Check the wrong readings, measure them again or leave them out, and run the job again."
         if held.data.get("verdict") not in _CLEAN:
             return "The residuals have structure that no known effect explains: measure what would separate causes."
+        if held.data.get("limited") is not None:
+            return Html(f"Diagnose with more time: {code(f'metrocli diagnose {content.job} --limit 600s')}.")
+        if _limits(held.data):
+            return "Declare the noise that the readings have, or `noise: estimated`, and run the job again."
     if record.status == DOUBTFUL:
         return Html(f"Find the cause by {diagnose}.")
     if record.status != DONE:

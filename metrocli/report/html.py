@@ -13,7 +13,7 @@ class Html(str):
 
 
 EMPTY = Html("")
-_VOID = {"meta", "img", "br", "hr", "link"}
+_VOID = {"meta", "img", "br", "hr", "link", "source"}
 
 
 def tag(element: str, /, *content: str, **attributes: str | bool) -> Html:
@@ -59,12 +59,14 @@ def code(text: str) -> Html:
     return tag("code", Html(" ".join(tag("span", word) for word in text.split(" "))))
 
 
-def _marked(text: str) -> Html:
-    """Return a text whose parts between backticks are code."""
+def marked(text: str) -> Html:
+    """Return a text whose parts between backticks are code; HTML stays as it is."""
+    if isinstance(text, Html):
+        return text
     return joined(code(part) if k % 2 else part for k, part in enumerate(text.split("`")))
 
 
 def listed(items: Iterable[str]) -> Html:
     """Return items as a list, nothing without any; what is between backticks in them is code."""
-    found = joined(tag("li", one if isinstance(one, Html) else _marked(one)) for one in items)
+    found = joined(tag("li", marked(one)) for one in items)
     return tag("ul", found) if found else EMPTY

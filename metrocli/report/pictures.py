@@ -19,6 +19,7 @@ from metrocli.report.html import EMPTY, Html, code, joined, scrolling, tag
 from metrocli.report.look import roles, variable
 from metrocli.result import Result
 from metrocli.table import Table
+from metrocli.words import shortened
 
 LARGEST = 150_000
 """Characters of an SVG beyond which the figure is an image of pixels"""
@@ -46,12 +47,16 @@ def figures(result: Result, path: str, beside: Beside) -> Iterator[tuple[str, Ht
 
 
 def _figure(name: str, data: Any) -> Html:
+    turning = _turning(data) if isinstance(data, Scene) else {}
     with plots.drawn(name, data) as (canvas, caption):
         style.arrange(canvas)
         text = style.svg(canvas)
         label = f"{plots.title_of(name)}. {caption}"
-        picture = inline(text, name, label) if len(text) <= LARGEST else _image(style.png(canvas), caption)
-    turning = _turning(data) if isinstance(data, Scene) else {}
+        picture = (
+            inline(text, name, label)
+            if len(text) <= LARGEST
+            else _image(style.png(canvas), caption, b"" if turning else _dark(name, data))
+        )
     help_text = tag("p", "Drag, or use the arrow keys, to turn; + and - zoom.", class_="turning hidden muted")
     held = tag("script", _as_json(turning), type="application/json") if turning else EMPTY
     under = tag("figcaption", caption)
@@ -88,8 +93,23 @@ def inline(text: str, name: str, label: str) -> Html:
     return Html(re.sub(r"<svg.*?>", lambda _: opened, found, count=1, flags=re.DOTALL))
 
 
-def _image(content: bytes, caption: str) -> Html:
-    return tag("img", src=f"data:image/png;base64,{base64.b64encode(content).decode()}", alt=caption)
+def _dark(name: str, data: Any) -> bytes:
+    """Return a figure as an image for a dark screen."""
+    with plots.drawn(name, data, dark=True) as (canvas, _):
+        style.arrange(canvas)
+        return style.png(canvas)
+
+
+def _image(content: bytes, caption: str, dark: bytes = b"") -> Html:
+    """Return an image; on a dark screen, but not on paper, it is another one where that is given."""
+    light = tag("img", src=_as_link(content), alt=caption)
+    if not dark:
+        return light
+    return tag("picture", tag("source", srcset=_as_link(dark), media="screen and (prefers-color-scheme:dark)"), light)
+
+
+def _as_link(content: bytes) -> str:
+    return f"data:image/png;base64,{base64.b64encode(content).decode()}"
 
 
 def _turning(scene: Scene) -> dict[str, Any]:
@@ -102,7 +122,7 @@ def _turning(scene: Scene) -> dict[str, Any]:
     for one in scene.places:
         kind: dict[str, Any] = {"kind": one.kind, "at": _rounded(one.at - middle)}
         if len(one.names) <= _NAMED:
-            kind["names"] = list(one.names)
+            kind["names"] = [shortened(name, style.LETTERS) for name in one.names]
         if one.vectors is not None:
             kind["vectors"] = _rounded(one.vectors)
         if one.covariance is not None and np.isfinite(one.covariance).all():

@@ -7,8 +7,9 @@ from itertools import groupby
 from typing import Any
 
 from metrocli.report.content import Content
-from metrocli.report.findings import diagnosed, next_step, row_of, verdict, worst
-from metrocli.report.html import EMPTY, Html, joined, listed, table, tag
+from metrocli.report.diagnosed import diagnosed
+from metrocli.report.findings import next_step, row_of, verdict, worst
+from metrocli.report.html import EMPTY, Html, joined, listed, marked, table, tag
 from metrocli.report.look import page
 from metrocli.report.pictures import shown
 from metrocli.result import Estimate, Result
@@ -52,8 +53,8 @@ def _measured(content: Content) -> Iterator[str]:
 
 def _verdict(content: Content) -> Html:
     level, words = verdict(content)
-    lines = [tag("p", tag("strong", words)), *(tag("p", doubt) for doubt in content.record.doubts)]
-    lines.append(tag("p", tag("b", "Next: "), next_step(content)))
+    lines = [tag("p", tag("strong", words)), *(tag("p", marked(doubt)) for doubt in content.record.doubts)]
+    lines.append(tag("p", tag("b", "Next: "), marked(next_step(content))))
     return tag("div", *lines, class_=f"verdict {level}")
 
 

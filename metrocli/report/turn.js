@@ -2,8 +2,8 @@
 // 3-D views: drag or arrow keys turn, wheel or + and - zoom, 0 resets. Parallel projection as in the static figure.
 for (const holder of document.querySelectorAll("[data-scene]")) {
   const scene = JSON.parse(holder.querySelector("script").textContent);
-  const still = holder.querySelector("svg, img"), canvas = document.createElement("canvas");
-  const pen = canvas.getContext("2d"), start = { turn: scene.turn, tilt: scene.tilt, zoom: 1 };
+  const still = holder.querySelector("svg, picture, img"), canvas = document.createElement("canvas");
+  const pen = canvas.getContext("2d"), start = { turn: scene.turn, tilt: scene.tilt, zoom: 0 };
   let view = { ...start };
   canvas.tabIndex = 0;
   canvas.setAttribute("role", "img");
@@ -17,6 +17,26 @@ for (const holder of document.querySelectorAll("[data-scene]")) {
     return [[-s, c, 0], [-c * e, -s * e, d]];
   };
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  const tip = (kind, i) => kind.at[i].map((value, k) => value + scene.vectors * (kind.vectors ? kind.vectors[i][k] : 0));
+  function roomiest(wide, high) {
+    // the first view fills the picture, with room for names; a turned one may be longer, so not by far
+    const [right, up] = axes(), one = 0.84 * Math.min(wide, high) / scene.size;
+    const ends = scene.kinds.flatMap((kind) => kind.at.flatMap((p, i) => [p, tip(kind, i)]));
+    const most = ends.map((p) => Math.max(Math.abs(dot(p, right)) / (wide / 2 - 64), Math.abs(dot(p, up)) / (high / 2 - 48)));
+    return Math.min(1.6, 1 / (one * most.reduce((a, b) => Math.max(a, b), 1e-12)));
+  }
+  function named(text, at, all, taken) {
+    // on the side away from the nearest other place, else on one that no other name has; without room not at all
+    const [x, y] = at, far = ([u, v]) => (Math.hypot(u - x, v - y) || Infinity), long = pen.measureText(text).width;
+    const [u, v] = all.reduce((a, b) => (far(b) < far(a) ? b : a), at), [right, down] = [x >= u, y > v];
+    for (const [a, b] of [[right, down], [right, !down], [!right, down], [!right, !down]]) {
+      const left = Math.max(2, Math.min(canvas.clientWidth - long - 2, a ? x + 7 : x - 7 - long)), base = y + (b ? 15 : -6);
+      if (taken.some(([l, m, w]) => left < l + w && l < left + long && Math.abs(m - base) < 12)) continue;
+      taken.push([left, base, long]);
+      pen.fillText(text, left, base);
+      return;
+    }
+  }
   const line = (x, y, u, v) => {
     pen.beginPath(); pen.moveTo(x, y); pen.lineTo(u, v);
     const a = Math.atan2(v - y, u - x), l = Math.min(7, Math.hypot(u - x, v - y) / 2);
@@ -28,8 +48,10 @@ for (const holder of document.querySelectorAll("[data-scene]")) {
     canvas.width = wide * sharp; canvas.height = high * sharp;
     pen.setTransform(sharp, 0, 0, sharp, 0, 0);
     pen.clearRect(0, 0, wide, high);
+    start.zoom ||= view.zoom = roomiest(wide, high);
     const [right, up] = axes(), scale = view.zoom * 0.84 * Math.min(wide, high) / scene.size;
     const flat = (p) => [wide / 2 + scale * dot(p, right), high / 2 - scale * dot(p, up)];
+    const everything = scene.kinds.flatMap((kind) => kind.at.map(flat)), taken = [];
     pen.font = "12px system-ui, sans-serif";
     scene.kinds.forEach((kind, k) => {
       const ink = colour(["first", "third", "fourth", "second"][k % 4]);
@@ -46,11 +68,10 @@ for (const holder of document.querySelectorAll("[data-scene]")) {
         }
         pen.strokeStyle = pen.fillStyle = ink; pen.lineWidth = 1.3;
         if (kind.vectors) {
-          const v = kind.vectors[i], f = scene.vectors;
-          line(x, y, ...flat([p[0] + f * v[0], p[1] + f * v[1], p[2] + f * v[2]]));
+          line(x, y, ...flat(tip(kind, i)));
         }
-        pen.beginPath(); pen.arc(x, y, kind.names ? 4 : 1.8, 0, 7); pen.fill();
-        if (kind.names) { pen.fillStyle = colour("ink"); pen.fillText(kind.names[i], x + 7, y - 6); }
+        pen.beginPath(); pen.arc(x, y, kind.names ? 4 : kind.at.length <= 100 ? 3 : 1.8, 0, 7); pen.fill();
+        if (kind.names) { pen.fillStyle = colour("ink"); named(kind.names[i], [x, y], everything, taken); }
       });
       pen.fillStyle = ink; pen.fillText("● " + kind.kind, 8, 18 + 16 * k);
     });

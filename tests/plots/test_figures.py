@@ -358,3 +358,28 @@ def test_ellipsoids_of_many_points_have_room() -> None:
     table = Table(columns, dict.fromkeys(("x", "y", "z", "sx", "sy", "sz"), "mm"))
     found = plots.data_of("scene", Result("x", "", (), np.zeros((0, 0)), {}, {"points": table}))
     assert 10.0 < 2 * 2e-3 * found.ellipsoids < 50.0
+
+
+def test_cameras_stand_about_the_board() -> None:
+    """One camera looks along z from 400 mm; the other sees the board turned by a right angle about y, from the side."""
+    columns = {"image": np.array(["a", "b"]), "x": np.zeros(2), "y": np.array([0.0, 5.0]), "z": np.full(2, 400.0)}
+    columns |= {"alpha": np.zeros(2), "beta": np.array([0.0, np.pi / 2]), "gamma": np.zeros(2)}
+    table = Table(columns, dict.fromkeys("xyz", "mm") | dict.fromkeys(("alpha", "beta", "gamma"), "rad"))
+    result = replace(lens(), statistics={"rig": "board"}, tables={"views": table})
+    board, cameras = places_of(result)
+    assert board.at.tolist() == [[0, 0, 0]] and cameras.names == ("a", "b")
+    np.testing.assert_allclose(cameras.at, [[0, 0, -400], [400, -5, 0]], atol=1e-9)
+    assert "scene" in plots.names_of(result)
+
+
+def test_many_points_in_space_keep_the_extent_of_the_part() -> None:
+    """Of 20 000 points the vectors grow with x: the longest are all at one end, those that stay are everywhere."""
+    at = RNG.random((20_000, 3)) * [1000, 500, 200]
+    columns = {"point": np.array([f"P{k}" for k in range(len(at))]), **dict(zip("xyz", at.T, strict=True))}
+    columns |= {"error_x": at[:, 0] * 1e-6, "error_y": np.zeros(len(at)), "error_z": np.zeros(len(at))}
+    table = Table(columns, dict.fromkeys(("x", "y", "z", "error_x", "error_y", "error_z"), "mm"))
+    found = plots.data_of("scene", Result("x", "", (), np.zeros((0, 0)), {}, {"points": table}))
+    (kept,) = found.places
+    assert len(kept.at) <= 1500 and found.left_out == 20_000 - len(kept.at)
+    assert np.linalg.norm(kept.vectors, axis=1).max() == columns["error_x"].max()
+    assert (np.histogramdd(kept.at, bins=(4, 4, 4))[0] > 5).all()

@@ -124,3 +124,26 @@ def test_monte_carlo_is_the_same_with_any_workers(workers: int, tmp_path: Path, 
     shutil.copytree(SAMPLES / "gauge-block", tmp_path / "g", ignore=shutil.ignore_patterns("results"))
     assert metrocli("report-uncertainty", tmp_path / "g/jobs/gum.yaml").code == 0
     assert metrocli("rerun", tmp_path / "g/results/gum.h5", "--workers", workers).code == 0
+
+
+def test_the_standards_of_results_below_are_stated(project: Path, metrocli: Callable[..., Any]) -> None:
+    """The first job states certificates of its readings and of a standard that is no file; the second rests on both."""
+    stated = "certificate: {references: {../readings.csv: PTB-1, ball plate: NPL-2}}\n"
+    Path("jobs/first.yaml").write_text(FIRST + stated)
+    own = "certificate: {references: {../more.csv: LAB-3, ball plate: NPL-9}}\n"
+    Path("jobs/second.yaml").write_text(SECOND + own)
+    assert metrocli("run").code == 0
+    assert metrocli("report", "results/second.h5").code == 0
+    text = Path("results/second.html").read_text(encoding="utf-8")
+    for line in (
+        "../more.csv: certificate LAB-3",
+        "../readings.csv: certificate PTB-1",
+        "ball plate: certificate NPL-9",
+    ):
+        assert line in text
+    assert "NPL-2" not in text
+    # a result that was replaced since is not what this one rests on
+    Path("jobs/first.yaml").write_text(FIRST.replace("0.1 mm", "0.2 mm") + stated)
+    assert metrocli("run", "--only", "jobs/first.yaml").code == 0
+    assert metrocli("report", "results/second.h5").code == 0
+    assert "PTB-1" not in Path("results/second.html").read_text(encoding="utf-8")

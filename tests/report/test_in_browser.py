@@ -46,6 +46,10 @@ def test_no_text_lies_over_another_and_none_leaves_the_page(seen: Seen) -> None:
     assert not {(one["path"], one["width"]): one["beyond"] for one in seen.pages if one["beyond"] > 0}
 
 
+def test_pages_are_not_wider_than_paper(seen: Seen) -> None:
+    assert not [one for one in seen.plain if one["paper"] > 0]
+
+
 def test_the_view_turns_by_the_arrow_keys(seen: Seen) -> None:
     turned = {Path(one["path"]).name: one["turns"] for one in seen.pages}
     assert turned["tip3.html"] is True

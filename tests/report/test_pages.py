@@ -19,6 +19,7 @@ from plots import results
 from metrocli.cli.console import Console
 from metrocli.record import InputFile, Record, Verdict
 from metrocli.report.content import Content, Diagnosis
+from metrocli.report.findings import worst
 from metrocli.report.html import listed as list_of
 from metrocli.report.project_page import Entry, project_page, ranks
 from metrocli.report.result_page import result_page
@@ -32,7 +33,7 @@ RECORD = Record(
     "metrocli: 1\njob: x\n", (InputFile("a.csv", "ab" * 32, 123),), "0.1.0", "2026-11-20T10:00:00Z",
     (Verdict("sigma0", "< 1.5", 1.0, "", True),),
 )  # fmt: skip
-VOID = {"meta", "img", "br", "hr", "link", "input"}
+VOID = {"meta", "img", "br", "hr", "link", "input", "source"}
 
 
 class Page(HTMLParser):
@@ -244,7 +245,7 @@ def test_what_comes_from_files_is_escaped() -> None:
     assert len(page.named("script")) == 2 and "<script>alert" not in text
     assert page.text.count("alert('x')") >= 10
     data = json.loads(re.search(r'type="application/json">(.*?)</script>', text, re.DOTALL)[1])  # type: ignore[index]
-    assert data["kinds"][0]["names"][0] == names[0]
+    assert data["kinds"][0]["names"][0] == "A</script><…(1)</script>"
 
 
 def test_the_view_that_turns_has_true_sizes() -> None:
@@ -278,11 +279,14 @@ def test_traceability() -> None:
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        ({"verdict": "explained", "effects": [{"name": "jump", "where": {"t": "LT2"}, "parameters": {"step": {"value": 0.0016, "std": 0.0001, "unit": "mm"}}}], "extended_job": "x.extended.yaml"}, ["model is not complete: the verdict of the diagnosis is explained", "jump LT2: step = 1.60 ± 0.10 µm", "Run the job with what was found", "metrocli calibrate-camera x.extended.yaml"]),
-        ({"verdict": "clean", "outliers": [{"observation": {"p": "P1", "t": "LT1"}, "w": 6.5}]}, ["Wrong reading: P1/LT1 (w = 6.5)", "Check the wrong readings"]),
-        ({"verdict": "unexplained"}, ["Verdict: unexplained.", "structure that no known effect explains"]),
-        ({"verdict": "mistaken", "mistake": {"file": "points", "what": "is in inches"}}, ["Mistake in points: is in inches", "Correct the mistake"]),
-        ({"verdict": "clean"}, ["Verdict: clean.", "Use or export the result."]),
+        ({"verdict": "explained", "effects": [{"name": "jump", "where": {"t": "LT2"}, "parameters": {"step": {"value": 0.0016, "std": 0.0001, "unit": "mm"}}}], "extended_job": "x.extended.yaml"}, ["model is not complete: the diagnosis names what is missing", "jump LT2: step = 1.60 ± 0.10 µm", "Run the job with what was found", "metrocli calibrate-camera x.extended.yaml"]),
+        ({"verdict": "clean", "outliers": [{"observation": {"p": "P1", "t": "LT1"}, "w": 6.5, "or": [{"p": "P1", "t": "LT2"}]}] * 7}, ["the diagnosis lists 7 wrong readings", "Wrong reading: P1/LT1 (w = 6.5; or instead P1/LT2)", "and 2 more wrong readings", "Check the wrong readings"]),
+        ({"verdict": "unexplained", "unexplained": {"depends_on": ["t", "angle"], "where": ["LT2"], "size": {"value": 0.55, "unit": "um"}}, "processes": [{"depends_on": "time", "of_each": "tracer", "std": {"value": 0.21, "unit": "um"}}]}, ["finds structure without a known cause", "Verdict: unexplained: structure is left", "varies with t and angle in the readings of LT2, 0.55 µm", "smoothly with time of each tracer by itself: 0.21 µm"]),
+        ({"verdict": "mistaken", "mistake": {"file": "points", "what": "is in inches", "write": "unit: mm"}, "extended_job": "x.extended.yaml"}, ["one of its files is wrong", "Mistake in points: is in inches; write: unit: mm", "Correct the mistake"]),
+        ({"verdict": "clean"}, ["Verdict: clean: the residuals are what noise produces.", "Use or export the result."]),
+        ({"verdict": "clean", "noise": {"as_declared": False, "ratio": 5.4}}, ["the noise is 5.4 times what was declared.", "Noise: 5.4 times", "Declare the noise"]),
+        ({"verdict": "clean", "limited": 2.0}, ["ended at its limit of time", "limit of 2 s", "--limit 600s"]),
+        ({"verdict": "indistinct", "effects": [{"name": "a", "where": {}, "parameters": {}, "alternatives": [{"name": "b", "where": {"t": "L1"}}]}], "separate_by": ["again"]}, ["several causes that fit alike", "a: or instead b L1", "To tell the causes apart, measure: again"]),
     ],
 )  # fmt: skip
 def test_the_diagnosis_decides_what_is_next(data: dict[str, Any], words: list[str]) -> None:
@@ -402,3 +406,29 @@ def test_what_is_to_be_typed_is_marked() -> None:
     assert list_of(["write `noise: {a: 1}` & run", "x"]) == (
         "<ul><li>write <code><span>noise:</span> <span>{a:</span> <span>1}</span></code> &amp; run</li><li>x</li></ul>"
     )
+
+
+def test_the_worst_place_of_a_volume_and_the_largest_contributor_are_named() -> None:
+    table = Table(
+        {"x": np.array([0.0, 5.0]), "y": np.zeros(2), "z": np.ones(2)}
+        | dict.fromkeys(("u_x", "u_y", "u_z"), np.array([0.001, 0.02])),
+        {},
+    )
+    found = list(worst(replace(results.budget(), tables={**results.budget().tables, "map": table})))
+    assert "Least known of the volume: (5, 0, 1) mm, 69 µm in space (k = 2)." in found
+    assert any(line.startswith("Largest contributor to ") and line.endswith(" % of the variance.") for line in found)
+
+
+def test_what_is_to_be_typed_is_marked_in_doubts_too() -> None:
+    page = page_of(lens(), record=replace(RECORD, doubts=('sigma0 = 9; `require: {sigma0: "< 10"}` allows it',)))
+    assert "`" not in page.text
+
+
+def test_figures_of_pixels_have_the_theme_of_the_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metrocli.report.pictures.LARGEST", 0)
+    page = page_of(results.network())
+    dark, light = page.named("source"), page.named("img")
+    assert len(dark) + 1 == len(light) == len(page.named("figure")) > 3  # the view that turns has its own colours
+    assert {one["media"] for one in dark} == {"screen and (prefers-color-scheme:dark)"}
+    links = [str(one["srcset"]) for one in dark] + [str(one["src"]) for one in light]
+    assert len(set(links)) == len(links) and all(link.startswith("data:image/png;base64,") for link in links)

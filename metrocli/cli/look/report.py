@@ -93,6 +93,7 @@ def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: st
     from metrocli.cli.look.beside import beside_of, diagnosis_of
     from metrocli.cli.look.inches import in_units
     from metrocli.formats import hdf5
+    from metrocli.project.provenance.standards import with_standards
     from metrocli.report.content import Content
     from metrocli.report.result_page import result_page
 
@@ -106,6 +107,7 @@ def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: st
             tables[one.name] = columns.table_text(replace(table, columns=kept))
     held = diagnosis_of(result, diagnosis, record)
     job = name or (_from(home, result.parent / record.job_file) if record.job_file else "JOB.yaml")
+    record = with_standards(result, record)
     return result_page(Content(found, record, _from(home, result), tables, held, job, beside_of(result, held), stated))
 
 
