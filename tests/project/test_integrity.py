@@ -70,6 +70,19 @@ def test_a_change_of_notation_runs_nothing(name: str, project: Path, metrocli: C
     assert ran(metrocli) == []
 
 
+def test_the_order_of_criteria_is_no_change(project: Path, metrocli: Callable[..., Any]) -> None:
+    slope, sigma0 = "  slope.std: ['< 1 rad', '> 0 rad']\n", "  sigma0: '< 1e9'\n"
+    Path("jobs/first.yaml").write_text(f"{FIRST}require:\n{slope}{sigma0}")
+    assert ran(metrocli) == ["first", "second"]
+    Path("jobs/first.yaml").write_text(f"{FIRST}require:\n{sigma0}{slope}")
+    assert ran(metrocli) == []
+    assert ran(metrocli, "--force") == ["first", "second"]
+    Path("jobs/first.yaml").write_text(f"{FIRST}require:\n{slope}{sigma0}")
+    assert metrocli("rerun", "results/first.h5").code == 0
+    Path("jobs/first.yaml").write_text(f"{FIRST}require:\n{sigma0.replace('1e9', '1e8')}{slope}")
+    assert "first" in ran(metrocli)
+
+
 CHANGE: dict[str, tuple[Callable[[], object], str]] = {
     "a cell": (lambda: Path("readings.csv").write_text(Path("readings.csv").read_text().replace("3100", "3101")), "input ../readings.csv changed"),
     "a YAML input": (lambda: Path("known.yaml").write_text("slope: 2 mm/m\n"), "input ../known.yaml changed"),
