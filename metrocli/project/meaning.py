@@ -44,8 +44,12 @@ def of_job(job: JobFile) -> str:
 
 
 def of_table(table: Table) -> str:
-    """Return the digest of the cells of a table, in internal units; lines, comments and unused columns do not count."""
-    return digest([table.columns, table.units])
+    """Return the digest of the cells of a table, in internal units, and of the names of unused columns.
+
+    Lines, comments and the order of columns do not count. An unused column gives the result a warning.
+    """
+    unused = [line.removeprefix(table.file) for line in table.warnings]
+    return digest([table.columns, table.units, *unused])
 
 
 def of_result(result: Result, record: Record) -> str:

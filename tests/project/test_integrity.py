@@ -71,6 +71,25 @@ def test_a_change_of_notation_runs_nothing(name: str, project: Path, metrocli: C
     assert ran(metrocli) == []
 
 
+def test_a_column_that_is_not_read_counts_as_the_warning_that_it_gives(
+    project: Path, metrocli: Callable[..., Any]
+) -> None:
+    metrocli("run")
+    head, *rows = Path("readings.csv").read_text().splitlines()
+    Path("readings.csv").write_text("\n".join([f"{head},note,by", *(f"{row},ok,me" for row in rows)]) + "\n")
+    assert ran(metrocli) == ["first", "second"]
+    other = [f"{row},you,?" for row in rows]
+    Path("readings.csv").write_text("\n".join(["# by night", f"{head},by,note", *other]) + "\n")
+    assert ran(metrocli) == []
+    assert metrocli("rerun", "results/first.h5").code == 0
+
+
+def test_a_yaml_input_may_have_its_ending_in_capitals(project: Path, metrocli: Callable[..., Any]) -> None:
+    Path("known.yaml").rename("KNOWN.YAML")
+    Path("jobs/first.yaml").write_text(FIRST.replace("known.yaml", "KNOWN.YAML"))
+    assert ran(metrocli) == ["first", "second"]
+
+
 def test_the_order_of_criteria_is_no_change(project: Path, metrocli: Callable[..., Any]) -> None:
     slope, sigma0 = "  slope.std: ['< 1 rad', '> 0 rad']\n", "  sigma0: '< 1e9'\n"
     Path("jobs/first.yaml").write_text(f"{FIRST}require:\n{slope}{sigma0}")
