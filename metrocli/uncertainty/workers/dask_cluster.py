@@ -237,7 +237,7 @@ def _in_file(path: str) -> str:
 
 
 def _silence() -> None:
-    """Keep from the terminal what the library tells those who program with it.
+    """Keep from the terminal what the library writes for those who program with it.
 
     That is its tracebacks when a cluster is lost, which errors state in words, and its advice on large files.
     """
