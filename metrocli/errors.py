@@ -8,6 +8,8 @@ from typing import Any
 
 SHOWN = 160
 """Most characters of an offending line that are shown."""
+NO_MEMORY = "the memory that this program may take is not enough"
+"""In place of MemoryError, which is no defect"""
 
 
 @dataclass(frozen=True)

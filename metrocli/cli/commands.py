@@ -15,7 +15,7 @@ from metrocli.cli.console import echo
 from metrocli.cli.help import COMMANDS, MODULES, ROOMS, example_of, help_text, version_text
 from metrocli.cli.shell.progress_line import with_progress
 from metrocli.cli.shell.signals import INTERRUPTED, TERMINATED, Terminated, ending
-from metrocli.errors import Fault, InputError, MetrocliError
+from metrocli.errors import NO_MEMORY, Fault, InputError, MetrocliError
 from metrocli.tasks import KINDS
 
 BROKEN_PIPE = 141
@@ -119,6 +119,10 @@ def _carry_out(arguments: list[str]) -> tuple[int, Exception | None]:
     except MetrocliError as error:
         echo(f"error: {error}", err=True)
         return error.exit_code, error
+    except MemoryError:
+        refused = InputError(NO_MEMORY)
+        echo(str(refused), err=True)
+        return refused.exit_code, refused
     except Exception as error:
         if isinstance(error, OSError) and error.errno in _CANNOT_WRITE:
             echo(f"error: the output cannot be written: {error.strerror}", err=True)

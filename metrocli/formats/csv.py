@@ -152,7 +152,8 @@ def _unused(raw: Raw, columns: Columns, places: dict[str, tuple[int, units.Unit 
     names = [name for index, name in enumerate(raw.header) if index not in used]
     near = {name: nearest(name, wanted) for name in names}
     ask = {name: f"; did you mean '{near[name]}'?" if near[name] else "" for name in names}
-    return tuple(f"{raw.file}:{raw.header_line}: the column '{name}' is not used{ask[name]}" for name in names)
+    # without the line and sorted: comments and the order of columns are no change of a table
+    return tuple(f"{raw.file}: the column '{name}' is not used{ask[name]}" for name in sorted(names))
 
 
 def _convert(raw: Raw, index: int, column: Column, unit: units.Unit | None, faults: list[Fault]) -> Values:

@@ -50,7 +50,10 @@ def read_bytes(path: Path, what: str = "a file", shown: str = "", most: int = MO
         if found.st_size > most:
             raise InputError([Fault(f"the file has {found.st_size} bytes; {what} has at most {most}", shown)])
         with open(handle, "rb", closefd=False) as file:
-            data = file.read(most + 1)
+            # not `most` at once: the buffer is taken as large as asked for, which a limit on memory may forbid
+            data = file.read(found.st_size + 1)
+            if len(data) > found.st_size:
+                data += file.read(most + 1 - len(data))
     except OSError as error:
         raise InputError([Fault(f"cannot be read: {error.strerror}", shown)]) from error
     finally:

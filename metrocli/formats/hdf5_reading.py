@@ -43,7 +43,7 @@ def content_of(label: Label, body: bytes, shown: str) -> tuple[Result, Record]:
         with _opened(body) as file:
             result = _read_result(file, shown)
             record = _read_record(file, label)
-    except InputError:
+    except (InputError, MemoryError):
         raise
     except Exception as error:  # the libraries raise errors of many kinds for a file that others made
         raise InputError([Fault(f"the result file is damaged: {error}", shown)]) from error
@@ -60,6 +60,8 @@ def record_of(label: Label, body: bytes, shown: str) -> Record:
     try:
         with _opened(body) as file:
             return _read_record(file, label)
+    except MemoryError:
+        raise
     except Exception as error:
         raise InputError([Fault(f"the result file is damaged: {error}", shown)]) from error
 

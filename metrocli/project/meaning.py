@@ -18,7 +18,8 @@ from typing import Any
 from metrocli import __version__
 from metrocli.nodes import Node
 from metrocli.project.job import JobFile
-from metrocli.record import InputFile, Record
+from metrocli.project.requirements import Requirement
+from metrocli.record import InputFile, Record, Verdict
 from metrocli.result import Result
 from metrocli.table import Table
 
@@ -34,6 +35,7 @@ def of_job(job: JobFile) -> str:
     """
     apart = ("effects", "effects_from", "output", "parts")
     heading = {name: value for name, value in _named(job.heading) if name not in apart and value is not None}
+    heading |= {"require": _by_name(job.heading.require)}
     effects = [(one.name, [form.by for form in one.forms], one.where, one.values, one.std) for one in job.effects]
     output = os.path.relpath(job.output, job.folder)
     images = [item.node for item in job.inputs if isinstance(item.value, tuple)]
@@ -42,8 +44,12 @@ def of_job(job: JobFile) -> str:
 
 
 def of_table(table: Table) -> str:
-    """Return the digest of the cells of a table, in internal units; lines, comments and unused columns do not count."""
-    return digest([table.columns, table.units])
+    """Return the digest of the cells of a table, in internal units, and of the names of unused columns.
+
+    Lines, comments and the order of columns do not count. An unused column gives the result a warning.
+    """
+    unused = [line.removeprefix(table.file) for line in table.warnings]
+    return digest([table.columns, table.units, *unused])
 
 
 def of_result(result: Result, record: Record) -> str:
@@ -54,12 +60,13 @@ def of_result(result: Result, record: Record) -> str:
     skipped = ("astray", "made_from", "tables")
     values = {name: value for name, value in _named(result) if name not in skipped}
     tables = {name: (table.columns, table.units) for name, table in result.tables.items()}
-    return digest([values, tables, record.verdicts, record.doubts, sorted(one.content for one in record.inputs)])
+    verdicts = _by_name(record.verdicts)
+    return digest([values, tables, verdicts, record.doubts, sorted(one.content for one in record.inputs)])
 
 
 def of_yaml(root: Node) -> str:
-    """Return the digest of the values of a YAML file, whatever its comments and notation."""
-    return digest(list(_leaves(root)))
+    """Return the digest of the values of a YAML file, whatever its comments, the order of its keys and its notation."""
+    return digest(root)
 
 
 def same_version(made_by: str) -> bool:
@@ -99,6 +106,11 @@ def _leaves(node: Node) -> Iterable[tuple[str, str]]:
         yield from _leaves(below)
     if node.kind == "scalar":
         yield node.path, node.text
+
+
+def _by_name(criteria: Iterable[Requirement | Verdict]) -> list[Requirement | Verdict]:
+    """Return criteria so that the order of the names in `require:` does not count; those of one name stay in order."""
+    return sorted(criteria, key=lambda one: one.name)
 
 
 def _named(value: Any) -> Iterable[tuple[str, Any]]:

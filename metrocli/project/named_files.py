@@ -105,7 +105,7 @@ def _names_files(spec: Any) -> bool:
 def _with_content(item: Input, faults: list[Fault]) -> Input:
     """Read the YAML file of an input into its dataclass."""
     path, section = item.value, getattr(item.spec, "section", None)
-    if section is None or path.suffix not in (".yaml", ".yml") or not path.is_file():
+    if section is None or path.suffix.lower() not in (".yaml", ".yml") or not path.is_file():
         return item
     try:
         bytes_read = read_bytes(path, "a job file", most=yaml_text.MOST_BYTES)

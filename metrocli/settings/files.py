@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from metrocli.errors import Fault
+from metrocli.errors import Fault, InputError
 from metrocli.nodes import Node
 from metrocli.settings.values import BAD, OfText, Schema, Spec, refuse
 
@@ -75,7 +75,7 @@ def _matches(node: Node) -> list[Path]:
     """Return the files that match a pattern; a path without wildcards is returned even if it does not exist."""
     if not has_wildcards(node.text):
         return [path_beside(node)]
-    return [Path(os.path.normpath(path)) for path in _glob(node) if path.is_file()]
+    return [_plain(path, node) for path in _glob(node) if path.is_file()]
 
 
 class TooManyFilesError(ValueError):
@@ -178,12 +178,27 @@ class MeshFile(OfText):
 def _path(spec: Spec, node: Node, faults: list[Fault]) -> Any:
     if node.kind != "scalar" or node.empty or not node.text.strip() or "\0" in node.text:
         return refuse(spec, node, faults)
-    return path_beside(node)
+    try:
+        return path_beside(node)
+    except InputError as error:
+        faults.extend(error.faults)
+        return BAD
 
 
 def path_beside(node: Node) -> Path:
     """Return the path that a node names, relative to the folder of the job file.
 
-    The path is normalised (no `..` in the middle), so that two jobs record the same file under the same path.
+    The path is normalised (no `..` in the middle), so that two jobs record the same file under the same path. Raises
+    InputError where a link before `..` makes that another file.
     """
-    return Path(os.path.normpath(node.source.folder / node.text))
+    return _plain(node.source.folder / node.text, node)
+
+
+def _plain(path: Path, node: Node) -> Path:
+    plain = Path(os.path.normpath(path))
+    with contextlib.suppress(OSError):
+        if ".." in path.parts and not os.path.samefile(path, plain):
+            there = os.path.realpath(path)
+            message = f"{node.path}: '{node.text}' leads through a link to {there}, without it to {plain}"
+            raise InputError([node.fault(message, "name one of the two without '..' behind a link")])
+    return plain

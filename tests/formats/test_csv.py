@@ -87,8 +87,8 @@ def test_rows_know_their_line(tmp_path: Path) -> None:
 def test_unknown_columns_are_a_warning(tmp_path: Path) -> None:
     table = read(tmp_path, "image,target,u_px,note,sgma_mm\na,1,2,x,3\n")
     assert table.warnings == (
-        "obs.csv:1: the column 'note' is not used",
-        "obs.csv:1: the column 'sgma_mm' is not used; did you mean 'sigma_mm'?",
+        "obs.csv: the column 'note' is not used",
+        "obs.csv: the column 'sgma_mm' is not used; did you mean 'sigma_mm'?",
     )
 
 

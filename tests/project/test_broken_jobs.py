@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -171,3 +172,44 @@ def test_what_is_no_file_is_named(make: str, found: str, job: Path, metrocli: Ca
         Path("readings.csv").symlink_to("nowhere.csv")
     ran = metrocli("straight-line", job)
     assert ran.code == 3 and found in ran.err and "readings.csv" in ran.err
+
+
+@pytest.fixture
+def away(job: Path) -> Path:
+    """A link to `elsewhere/below`; beside that folder are other files of the names that are beside the job."""
+    Path("elsewhere/below").mkdir(parents=True)
+    for folder in (Path(), Path("elsewhere")):
+        Path(folder, "line.yaml").write_text(GOOD)
+        Path(folder, "readings.csv").write_text("point,x_mm,y_um\na,0,1\nb,1,2\n")
+        Path(folder, "known.yaml").write_text("slope: 1 mm/m\n")
+        Path(folder, "a.png").write_bytes(b"")
+    Path("elsewhere/metrocli.yaml").write_text("jobs: [line.yaml]\n")
+    Path("away").symlink_to("elsewhere/below")
+    return Path("away")
+
+
+@pytest.mark.parametrize("inputs", [
+    "readings: away/../readings.csv", "readings: readings.csv, known: away/../known.yaml",
+    "readings: readings.csv, images: away/../*.png", "readings: readings.csv, images: [away/../a.png]",
+])  # fmt: skip
+def test_a_path_that_a_link_makes_another_file_is_refused(
+    inputs: str, away: Path, metrocli: Callable[..., Any]
+) -> None:
+    """The system follows the link before it goes up; the path as it is written goes up from the link."""
+    Path("line.yaml").write_text(GOOD.replace("readings: readings.csv", inputs))
+    ran = metrocli("check", "line.yaml")
+    assert (ran.code, "leads through a link to" in ran.err, "line.yaml:3:" in ran.err) == (3, True, True)
+
+
+@pytest.mark.parametrize("place", ["away/../line.yaml", "away/.."])
+def test_a_job_behind_a_link_reads_no_files_of_another_folder(
+    place: str, away: Path, metrocli: Callable[..., Any]
+) -> None:
+    assert "leads through a link to" in metrocli("check", place).err
+
+
+def test_a_link_whose_way_up_leads_to_the_same_file_is_no_fault(away: Path, metrocli: Callable[..., Any]) -> None:
+    away.unlink()
+    away.symlink_to("elsewhere")
+    Path("line.yaml").write_text(GOOD.replace("readings.csv", "away/../readings.csv"))
+    assert metrocli("check", "line.yaml").code == 0

@@ -120,6 +120,22 @@ def test_all_estimates_in_one_table(project: Path, metrocli: Callable[..., Any])
     assert len(json.loads(metrocli("gather", ".", "--out", "other.csv", "--json").out)["rows"]) == 3
 
 
+def test_a_column_of_the_list_does_not_hide_one_of_the_results(project: Path, metrocli: Callable[..., Any]) -> None:
+    head, *rows = PARTS.splitlines()
+    more = [f"{head},status,sigma0,job,offset_mm,slope", *(f"{row},painted,9,J7,77,66" for row in rows)]
+    Path("parts.csv").write_text("\n".join(more) + "\n")
+    metrocli("run")
+    metrocli("gather", ".", "--out", "table.csv")
+    row = next(csv.DictReader(Path("table.csv").read_text(encoding="utf-8").splitlines()))
+    with h5py.File("results/A1.h5") as file:
+        offset = dict(zip(file["parameters"]["name"], file["parameters"]["value"], strict=True))[b"offset"]
+        sigma0 = file["statistics"].attrs["sigma0"]
+    assert (row["job"], row["status"], float(row["sigma0"])) == ("jobs/gear.yaml[A1]", "done", sigma0)
+    assert float(row["offset_mm"]) == offset
+    assert {row[f"for.{name}"] for name in ("status", "sigma0", "job", "offset_mm", "slope")} == {
+        "painted", "9", "J7", "77", "66"}  # fmt: skip
+
+
 FAULTS = {
     "no such column": (JOB.replace("{customer}", "{custmer}"), PARTS, "jobs/gear.yaml:4:8: error: title: no part has '{custmer}'"),
     "column of parts missing": (JOB, PARTS.replace("part,", "prt,"), "parts.csv:1"),

@@ -6,13 +6,15 @@ import json
 import os
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from metrocli.project import own_effects
+from metrocli.nodes import Node
+from metrocli.project import own_effects, yaml_text
 from metrocli.project.job import load
 from metrocli.project.running import crew
 from metrocli.project.running.cluster import carry_out, pack
@@ -40,10 +42,17 @@ def _will_run(metrocli: Metrocli) -> bool:
     return not job["up_to_date"]
 
 
+def _keys_backwards(node: Node) -> Node:
+    entries = tuple((key, _keys_backwards(value)) for key, value in reversed(node.entries))
+    return replace(node, items=tuple(map(_keys_backwards, node.items)), entries=entries)
+
+
 def test_values_of_the_file_count_and_comments_do_not(shop: Path, metrocli: Metrocli) -> None:
     lab = shop / "lab-effects.yaml"
     assert not _will_run(metrocli)
     lab.write_text("# another comment\n" + lab.read_text())
+    assert not _will_run(metrocli)
+    lab.write_text(yaml_text.emit(_keys_backwards(yaml_text.parse(lab.read_text(), str(lab), shop))))
     assert not _will_run(metrocli)
     lab.write_text(lab.read_text().replace("adds: pull*azimuth", "adds: 2*pull*azimuth"))
     assert _will_run(metrocli)

@@ -19,10 +19,11 @@ from resealing import resealed
 
 from metrocli.errors import InputError
 from metrocli.formats import aside, hdf5, images
-from metrocli.project import meaning
+from metrocli.project import meaning, runner
 from metrocli.project.job import load
 from metrocli.project.pipeline import worst
 from metrocli.project.runner import carry_out
+from metrocli.project.running import crew
 from metrocli.table import Table
 
 HEAD = "metrocli: 1\njob: straight-line\nnoise: 0.1 mm\n"
@@ -68,6 +69,38 @@ def test_a_change_of_notation_runs_nothing(name: str, project: Path, metrocli: C
     NO_CHANGE[name]()
     assert "would run" not in metrocli("run", "--dry-run").out
     assert ran(metrocli) == []
+
+
+def test_a_column_that_is_not_read_counts_as_the_warning_that_it_gives(
+    project: Path, metrocli: Callable[..., Any]
+) -> None:
+    metrocli("run")
+    head, *rows = Path("readings.csv").read_text().splitlines()
+    Path("readings.csv").write_text("\n".join([f"{head},note,by", *(f"{row},ok,me" for row in rows)]) + "\n")
+    assert ran(metrocli) == ["first", "second"]
+    other = [f"{row},you,?" for row in rows]
+    Path("readings.csv").write_text("\n".join(["# by night", f"{head},by,note", *other]) + "\n")
+    assert ran(metrocli) == []
+    assert metrocli("rerun", "results/first.h5").code == 0
+
+
+def test_a_yaml_input_may_have_its_ending_in_capitals(project: Path, metrocli: Callable[..., Any]) -> None:
+    Path("known.yaml").rename("KNOWN.YAML")
+    Path("jobs/first.yaml").write_text(FIRST.replace("known.yaml", "KNOWN.YAML"))
+    assert ran(metrocli) == ["first", "second"]
+
+
+def test_the_order_of_criteria_is_no_change(project: Path, metrocli: Callable[..., Any]) -> None:
+    slope, sigma0 = "  slope.std: ['< 1 rad', '> 0 rad']\n", "  sigma0: '< 1e9'\n"
+    Path("jobs/first.yaml").write_text(f"{FIRST}require:\n{slope}{sigma0}")
+    assert ran(metrocli) == ["first", "second"]
+    Path("jobs/first.yaml").write_text(f"{FIRST}require:\n{sigma0}{slope}")
+    assert ran(metrocli) == []
+    assert ran(metrocli, "--force") == ["first", "second"]
+    Path("jobs/first.yaml").write_text(f"{FIRST}require:\n{slope}{sigma0}")
+    assert metrocli("rerun", "results/first.h5").code == 0
+    Path("jobs/first.yaml").write_text(f"{FIRST}require:\n{sigma0.replace('1e9', '1e8')}{slope}")
+    assert "first" in ran(metrocli)
 
 
 CHANGE: dict[str, tuple[Callable[[], object], str]] = {
@@ -315,6 +348,31 @@ def test_a_full_disk_is_a_clear_fault(blocks: int, tmp_path: Path) -> None:
     done = subprocess.run(["bash", "-c", call], capture_output=True, text=True, check=False)
     assert (done.returncode, "tip3.h5: error: cannot be written: File too large" in done.stderr) == (3, True)
     assert not list((tmp_path / "p").rglob("*.part")) and not list((tmp_path / "p").rglob("*.h5"))
+
+
+def test_a_limit_on_memory_leaves_room_for_the_files_that_there_are(
+    project: Path, metrocli: Callable[..., Any]
+) -> None:
+    """A file is read into a buffer of its own size, not of the largest size that is read."""
+    metrocli("run")
+    limited = "import resource, sys; resource.setrlimit(resource.RLIMIT_AS, (1_000_000_000,) * 2)\n"
+    limited += "from metrocli.formats import hdf5; print(hdf5.read_label(sys.argv[1]).kind)"
+    read = subprocess.run([sys.executable, "-c", limited, "results/first.h5"], capture_output=True, text=True)
+    assert read.stdout == "straight-line\n", read.stderr
+
+
+@pytest.mark.parametrize("command", [("run",), ("straight-line", "jobs/first.yaml")])
+def test_too_little_memory_is_no_defect(
+    command: tuple[str, ...], project: Path, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def too_large(*arguments: Any) -> Any:
+        raise MemoryError
+
+    for module in (crew, runner):
+        monkeypatch.setattr(module, "compute", too_large)
+    done = metrocli(*command)
+    assert (done.code, "Traceback" in done.err) == (3, False)
+    assert "error: the memory that this program may take is not enough" in done.err
 
 
 def test_every_sample_has_a_meaning_that_comments_do_not_change(tmp_path: Path) -> None:

@@ -114,6 +114,16 @@ def contents() -> dict[str, str]:
     return {path.stem: hdf5.read_label(path).content for path in sorted(Path("results").glob("*.h5"))}
 
 
+def test_large_files_travel_without_advice_to_programmers(
+    cluster: tuple[Path, list[subprocess.Popen[bytes]]], project: Path, metrocli: Callable[..., Any]
+) -> None:
+    """Dask advises another way to send more than 10 MB, which here would be an error: `filterwarnings`."""
+    with Path("data/p0.csv").open("a") as data:
+        data.writelines(f"# {n}: {os.urandom(50_000).hex()}\n" for n in range(130))
+    done = metrocli("run", "--scheduler", cluster[0], "--only", "jobs/part.yaml[p0]")
+    assert (done.code, done.out.count(": ran")) == (0, 1), done.err
+
+
 def test_the_results_are_those_of_this_computer(
     cluster: tuple[Path, list[subprocess.Popen[bytes]]], project: Path, metrocli: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from metrocli import tasks
-from metrocli.errors import InputError, MetrocliError
+from metrocli.errors import NO_MEMORY, InputError, MetrocliError
 from metrocli.progress import SILENT, Progress
 from metrocli.project.job import JobFile, Wishes, load
 from metrocli.project.runner import HERE, compute
@@ -56,6 +56,8 @@ def attempt(job: JobFile, strict: bool, progress: Progress = SILENT, workers: Wo
         return Outcome(exit_code=error.exit_code, error=str(error))
     except MetrocliError as error:
         return Outcome(exit_code=error.exit_code, error=f"{job.file}: error: {error}")
+    except MemoryError:
+        return Outcome(exit_code=InputError.exit_code, error=f"{job.file}: error: {NO_MEMORY}")
     except Exception:
         return Outcome(exit_code=MetrocliError.exit_code, error=f"{traceback.format_exc()}\n{_DEFECT}")
 

@@ -237,8 +237,14 @@ def _in_file(path: str) -> str:
 
 
 def _silence() -> None:
-    """Keep the tracebacks by which the library reports a lost cluster from the terminal; errors state it in words."""
+    """Keep from the terminal what the library writes for those who program with it.
+
+    That is its tracebacks when a cluster is lost, which errors state in words, and its advice on large files.
+    """
     import logging
+    import warnings
+
+    warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
 
     # its configuration gives some of its loggers levels of their own
     for name in ("distributed", *logging.root.manager.loggerDict):
