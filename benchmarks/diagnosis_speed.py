@@ -26,6 +26,8 @@ LENGTHS, COORDINATES, NETWORK = 5.0, 60.0, 60.0
 """CPU seconds allowed"""
 SIZES = {300: 1.0, 1000: 1.0, 3000: 5.0, 10000: 5.0, 100000: 30.0}
 """Points of larger networks of six tracers, and the CPU seconds allowed for each"""
+DRAWS, MOST_DRAWN = 5, 3000
+"""Networks of each size of at most so many points, of which the median counts"""
 GROWTH = 1.1
 """Largest exponent of the time in the number of readings"""
 DRIFT = {"rate": 3e-7}
@@ -69,23 +71,32 @@ def _planted(read: Images, rng: np.random.Generator, name: str, times: float) ->
 
 
 def sizes() -> bool:
-    """Print the times of growing networks with a drift, memory and the growth; return whether all are allowed."""
+    """Print the times of growing networks with a drift, memory and the growth; return whether all are allowed.
+
+    A smooth error that chance makes in one network costs a further search, so of small ones several are drawn.
+    """
     found, met = {}, True
     for points, allowed in SIZES.items():
-        m = lengths.measurement(np.random.default_rng(8), points)
-        adjusted = replace(m, length=m.length + lengths.signature("dead-path-drift", 1, DRIFT)(m)).adjusted()
-        start = time.process_time()
-        diagnosed = diagnose(adjusted)
-        found[points] = time.process_time() - start
+        drawn = [_drifting(points, seed) for seed in range(8, 8 + (DRAWS if points <= MOST_DRAWN else 1))]
+        found[points] = float(np.median([seconds for seconds, _ in drawn]))
         met &= found[points] <= allowed
-        names = ", ".join(str(finding.effect.alternative) for finding in diagnosed.findings) or "no name"
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
         spent = f"{found[points]:6.1f} s  allowed {allowed:.0f} s  {memory} MB so far"
-        print(f"{points:6d} points, 6 tracers: {spent}  {names}")
+        most = f"  (median of {DRAWS}, at most {max(drawn)[0]:.1f} s)" if len(drawn) > 1 else ""
+        print(f"{points:6d} points, 6 tracers: {spent}  {drawn[0][1]}{most}", flush=True)
     first, last = min(found), max(found)
     growth = float(np.log(found[last] / found[first]) / np.log(last / first))
     print(f"growth from {first} to {last} points: readings to the power of {growth:.2f}, allowed {GROWTH}")
     return met and growth <= GROWTH
+
+
+def _drifting(points: int, seed: int) -> tuple[float, str]:
+    """Return the CPU seconds of the diagnosis of a network with a drift, and what is named."""
+    m = lengths.measurement(np.random.default_rng(seed), points)
+    adjusted = replace(m, length=m.length + lengths.signature("dead-path-drift", 1, DRIFT)(m)).adjusted()
+    start = time.process_time()
+    found = diagnose(adjusted).findings
+    return time.process_time() - start, ", ".join(str(one.effect.alternative) for one in found) or "no name"
 
 
 def main() -> int:
