@@ -122,11 +122,15 @@ def _plausible(alternative: Alternative) -> Array:
 
 def _shifts(job: AdjustedJob, system: System, absorbed: Array) -> Array:
     """Return the change of the delivered members by unit parameters, (members, columns, alternatives, parameters)."""
-    entries = [system.entries(name)[:, list(job.delivered.columns)] for name in job.delivered.blocks]
-    places = np.concatenate(entries)
-    moved = system.solver.change(absorbed)[np.maximum(places, 0)]
-    moved[places < 0] = 0.0
-    return np.asarray(moved)
+    change = system.solver.change(absorbed)
+
+    def moved(name: str) -> Array:
+        places = system.entries(name)[:, list(job.delivered.columns)]
+        found = change[np.maximum(places, 0)]
+        found[places < 0] = 0.0
+        return np.asarray(found)
+
+    return job.delivered.of(moved)
 
 
 def _is_rounding(system: System, shift: Array, scale: Array) -> Array:
@@ -182,5 +186,11 @@ def _at_member(job: AdjustedJob, change: float, member: int) -> HiddenChange:
     """Return a change with the name of its member."""
     if change == 0:
         return HiddenChange(0.0)
-    names = [name for block in job.delivered.blocks for name in job.model.blocks[block].members]
-    return HiddenChange(change, names[member])
+    return HiddenChange(change, members_of(job)[member])
+
+
+def members_of(job: AdjustedJob) -> list[str]:
+    """Return the names of all delivered members, with that of their block where there are several: axis Y -260."""
+    blocks = job.delivered.blocks
+    label = "{0} {1}" if len(blocks) > 1 else "{1}"
+    return [label.format(block, name) for block in blocks for name in job.model.blocks[block].members]
