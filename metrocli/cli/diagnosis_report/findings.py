@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.cluster_robust import STRUCTURED
+from metrocli.adjust.cluster_robust import ESTIMATED, STRUCTURED
 from metrocli.cli.diagnosis_report.candidates import candidate_lines
 from metrocli.cli.diagnosis_report.laws import law_lines
 from metrocli.cli.diagnosis_report.text_table import text_table
@@ -181,6 +181,8 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     interval = f"{noise.ratio:.2f} [{noise.low:.2f}, {noise.high:.2f}]"
     if diagnosis.job.noise_model:
         yield f"noise: {interval} times the noise that the job estimates"
+    elif noise.as_declared and ESTIMATED in declared:
+        yield f"noise: {interval} times that of the job ({declared}); the estimated part follows the residuals"
     elif noise.as_declared:
         others = " for the others" if any(unit.key != DECLARED_SIGMA for unit in diagnosis.noisier_units) else ""
         yield f"noise: as declared{others} ({interval} times {declared})"
