@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.cluster_robust import STRUCTURED
+from metrocli.adjust.cluster_robust import ESTIMATED, STRUCTURED
 from metrocli.cli.diagnosis_report.candidates import candidate_lines
 from metrocli.cli.diagnosis_report.laws import law_lines
 from metrocli.cli.diagnosis_report.noise import noise_lines, noisier
@@ -89,7 +89,7 @@ def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict with what limits it: wrong readings, and noise that is not as declared."""
     noise, count = diagnosis.noise, len(diagnosis.outliers)
     wrong = f", with {count} wrong reading{'s' if count > 1 else ''}" if count else ""
-    as_declared = noise.as_declared or diagnosis.job.noise_model
+    as_declared = noise.as_declared or diagnosis.job.noise_model or ESTIMATED in diagnosis.job.declared
     limits = [] if as_declared else [f"the noise is {noise.ratio:.2g} times what was declared"]
     limits += [noisier(unit) for unit in diagnosis.noisier_units if unit.key != DECLARED_SIGMA]
     where = f" in {diagnosis.job.part}" if diagnosis.job.part else ""

@@ -21,7 +21,7 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
     interval = f"{noise.ratio:.2f} [{noise.low:.2f}, {noise.high:.2f}]"
     if diagnosis.job.noise_model:
         yield f"noise: {interval} times the noise that the job estimates"
-    elif noise.as_declared and ESTIMATED in declared:
+    elif ESTIMATED in declared:
         yield f"noise: {interval} times that of the job ({declared}); the estimated part follows the residuals"
     elif noise.as_declared:
         others = " for the others" if any(unit.key != DECLARED_SIGMA for unit in diagnosis.noisier_units) else ""
