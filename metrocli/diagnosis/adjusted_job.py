@@ -54,6 +54,8 @@ class Delivered:
     """Further blocks of the same kind, with the same columns"""
     reported: Mapping[str, Array] = field(default_factory=dict)
     """Matrices (columns, members, members) by which values of a block become those that are reported, if others are"""
+    moved: Callable[[Effect, Mapping[str, str]], Array | None] = lambda effect, where: None
+    """Move of what is measured itself (all members, columns, parameters) by a unit effect, which is no error of it"""
 
     @property
     def blocks(self) -> tuple[str, ...]:
