@@ -47,7 +47,7 @@ def noisier(unit: Unit) -> str:
 
 
 def _given(unit: Unit, found: float) -> str:
-    """Return what the residuals say of the sigma of given values, `found` the ratio of their noise to it."""
+    """Return whether the residuals agree with the sigma of given values; `found` is the ratio of their noise to it."""
     what = f"The given values of each {unit.name.removeprefix('prior of ')}"
     if 1 / APART < found < APART:
         return f"{what} agree with their sigma; the ratio is that of the readings alone."

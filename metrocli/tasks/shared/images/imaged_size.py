@@ -47,9 +47,9 @@ def check_diameters(group: Group, predicted: Array, radius: Array) -> None:
     allowed = _PRINT + float(np.median(edge)) + _LEVEL * 1.25 * scatter / np.sqrt(len(ratio))
     if scatter > _ONE_SIZE * middle + float(np.median(edge)):
         raise InputError(
-            f"the imaged sizes of the targets fit no one diameter (they scatter by {100 * scatter / middle:.2g} % of "
-            "what pose and lens predict): the images do not show the list of targets as it is read, with columns "
-            "exchanged or mirrored, in another unit, or with other names"
+            f"the imaged sizes of the targets fit no one diameter: they scatter by {100 * scatter / middle:.2g} %. "
+            "The images do not show the list of targets as it is read: are columns exchanged, mirrored or in another "
+            "unit?"
         )
     if abs(middle - 1) > allowed:
         found = middle * float(np.median(expected))
