@@ -109,9 +109,7 @@ def outcome(kind: str, number: int) -> Outcome:
 
 def _delivered(job: AdjustedJob) -> npt.NDArray[np.float64]:
     """Return what the job delivers, (members, columns)."""
-    return np.concatenate(
-        [job.model.blocks[name].values[:, list(job.delivered.columns)] for name in job.delivered.blocks]
-    )
+    return job.delivered.of(lambda name: job.model.blocks[name].values[:, list(job.delivered.columns)])
 
 
 def rates(outcomes: Iterable[Outcome]) -> list[Rate]:

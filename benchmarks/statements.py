@@ -95,12 +95,14 @@ def _of_casting(folder: Path) -> Iterator[list[Statement]]:
     yield from _of_model(named, samples.camera(place), report["statistics"], stds, "(mm, rad, px)")
 
     _reported(folder, "raw-part", "calibrate-camera", "jobs/photogrammetry.yaml")
-    _reported(folder, "raw-part", "fit-part", "jobs/fit.yaml")
+    report = _reported(folder, "raw-part", "fit-part", "jobs/fit.yaml")
     # a minimum that the least overstock exceeds by no more than its uncertainty leaves the best pose as it is
     words = ("--set", f"overstock.minimum={_MINIMUM} mm", "--output", "results/close.h5")
     _reported(folder, "raw-part", "fit-part", "jobs/fit.yaml", *words)
     result = place / "results/fit.h5"
-    yield from part.statements("raw-part", part.Casting(place, result), result)
+    casting = part.Casting(place, result)
+    yield from part.statements("raw-part", casting, result)
+    yield [part.degrees_of_freedom("raw-part", casting, report["statistics"]["dof"])]
     close = part.Casting(place, place / "results/close.h5")
     yield list(part.unclean("raw-part", close, samples.stated(place / "results/close.h5", "surfaces"), _MINIMUM))
 
@@ -120,6 +122,8 @@ def _of_casting(folder: Path) -> Iterator[list[Statement]]:
     said = next(note for note in report["notes"] if note.startswith("tilt that may be left: "))
     yield [alignment.tilt_left(*named, model, 1e-3 * float(said.split()[5]))]
     yield _redundancy(named, model, result, ("image", "target", "component"))
+    seen = alignment.diagnosed(place, "jobs/align.yaml", model)
+    yield from _of_diagnosis(seen, _reported(folder, "raw-part", "diagnose", "jobs/align.yaml"))
 
 
 def _of_ball_cube(folder: Path) -> Iterator[list[Statement]]:

@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from benchmarks.apart.model import Array
 from benchmarks.apart.samples import stated
-from benchmarks.apart.statement import TRIALS, Rng, Simulated, Statement, of_share, of_spread, of_value
+from benchmarks.apart.statement import TRIALS, Rng, Simulated, Statement, of_mean, of_share, of_spread, of_value
 from benchmarks.hidden.scenes import rotation
 
 _PLANES = {"left": (0, -1, 0.0), "right": (0, 1, 1500.0), "front": (1, -1, 0.0), "back": (1, 1, 1000.0)}
@@ -27,6 +27,8 @@ _ROUND = {"bore-1": (400.0, 300.0, 60.0, -1), "bore-2": (1150.0, 700.0, 90.0, -1
 _STEP = 1e-5
 _SCALE = np.array([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])
 """Units of a step that the search sees [mm, rad]"""
+_MANY = 100_000
+"""Draws of the overstock by chance"""
 
 
 def overstock(points: Array, surface: list[str]) -> Array:
@@ -195,3 +197,18 @@ def unclean(place: str, one: Casting, surfaces: Iterable[Mapping[str, Any]], min
         if row["below"] > 0:
             claim, chance = f"chance that {row['surface']} has less than {minimum:g} mm", float(row["below"])
             yield Statement("fit-part", place, claim, f"{chance:.1%}", check(row["surface"], chance))
+
+
+def degrees_of_freedom(place: str, one: Casting, dof: int) -> Statement:
+    """Return the degrees of freedom: the mean sum of squares where independent overstock of std 1 varies by chance."""
+
+    def check(rng: Rng) -> Simulated:
+        steps = np.diag([1e-2, 1e-2, 1e-2, _STEP, _STEP, _STEP])
+        columns = [one.overstock_at(one.pose + step, one.places) - one.now(one.places) for step in steps]
+        even = np.stack([column - column.mean() for column in columns], axis=1)
+        varied = rng.normal(size=(len(one.names), _MANY))
+        varied -= varied.mean(axis=0)
+        left = varied - even @ np.linalg.lstsq(even, varied, rcond=None)[0]
+        return of_mean((left**2).sum(axis=0), dof)
+
+    return Statement("fit-part", place, "degrees of freedom", f"{dof}", check)

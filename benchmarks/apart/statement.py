@@ -56,6 +56,15 @@ def of_spread(values: Array, claimed: float, truth: float | None = None) -> Simu
     return Simulated(f"{std:.3g} [{low:.3g}, {high:.3g}]", low <= claimed <= high)
 
 
+def of_mean(sums: Array, dof: int) -> Simulated:
+    """Return the mean of sums of squares, which holds if its interval contains the degrees of freedom."""
+    off = float(stats.norm.ppf((1 + _SURE) / 2) * np.sqrt(2 * dof / len(sums)))
+    mean = float(sums.mean())
+    digits = max(1, -int(np.floor(np.log10(off))))
+    text = f"{mean:.{digits}f} [{mean - off:.{digits}f}, {mean + off:.{digits}f}]"
+    return Simulated(text, abs(mean - dof) < off)
+
+
 def of_value(value: float, claimed: float, share: float = _DIGITS) -> Simulated:
     """Return a number that is computed without noise."""
     return Simulated(f"{value:.4g}", abs(value - claimed) <= share * abs(claimed))
@@ -119,9 +128,7 @@ def degrees_of_freedom(kind: str, place: str, model: Model, dof: int) -> Stateme
 
     def check(rng: Rng) -> Simulated:
         sums = np.array([float((model.adjusted(model.read(rng))[1] ** 2).sum()) for _ in range(TRIALS)])
-        off = float(stats.norm.ppf((1 + _SURE) / 2) * np.sqrt(2 * dof / TRIALS))
-        mean = float(sums.mean())
-        return Simulated(f"{mean:.1f} [{mean - off:.1f}, {mean + off:.1f}]", abs(mean - dof) < off)
+        return of_mean(sums, dof)
 
     return Statement(kind, place, "degrees of freedom", f"{dof}", check)
 

@@ -107,7 +107,7 @@ def _compound_unit(estimate: Estimate, job_text: str) -> tuple[float, str]:
 
 
 def _estimate_row(estimate: Estimate, size: float, unit: str) -> list[str]:
-    """Return name, value, standard uncertainty and unit; an angle also as a slope, a scale also from 1."""
+    """Return name, value, standard uncertainty, unit; an angle also in mm/m or degrees, a scale also from 1."""
     scale = estimate.dimension == SCALE
     value, std = (estimate.value, estimate.std) if scale else (estimate.value / size, estimate.std / size)
     number, spread = units.rounded(value, std)
@@ -117,7 +117,7 @@ def _estimate_row(estimate: Estimate, size: float, unit: str) -> list[str]:
     if scale:
         row.append(f"({units.format_quantity((value - 1) / size, unit, std / size)} from 1)")
     if estimate.unit == "rad":
-        (slope, symbol), (of_slope, _) = units.as_slope(estimate.value), units.as_slope(estimate.std)
+        slope, of_slope, symbol = units.as_slope(estimate.value, estimate.std)
         row.append(f"({units.format_quantity(slope, symbol, of_slope)})")
     return row
 

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.adjust.solution import Solution
@@ -50,11 +52,25 @@ class Delivered:
     dimension: str
     also: tuple[str, ...] = ()
     """Further blocks of the same kind, with the same columns"""
+    reported: Mapping[str, Array] = field(default_factory=dict)
+    """Matrices (columns, members, members) by which values of a block become those that are reported, if others are"""
+    moved: Callable[[Effect, Mapping[str, str]], Array | None] = lambda effect, where: None
+    """Move of what is measured itself (all members, columns, parameters) by a unit effect, which is no error of it"""
 
     @property
     def blocks(self) -> tuple[str, ...]:
         """Names of all its blocks."""
         return (self.block, *self.also)
+
+    def of(self, values: Callable[[str], Array]) -> Array:
+        """Return what is reported (all members, columns, ...) of the values (members, columns, ...) of each block."""
+        return np.concatenate([self._reported(name, values(name)) for name in self.blocks])
+
+    def _reported(self, name: str, values: Array) -> Array:
+        """Return what is reported of the values of a block, `sum_n R_cmn v_nc`."""
+        if name not in self.reported:
+            return values
+        return np.asarray(np.einsum("cmn,nc...->mc...", self.reported[name], values))
 
 
 @dataclass(frozen=True)

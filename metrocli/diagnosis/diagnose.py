@@ -223,7 +223,8 @@ def _linear_change(job: AdjustedJob, system: System, name: NamedEffect) -> float
     """Return the largest change of the delivered result by an effect, to first order."""
     alternative = name.alternative
     full = signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
-    shift = system.shifts((full @ name.values)[:, None], job.delivered.blocks, job.delivered.columns)
+    change = (full @ name.values)[:, None]
+    shift = job.delivered.of(lambda block: system.shift(change, block, job.delivered.columns))
     return float(np.sqrt((shift**2).sum(axis=(1, 2)).max(initial=0.0)))
 
 

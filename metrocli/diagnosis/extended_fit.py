@@ -153,11 +153,9 @@ def with_scatter(job: AdjustedJob, found: AllOfAKind, kept: Mapping[str, Mask]) 
 def result_change(job: AdjustedJob, other: AdjustedJob) -> float:
     """Return the largest change of a delivered member between two adjustments of a job."""
     columns = list(job.delivered.columns)
-    moved = [
-        other.model.blocks[name].values[:, columns] - job.model.blocks[name].values[:, columns]
-        for name in job.delivered.blocks
-    ]
-    return float(np.linalg.norm(np.concatenate(moved), axis=1).max(initial=0.0))
+    before, after = job.model.blocks, other.model.blocks
+    moved = job.delivered.of(lambda name: after[name].values[:, columns] - before[name].values[:, columns])
+    return float(np.linalg.norm(moved, axis=1).max(initial=0.0))
 
 
 def result_changes(

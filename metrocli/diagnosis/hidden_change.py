@@ -26,6 +26,8 @@ _MOST_OF_FORMS, _FEWEST_FORMS = 1_000_000, 8
 """Unknowns times columns of the forms (values of a scan) of an effect, and how many forms are looked at in any case"""
 _MOST_NUMBERS = 4_000_000
 """Unknowns times readings above which only the own member of each reading is considered"""
+_FOLLOWS = 1e-6
+"""Difference of the result and what moves, relative to the move, that is rounding"""
 _NOTHING = 1e-9
 """Change of the result, relative to the change of all readings, that is rounding"""
 
@@ -79,6 +81,7 @@ def _of_some(
     usual = np.eye(farthest.shape[1]) / farthest[:, :, None] ** 2
     shift = _shifts(job, system, family.absorbed_by(system, at))
     shift *= np.where(_is_rounding(system, shift, scale), 0.0, 1 / scale)
+    _without_moves(job, [family.alternatives[i] for i in at], scale, shift)
     turned = np.ascontiguousarray(np.moveaxis(shift, 2, 0))
     squares = np.swapaxes(turned, 2, 3) @ turned
     narrow = seen.all(axis=1) & (np.linalg.eigvalsh(shown - usual) >= 0).all(axis=1)
@@ -122,11 +125,25 @@ def _plausible(alternative: Alternative) -> Array:
 
 def _shifts(job: AdjustedJob, system: System, absorbed: Array) -> Array:
     """Return the change of the delivered members by unit parameters, (members, columns, alternatives, parameters)."""
-    entries = [system.entries(name)[:, list(job.delivered.columns)] for name in job.delivered.blocks]
-    places = np.concatenate(entries)
-    moved = system.solver.change(absorbed)[np.maximum(places, 0)]
-    moved[places < 0] = 0.0
-    return np.asarray(moved)
+    change = system.solver.change(absorbed)
+
+    def moved(name: str) -> Array:
+        places = system.entries(name)[:, list(job.delivered.columns)]
+        found = change[np.maximum(places, 0)]
+        found[places < 0] = 0.0
+        return np.asarray(found)
+
+    return job.delivered.of(moved)
+
+
+def _without_moves(job: AdjustedJob, alternatives: Sequence[Alternative], scale: Array, shift: Array) -> None:
+    """Take off, in place, what effects move itself: a result that follows the move of a target has no error by it."""
+    for number, one in enumerate(alternatives):
+        moved = job.delivered.moved(one.effect, one.where)
+        if moved is not None:
+            moved = moved / scale[number]
+            off = shift[:, :, number] - moved
+            shift[:, :, number] = np.where(np.abs(off) < _FOLLOWS * np.abs(moved).max(), 0.0, off)
 
 
 def _is_rounding(system: System, shift: Array, scale: Array) -> Array:
@@ -182,5 +199,11 @@ def _at_member(job: AdjustedJob, change: float, member: int) -> HiddenChange:
     """Return a change with the name of its member."""
     if change == 0:
         return HiddenChange(0.0)
-    names = [name for block in job.delivered.blocks for name in job.model.blocks[block].members]
-    return HiddenChange(change, names[member])
+    return HiddenChange(change, members_of(job)[member])
+
+
+def members_of(job: AdjustedJob) -> list[str]:
+    """Return the names of all delivered members, with that of their block where there are several: axis Y -260."""
+    blocks = job.delivered.blocks
+    label = "{0} {1}" if len(blocks) > 1 else "{1}"
+    return [label.format(block, name) for block in blocks for name in job.model.blocks[block].members]

@@ -24,7 +24,7 @@ from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 
 _LEVEL = 1e-3
 """Level at which a unit counts as noisier or quieter, divided by the number of units"""
-_APART = 1.4
+APART = 1.4
 """Ratio of standard deviations below which a unit's weight is not changed"""
 _SMALL = 0.05
 """Share of all redundancy below which the noise of one unit is hardly in the residuals of another"""
@@ -98,7 +98,7 @@ def noisier_units(job: AdjustedJob, system: System, fitted: FittedColumns, most:
         ratio = _ratio(system, fitted, one.rows, taken_out.rows) if log_p <= needed else 1.0
         if one.key == DECLARED_SIGMA:
             ratio = max(ratio, _LEAST)
-        if 1 / _APART < ratio < _APART:
+        if 1 / APART < ratio < APART:
             break
         found.append(Unit(one.key, one.name, ratio, log_p + float(np.log(len(units)))))
         needed = min(needed, _NEARLY * log_p)
@@ -177,7 +177,7 @@ def _held_against_names(job: AdjustedJob, selection: Selection) -> Iterator[tupl
         log_ratio, ratio, choice = scatter.best(), _ratio(system, bare, rows), float(np.log(len(units)))
         ahead = scatter.gain(log_ratio) - float(np.log(bare.dof)) / 2 - choice
         ahead -= evidence_of(selection, own, bare, selection.fitted())
-        if ratio > _APART:
+        if ratio > APART:
             yield ahead, Unit(key, name, ratio, scatter.log_level(log_ratio) + choice), own
 
 

@@ -9,6 +9,7 @@ from typing import Literal
 from metrocli import units
 from metrocli.diagnosis.detectability import Candidate
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
+from metrocli.effects.effect import Effect
 
 
 class Status(StrEnum):
@@ -26,6 +27,8 @@ class Status(StrEnum):
 
 
 UNCHECKED = "no reading is checked by the others"
+_SMALLEST = 0.01
+"""Smallest number to which a usual size with a unit of its own is converted"""
 
 
 def status(candidate: Candidate, named: Iterable[NamedEffect]) -> str:
@@ -72,4 +75,20 @@ def seen_in_words(candidate: Candidate) -> str:
         size, unit = units.readable(candidate.plausible, candidate.dimension)
         return f"larger than {size:.3g} {unit} is not plausible".replace(" ,", ",")
     found = {True: "are", "part": "are in part", False: "are not"}[usual_seen(candidate) or False]
-    return f"usual sizes ({usual}) {found} seen"
+    least = candidate.detectable if candidate.testable else candidate.plausible
+    return f"usual sizes ({usual_beside(candidate.alternative.effect, least)}) {found} seen"
+
+
+def usual_beside(effect: Effect, size: float) -> str:
+    """Return the usual sizes of an effect in the unit in which a size of it is shown, so that both can be compared.
+
+    They are as its page states them where that has two units, and the lower end would be tiny in the unit of the size.
+    """
+    if effect.usual_sizes is None:
+        return ""
+    dimension = effect.parameters[0].dimension
+    unit = units.readable(size, dimension)[1]
+    low, high = (units.find_unit(unit, dimension).outside(one) if unit else one for one in effect.usual_sizes)
+    if low < _SMALLEST and " " in effect.usual.partition(" to ")[0]:
+        return effect.usual
+    return f"{units.two_digits(low)} to {units.two_digits(high)} {'' if unit == '1' else unit}".strip()

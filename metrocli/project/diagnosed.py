@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from metrocli import tasks
-from metrocli.adjust.cluster_robust import FROM_RESIDUALS
+from metrocli.adjust.cluster_robust import ESTIMATED, FROM_RESIDUALS
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Ordered
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import LIMIT, Attended, diagnose, no_interrupt, what_can_be_seen
@@ -101,7 +101,12 @@ def _declared(node: Node | None) -> str:
         return ""
     if node.kind == "scalar":
         return node.text
-    return ", ".join(filter(None, (_declared(one) for key, one in node.entries if key.text != _MODEL)))
+    return ", ".join(filter(None, (_declared_part(key.text, one) for key, one in node.entries if key.text != _MODEL)))
+
+
+def _declared_part(key: str, node: Node) -> str:
+    """Return a part of the noise in words; one that follows the residuals has its name: repeatability estimated."""
+    return f"{key} {node.text}" if node.kind == "scalar" and node.text == ESTIMATED else _declared(node)
 
 
 def identity(job_text: str, inputs: Sequence[InputFile]) -> dict[str, str]:

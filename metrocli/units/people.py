@@ -21,6 +21,8 @@ _LADDERS = {
 """Units of columns by their internal unit: its dimension, and the units that differ by powers of ten or of time"""
 _SMALL = 0.1
 """A column whose largest number is smaller is shown in a smaller unit"""
+_LEVEL = 1e-6
+"""Difference [rad] of an angle and its slope that nobody reads"""
 
 
 def rounded(value: float, std: float) -> tuple[str, str]:
@@ -103,6 +105,11 @@ def roughly(value: float, unit: str) -> str:
     return number if number == NOT_DETERMINED else f"{number} {unit}"
 
 
-def as_slope(angle: float) -> tuple[float, str]:
-    """Return a small angle (rad) as a slope in mm/m, the usual form for machine tools."""
-    return angle * KILO, "mm/m"
+def as_slope(angle: float, std: float) -> tuple[float, float, str]:
+    """Return an angle and its standard uncertainty (rad) as a slope in mm/m, the usual form for machine tools.
+
+    An angle that differs from its slope (tangent) by more than its uncertainty is returned in degrees.
+    """
+    if abs(math.tan(angle) - angle) > max(std, _LEVEL):
+        return math.degrees(angle), math.degrees(std), "deg"
+    return angle * KILO, std * KILO, "mm/m"

@@ -302,6 +302,24 @@ def test_a_noise_that_the_job_estimates_is_not_called_declared() -> None:
     assert ("times the noise that the job estimates" in text, "declared" in text) == (True, False)
 
 
+def test_a_repeatability_that_the_job_estimates_is_not_called_declared(metrocli: Metrocli, tmp_path: Path) -> None:
+    assert metrocli("init", tmp_path / "m", "--sample", "machine-lengths").code == 0
+    job, lengths_file = tmp_path / "m/jobs/lengths.yaml", tmp_path / "m/data/lengths.csv"
+    ran = metrocli("diagnose", job)
+    assert "as declared" not in ran.out
+    (line,) = [line for line in ran.out.splitlines() if line.startswith("noise: ")]
+    assert line.endswith(
+        "times that of the job (0.3 um, 0.2 um/m, repeatability estimated); the estimated part follows the residuals"
+    )
+    # a wrong reading raises the estimated part, and what is left is less than that
+    rows = [line.split(",") for line in lengths_file.read_text().splitlines()]
+    rows[101][5] = str(float(rows[101][5]) + 0.02)
+    lengths_file.write_text("\n".join(map(",".join, rows)) + "\n")
+    ran = metrocli("diagnose", job)
+    assert "with 1 wrong reading" in ran.out
+    assert "declared" not in ran.out
+
+
 @pytest.mark.parametrize(("dof", "told"), [(9.0, True), (200.0, False)])
 def test_noise_far_beyond_the_declared_is_doubted_where_few_readings_say_so(dof: float, told: bool) -> None:
     found = diagnose(lengths.measurement(np.random.default_rng(4), 20).adjusted())

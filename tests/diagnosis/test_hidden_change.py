@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.hidden import lengths
+from benchmarks.hidden import lengths, machine
 from benchmarks.hidden.lengths import Measurement, signature
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Candidate
 from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.diagnosis.findings import Verdict
@@ -63,3 +64,29 @@ def test_the_change_that_is_stated_is_that_of_its_size(noise: float) -> None:
     change = signature("dead-path-drift", 1, {"rate": found.detectable})(m)
     # normal quantiles: (z + 1.645) / (z + 0.842) lies between these for every level below 1 %
     assert 1.05 < found.hides.size / moved(m, change) < 1.25
+
+
+def reported(job: AdjustedJob, letter: str) -> np.ndarray:
+    """The three linear errors at the knots of an axis, (knots, 3): positioning is 0 at position 0."""
+    block = job.model.blocks[f"axis {letter}"]
+    knots, values = np.array([float(name) for name in block.members]), block.values[:, :3].copy()
+    own = "XYZ".index(letter)
+    values[:, own] -= np.interp(0.0, knots, values[:, own])
+    return values
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_tables_count_as_they_are_reported_where_no_knot_is_at_the_zero_of_the_axis(axis: str) -> None:
+    m = machine.measurement(np.random.default_rng(23), (4, 80))
+    found = next(
+        one
+        for one in what_can_be_seen(m.adjusted()).candidates
+        if (one.alternative.effect.name, one.alternative.instance) == ("thermal-growth", (axis,))
+    )
+    change = machine.change(m, "thermal-growth", {"axis": axis}, {"rate": found.detectable})
+    jobs = m.adjusted(), replace(m, read=m.read + change).adjusted()
+    moved = np.concatenate([reported(jobs[1], letter) - reported(jobs[0], letter) for letter in "XYZ"])
+    sizes = np.linalg.norm(moved, axis=1)
+    assert 1.05 < found.hides.size / float(sizes.max()) < 1.25
+    names = [f"axis {axis} {name}" for axis in "XYZ" for name in jobs[0].model.blocks[f"axis {axis}"].members]
+    assert found.hides.member == names[int(sizes.argmax())]

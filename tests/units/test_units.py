@@ -129,3 +129,14 @@ def test_a_value_in_the_unit_of_a_condition() -> None:
     assert units.as_stated(9.25e-5, "mm", "< 100 nm") == (pytest.approx(92.5), "nm")
     assert units.as_stated(2e-7, "1", "<= 1 um/m") == (pytest.approx(0.2), "um/m")
     assert units.as_stated(1.2, "1", "< 1.5") == (1.2, "1")
+
+
+def test_an_angle_is_a_slope_only_where_both_agree_within_its_uncertainty() -> None:
+    # tan 0.0124 - 0.0124 = 0.0124^3 / 3 = 6.4e-7
+    assert units.as_slope(0.0124, 3e-6) == (pytest.approx(12.4), pytest.approx(3e-3), "mm/m")
+    # a part that is turned by 3.8 deg has a slope of 66.86 mm/m, not of 66.76
+    assert units.as_slope(0.0667567, 8e-6) == (
+        pytest.approx(3.82488, abs=1e-5),
+        pytest.approx(4.58e-4, rel=1e-2),
+        "deg",
+    )

@@ -47,7 +47,8 @@ def _line(adjusted: AdjustedJob, name: str, word: str, found: Sequence[Candidate
         size = units.sized(found[0].plausible, effect.parameters[0].dimension)
         why = f"absorbed by {', '.join(found[0].absorbed_by)}; off by this if its size is {size}"
     seen = {status.usual_seen(one) for one in found}
-    usual = f"{effect.usual}: {_SEEN[seen.pop() if len(seen) == 1 else 'part']}" if effect.usual else ""
+    beside = status.usual_beside(effect, min(sizes, default=found[0].plausible))
+    usual = f"{beside}: {_SEEN[seen.pop() if len(seen) == 1 else 'part']}" if beside else ""
     most = max((one.hides for one in found), key=lambda hidden: hidden.size)
     return name, where, _status(word, sizes, effect.parameters[0].dimension), usual, _hidden(adjusted, most), why
 

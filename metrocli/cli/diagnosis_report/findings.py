@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.cluster_robust import STRUCTURED
+from metrocli.adjust.cluster_robust import ESTIMATED, STRUCTURED
 from metrocli.cli.diagnosis_report.candidates import candidate_lines
 from metrocli.cli.diagnosis_report.laws import law_lines
+from metrocli.cli.diagnosis_report.noise import noise_lines, noisier
 from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Part
 from metrocli.diagnosis.cross_validation import Gain
@@ -18,8 +19,7 @@ from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.extended_fit import Size
 from metrocli.diagnosis.findings import Diagnosis, Finding
 from metrocli.diagnosis.job_entries import proposed_noise
-from metrocli.diagnosis.linear.projection import READING
-from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit
+from metrocli.diagnosis.noise import DECLARED_SIGMA
 from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.words import listed
@@ -27,9 +27,6 @@ from metrocli.words import listed
 _SHOWN = 5
 _DESCRIBED = 4
 """Most effects with lines of their own; the table lists all"""
-_HIGH_NOISE, _FEW_DOF = 2.0, 30
-"""Noise ratio above which, with fewer degrees of freedom than this, several wrong readings may pass as noise"""
-_USUAL = "a machine or mover that does not return to the same place, a wrong sigma, vibration or turbulence of the air"
 _LEAST_P = 1e-12
 _LEAST_REDUCTION = 0.005
 _HEAD = ("effect", "size (± u)", "chance", "or instead", "held-out error", "log score (± std)", "changes result by")
@@ -47,7 +44,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
         parts.append(text_table(_HEAD, [*rows, *together]))
     if diagnosis.outliers:
         parts.append(list(_wrong(diagnosis.outliers)))
-    parts.append([*_structure(diagnosis), *_processes(diagnosis), *_noise(diagnosis)])
+    parts.append([*_structure(diagnosis), *_processes(diagnosis), *noise_lines(diagnosis)])
     if diagnosis.laws:
         parts.append(list(law_lines(diagnosis)))
     parts += [list(_about_scatter(one)) for one in diagnosis.scatters]
@@ -92,17 +89,11 @@ def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict with what limits it: wrong readings, and noise that is not as declared."""
     noise, count = diagnosis.noise, len(diagnosis.outliers)
     wrong = f", with {count} wrong reading{'s' if count > 1 else ''}" if count else ""
-    as_declared = noise.as_declared or diagnosis.job.noise_model
+    as_declared = noise.as_declared or diagnosis.job.noise_model or ESTIMATED in diagnosis.job.declared
     limits = [] if as_declared else [f"the noise is {noise.ratio:.2g} times what was declared"]
-    limits += [_noisier(unit) for unit in diagnosis.noisier_units if unit.key != DECLARED_SIGMA]
+    limits += [noisier(unit) for unit in diagnosis.noisier_units if unit.key != DECLARED_SIGMA]
     where = f" in {diagnosis.job.part}" if diagnosis.job.part else ""
     return f"{diagnosis.verdict}{where}{wrong}{', but ' if limits else ''}{', and '.join(limits)}"
-
-
-def _noisier(unit: Unit) -> str:
-    """Return in words that a unit is noisier, or quieter, than the others, relative to what is declared for each."""
-    name = unit.name if unit.key == READING else f"{unit.key} {unit.name}"
-    return f"{name} is {unit.ratio:.2g} times as noisy as the others"
 
 
 def of_design(adjusted: AdjustedJob, design: Design) -> str:
@@ -174,30 +165,6 @@ def _processes(diagnosis: Diagnosis) -> Iterator[str]:
     if diagnosis.processes:
         counted = "the named effects and detectable sizes hold" if diagnosis.findings else "detectable sizes hold"
         yield f"  Chance explains it as well as any cause. It counts as noise: {counted} beside it."
-
-
-def _noise(diagnosis: Diagnosis) -> Iterator[str]:
-    noise, declared = diagnosis.noise, diagnosis.job.declared
-    interval = f"{noise.ratio:.2f} [{noise.low:.2f}, {noise.high:.2f}]"
-    if diagnosis.job.noise_model:
-        yield f"noise: {interval} times the noise that the job estimates"
-    elif noise.as_declared:
-        others = " for the others" if any(unit.key != DECLARED_SIGMA for unit in diagnosis.noisier_units) else ""
-        yield f"noise: as declared{others} ({interval} times {declared})"
-    else:
-        yield f"noise: {interval} times the declared noise ({declared})"
-        yield "  The result's standard uncertainties are for the declared noise; `noise: estimated` takes the real."
-        if noise.low > 1:
-            yield f"  Usual reasons: {_USUAL}."
-        if noise.low > _HIGH_NOISE and noise.dof < _FEW_DOF:
-            yield f"  With {noise.dof:.0f} degrees of freedom, several wrong readings may pass as noise: measure more."
-    for unit in diagnosis.noisier_units:
-        if unit.key == DECLARED_SIGMA:
-            found = unit.ratio * noise.ratio
-            what = unit.name.removeprefix("prior of ")
-            yield f"  The given values of each {what} are off by {found:.2g} times their sigma: correct the sigma."
-        else:
-            yield f"  {_noisier(unit)}, each relative to what is declared for it."
 
 
 def _about(finding: Finding) -> Iterator[str]:

@@ -9,7 +9,7 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -177,10 +177,6 @@ class System:
         change = self.absorbed(values)
         places = self.entries(block)[:, list(columns)]
         return np.where((places >= 0)[:, :, None], change[np.maximum(places, 0)], 0.0)
-
-    def shifts(self, values: Array, blocks: Sequence[str], columns: tuple[int, ...]) -> Array:
-        """Return `shift` of several blocks, one after the other."""
-        return np.concatenate([self.shift(values, block, columns) for block in blocks])
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -36,6 +37,8 @@ _STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6])
 """Steps of a difference [mm, rad]"""
 _ORDER = (("shift x", 0), ("shift y", 1), ("shift z", 2), ("turn about z", 5), ("turn about y", 4), ("turn about x", 3))
 """Moves of the zero point in the order in which a machine makes them, `R = Rz(gamma) Ry(beta) Rx(alpha)`"""
+_FARTHEST = 1e6
+"""Standard deviations that fewer exceed, even where they have less than one degree of freedom"""
 
 
 @dataclass(frozen=True)
@@ -47,10 +50,11 @@ class Corrections:
     warnings: tuple[str, ...] = ()
 
 
-def corrections(values: Array, covariance: Array, supports: Table | None) -> Corrections:
+def corrections(values: Array, covariance: Array, supports: Table | None, dof: float = math.inf) -> Corrections:
     """Return the moves of the zero point, and with supports how far to raise each and the zero point afterwards.
 
-    `values` (6,) and `covariance` (6, 6) are those of x, y, z, alpha, beta, gamma; the supports pass `must_level`.
+    `values` (6,) and `covariance` (6, 6) are those of x, y, z, alpha, beta, gamma, `dof` the degrees of freedom of the
+    covariance; the supports pass `must_level`.
     """
     std = np.sqrt(np.diag(covariance))
     if supports is None:
@@ -67,15 +71,17 @@ def corrections(values: Array, covariance: Array, supports: Table | None) -> Cor
     after, spread = _propagated(levelling(values, supports, stays), values, covariance)
     level = after, np.sqrt(np.diag(spread))
     tables = {"zero_point": _zero_point(values, std, level), "supports": found}
-    words = _in_words(found, level, tilt_not_exceeded(spread[3:5, 3:5]))
+    words = _in_words(found, level, tilt_not_exceeded(spread[3:5, 3:5], dof))
     return Corrections(tables, (*_zero_in_words(values, std), *words))
 
 
-def tilt_not_exceeded(covariance: Array) -> float:
+def tilt_not_exceeded(covariance: Array, dof: float = math.inf) -> float:
     """Return the tilt [rad] that errors of alpha and beta with this covariance (2, 2) exceed in 5 % of measurements.
 
     A tilt is the length of a vector, so no multiple of a standard uncertainty covers it. Along the direction
     phi of the ellipse of errors it has a Rayleigh distribution of parameter g, `P(tilt > t) = mean exp(-t^2/(2 g^2))`.
+    With a covariance of nu degrees of freedom it is `mean (1 + t^2/(nu g^2))^(-nu/2)`, the t distribution of two
+    variables.
     """
     from scipy.optimize import brentq
 
@@ -84,9 +90,13 @@ def tilt_not_exceeded(covariance: Array) -> float:
         return 0.0
     phi = (np.arange(_DIRECTIONS) + 0.5) * (np.pi / 2 / _DIRECTIONS)
     squares = np.cos(phi) ** 2 + across / along * np.sin(phi) ** 2
-    # at 4 standard deviations of the larger one less than 5 % are beyond, at 1 more
-    times = brentq(lambda t: float(np.exp(-(t**2) / (2 * squares)).mean()) - _BEYOND, 1.0, 4.0)
-    return float(times * np.sqrt(along))
+
+    def beyond(t: float) -> float:
+        power = -(t**2) / (2 * squares) if math.isinf(dof) else -dof / 2 * np.log1p(t**2 / (dof * squares))
+        return float(np.exp(power).mean()) - _BEYOND
+
+    # at 1 standard deviation of the larger one more than 5 % are beyond
+    return float(brentq(beyond, 1.0, _FARTHEST) * np.sqrt(along))
 
 
 def _propagated(function: Callable[[Array], Array], values: Array, covariance: Array) -> tuple[Array, Array]:

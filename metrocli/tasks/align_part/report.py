@@ -115,7 +115,10 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
     pose = solution.blocks[spindle.PART].values[0]
     tables, arrays = _tables(problem, adjusted, found)
     arrays |= {"rotation": poses.rotation_of(pose), "correlation": covariance / std[:, None] / std}
-    fixture = corrections(values[:6], covariance[:6, :6], files.supports)
+    details = adjusted.structured.details(names) if adjusted.structured is not None else {}
+    estimated = math.inf if adjusted.noise is None else float(solution.dof)
+    dof = min((details[angle]["dof"] for angle in ("alpha", "beta") if angle in details), default=estimated)
+    fixture = corrections(values[:6], covariance[:6, :6], files.supports, dof)
     tables |= fixture.tables
     if files.points is not None:
         known = [*range(6), *(k for k, name in enumerate(names) if name.startswith(f"{EXPANSION}."))]
@@ -138,7 +141,7 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
             *fixture.notes,
             *in_words(tables[TABLE]),
         ),
-        details=adjusted.structured.details(names) if adjusted.structured is not None else {},
+        details=details,
         plain=("dof",),
     )
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
+from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model
 from metrocli.geometry import poses
 from metrocli.instruments import camera
@@ -51,6 +54,22 @@ def _in_camera(rig: str, model: Model, points: Array) -> Array:
     return np.ascontiguousarray(seen.T)
 
 
+def _moved(model: Model) -> Callable[[Effect, Mapping[str, str]], Array | None]:
+    """Return by how much an effect on the targets moves these themselves: one of them, or all about their middle."""
+    block = model.blocks[camera.TARGET]
+
+    def moved(effect: Effect, where: Mapping[str, str]) -> Array | None:
+        if effect.name == "scale-of-targets":
+            return np.asarray((block.values - block.values.mean(axis=0))[:, :, None])
+        if effect.name != "moved-target":
+            return None
+        found = np.zeros((len(block.members), 3, 3))
+        found[block.members.index(where["target"])] = np.eye(3)
+        return found
+
+    return moved
+
+
 def _delivered(rig: str, model: Model) -> Delivered:
     """Return the result for which the calibration is run.
 
@@ -59,7 +78,7 @@ def _delivered(rig: str, model: Model) -> Delivered:
     if rig == "cmm":
         return Delivered("place of the camera", camera.TAPER, (0, 1, 2), "um", "length")
     if rig == "network":
-        return Delivered("point coordinates", camera.TARGET, (0, 1, 2), "um", "length")
+        return Delivered("point coordinates", camera.TARGET, (0, 1, 2), "um", "length", moved=_moved(model))
     columns = model.blocks[camera.LENS].columns
     pixels = tuple(columns.index(name) for name in ("f", "fx", "fy", "cx", "cy") if name in columns)
     return Delivered("focal length and principal point", camera.LENS, pixels, "px", "pixel")

@@ -14,6 +14,7 @@ from metrocli.instruments import camera
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
 from metrocli.tasks.shared.images.sightings import Sighted
+from metrocli.tasks.shared.pairs import repeated
 
 _STRANGE = "not in the list of targets"
 _FEWEST_READINGS = 4
@@ -82,6 +83,10 @@ def ends_of(lengths: Table, names: tuple[str, ...], seen: Index | None, what: st
         (row, f"the {what} is from '{one}' to itself")
         for row, (one, other) in enumerate(zip(*ends, strict=True))
         if one == other
+    ]
+    wrong += [
+        (row, f"a second {what} between '{ends[0][row]}' and '{ends[1][row]}': the list has it in row {before + 1}")
+        for row, before in repeated(zip(*ends, strict=True))
     ]
     for name in ("length", "sigma"):
         wrong += [

@@ -41,6 +41,7 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         return refitted(replace(problem, model=replace(changed, groups=tuple(kept))))
 
     first, *others = (axis.block for axis in problem.machine.axes)
+    tables = {axis.block: axis.from_raw[:3] for axis in problem.machine.axes}
     return AdjustedJob(
         KIND.name,
         model,
@@ -48,7 +49,7 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         tuple(_covariates(model, group)),
         ("tracer",) if TRACER in model.blocks else (),
         {group.name: _parts(group)},
-        Delivered("error tables", first, (0, 1, 2), "um", "length", tuple(others)),
+        Delivered("error tables", first, (0, 1, 2), "um", "length", tuple(others), tables),
         refit,
         made_together=("leg",) if _condensed(group) else (),
         variations=lambda model, readings: () if _condensed(group) else _variations(model, readings),

@@ -11,6 +11,7 @@ from metrocli.geometry.surfaces import Array
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.fit_part import KIND
+from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION
 from metrocli.tasks.fit_part.monte_carlo import Check
 from metrocli.tasks.fit_part.sentences import notes, warnings
 from metrocli.tasks.fit_part.solve import Solved
@@ -66,9 +67,7 @@ def _statistics(solved: Solved) -> Statistics:
     """Return numbers of points, and what the overstock is over those that are used [mm]."""
     fit, of_used = solved.fit, solved.fit.local.overstock
     return {
-        "observations": len(of_used),
-        "unknowns": 6,
-        "dof": len(of_used) - 6,
+        **_freedom(solved),
         "iterations": fit.iterations,
         "minimum": solved.minimum,
         "least_overstock": float(of_used.min()),
@@ -82,6 +81,17 @@ def _statistics(solved: Solved) -> Statistics:
         "targets": len(solved.prepared.readings.targets.names),
         **solved.prepared.readings.growth,
     }
+
+
+def _freedom(solved: Solved) -> Statistics:
+    """Return numbers of points and unknowns: the pose and, unless motion is made small, the mean overstock.
+
+    Degrees of freedom are those of least squares: of the even fit where no point holds it.
+    """
+    count, aim = len(solved.fit.local.overstock), solved.aim.name
+    unknowns = 6 if aim == LEAST_MOTION else 7
+    free = aim == EVEN and not (solved.fit.duals > 0).any()
+    return {"observations": count, "unknowns": unknowns, **({"dof": count - unknowns} if free else {})}
 
 
 def below(overstock: Array, std: Array, minimum: float) -> Array:

@@ -22,6 +22,7 @@ from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid.effects import AXES
 from metrocli.tasks.selfcal_grid.readings import Readings, ball_name
+from metrocli.tasks.shared.pairs import repeated
 from metrocli.words import suggestion
 
 _EXACT = 1e-2
@@ -195,6 +196,12 @@ def _lengths(table: Table, views: Sequence[bg.View], balls: Index, pitch: float)
     ]
     nominal = np.linalg.norm(ends[0] - ends[1], axis=1) * pitch
     given, names = table.numbers("length"), [view.name for view in views]
+    faults += [
+        table.fault_at(
+            row, f"the list has this length in row {before + 1}", "a length that counts twice is too certain"
+        )
+        for row, before in repeated(zip(*(map(tuple, end.tolist()) for end in ends), strict=True), given.tolist())
+    ]
     for row in range(len(table)):
         if "view" in table and (said := table.texts("view")[row]) not in ["", *names]:
             faults.append(table.fault_at(row, f"view '{said}' has no readings", suggestion(said, names)))

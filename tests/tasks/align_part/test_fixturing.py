@@ -106,6 +106,16 @@ def test_the_tilt_that_may_be_left_is_exceeded_in_five_percent(covariance: list[
     assert beyond.mean() == pytest.approx(0.05, abs=0.003)
 
 
+@pytest.mark.parametrize("dof", [1, 4, 9, 60])
+def test_the_tilt_of_an_estimated_noise_is_exceeded_in_five_percent(dof: int) -> None:
+    """Each measurement states it for the noise that its own few residuals show."""
+    rng, spread = np.random.default_rng(5), 1e-10 * np.array([[4.0, 1.5], [1.5, 1.0]])
+    drawn = rng.multivariate_normal(np.zeros(2), spread, 100_000)
+    found = np.sqrt(rng.chisquare(dof, len(drawn)) / dof)
+    beyond = np.hypot(*drawn.T) > found * tilt_not_exceeded(spread, dof)
+    assert beyond.mean() == pytest.approx(0.05, abs=0.003)
+
+
 def heights_at(pose: Array, place: Array) -> float:
     """Height of the part's plane z = 0 over a place of the machine."""
     normal = turn(pose[3:])[:, 2]

@@ -97,5 +97,7 @@ def test_lengths_that_prove_nothing(tmp_path: Path, metrocli: Metrocli) -> None:
     assert ran.code == 3 and "the network has no scale that lengths could test" in ran.err
     ran = metrocli("calibrate-camera", job_with(tmp_path, ["T1,X9,100,0.005", "T2,T2,100,0"]))
     assert ran.code == 3
+    twice = metrocli("calibrate-camera", job_with(tmp_path, ["T1,T9,100,0.005", "T9,T1,100,0.005"]))
+    assert (twice.code, "tests.csv:3: error: a second test length between 'T9' and 'T1'" in twice.err) == (3, True)
     for message in ("end 'X9' is not in the list", "from 'T2' to itself", "the sigma of the test length is not above"):
         assert message in ran.err

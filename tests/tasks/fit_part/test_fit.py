@@ -117,6 +117,19 @@ def test_the_duals_are_the_price_of_the_minimum(tmp_path: Path, metrocli: Metroc
     assert middle.tables["holding"].numbers("dual").sum() == pytest.approx(growth, rel=1e-3)
 
 
+def test_degrees_of_freedom_are_those_that_pose_and_mean_overstock_leave(tmp_path: Path, metrocli: Metrocli) -> None:
+    one = casting(11)
+    statistics = fitted(one.write(tmp_path, minimum=0.5), metrocli).statistics
+    steps = 1e-4 * SCALE * np.eye(6)
+    moves = [one.overstock_at(one.pose + step) - one.overstock_at(one.pose - step) for step in steps]
+    columns = np.stack([*moves, np.ones(len(moves[0]))], axis=1)
+    left = len(columns) - np.linalg.matrix_rank(columns / np.linalg.norm(columns, axis=0), tol=1e-6)
+    assert statistics["dof"] == left == statistics["observations"] - statistics["unknowns"]
+    # points that hold the fit make it another than least squares, and so does another aim
+    for options in ({"minimum": 2.0}, {"aim": "most"}, {"aim": "least-motion"}):
+        assert "dof" not in fitted(one.write(tmp_path, **options), metrocli).statistics
+
+
 def test_named_surfaces_need_no_start(tmp_path: Path, metrocli: Metrocli) -> None:
     one = casting(14, angle=3.0)
     pose = pose_of(fitted(one.write(tmp_path), metrocli))

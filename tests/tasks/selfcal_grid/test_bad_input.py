@@ -249,6 +249,20 @@ BAD_LENGTHS = {
 }
 
 
+@pytest.mark.parametrize("copy", ["1,-2,-2,-2,2,2,2", "1,2,2,2,-2,-2,-2"])
+def test_a_length_that_stands_twice_is_told(copy: str, folder: Path, metrocli: Metrocli) -> None:
+    rows = "1,-2,-2,-2,2,2,2,450.33,0.001\n1,-2,-2,2,2,2,-2,450.31,0.001"
+    heading = "view,i1,j1,k1,i2,j2,k2,length_mm,sigma_mm"
+    (folder / "lengths.csv").write_text(f"{heading}\n{rows}\n{copy},450.33,0.001\n")
+    (folder / "job.yaml").write_text(JOB.replace("views.csv}", "views.csv, lengths: lengths.csv}"))
+    ran = metrocli("selfcal-grid", "job.yaml")
+    assert ran.code == 3
+    assert "lengths.csv:4: error: the list has this length in row 1" in ran.err
+    # a second calibration of the same balls is another reading
+    (folder / "lengths.csv").write_text(f"{heading}\n{rows}\n{copy},450.332,0.001\n")
+    assert "the list has this length" not in metrocli("selfcal-grid", "job.yaml").err
+
+
 @pytest.mark.parametrize("name", BAD_LENGTHS)
 def test_bad_lengths_are_told(name: str, folder: Path, metrocli: Metrocli) -> None:
     row, words = BAD_LENGTHS[name]

@@ -22,12 +22,14 @@ _EDGE = 0.25
 """Systematic error [px] of an imaged radius: the threshold of an edge, spread ink, blur"""
 _PRINT = 0.02
 """Systematic error of a printed radius, as a share"""
+_ONE_SIZE = 0.2
+"""Scatter of the ratios, as a share, above which poses and not the diameter are wrong"""
 _LEVEL = 4.0
 """Standard uncertainties of the median ratio that are allowed beside the systematic errors"""
 
 
 def check_diameters(group: Group, predicted: Array, radius: Array) -> None:
-    """Raise InputError if imaged targets contradict their declared diameters, in all or in single images.
+    """Raise InputError if imaged targets contradict their declared diameters or each other, in all or single images.
 
     `predicted` (n,) px are the radii of circles with the area of the imaged targets, by pose, lens and `radius` (n,)
     mm. The median of `q = measured / predicted` is compared with 1. It may differ by 0.25 px of the imaged radius, 2 %,
@@ -43,6 +45,12 @@ def check_diameters(group: Group, predicted: Array, radius: Array) -> None:
     middle = float(np.median(ratio))
     scatter = 1.48 * float(np.median(np.abs(ratio - middle)))
     allowed = _PRINT + float(np.median(edge)) + _LEVEL * 1.25 * scatter / np.sqrt(len(ratio))
+    if scatter > _ONE_SIZE * middle + float(np.median(edge)):
+        raise InputError(
+            f"the imaged sizes of the targets fit no one diameter: they scatter by {100 * scatter / middle:.2g} %. "
+            "The images do not show the list of targets as it is read: are columns exchanged, mirrored or in another "
+            "unit?"
+        )
     if abs(middle - 1) > allowed:
         found = middle * float(np.median(expected))
         spread = found * (allowed + float(np.median(edge)) * (1 / middle - 1))

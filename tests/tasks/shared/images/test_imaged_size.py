@@ -59,6 +59,14 @@ def test_scattered_sizes_say_less() -> None:
     checked(scattered)
 
 
+def test_sizes_that_fit_no_one_diameter_do_not_blame_it() -> None:
+    """As a list with exchanged columns makes them: each pose is wrong by itself."""
+    with pytest.raises(InputError) as told:
+        checked([20 * (1.6 + 0.9 * (-1) ** k) for k in range(12)])
+    assert "fit no one diameter" in str(told.value)
+    assert "correct the diameter" not in str(told.value)
+
+
 @pytest.mark.parametrize(("rows", "where"), [((3, 4, 5), "image image1 (1.5 times)"), ((1, 4, 7, 10), "target B (1.5 times)")])  # fmt: skip
 def test_one_image_or_target_of_another_size_is_named(rows: tuple[int, ...], where: str) -> None:
     with pytest.raises(InputError) as told:
