@@ -32,6 +32,8 @@ class Mistake:
     file: str = ""
     sort: str = ""
     """`units`, or what is wrong: mistakes of one sort in two files can be indistinguishable"""
+    columns: int = 1
+    """Number of columns that its correction changes"""
 
     def __str__(self) -> str:
         return f"{self.input}: {self.words}"
@@ -43,7 +45,9 @@ def corrections(inputs: Inputs) -> Iterator[tuple[Mistake, Inputs]]:
         if isinstance(table, Table):
             for words, write, factor, changed in _of_table(table):
                 sort = words if abs(factor) == 1.0 else "units"
-                yield Mistake(key, words, write, min(abs(factor), 1.0), table.file, sort), {**inputs, key: changed}
+                columns = sum(changed.columns[name] is not table.columns[name] for name in table)
+                mistake = Mistake(key, words, write, min(abs(factor), 1.0), table.file, sort, columns)
+                yield mistake, {**inputs, key: changed}
 
 
 def _of_table(table: Table) -> Iterator[tuple[str, str, float, Table]]:

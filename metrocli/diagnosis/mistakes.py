@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -40,6 +41,7 @@ _STEPS = 24
 FAILURES = (UndeterminedError, NotConvergedError, InputError)
 
 Adjust = Callable[[Inputs], AdjustedJob]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -97,10 +99,9 @@ def without_mistakes(inputs: Inputs, adjust: Adjust) -> tuple[AdjustedJob, Mista
         if misfit.worst <= 1 and misfit.worst * _BETTER <= before * mistake.shrinks
     ]
     if tried:
-        tried.sort(key=lambda one: one[0])
-        best = tried[0]
-        alike = tuple(mistake for value, mistake, _ in tried if value <= max(_AS_GOOD * best[0], _AS_GOOD / _ABSURD))
-        return best[2], Mistaken(alike, best[2], before, best[0])
+        alike = _as_good(tried)
+        after, _, best = alike[0]
+        return best, Mistaken(tuple(mistake for _, mistake, _ in alike), best, before, after)
     if job is None:
         raise failure or RuntimeError("a job that gave nothing")
     return job, None
@@ -170,16 +171,22 @@ def misread(inputs: Inputs, adjust: Adjust, failure: MetrocliError | None = None
         found = [one for one in found if before.ratio(one[2], one[1].shrinks) >= _FAR_BETTER and one[0] <= 1]
     if not found:
         return None
-    found.sort(key=lambda one: one[0])
-    alike = [mistake for value, mistake, _ in found if value <= max(_AS_GOOD * found[0][0], _AS_GOOD / _ABSURD)]
-    first, rest = alike[0], [f"{one.file or one.input}: {one.words}" for one in alike[1:]]
+    (_, first, fits), *others = _as_good(found)
+    rest = [f"{one.file or one.input}: {one.words}" for _, one, _ in others]
     how = (
         f"read so, the job has a solution that fits, which it has not as it stands ({_first_line(failure)})"
         if before is None
-        else f"read so, the readings fit {before.ratio(found[0][2]):.2g} times better (ratio of squared misfits)"
+        else f"read so, the readings fit {before.ratio(fits):.2g} times better (ratio of squared misfits)"
     )
     also = f"; as good: {'; '.join(rest)}" if rest else ""
     return InputError([Fault(f"{first.words}: {how}", first.file or first.input, hint=f"write {first.write}{also}")])
+
+
+def _as_good(tried: list[tuple[float, Mistake, T]]) -> list[tuple[float, Mistake, T]]:
+    """Return the mistakes that explain a job about as well as the best one, those of the fewest columns first."""
+    best = min(value for value, _, _ in tried)
+    alike = [one for one in tried if one[0] <= max(_AS_GOOD * best, _AS_GOOD / _ABSURD)]
+    return sorted(alike, key=lambda one: (one[1].columns, one[0]))
 
 
 def _unexplained(failure: MetrocliError) -> bool:

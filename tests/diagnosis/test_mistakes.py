@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -77,3 +79,20 @@ def test_a_job_without_mistakes_is_left_alone() -> None:
     _, mistaken = without_mistakes(files(), counted)
     assert mistaken is None
     assert len(calls) == 1
+
+
+def test_of_equally_good_corrections_that_of_the_fewest_columns_is_first(
+    tmp_path: Path, metrocli: Callable[..., Any]
+) -> None:
+    """Distances in m fit a launch unit as well as places in um, of which there are three columns."""
+    metrocli("init", tmp_path / "unit", "--sample", "xm60-launch-unit")
+    path = tmp_path / "unit" / "data" / "table.csv"
+    head, *rows = [line.split(",") for line in path.read_text().splitlines() if not line.startswith("#")]
+    at = head.index("distance_mm")
+    for row in rows:
+        row[at] = repr(float(row[at]) / 1000) if row[at] else ""
+    path.write_text("\n".join(",".join(row) for row in [head, *rows]) + "\n")
+    ran = metrocli("locate-launch-unit", tmp_path / "unit" / "jobs" / "table.yaml")
+    assert ran.code == 3
+    assert "distance_mm is in m: read so" in ran.err
+    assert "write distance_m in the heading; as good" in ran.err
