@@ -114,6 +114,7 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
     )
     pose = solution.blocks[spindle.PART].values[0]
     tables, arrays = _tables(problem, adjusted, found)
+    tables[TABLE] = uncontrolled(problem, adjusted, files)
     arrays |= {"rotation": poses.rotation_of(pose), "correlation": covariance / std[:, None] / std}
     details = adjusted.structured.details(names) if adjusted.structured is not None else {}
     estimated = math.inf if adjusted.noise is None else float(solution.dof)
@@ -147,7 +148,7 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
 
 
 def _tables(problem: Problem, adjusted: Adjusted, found: Residuals) -> tuple[dict[str, Table], dict[str, Array]]:
-    """Return the tables of readings, views and targets, of what is not controlled, of effects, and of what is owed."""
+    """Return the tables of readings, views and targets, of effects, and of what is owed."""
     images, targets = problem.sighted.images, problem.sighted.targets.names
     index = adjusted.group.observations.index
     tables = {
@@ -155,7 +156,6 @@ def _tables(problem: Problem, adjusted: Adjusted, found: Residuals) -> tuple[dic
         "views": rms_table(found.values, adjusted.group, "image", index["view"], images),
         "targets": _targets(adjusted, rms_table(found.values, adjusted.group, "target", index[TARGET], targets)),
         "rejected": adjusted.rejected,
-        TABLE: uncontrolled(problem, adjusted),
     }
     effect_tables, effect_arrays = effect_results(problem.effects, adjusted.solution)
     owed_tables, owed_arrays = ({}, {}) if adjusted.structured is not None else _owed(problem, adjusted.solution)

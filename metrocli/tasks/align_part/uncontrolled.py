@@ -12,16 +12,37 @@ from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import LENS, TAPER, TARGET
 from metrocli.table import Table
 from metrocli.tasks.align_part.problem import Problem
+from metrocli.tasks.align_part.settings import Files
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.uncontrolled import diameters
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
 _SEAT = units.parse_quantity("5 um", "length")
+_LISTED, _LISTED_WORDS = units.parse_quantity("1 mm", "length"), "1 mm"
 
 
-def uncontrolled(problem: Problem, adjusted: Adjusted) -> Table:
-    """Return what the pose of the part absorbs, and the error from a plausible size of each cause."""
-    return table_of(_rows(problem, adjusted))
+def uncontrolled(problem: Problem, adjusted: Adjusted, files: Files) -> Table:
+    """Return what the pose of the part absorbs or no reading uses, and the error from a plausible size of each."""
+    return table_of((*_rows(problem, adjusted), *_of_lists(adjusted, files)))
+
+
+def _of_lists(adjusted: Adjusted, files: Files) -> Iterator[Hidden]:
+    """Yield lists that only the predictions of a result use."""
+    if files.supports is not None:
+        upright = poses.rotation_of(adjusted.solution.blocks[spindle.PART].values[0])[2, 2]
+        yield Hidden(
+            "listed places of the supports, such as exchanged columns (how far to raise each)",
+            _LISTED_WORDS,
+            _LISTED * float(np.sqrt(max(1 - upright**2, 0.0))),
+            "the part measured again after the supports are raised",
+        )
+    if files.points is not None:
+        yield Hidden(
+            "listed places of `points`, such as exchanged columns (where they are predicted)",
+            _LISTED_WORDS,
+            _LISTED,
+            "`metrocli verify` with these points as the machine's probe measures them",
+        )
 
 
 def _rows(problem: Problem, adjusted: Adjusted) -> Iterator[Hidden]:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated.castings import Array, turn
 
+from benchmarks.coverage import PART, alignment_settings, corners, poses_over, true_camera
 from metrocli.errors import InputError
+from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
+from metrocli.tasks.align_part import task as align_part
 from metrocli.tasks.align_part.fixturing import corrections, must_level, tilt_not_exceeded
 
 PLACES = np.array([[0.0, 0], [1500, 50], [1400, 1000], [-20, 900]])
@@ -134,3 +139,20 @@ def test_a_part_that_lies_on_its_side_is_not_levelled() -> None:
 def test_supports_that_cannot_level(places: Array, message: str) -> None:
     with pytest.raises(InputError, match=message):
         must_level(supports(places))
+
+
+def test_lists_that_no_reading_uses_are_not_controlled() -> None:
+    settings, camera, targets = alignment_settings(0.05, 1e-3), true_camera(), corners()
+    at = poses_over(targets)
+    seen = align_part.simulate(align_part.TASK.job(settings, camera, at, targets), SimulationOptions(1))
+    job = align_part.TASK.job(settings, camera, at, targets, observations=seen.files["observations.csv"])
+    points = Table({"point": np.array(["G1"]), "x": np.ones(1), "y": np.ones(1), "z": np.ones(1)})
+    plain = align_part.run(job).tables["not_controlled"]
+    with_lists = replace(job, files=replace(job.files, supports=supports(PLACES), points=points))
+    found = align_part.run(with_lists).tables["not_controlled"]
+    new = {
+        text.partition(",")[0]: hides for text, hides in zip(found.texts("effect"), found.numbers("hides"), strict=True)
+    }
+    assert len(found) == len(plain) + 2
+    assert new["listed places of the supports"] == pytest.approx(np.hypot(PART.alpha, PART.beta), rel=0.05)
+    assert new["listed places of `points`"] == 1.0
