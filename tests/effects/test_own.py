@@ -249,17 +249,38 @@ def test_a_scan_is_refined_between_its_values(shop: Path, capsys: pytest.Capture
     wave = """define:
   - {name: belt, acts_on: length, adds: "a*sin(2*pi*t/p) + b*cos(2*pi*t/p)", where: [tracer],
      parameters: {a: {unit: um, plausible: 10 um}, b: {unit: um, plausible: 10 um}},
-     scan: {p: {from: 10 min, to: 2 h, steps: 12}}}
+     scan: {p: {from: 3 min, to: 20 min, steps: 12}}}
 """
     (shop / "lab.yaml").write_text(wave)
     job, made = shop / "job.yaml", shop / "again"
-    planted = ["--effect", "belt:tracer=T2,a=3 um,b=1 um,p=1107 s", "--seed", "5", "--quiet"]
+    planted = ["--effect", "belt:tracer=T2,a=3 um,b=1 um,p=362 s", "--seed", "5", "--quiet"]
     assert run(["simulate", str(job), "--out", str(made), *planted]) == 0
     assert run(["diagnose", str(job), "--set", f"inputs.lengths={made / 'lengths.csv'}", "--json", "--quiet"]) == 0
     (found,) = json.loads(capsys.readouterr().out)["effects"]
     assert (found["name"], found["where"]) == ("belt", {"tracer": "T2"})
-    # the values that are tried are 1029 s and 1200 s there; chi2 is 1 above its minimum 5 % from it
-    assert found["parameters"]["p"]["value"] == pytest.approx(1107, rel=0.05)
+    # the values that are tried are 335 s and 392 s there
+    assert found["parameters"]["p"]["value"] == pytest.approx(362, rel=0.03)
+
+
+def test_a_step_is_not_tried_at_the_time_of_a_reading(shop: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    step = """define:
+  - {name: slip, acts_on: length, adds: "a*(1 + (t - at)/abs(t - at))/2", where: [tracer],
+     parameters: {a: {unit: um, plausible: 10 um}}, scan: {at: {from: 0 s, to: 690 s, steps: 24}}}
+"""
+    (shop / "lab.yaml").write_text(step)
+    job, made = shop / "job.yaml", shop / "again"
+    planted = ["--effect", "slip:tracer=T2,a=3 um,at=315 s", "--seed", "5", "--quiet"]
+    assert run(["simulate", str(job), "--out", str(made), *planted]) == 0
+    again = ["diagnose", str(job), "--set", f"inputs.lengths={made / 'lengths.csv'}", "--json", "--quiet"]
+    # there is a reading every 30 s
+    assert run(again) == 3
+    assert "slip: 'abs(t - at)' has no derivative at a reading; it has a corner" in capsys.readouterr().err
+    (shop / "lab.yaml").write_text(step.replace("690 s", "720 s"))
+    assert run(again) == 0
+    (found,) = json.loads(capsys.readouterr().out)["effects"]
+    # a jump of the dead path is the same
+    assert {"dead-path-jump", "slip"} == {found["name"], *(one["name"] for one in found["alternatives"])}
+    assert found["parameters"]["at"]["value"] == pytest.approx(315, abs=15)
 
 
 def test_the_command_lists_own_effects_of_the_project(
