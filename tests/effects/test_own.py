@@ -277,7 +277,10 @@ def test_a_step_is_not_tried_at_the_time_of_a_reading(shop: Path, capsys: pytest
     assert "slip: 'abs(t - at)' has no derivative at a reading; it has a corner" in capsys.readouterr().err
     (shop / "lab.yaml").write_text(step.replace("690 s", "720 s"))
     assert run(again) == 0
-    (found,) = json.loads(capsys.readouterr().out)["effects"]
+    data = json.loads(capsys.readouterr().out)
+    (found,) = data["effects"]
+    # `reveal` is not given
+    assert data["separate_by"] == ["points measured before and after the jump"]
     # a jump of the dead path is the same
     assert {"dead-path-jump", "slip"} == {found["name"], *(one["name"] for one in found["alternatives"])}
     assert found["parameters"]["at"]["value"] == pytest.approx(315, abs=15)
