@@ -101,7 +101,7 @@ def list_datum(targets: Block, takes_part: Array, pose: str, scale: bool) -> Dat
     """Return the inner constraints of an unknown list in a frame whose poses (block `pose`) are unknown, too.
 
     The list keeps its mean place and rotation, and with `scale` its size. A point `R X + d` stays where it is if X
-    moves by `a x X + t`, d by `-R t`, and if R turns by `-R a`; it stays in its direction if X and d grow alike.
+    moves by `a x X + t`, d by `-R t`, and R turns by `-R a`. It stays in its direction if X and d grow alike.
     """
     points = of_points(scale)
 
