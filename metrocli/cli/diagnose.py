@@ -29,7 +29,11 @@ CLEAN = "clean"
 @click.option("--until-clean", is_flag=True, help="Extend, run and diagnose again until clean or nothing is gained.")
 @click.option("--most", default=5, show_default=True, type=click.IntRange(1), help="Most extensions of --until-clean.")
 @click.option(
-    "--next", "following", type=click.IntRange(1), metavar="N", help="Propose the N readings that help most, such as 5."
+    "--next",
+    "following",
+    type=click.IntRange(1, 1000),
+    metavar="N",
+    help="Propose the N readings that help most, such as 5.",
 )
 @options.SCHEDULER
 @options.FORCE

@@ -286,4 +286,4 @@ def separations(job: AdjustedJob, one: Alternative, other: Alternative) -> list[
     helping = [
         f"{words} (their correlation falls to {rho:.2f} only)" for rho, words in sorted(found)[:1] if rho < _HELPS
     ]
-    return helping + list(dict.fromkeys([one.effect.reveal, other.effect.reveal]))
+    return helping + [words for words in dict.fromkeys([one.effect.reveal, other.effect.reveal]) if words]

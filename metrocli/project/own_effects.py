@@ -82,7 +82,7 @@ def own_effects(kind: str, heading: Heading, job: Path, read_before: YamlFiles, 
     by_project = _of_project(sought[-1], read_before)
     for node in filter(None, (heading.effects_from, by_project)):
         path = path_beside(node)
-        if path in files:
+        if path.resolve() in {one.resolve() for one in files}:
             continue
         effects = of_file(kind, path, taken, faults, read_before, node)
         with suppress(InputError):  # which is among the faults by now
@@ -150,20 +150,17 @@ def of_file(
     for node in define.items:
         wrong: list[Fault] = []
         effects = read([node], tasks.KINDS[kind].task().places, names, wrong)
-        if wrong and not _fits_another(kind, node):
+        if wrong and (_fits(kind, node) or not any(_fits(name, node) for name in tasks.KINDS if name != kind)):
             faults.extend(wrong)
         names |= {effect.name for effect in effects}
         found += effects
     return found
 
 
-def _fits_another(kind: str, node: Node) -> bool:
-    """Return whether a definition is without fault for another kind of job."""
-    for name, other in tasks.KINDS.items():
-        wrong: list[Fault] = []
-        if name != kind and read([node], other.task().places, (), wrong) and not wrong:
-            return True
-    return False
+def _fits(kind: str, node: Node) -> bool:
+    """Return whether a definition is without fault for a kind of job, but for a name that exists already."""
+    wrong: list[Fault] = []
+    return bool(read([node], tasks.KINDS[kind].task().places, (), wrong)) and not wrong
 
 
 @cache

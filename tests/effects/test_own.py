@@ -10,7 +10,9 @@ import pytest
 from places import DOCS
 from simulated import lengths as simulated_lengths
 
+from metrocli.adjust.model.blocks import Array
 from metrocli.cli.commands import run
+from metrocli.diagnosis.linear.candidates import thinned
 from metrocli.effects.acting import Acting, seen_from
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.lengths import LengthOffset, LengthScale
@@ -60,6 +62,11 @@ FAULTY = {
     "scan": (
         one(adds="a*sin(t/p)", more=f"{A}\n    scan: {{p: {{from: 9 s, to: 2 s}}}}"), 6, 31, "not above `from`", "",
     ),
+    "where twice": (one(more=f"{A}\n    where: [tracer, tracer]"), 6, 21, "'tracer' is there twice", "leave it out"),
+    "no derivative": (one(adds="abs(a)"), 4, 11, "has no derivative where all parameters are 0", "in proportion"),
+    "no value at an end of the scan": (
+        one(adds="a*sin(t/p)", more=f"{A}\n    scan: {{p: {{from: 0 s, to: 2 s}}}}"), 6, 22, "no value there", "above 0",
+    ),
     "unknown key": (one(more=f"{A}\n    reveals: x"), 6, 5, "unknown key 'reveals'", "reveal"),
 }  # fmt: skip
 
@@ -94,16 +101,20 @@ def test_periods_are_even_in_frequency_and_times_even() -> None:
         one(adds="a*sin(2*pi*X/p + b)", more="parameters: {a: {unit: um, plausible: 1 um}, "
         "b: {unit: rad, plausible: 3 rad}}\n    scan: {p: {from: 2 mm, to: 100 mm, steps: 50}}"), "multilaterate",
     )  # fmt: skip
-    grid = wave.scanned[0].grid
-    assert grid is not None
-    assert np.allclose(np.diff(1 / grid({})), (1 / 2 - 1 / 100) / 49)
+    assert np.allclose(np.diff(1 / tried(wave)), (1 / 2 - 1 / 100) / 49)
     assert wave.space.name == "WAVE" and [p.name for p in wave.parameters] == ["a", "b"]
     step = effect_of(
         one(adds="a*(1 + (t - at)/abs(t - at))", more=f"{A}\n    scan: {{at: {{from: 1 min, to: 10 min, steps: 10}}}}"),
         "multilaterate",
     )
-    grid = step.scanned[0].grid
-    assert grid is not None and np.allclose(grid({}), np.linspace(60, 600, 10))
+    assert np.allclose(tried(step), np.linspace(60, 600, 10))
+
+
+def tried(effect: Effect) -> Array:
+    """Return the values of a scan before the best one is refined."""
+    (scanned,) = effect.scanned
+    assert scanned.grid is not None
+    return thinned(scanned.grid({}), scanned.tried)
 
 
 def test_a_unit_that_no_dimension_has_is_in_base_units() -> None:
@@ -234,6 +245,47 @@ def test_diagnose_names_it_and_the_extended_job_estimates_it(shop: Path, capsys:
     assert any(one.path.endswith("lab.yaml") for one in record.inputs)
 
 
+def test_a_scan_is_refined_between_its_values(shop: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    wave = """define:
+  - {name: belt, acts_on: length, adds: "a*sin(2*pi*t/p) + b*cos(2*pi*t/p)", where: [tracer],
+     parameters: {a: {unit: um, plausible: 10 um}, b: {unit: um, plausible: 10 um}},
+     scan: {p: {from: 3 min, to: 20 min, steps: 12}}}
+"""
+    (shop / "lab.yaml").write_text(wave)
+    job, made = shop / "job.yaml", shop / "again"
+    planted = ["--effect", "belt:tracer=T2,a=3 um,b=1 um,p=362 s", "--seed", "5", "--quiet"]
+    assert run(["simulate", str(job), "--out", str(made), *planted]) == 0
+    assert run(["diagnose", str(job), "--set", f"inputs.lengths={made / 'lengths.csv'}", "--json", "--quiet"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["effects"]
+    assert (found["name"], found["where"]) == ("belt", {"tracer": "T2"})
+    # the values that are tried are 335 s and 392 s there
+    assert found["parameters"]["p"]["value"] == pytest.approx(362, rel=0.03)
+
+
+def test_a_step_is_not_tried_at_the_time_of_a_reading(shop: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    step = """define:
+  - {name: slip, acts_on: length, adds: "a*(1 + (t - at)/abs(t - at))/2", where: [tracer],
+     parameters: {a: {unit: um, plausible: 10 um}}, scan: {at: {from: 0 s, to: 690 s, steps: 24}}}
+"""
+    (shop / "lab.yaml").write_text(step)
+    job, made = shop / "job.yaml", shop / "again"
+    planted = ["--effect", "slip:tracer=T2,a=3 um,at=315 s", "--seed", "5", "--quiet"]
+    assert run(["simulate", str(job), "--out", str(made), *planted]) == 0
+    again = ["diagnose", str(job), "--set", f"inputs.lengths={made / 'lengths.csv'}", "--json", "--quiet"]
+    # there is a reading every 30 s
+    assert run(again) == 3
+    assert "slip: 'abs(t - at)' has no derivative at a reading; it has a corner" in capsys.readouterr().err
+    (shop / "lab.yaml").write_text(step.replace("690 s", "720 s"))
+    assert run(again) == 0
+    data = json.loads(capsys.readouterr().out)
+    (found,) = data["effects"]
+    # `reveal` is not given
+    assert data["separate_by"] == ["points measured before and after the jump"]
+    # a jump of the dead path is the same
+    assert {"dead-path-jump", "slip"} == {found["name"], *(one["name"] for one in found["alternatives"])}
+    assert found["parameters"]["at"]["value"] == pytest.approx(315, abs=15)
+
+
 def test_the_command_lists_own_effects_of_the_project(
     shop: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -254,6 +306,26 @@ def test_a_fault_in_the_file_of_a_job_has_its_place(shop: Path, capsys: pytest.C
     (shop / "metrocli.yaml").write_text("project: shop\njobs: [job.yaml]\neffects_from: gone.yaml\n")
     assert run(["check", str(shop / "job.yaml")]) == 3
     assert "effects_from: no such file" in capsys.readouterr().err
+
+
+def test_a_name_that_exists_is_a_fault_in_a_file_also_if_the_definition_fits_other_kinds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wobble = (
+        "  - {name: NAME, acts_on: point-in-machine, adds: {x: a*X/Y}, parameters: {a: {unit: um, plausible: 9 um}}}\n"
+    )
+    for name, place in (("tracer-scale", ""), ("wobble", wobble.replace("NAME", "wobble"))):
+        (tmp_path / "lab.yaml").write_text(f"define:\n{place}{wobble.replace('NAME', name)}")
+        assert run(["effects", "multilaterate", "--from", str(tmp_path / "lab.yaml")]) == 3
+        assert f"an effect '{name}' exists already" in capsys.readouterr().err
+
+
+def test_a_job_and_its_project_can_name_the_same_file(
+    shop: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(shop)
+    (shop / "job.yaml").write_text(f"{JOB}effects_from: lab.yaml\n")
+    assert run(["check", "job.yaml"]) == 0, capsys.readouterr().err
 
 
 def test_without_the_column_it_needs_the_effect_is_not_tested(shop: Path, capsys: pytest.CaptureFixture[str]) -> None:

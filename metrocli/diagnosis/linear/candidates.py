@@ -16,7 +16,7 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.column_parts import Course, Own, Step
 from metrocli.diagnosis.linear.columns import Columns, gathered, joined
 from metrocli.diagnosis.linear.projection import VISIBLE, System
-from metrocli.diagnosis.linear.signatures import of_places, scan
+from metrocli.diagnosis.linear.signatures import of_places, scan, scan_with_values
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import can_act, lacking, names_for, places_of
 from metrocli.effects.model import Model
@@ -260,8 +260,7 @@ def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[
     if scans and effect.is_step:
         yield from _steps(job, system, effect, places, scans)
         return
-    found = scan(job.model, system, effect, places, scans) if scans else ()
-    for scanned, (full, block, chosen) in zip(scans, found, strict=True):
+    for scanned, (full, block, chosen) in scan_with_values(job.model, system, effect, places, scans):
         for place, names, own in of_places(job.model, block, chosen, places):
             changed = Own.of(full, own)
             if len(changed.rows) >= job.fewest:

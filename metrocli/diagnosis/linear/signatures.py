@@ -17,6 +17,7 @@ from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.projection import System, scatter
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import with_effect
+from metrocli.effects.links.own import NoValueAtReadingError
 from metrocli.effects.model import Model
 
 
@@ -55,6 +56,34 @@ def scan(
             factor = group.observations.deviations.T.ravel() / system.scale[start : start + len(found)]
             full[start : start + len(found)] = found * factor[:, None]
         yield full, block, chosen
+
+
+def scan_with_values(
+    model: Model,
+    system: System,
+    effect: Effect,
+    places: Sequence[tuple[str, ...]],
+    scans: Sequence[Mapping[str, float]],
+) -> Iterator[tuple[Mapping[str, float], tuple[Array, Block, Mask]]]:
+    """Yield the scanned values with what `scan` yields, without those at which an own effect has no value at a reading.
+
+    Raises NoValueAtReadingError if it has none at all of them.
+    """
+    if not effect.definition:
+        yield from zip(scans, scan(model, system, effect, places, scans) if scans else (), strict=True)
+        return
+    without: NoValueAtReadingError | None = None
+    found = 0
+    for values in scans:
+        try:
+            columns = next(scan(model, system, effect, places, [values]))
+        except NoValueAtReadingError as error:
+            without = error
+            continue
+        found += 1
+        yield values, columns
+    if without is not None and not found:
+        raise without
 
 
 def of_places(

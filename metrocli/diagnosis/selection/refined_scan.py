@@ -16,6 +16,7 @@ from metrocli.diagnosis.linear.column_parts import Own
 from metrocli.diagnosis.linear.score_tests import Remembered, ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
+from metrocli.effects.links.own import NoValueAtReadingError
 
 _TRIED = 40
 _ROUNDS = 2
@@ -61,7 +62,10 @@ def _closer(job: AdjustedJob, selection: Selection, one: Chosen, name: str) -> S
     for value in values.tolist():
         scanned = tuple((key, value if key == name else old) for key, old in alternative.scanned)
         tried = replace(alternative, scanned=scanned)
-        full = signature(job.model, test_set.system, tried.effect, tried.instance, dict(scanned))
+        try:
+            full = signature(job.model, test_set.system, tried.effect, tried.instance, dict(scanned))
+        except NoValueAtReadingError:
+            continue
         seen = test_set.system.seen(full)
         gain = fitted.squares - fitted.with_columns(seen).squares
         if gain > most * (1 + 1e-9):

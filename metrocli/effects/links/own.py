@@ -15,6 +15,10 @@ from metrocli.expressions.derivatives import Jets, NoValueError
 from metrocli.expressions.expression import Expression
 
 
+class NoValueAtReadingError(InputError):
+    """An effect of one's own has no value, or no derivative, at a reading."""
+
+
 @dataclass(frozen=True)
 class OwnTerms(AtQuantity):
     """Terms of one's own: `q_i += f_i(p, v)` for some components i; columns p, then the scanned ones.
@@ -39,7 +43,7 @@ class OwnTerms(AtQuantity):
         return (*dict.fromkeys(name for one in self.variables for name in one.blocks), self.block)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the quantity (d, n); raises InputError if an expression has no value at a reading."""
+        """Return the quantity (d, n); raises NoValueAtReadingError if an expression has no value at a reading."""
         d, n = len(value), local.observations.count
         rows, last = local.rows(self.block), local.members(self.block)[-1]
         known = {one.name: one.at(value, local) for one in self.variables}
@@ -74,7 +78,12 @@ class OwnTerms(AtQuantity):
             jet = expression.carried_out(Jets(expression, used, values, order=1))
         except NoValueError as error:
             what = f"{self.name}: {error.message.replace(' at the best estimates', '')} at a reading"
-            raise InputError(f"{what}; {error.hint}") from error
+            hint = (
+                "it has a corner or a step there, which has to lie between readings"
+                if error.differentiable
+                else error.hint
+            )
+            raise NoValueAtReadingError(f"{what}; {hint}") from error
         gradient = np.broadcast_to(jet.gradient, (len(used), *np.shape(jet.gradient)[1:])) if used else ()
         return _Gradient(jet.value, dict(zip(used, gradient, strict=True)))
 

@@ -6,18 +6,17 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from metrocli import units
-from metrocli.adjust.model.blocks import Array, Space
+from metrocli.adjust.model.blocks import Space
 from metrocli.adjust.model.chain import Link
 from metrocli.effects.acting import Acting, Variable
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.own import OwnTerms
 from metrocli.effects.own.definition import Definition, Given, Scan, text_of
-from metrocli.effects.own.parameters import components, of_unit, only_divides, shape
-from metrocli.effects.own.trials import Trial, is_wave
+from metrocli.effects.own.parameters import components, of_unit, shape, values_tried
+from metrocli.effects.own.trials import Trial, is_wave, without_value
 from metrocli.errors import Fault
+from metrocli.expressions.derivatives import NoValueError
 from metrocli.expressions.dimensions import Compound, base_unit, compound, described, unit_of
 from metrocli.expressions.expression import CONSTANTS, FUNCTIONS, NAME, ExpressionError
 from metrocli.nodes import Node
@@ -131,8 +130,10 @@ class _Reader:
         return found
 
     def _where(self, acting: Acting) -> tuple[str, ...]:
-        for one in self.given.where:
-            if one.value not in acting.where:
+        for number, one in enumerate(self.given.where):
+            if one.value in [before.value for before in self.given.where[:number]]:
+                self.faults.append(one.node.fault(f"{one.node.path}: '{one.value}' is there twice", "leave it out"))
+            elif one.value not in acting.where:
                 hint = suggestion(one.value, acting.where) if acting.where else "leave it out"
                 self.faults.append(
                     one.node.fault(f"{one.node.path}: no effect on {acting.name} has a '{one.value}'", hint)
@@ -158,15 +159,8 @@ class _Reader:
             )
         elif not low.value < high.value:
             self.faults.append(high.fault("`to` is not above `from`", "write from: 2 mm, to: 100 mm"))
-        values = self._values(name, scan)
+        values = values_tried(name, scan, self.given.adds.values())
         return of_unit(name, low.unit.text, low.unit, abs(high.value), lambda conditions: values, scan.steps)
-
-    def _values(self, name: str, scan: Scan) -> Array:
-        """Return the values to try: even in 1/value for a name that only divides, such as a period, else even."""
-        low, high = scan.low.value, scan.high.value
-        if low > 0 and all(only_divides(model, name) for model in self.given.adds.values()):
-            return np.asarray(1 / np.linspace(1 / high, 1 / low, scan.steps))
-        return np.linspace(low, high, scan.steps)
 
     def _unit(self, key: str, text: str) -> Compound | None:
         try:
@@ -239,12 +233,14 @@ class _Reader:
         plausible = {name: given.plausible.value for name, given in self.given.parameters.items()}
         ranges = {name: (scan.low.value, scan.high.value) for name, scan in self.given.scan.items()}
         expressions = [model.expression for model in self.given.adds.values()]
-        trial = Trial.of(expressions, used, plausible, ranges)
         model = next(iter(self.given.adds.values()))
-        if trial is None:
-            text = "has no value for any of the values that were tried"
-            self.faults.append(model.fault(ExpressionError(text, 0, "a root, logarithm or division outside its range")))
+        try:
+            trial = Trial.of(expressions, used, plausible, ranges)
+        except NoValueError as error:
+            self.faults.append(model.fault(without_value(error)))
             return None
+        for name, scan in self.given.scan.items():
+            self._ends(name, scan, trial)
         if not trial.vanishes:
             hint = "where all its parameters are 0 an effect adds 0"
             self.faults.append(model.fault(ExpressionError("this is not 0 where all parameters are 0", 0, hint)))
@@ -259,6 +255,11 @@ class _Reader:
             hint = f"try it at several values instead: scan: {{{name}: {{from: ..., to: ..., steps: 60}}}}"
             self._fault(f"parameters.{name}", f"'{name}' changes nothing where all parameters are 0", hint)
         return wave
+
+    def _ends(self, name: str, scan: Scan, trial: Trial) -> None:
+        for end in (scan.low, scan.high):
+            if not trial.has_value_at(name, end.value):
+                self.faults.append(end.fault("`adds` has no value there", "a period or time constant is above 0"))
 
     def _in_order(self, parameters: Sequence[Parameter], wave: tuple[str, str] | None) -> tuple[Parameter, ...]:
         """Return the parameters, amplitude and phase of a wave first."""

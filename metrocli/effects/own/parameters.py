@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
 
 from metrocli import units
 from metrocli.adjust.model.blocks import Array
 from metrocli.effects.acting import ALONG, Acting
 from metrocli.effects.effect import Parameter
+from metrocli.effects.own.definition import Scan
 from metrocli.expressions.dimensions import Compound, base_unit
 from metrocli.expressions.expression import NAME
 from metrocli.expressions.written import Model
 
+_FINER = 100
+"""Values by which the best one of a scan is refined, in one of its steps"""
 _NOT_MEANT = ("wavelength", "temperature", "slope", "humidity", "frequency")
 """Dimensions that share their units with the one that a parameter has"""
 
@@ -52,7 +57,18 @@ def _base_unit(unit: Compound) -> str:
     return base_unit(tuple(sorted(unit.powers, key=lambda power: power[1] < 0)))
 
 
-def only_divides(model: Model, name: str) -> bool:
+def values_tried(name: str, scan: Scan, adds: Iterable[Model]) -> Array:
+    """Return the values of a scan, even in 1/value for a name that only divides, such as a period, else even.
+
+    Between those that are tried are those by which the best one is refined.
+    """
+    low, high, count = scan.low.value, scan.high.value, (scan.steps - 1) * _FINER + 1
+    if low > 0 and all(_only_divides(model, name) for model in adds):
+        return np.asarray(1 / np.linspace(1 / high, 1 / low, count))
+    return np.linspace(low, high, count)
+
+
+def _only_divides(model: Model, name: str) -> bool:
     """Return whether a name occurs in an expression only behind a division sign, as the period of a wave does."""
     text = model.expression.text
     named = [part for part in model.expression.parts if part.operation == NAME and part.name == name]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.effects.acting import Variable
 from metrocli.expressions.derivatives import Jets, NoValueError
-from metrocli.expressions.expression import Expression
+from metrocli.expressions.expression import Expression, ExpressionError
 
 _DRAWS = 64
 _ZERO = 1e-12
@@ -40,18 +41,16 @@ class Trial:
         variables: Mapping[str, Variable],
         plausible: Mapping[str, float],
         scanned: Mapping[str, tuple[float, float]],
-    ) -> Trial | None:
-        """Return the trial in the first range of the variables in which all have values, or None."""
+    ) -> Trial:
+        """Return the trial in the first range of the variables in which all have values; raises NoValueError."""
         rng = np.random.default_rng(17)
         own = {name: size * rng.uniform(0.3, 1.0, _DRAWS) for name, size in plausible.items()}
         own |= {name: rng.uniform(*ends, _DRAWS) for name, ends in scanned.items()}
         for reach in _REACHES:
             drawn = {name: rng.uniform(*reach, _DRAWS) for name in variables}
-            try:
+            with suppress(NoValueError):
                 return cls._at(tuple(expressions), {**drawn, **own}, tuple(plausible))
-            except NoValueError:
-                continue
-        return None
+        return cls._at(tuple(expressions), {**drawn, **own}, tuple(plausible))
 
     @classmethod
     def _at(cls, expressions: tuple[Expression, ...], values: dict[str, Array], parameters: tuple[str, ...]) -> Trial:
@@ -62,6 +61,13 @@ class Trial:
             for none, some in zip(at_zero, there, strict=True)
         )
         return cls(expressions, values, vanishes, _moving(there), _moving(at_zero) & set(parameters))
+
+    def has_value_at(self, name: str, value: float) -> bool:
+        """Return whether all expressions have values where one of the names has a given value."""
+        try:
+            return bool([gradients(one, {**self.values, name: np.full(_DRAWS, value)}) for one in self.expressions])
+        except NoValueError:
+            return False
 
 
 def gradients(expression: Expression, values: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
@@ -93,3 +99,12 @@ def is_wave(trial: Trial, parameters: Sequence[str], still: Sequence[str]) -> tu
         if np.abs(hessian[1, 1] + jet.value).max() > 1e-9 * size or along > 1e-9 * size:
             return None
     return amplitude, phase
+
+
+def without_value(error: NoValueError) -> ExpressionError:
+    """Return what is wrong with an expression that has no value, or no derivative, at all values that were tried."""
+    if not error.differentiable:
+        hint = "a root, logarithm or division outside its range"
+        return ExpressionError("has no value for any of the values that were tried", 0, hint)
+    hint = "an effect grows in proportion to small parameters; it contains no root or absolute value of them"
+    return ExpressionError("has no derivative where all parameters are 0", 0, hint)

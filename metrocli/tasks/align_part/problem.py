@@ -106,7 +106,7 @@ def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool,
     )
     group = Group(IMAGES, Chain((*spindle.to_camera(), lens_link(camera.convention))), observations)
     others: tuple[Group, ...] = (*camera.prior(), *listed.priors(blocks[TARGET], targets.sigma, free))
-    takes_part = free.all(axis=1).astype(float)
+    takes_part = free.any(axis=1).astype(float)
     datum = list_datum(blocks[TARGET], takes_part, spindle.PART, scale=False) if free.any() else None
     if sighted.eccentric:
         group, blocks = corrected(group, blocks, others, datum, targets.radius)

@@ -130,7 +130,7 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
 
 def _datum(rig: str, targets: Block) -> Datum | None:
     """Return the inner constraints on the unknown targets; None with rig cmm, whose reference frame is theirs."""
-    takes_part = np.broadcast_to(targets.free, targets.values.shape).all(axis=1).astype(float)
+    takes_part = np.broadcast_to(targets.free, targets.values.shape).any(axis=1).astype(float)
     if rig == "board":
         return camera.list_datum(targets, takes_part, camera.VIEW, scale=True)
     return camera.network_datum(targets, takes_part) if rig == "network" else None

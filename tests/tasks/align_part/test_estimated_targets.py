@@ -93,3 +93,19 @@ def test_a_list_without_errors_is_located_as_before_with_more_uncertainty() -> N
     for one, other in zip(exact.estimates, free.estimates, strict=True):
         assert abs(one.value - other.value) < 4 * other.std
         assert other.std >= one.std * (1 - 1e-9)
+
+
+def test_coordinates_can_be_unknown_in_one_plane_only() -> None:
+    settings, camera, at, list_ = alignment_settings(0.05, 1e-3), true_camera(), spindle(), table(listed())
+    seen = align_part.simulate(align_part.TASK.job(settings, camera, at, list_), SimulationOptions(4))
+    unknown = {f"sigma_{axis}": np.full(16, 0.0 if axis == "z" else np.nan) for axis in "xyz"}
+    own = Table({**list_.columns, **unknown}, {**list_.units, **dict.fromkeys(unknown, "mm")})
+    job = align_part.TASK.job(
+        replace(settings, targets="estimate"), camera, at, own, observations=seen.files["observations.csv"]
+    )
+    result = align_part.run(job)
+    truth = [getattr(PART, name) for name in poses.EULER]
+    assert all(abs(one.value - true) < 4 * one.std for one, true in zip(result.estimates[:6], truth, strict=True))
+    points = result.tables["targets"]
+    assert points.stacked(("x", "y", "z"))[:, 2] == pytest.approx(listed()[:, 2], abs=1e-12)
+    assert (points.stacked(("x", "y", "z")) - listed()).mean(axis=0) == pytest.approx(0.0, abs=1e-9)

@@ -104,6 +104,28 @@ def test_a_sigma_of_the_list_counts() -> None:
     assert (result.tables["points"].numbers("sx")[4:] > 0).all()
 
 
+@pytest.mark.parametrize("rig", ["board", "network"])
+def test_a_flat_board_has_unknown_coordinates_in_its_plane_only(rig: str) -> None:
+    listed, scores = board(), []
+    unknown = {f"sigma_{axis}": np.full(len(listed), 0.0 if axis == "z" else np.nan) for axis in "xyz"}
+    own = Table({**listed.columns, **unknown}, {**listed.units, **dict.fromkeys(unknown, "mm")})
+    settings = camera_settings("board", images=12)
+    for seed in range(6):
+        flat = Table({**printed(seed).columns, "z": listed.numbers("z")}, listed.units)
+        seen = calibrate_camera.simulate(calibrate_camera.TASK.job(settings, targets=flat), SimulationOptions(seed))
+        job = calibrate_camera.TASK.job(
+            replace(settings, targets="estimate", rig=rig), observations=seen.files["observations.csv"], targets=own
+        )
+        result = calibrate_camera.run(job)
+        scores += [(value - TRUE_LENS[name]) / std for name, (value, std) in by_name(result).items()]
+        off = places(result) - listed.stacked(("x", "y", "z"))
+        assert off[:, 2] == pytest.approx(0.0, abs=1e-12)
+        assert off.mean(axis=0) == pytest.approx(0.0, abs=1e-9)
+        assert result.tables["points"].numbers("sz") == pytest.approx(0.0, abs=1e-12)
+        assert (result.tables["points"].numbers("sx") > 0).all()
+    assert np.mean(np.square(scores)) == pytest.approx(1.0, abs=0.6)
+
+
 def test_a_target_in_one_image_is_left_out_with_its_name() -> None:
     settings = replace(camera_settings("board", images=12), targets="estimate")
     seen = calibrate_camera.simulate(calibrate_camera.TASK.job(settings, targets=board()), SimulationOptions(3))
