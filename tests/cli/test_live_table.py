@@ -203,7 +203,8 @@ def test_a_run_on_a_terminal_shows_the_table_and_leaves_a_line_a_job_and_the_cou
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name, trials in (("a", 3_000_000), ("b", 100_000)):
+    # the first job takes longer than the time before a table appears, on a fast processor as well
+    for name, trials in (("a", 30_000_000), ("b", 100_000)):
         Path(f"{name}.yaml").write_text(JOB.format(name=name, trials=trials))
     Path("metrocli.yaml").write_text("jobs: [a.yaml, b.yaml]\n")
     code, text = on_a_terminal(30, 10, "run")
