@@ -8,6 +8,9 @@ from typing import Protocol
 from metrocli.settings import Choice, setting
 from metrocli.targets.pattern import GRIDS, Pattern
 
+ESTIMATE = "estimate"
+"""Value of `targets` with which coordinates without a standard deviation are unknowns"""
+
 
 class ImageSettings(Protocol):
     """The shared settings of image jobs, as far as finding and joining of image points needs them."""
@@ -33,9 +36,6 @@ def eccentricity_setting() -> str:
     )
     chosen: str = setting(Choice("auto", "correct", "ignore"), text, default="auto")
     return chosen
-
-
-ESTIMATE = "estimate"
 
 
 def targets_setting() -> str:
