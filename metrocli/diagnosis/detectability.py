@@ -15,11 +15,12 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.average_power import size_found, size_separated
 from metrocli.diagnosis.hidden_change import POWER, HiddenChange, forms_for, hidden_by_readings, hidden_change
-from metrocli.diagnosis.linear.candidates import Alternative, NotTested, thinned
+from metrocli.diagnosis.linear.candidates import Alternative, NotTested
 from metrocli.diagnosis.linear.distributions import noncentrality, single_level
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.quadratics import ranks_of, roots
+from metrocli.diagnosis.linear.scans import thinned
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.selection.thresholds import FIRST, WRONG_READING
@@ -64,6 +65,8 @@ class Candidate:
     hides: HiddenChange
     """Largest change of the delivered result by an effect that is not found with 95 % power"""
     absorbed_by: tuple[str, ...]
+    missed: bool = False
+    """Whether its scan is too coarse for the readings, so that a form between two of its values can be missed"""
 
     @property
     def testable(self) -> bool:
@@ -195,7 +198,7 @@ def _candidate(job: AdjustedJob, test_set: ScoreTests, family: int, chosen: Sequ
     some = thinned(np.arange(float(len(chosen))), forms_for(test_set.system, own.columns.parameters)).astype(int)
     hides = hidden_change(job, test_set.system, own, np.array(chosen)[some].tolist(), gram, reach[some])
     absorbers = () if rank else _absorbers(test_set.system, _full(job, test_set.system, alternative))
-    return Candidate(alternative, family, at, visible, size, hides, absorbers)
+    return Candidate(alternative, family, at, visible, size, hides, absorbers, own.has_gaps(test_set.system, chosen))
 
 
 def _full(job: AdjustedJob, system: System, alternative: Alternative) -> Array:

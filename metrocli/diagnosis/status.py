@@ -19,7 +19,7 @@ class Status(StrEnum):
     EXCLUDED = "excluded"
     """Not found, although one of the largest usual size would have been (power at least 80 %)"""
     CANNOT_SEE = "cannot-see"
-    """Its smallest detectable size is larger than usual"""
+    """Its smallest detectable size is larger than usual, or its scan too coarse for the readings"""
     NOT_TESTABLE = "not-testable"
     """The unknowns of the job absorb it"""
     NOT_TESTED = "not-tested"
@@ -37,7 +37,8 @@ def status(candidate: Candidate, named: Iterable[NamedEffect]) -> str:
         return Status.NAMED
     if not candidate.testable:
         return Status.NOT_TESTABLE
-    return Status.EXCLUDED if candidate.detectable <= candidate.plausible else Status.CANNOT_SEE
+    seen = candidate.detectable <= candidate.plausible and not candidate.missed
+    return Status.EXCLUDED if seen else Status.CANNOT_SEE
 
 
 def spots(name: NamedEffect) -> set[tuple[str, tuple[str, ...]]]:
@@ -63,6 +64,9 @@ def reason(candidate: Candidate, word: str) -> str:
     if word == Status.NOT_TESTABLE:
         return f"absorbed by {', '.join(candidate.absorbed_by)}; `hides` is for {plausible:.3g} {at}".rstrip()
     size, unit = units.readable(candidate.detectable, dimension)
+    if word == Status.CANNOT_SEE and candidate.missed:
+        name = effect.scanned[0].name
+        return f"missed between values of {name}, which are further apart than the readings tell: scan a smaller range"
     if word == Status.CANNOT_SEE:
         return f"detected from {size:.3g} {unit} on; {seen_in_words(candidate)}"
     return "" if word == Status.NAMED else f"excluded above {size:.3g} {unit}; {seen_in_words(candidate)}"

@@ -23,10 +23,10 @@ from metrocli.diagnosis.detectability import design
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.extended_fit import score_tests_of_job
 from metrocli.diagnosis.linear.candidates import families_of
+from metrocli.diagnosis.linear.counted_tests import effective_number_of_tests
 from metrocli.diagnosis.linear.distributions import chi_interval, log_family, log_tail, noncentrality, single_level
 from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.linearised import linearised
-from metrocli.diagnosis.linear.multiple_tests import effective_number_of_tests
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests, quadratic
 from metrocli.diagnosis.linear.signatures import signature

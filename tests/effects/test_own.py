@@ -12,7 +12,7 @@ from simulated import lengths as simulated_lengths
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.cli.commands import run
-from metrocli.diagnosis.linear.candidates import thinned
+from metrocli.diagnosis.linear.scans import thinned
 from metrocli.effects.acting import Acting, seen_from
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.lengths import LengthOffset, LengthScale
@@ -260,6 +260,42 @@ def test_a_scan_is_refined_between_its_values(shop: Path, capsys: pytest.Capture
     assert (found["name"], found["where"]) == ("belt", {"tracer": "T2"})
     # the values that are tried are 335 s and 392 s there
     assert found["parameters"]["p"]["value"] == pytest.approx(362, rel=0.03)
+
+
+FAST = """define:
+  - {name: pump, acts_on: length, adds: "a*sin(2*pi*t/p + phase)", where: [tracer],
+     parameters: {a: {unit: um, plausible: 10 um}, phase: {unit: rad, plausible: 3.2 rad}},
+     scan: {p: {from: 65 s, to: 600 s, steps: 4}}}
+"""
+
+
+def test_a_fast_wave_between_two_values_of_a_coarse_scan_is_found_once(
+    shop: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (shop / "lab.yaml").write_text(FAST)
+    # the values of the scan are three cycles of the measurement apart, and the wave lies between two of them
+    planted = ["--effect", "pump:tracer=T2,a=3 um,phase=0.4 rad,p=83 s", "--seed", "5", "--quiet"]
+    assert run(["simulate", str(shop / "job.yaml"), "--out", str(shop / "again"), *planted]) == 0
+    lengths = f"inputs.lengths={shop / 'again' / 'lengths.csv'}"
+    assert run(["diagnose", str(shop / "job.yaml"), "--set", lengths, "--json", "--quiet"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    (found,) = data["effects"]
+    assert (found["name"], found["where"]) == ("pump", {"tracer": "T2"})
+    assert data["verdict"] == "explained" and data["noise"]["as_declared"]
+    assert found["parameters"]["p"]["value"] == pytest.approx(83, rel=0.01)
+
+
+def test_a_scan_that_is_too_coarse_for_the_readings_excludes_nothing(
+    shop: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (shop / "lab.yaml").write_text(FAST)
+    statuses = []
+    for most in (1000, 4):
+        monkeypatch.setattr("metrocli.diagnosis.linear.scans._MOST", most)
+        assert run(["diagnose", str(shop / "job.yaml"), "--design", "--json", "--quiet"]) == 0
+        design = json.loads(capsys.readouterr().out)
+        statuses.append({one["status"] for one in design["candidates"] if one["name"] == "pump"})
+    assert statuses == [{"excluded"}, {"cannot-see"}]
 
 
 def test_a_step_is_not_tried_at_the_time_of_a_reading(shop: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -46,6 +46,8 @@ def _line(adjusted: AdjustedJob, name: str, word: str, found: Sequence[Candidate
     if word == status.Status.NOT_TESTABLE:
         size = units.sized(found[0].plausible, effect.parameters[0].dimension)
         why = f"absorbed by {', '.join(found[0].absorbed_by)}; off by this if its size is {size}"
+    elif word == status.Status.CANNOT_SEE and any(one.missed for one in found):
+        sizes, why = [], status.reason(next(one for one in found if one.missed), word)
     seen = {status.usual_seen(one) for one in found}
     beside = status.usual_beside(effect, min(sizes, default=found[0].plausible))
     usual = f"{beside}: {_SEEN[seen.pop() if len(seen) == 1 else 'part']}" if beside else ""

@@ -16,7 +16,8 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.column_parts import Course, Own, Step
 from metrocli.diagnosis.linear.columns import Columns, gathered, joined
 from metrocli.diagnosis.linear.projection import VISIBLE, System
-from metrocli.diagnosis.linear.signatures import of_places, scan, scan_with_values
+from metrocli.diagnosis.linear.scans import any_apart, is_filled, scanned_columns, scans, sketch_vectors
+from metrocli.diagnosis.linear.signatures import of_places, scan
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import can_act, lacking, names_for, places_of
 from metrocli.effects.model import Model
@@ -24,11 +25,6 @@ from metrocli.effects.model import Model
 _MOST_PLACES = 3000
 _SMALL = 1e-6
 """Visible share of the squares of a signature below which its visible part is computed, not a difference"""
-_MOST_SCANNED, _FEWEST_SCANNED = 20_000_000, 8
-"""Largest number of elements of a scan's columns, and the number of values that are tried in any case
-
-The best value is refined between its neighbours, so a coarse scan finds the same value.
-"""
 
 
 @dataclass(frozen=True)
@@ -98,6 +94,15 @@ class Family:
                 full[:, at] = 0.0
                 full[self.whole[number].rows, at] = self.whole[number].values
         return system.basis.coordinates(full)
+
+    def has_gaps(self, system: System, chosen: Sequence[int]) -> bool:
+        """Return whether the scan of a cause at one place, by its alternatives, misses forms between its values."""
+        effect = self.alternatives[chosen[0]].effect
+        if not is_filled(effect):
+            return False
+        name = effect.scanned[0].name
+        ordered = sorted(chosen, key=lambda at: dict(self.alternatives[at].scanned)[name])
+        return any_apart(self.columns.products(sketch_vectors(system), ordered))
 
 
 @dataclass(frozen=True)
@@ -231,36 +236,12 @@ def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
     return places if effect.scanned else [place for place in places if place not in there]
 
 
-def _scans(model: Model, effect: Effect, rows: int) -> list[tuple[tuple[str, float], ...]]:
-    """Return all combinations of scanned values to try; one empty combination without scanned parameters."""
-    grids: list[list[tuple[str, float]]] = []
-    for parameter in effect.scanned:
-        values: Array = np.zeros(0)
-        if parameter.place:
-            values = np.arange(1.0, len(model.places[parameter.place].names))
-        elif parameter.grid is not None:
-            most = parameter.tried
-            if not effect.is_step:
-                most = int(np.clip(_MOST_SCANNED / (rows * len(effect.parameters)), _FEWEST_SCANNED, most))
-            values = thinned(parameter.grid(model.readings[0].observations.conditions), most)
-        grids.append([(parameter.name, float(value)) for value in values])
-    return list(product(*grids))
-
-
-def thinned(values: Array, most: int) -> Array:
-    """Return at most `most` of the values, evenly spaced in their order."""
-    if len(values) <= most:
-        return values
-    return np.asarray(values[np.linspace(0, len(values) - 1, most).astype(int)])
-
-
 def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]) -> Iterator[_Columns]:
     """Yield for each place and scan the columns of its parameters."""
-    scans = [dict(one) for one in _scans(job.model, effect, system.rows)]
-    if scans and effect.is_step:
-        yield from _steps(job, system, effect, places, scans)
+    if effect.is_step:
+        yield from _steps(job, system, effect, places)
         return
-    for scanned, (full, block, chosen) in scan_with_values(job.model, system, effect, places, scans):
+    for scanned, (full, block, chosen) in scanned_columns(job.model, system, effect, places):
         for place, names, own in of_places(job.model, block, chosen, places):
             changed = Own.of(full, own)
             if len(changed.rows) >= job.fewest:
@@ -269,24 +250,21 @@ def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[
                 yield _Columns(alternative, changed)
 
 
-def _steps(
-    job: AdjustedJob,
-    system: System,
-    effect: Effect,
-    places: Sequence[tuple[str, ...]],
-    scans: Sequence[Mapping[str, float]],
-) -> Iterator[_Columns]:
+def _steps(job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]) -> Iterator[_Columns]:
     """Yield for each place and time the columns of an effect that acts from this time on.
 
     They are those of the effect that acts from the earliest time on, without the rows before.
     """
     name, times = effect.scanned[0].name, system.times
+    tried = scans(job.model, effect, system.rows)
+    if not tried:
+        return
     full, block, chosen = next(scan(job.model, system, effect, places, [{name: float(np.nanmin(times))}]))
     courses = []
     for place, names, own in of_places(job.model, block, chosen, places):
         course = Course.of(Own.of(full, own), times)
         courses.append((place, names, course, times[course.rows]))
-    for scanned in scans:
+    for scanned in tried:
         for place, names, course, ordered in courses:
             begin = int(np.searchsorted(ordered, scanned[name]))
             if len(course.rows) - begin >= job.fewest:

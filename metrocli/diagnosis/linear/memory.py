@@ -19,6 +19,7 @@ from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Part
 from metrocli.diagnosis.linear.linearised import local_members, shared_unknowns
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS
+from metrocli.diagnosis.linear.scans import most_tried
 from metrocli.diagnosis.linear.smooth_terms import columns_of_smooth
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model
@@ -113,21 +114,21 @@ def needed(job: AdjustedJob) -> float:
     factors are those of measured networks of 10,000 and 100,000 points.
     """
     rows = sum(group.observations.readings.size for group in job.model.groups)
-    columns = columns_of_smooth(job) + _columns_of_effects(job)
+    columns = columns_of_smooth(job) + _columns_of_effects(job, rows)
     return _FIXED + 8.0 * rows * (_COPIES * shared_unknowns(job.model) + _HELD * columns)
 
 
-def _columns_of_effects(job: AdjustedJob) -> int:
+def _columns_of_effects(job: AdjustedJob, rows: int) -> int:
     """Return how many columns of effects each row has at most, those of a step once."""
     sought = (one for one in job.effects if not one.of_one_reading and one.name not in job.not_sought)
-    return sum(len(one.parameters) * math.prod(_tried(job.model, one)) for one in sought)
+    return sum(len(one.parameters) * math.prod(_tried(job.model, one, rows)) for one in sought)
 
 
-def _tried(model: Model, effect: Effect) -> Iterator[int]:
+def _tried(model: Model, effect: Effect, rows: int) -> Iterator[int]:
     """Yield how many values of each scanned parameter are tried at most."""
     for parameter in () if effect.is_step else effect.scanned:
         place = model.places.get(parameter.place)
-        yield parameter.tried if place is None else len(place.names)
+        yield most_tried(effect, rows) if place is None else len(place.names)
 
 
 def at_hand() -> float:

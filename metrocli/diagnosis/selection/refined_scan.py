@@ -11,25 +11,40 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.linear.candidates import Alternative, Family, thinned
+from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.column_parts import Own
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns
+from metrocli.diagnosis.linear.scans import is_filled, thinned
 from metrocli.diagnosis.linear.score_tests import Remembered, ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
+from metrocli.diagnosis.selection.search import STRUCTURED, continued
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from metrocli.effects.links.own import NoValueAtReadingError
 
 _TRIED = 40
 _ROUNDS = 2
+_NEAR, _STARTS = 0.7, 5
+"""Values of a scan that explain at least this share of what its best one does are refined too, at most so many"""
 
 
 def refined_scans(job: AdjustedJob, selection: Selection) -> Selection:
     """Return the selection with the scanned parameters of its effects at their best values.
 
-    The levels stay those of the coarse scan, which are corrected for the number of values tried.
+    A second value of the same cause at the same place can correct the first one's scan: it is sought again beside the
+    first one's best value. The levels stay those of the scan, which are corrected for the number of values tried.
     """
+    first = {selection.alternative(one).spot: one for one in reversed(selection.named)}
+    again = [one for one in selection.named if first[selection.alternative(one).spot] is not one]
+    if any(is_filled(selection.alternative(one).effect) for one in again):
+        selection = continued(_refined(job, selection.without(*again)), STRUCTURED)
+    return _refined(job, selection)
+
+
+def _refined(job: AdjustedJob, selection: Selection) -> Selection:
+    """Return the selection with each scanned parameter at its best value beside the rest, in some rounds."""
     for _ in range(_ROUNDS):
         for one in selection.named:
-            alternative = selection.test_set.families[one.family].alternatives[one.number]
+            alternative = selection.alternative(one)
             for parameter in alternative.effect.scanned:
                 if parameter.grid is not None:
                     selection = _closer(job, selection, _same(selection, one), parameter.name)
@@ -50,26 +65,27 @@ def _same(selection: Selection, one: Chosen) -> Chosen:
 
 
 def _closer(job: AdjustedJob, selection: Selection, one: Chosen, name: str) -> Selection:
+    """Return the selection with a scanned parameter at its best value between values of the scan.
+
+    The best value need not lie beside the best one of the scan: it lies beside one that is nearly as good.
+    """
     test_set = selection.test_set
     family = test_set.families[one.family]
     alternative = family.alternatives[one.number]
-    values = _between(job, family, alternative, name)
-    if not len(values):
-        return selection
     fitted = selection.beside(one)
     best, most = alternative, test_set.score(one.family, fitted, [one.number]).gain[0]
     shown = whole = one.columns
-    for value in values.tolist():
-        scanned = tuple((key, value if key == name else old) for key, old in alternative.scanned)
-        tried = replace(alternative, scanned=scanned)
-        try:
-            full = signature(job.model, test_set.system, tried.effect, tried.instance, dict(scanned))
-        except NoValueAtReadingError:
-            continue
-        seen = test_set.system.seen(full)
-        gain = fitted.squares - fitted.with_columns(seen).squares
-        if gain > most * (1 + 1e-9):
-            best, most, shown, whole = tried, gain, seen, full
+    for start in _starts(test_set, one, fitted, name):
+        for value in _between(job, family, start, name).tolist():
+            tried = replace(start, scanned=tuple((k, value if k == name else old) for k, old in start.scanned))
+            try:
+                full = signature(job.model, test_set.system, tried.effect, tried.instance, dict(tried.scanned))
+            except NoValueAtReadingError:
+                continue
+            seen = test_set.system.seen(full)
+            gain = fitted.squares - fitted.with_columns(seen).squares
+            if gain > most * (1 + 1e-9):
+                best, most, shown, whole = tried, gain, seen, full
     if best is alternative:
         return selection
     grown = _with_alternative(test_set, one.family, best, shown, whole)
@@ -77,16 +93,42 @@ def _closer(job: AdjustedJob, selection: Selection, one: Chosen, name: str) -> S
     return replace(selection, test_set=grown).with_one(new, instead=one)
 
 
-def _between(job: AdjustedJob, family: Family, alternative: Alternative, name: str) -> Array:
-    """Return values of a scanned parameter between the tried neighbours of the best value."""
-    parameter = next(p for p in alternative.effect.scanned if p.name == name)
+def _starts(test_set: ScoreTests, one: Chosen, fitted: FittedColumns, name: str) -> list[Alternative]:
+    """Return the alternatives that differ in a scanned parameter only and are nearly as good, the best first.
+
+    Of neighbours in the scan only the better one is a start.
+    """
+    family = test_set.families[one.family]
+    chosen = family.alternatives[one.number]
+    alike = [i for i, other in enumerate(family.alternatives) if _differs_in(chosen, other, name)]
+    alike.sort(key=lambda i: dict(family.alternatives[i].scanned)[name])
+    gains = test_set.score(one.family, fitted, alike).gain
+    higher = np.concatenate([[-np.inf], gains, [-np.inf]])
+    peaks = (gains >= higher[:-2]) & (gains >= higher[2:]) & (gains > _NEAR * gains.max(initial=0.0))
+    ranked = sorted(np.flatnonzero(peaks).tolist(), key=lambda at: -gains[at])[:_STARTS]
+    return [family.alternatives[alike[at]] for at in ranked]
+
+
+def _differs_in(one: Alternative, other: Alternative, name: str) -> bool:
+    """Return whether two alternatives of a cause differ in one scanned parameter at most."""
+    others = [{key: value for key, value in each.scanned if key != name} for each in (one, other)]
+    return one.like(other) and others[0] == others[1]
+
+
+def _between(job: AdjustedJob, family: Family, start: Alternative, name: str) -> Array:
+    """Return values of a scanned parameter between the tried neighbours of one."""
+    parameter = next(p for p in start.effect.scanned if p.name == name)
     if parameter.grid is None:
         return np.zeros(0)
-    tried = np.unique([dict(one.scanned)[name] for one in family.alternatives if one.instance == alternative.instance])
-    own = dict(alternative.scanned)[name]
+    tried = np.unique([dict(one.scanned)[name] for one in family.alternatives if one.instance == start.instance])
+    own = dict(start.scanned)[name]
     low, high = tried[tried < own].max(initial=-np.inf), tried[tried > own].min(initial=np.inf)
-    values = parameter.grid(job.model.readings[0].observations.conditions)
-    return thinned(values[(values > low) & (values < high) & (values != own)], _TRIED)
+    values = np.sort(parameter.grid(job.model.readings[0].observations.conditions))
+    inside = np.flatnonzero((values > low) & (values < high))
+    if start.effect.is_step or not len(inside):
+        return thinned(values[inside][values[inside] != own], _TRIED)
+    # a grid can be coarser than the readings tell
+    return np.interp(np.linspace(inside[0], inside[-1], _TRIED), np.arange(len(values)), values)
 
 
 def _with_alternative(

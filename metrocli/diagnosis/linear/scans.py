@@ -1,0 +1,145 @@
+"""Values of scanned parameters that are tried: so many that no form of an effect between two of them is missed.
+
+Method: docs/algorithms/selection-and-levels.md (scans).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.observations import Mask
+from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.signatures import of_places, scan_with_values
+from metrocli.effects.effect import Effect
+from metrocli.effects.links.own import NoValueAtReadingError
+from metrocli.effects.model import Model
+
+_MOST_ELEMENTS, _FEWEST, _MOST = 20_000_000, 8, 1000
+"""Largest number of elements of a scan's columns, the number of values tried in any case, and the largest number"""
+ALIKE, _APART = 0.5, 0.25
+"""Mean squared cosine of two values' visible columns below which one between them is tried, or is missing
+
+At 0.5 a form halfway keeps 85 % of its sum of squares along each of the two, at 0.25 it keeps 75 %.
+"""
+_DRAWS = 48
+"""Random visible vectors that stand for the columns: their products give cosines to 0.15"""
+_PLACES = 10
+"""Largest number of places whose columns are compared"""
+
+
+def scans(model: Model, effect: Effect, rows: int) -> list[dict[str, float]]:
+    """Return all combinations of scanned values to begin with; one empty combination without scanned parameters."""
+    grids: list[list[tuple[str, float]]] = []
+    for parameter in effect.scanned:
+        values: Array = np.zeros(0)
+        if parameter.place:
+            values = np.arange(1.0, len(model.places[parameter.place].names))
+        elif parameter.grid is not None:
+            grid = parameter.grid(model.readings[0].observations.conditions)
+            values = thinned(grid, parameter.tried if effect.is_step else min(parameter.tried, _held(effect, rows)))
+        grids.append([(parameter.name, float(value)) for value in values])
+    return [dict(one) for one in itertools.product(*grids)]
+
+
+def thinned(values: Array, most: int) -> Array:
+    """Return at most `most` of the values, evenly spaced in their order."""
+    if len(values) <= most:
+        return values
+    return np.asarray(values[np.linspace(0, len(values) - 1, most).astype(int)])
+
+
+def most_tried(effect: Effect, rows: int) -> int:
+    """Return how many values of a scanned parameter are tried at most, those in between included."""
+    tried = max((one.tried for one in effect.scanned), default=1)
+    return max(tried, min(_MOST, _held(effect, rows))) if is_filled(effect) else tried
+
+
+def _held(effect: Effect, rows: int) -> int:
+    return max(_MOST_ELEMENTS // (rows * len(effect.parameters)), _FEWEST)
+
+
+def is_filled(effect: Effect) -> bool:
+    """Return whether values in between are tried: one scanned parameter, which is no time of a step and no place."""
+    return len(effect.scanned) == 1 and not effect.is_step and effect.scanned[0].grid is not None
+
+
+def scanned_columns(
+    model: Model, system: System, effect: Effect, places: Sequence[tuple[str, ...]]
+) -> Iterator[tuple[Mapping[str, float], tuple[Array, Block, Mask]]]:
+    """Yield the scanned values with what `scan` yields, and values in between until neighbours' columns are alike.
+
+    So a wave whose period lies between two values of a coarse scan is not missed.
+    """
+    start = scans(model, effect, system.rows)
+    if not is_filled(effect) or len(start) < 2:
+        yield from scan_with_values(model, system, effect, places, start)
+        return
+    parameter = effect.scanned[0]
+    assert parameter.grid is not None
+    grid = np.sort(parameter.grid(model.readings[0].observations.conditions))
+    seen, sketches = sketch_vectors(system), dict[float, list[Array]]()
+    wanted, left = start, most_tried(effect, system.rows) - len(start)
+    while wanted:
+        for scanned, found in _with_values(model, system, effect, places, wanted, first=wanted is start):
+            full, block, chosen = found
+            products = seen.T @ full
+            some = itertools.islice(of_places(model, block, chosen, places), _PLACES)
+            sketches[scanned[parameter.name]] = [products[:, own] for _, _, own in some]
+            yield scanned, found
+        between = _between(sketches, grid)[: max(left, 0)]
+        wanted, left = [{parameter.name: value} for value in between], left - len(between)
+
+
+def _with_values(
+    model: Model,
+    system: System,
+    effect: Effect,
+    places: Sequence[tuple[str, ...]],
+    wanted: Sequence[Mapping[str, float]],
+    *,
+    first: bool,
+) -> Iterator[tuple[Mapping[str, float], tuple[Array, Block, Mask]]]:
+    """Yield what `scan_with_values` yields; that none in between has a value is no error."""
+    try:
+        yield from scan_with_values(model, system, effect, places, wanted)
+    except NoValueAtReadingError:
+        if first:
+            raise
+
+
+def sketch_vectors(system: System) -> Array:
+    """Return random visible vectors (rows, draws), whose products with columns keep the cosines between these."""
+    return system.seen(np.random.default_rng(0).standard_normal((system.rows, _DRAWS)))
+
+
+def _between(sketches: Mapping[float, Sequence[Array]], grid: Array) -> list[float]:
+    """Return the grid values halfway between neighbours whose columns differ at any place, the widest gaps first."""
+    tried = sorted(sketches)
+    at = np.searchsorted(grid, tried)
+    cosines = [
+        min((_alike(a, b) for a, b in zip(sketches[low], sketches[high], strict=False)), default=1.0)
+        for low, high in itertools.pairwise(tried)
+    ]
+    gaps = [(cosine, (a + b) // 2) for cosine, (a, b) in zip(cosines, itertools.pairwise(at), strict=True) if b - a > 1]
+    return [float(grid[middle]) for cosine, middle in sorted(gaps) if cosine < ALIKE]
+
+
+def any_apart(products: Array) -> bool:
+    """Return whether a form between any two neighbours can be missed, from their sketches (alternatives, q, draws)."""
+    return any(_alike(a.T, b.T) < _APART for a, b in itertools.pairwise(products))
+
+
+def _alike(one: Array, other: Array) -> float:
+    """Return the mean squared cosine between the spans of two sets of columns (n, q); 1 where one has none."""
+    bases = [_orthonormal(columns) for columns in (one, other)]
+    fewest = min(basis.shape[1] for basis in bases)
+    return float(((bases[0].T @ bases[1]) ** 2).sum() / fewest) if fewest else 1.0
+
+
+def _orthonormal(columns: Array) -> Array:
+    left, values, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(left[:, values > 1e-6 * values.max(initial=1e-300)])
