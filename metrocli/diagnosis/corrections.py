@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
@@ -31,7 +32,7 @@ class Mistake:
     """Factor by which its correction makes numbers smaller, and with them their residuals whatever is wrong"""
     file: str = ""
     sort: str = ""
-    """`units`, or what is wrong: mistakes of one sort in two files can be indistinguishable"""
+    """`units`, `handed`, or what is wrong: mistakes of one sort can be indistinguishable, also in two files"""
     columns: int = 1
     """Number of columns that its correction changes"""
 
@@ -44,7 +45,7 @@ def corrections(inputs: Inputs) -> Iterator[tuple[Mistake, Inputs]]:
     for key, table in inputs.items():
         if isinstance(table, Table):
             for words, write, factor, changed in _of_table(table):
-                sort = words if abs(factor) == 1.0 else "units"
+                sort = "units" if abs(factor) != 1.0 else "handed" if words in _HANDED else words
                 columns = sum(changed.columns[name] is not table.columns[name] for name in table)
                 mistake = Mistake(key, words, write, min(abs(factor), 1.0), table.file, sort, columns)
                 yield mistake, {**inputs, key: changed}
@@ -164,3 +165,7 @@ def _ordered(table: Table, names: Sequence[str], order: Sequence[str]) -> Table:
     return replace(
         table, columns={**table.columns, **{name: table.columns[old] for name, old in zip(names, order, strict=True)}}
     )
+
+
+_HANDED = {words for words, _ in (*itertools.starmap(_swap, combinations(_AXES, 2)), *map(_sign, _AXES))}
+"""What turns a right-handed list into a left-handed one: where the frame of the list is unknown, all fit alike"""

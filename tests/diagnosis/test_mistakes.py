@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import SAMPLES
 
 from benchmarks.hidden import lengths
 from metrocli.diagnosis.mistakes import strangeness, without_mistakes
@@ -96,3 +98,16 @@ def test_of_equally_good_corrections_that_of_the_fewest_columns_is_first(
     assert ran.code == 3
     assert "distance_mm is in m: read so" in ran.err
     assert "write distance_m in the heading; as good" in ran.err
+
+
+def test_a_list_whose_frame_is_unknown_is_mirrored_in_any_axis(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
+    shutil.copytree(SAMPLES / "raw-part", tmp_path / "part")
+    targets = tmp_path / "part" / "cmm" / "targets.csv"
+    targets.write_text(targets.read_text().replace("target,x_mm,y_mm,z_mm", "target,z_mm,y_mm,x_mm"))
+    job = tmp_path / "part" / "jobs" / "camera.yaml"
+    found, refused = metrocli("diagnose", job), metrocli("calibrate-camera", job)
+    assert (found.code, refused.code) == (0, 3)
+    ways = [f"{one} are swapped" for one in ("x and y", "x and z", "y and z")]
+    ways += [f"{one} has the wrong sign" for one in "xyz"]
+    assert all(way in text for text in (found.out, refused.err) for way in ways)
+    assert "which the readings do not distinguish" in found.out

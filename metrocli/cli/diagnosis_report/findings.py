@@ -24,7 +24,7 @@ from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.words import listed
 
-_SHOWN = 5
+_SHOWN = 6
 _DESCRIBED = 4
 """Most effects with lines of their own; the table lists all"""
 _LEAST_P = 1e-12
@@ -115,9 +115,11 @@ def of_design(adjusted: AdjustedJob, design: Design) -> str:
 
 def _mistake(diagnosis: Diagnosis) -> Iterator[str]:
     if diagnosis.mistaken is not None:
-        yield "A file of this job is wrong:"
-        yield from (f"  {one}" for one in diagnosis.mistaken.mistakes[:_SHOWN])
-        yield f"write: {diagnosis.mistaken.mistakes[0].write}"
+        mistakes = diagnosis.mistaken.mistakes
+        alike = " in one of these ways, which the readings do not distinguish" if mistakes[1:] else ""
+        yield f"A file of this job is wrong{alike}:"
+        yield from (f"  {one}" for one in mistakes[:_SHOWN])
+        yield f"write: {mistakes[0].write}" + (", if it is the first" if mistakes[1:] else "")
         yield "All that follows is for the corrected job."
 
 
