@@ -128,9 +128,9 @@ def _whitened(group: Group, job: AdjustedJob) -> np.typing.NDArray[np.float64]:
 def _tried(inputs: Inputs, adjust: Adjust) -> Iterator[tuple[Mistake, Misfit, AdjustedJob]]:
     """Yield the corrections with which the job can be adjusted.
 
-    After one that leaves no more than noise, only the same sort of correction is tried, also of the other files:
-    distances do not distinguish a mirrored list of points from a mirrored list of tracers, nor which axis of a list is
-    mirrored. Each try is an adjustment.
+    After one that leaves no more than noise, only the same sort of correction is tried, also of the other files.
+    Distances do not distinguish a mirrored list of points from a mirrored list of tracers, nor which axis is mirrored.
+    Each try is an adjustment.
     """
     settled = ""
     for mistake, changed in corrections(inputs):
