@@ -64,6 +64,8 @@ class Candidate:
     """
     hides: HiddenChange
     """Largest change of the delivered result by an effect that is not found with 95 % power"""
+    assumed: float
+    """Largest size that `hides` counts with: the largest usual one, or that found with 95 % power if it is larger"""
     absorbed_by: tuple[str, ...]
     missed: bool = False
     """Whether its scan is too coarse for the readings, so that a form between two of its values can be missed"""
@@ -193,12 +195,15 @@ def _candidate(job: AdjustedJob, test_set: ScoreTests, family: int, chosen: Sequ
     power = {int(q): needed(test_set, family, int(q), POWER) * noise**2 if q else 0.0 for q in np.unique(ranks)}
     # where even usual sizes stay unseen, the change is that of the size found with 95 % power
     unseen = size * np.sqrt(power[rank] / needed(test_set, family, rank)) / noise if rank else 0.0
-    farthest = np.sqrt(own.columns.parameters) * max(1.0, unseen / alternative.effect.plausible)
+    assumed = max(alternative.effect.plausible, unseen)
+    farthest = np.sqrt(own.columns.parameters) * assumed / alternative.effect.plausible
     reach = np.array([(power[q], farthest) for q in ranks.tolist()])
     some = thinned(np.arange(float(len(chosen))), forms_for(test_set.system, own.columns.parameters)).astype(int)
     hides = hidden_change(job, test_set.system, own, np.array(chosen)[some].tolist(), gram, reach[some])
     absorbers = () if rank else _absorbers(test_set.system, _full(job, test_set.system, alternative))
-    return Candidate(alternative, family, at, visible, size, hides, absorbers, own.has_gaps(test_set.system, chosen))
+    return Candidate(
+        alternative, family, at, visible, size, hides, assumed, absorbers, own.has_gaps(test_set.system, chosen)
+    )
 
 
 def _full(job: AdjustedJob, system: System, alternative: Alternative) -> Array:

@@ -68,7 +68,8 @@ def reason(candidate: Candidate, word: str) -> str:
         name = effect.scanned[0].name
         return f"missed between values of {name}, which are further apart than the readings tell: scan a smaller range"
     if word == Status.CANNOT_SEE:
-        return f"detected from {size:.3g} {unit} on; {seen_in_words(candidate)}"
+        hides = f"`hides` is for {units.sized(candidate.assumed, dimension)}"
+        return f"detected from {size:.3g} {unit} on; {seen_in_words(candidate)}; {hides}"
     return "" if word == Status.NAMED else f"excluded above {size:.3g} {unit}; {seen_in_words(candidate)}"
 
 

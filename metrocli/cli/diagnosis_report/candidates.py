@@ -44,15 +44,22 @@ def _line(adjusted: AdjustedJob, name: str, word: str, found: Sequence[Candidate
     sizes = [one.detectable for one in found if one.testable]
     why = ""
     if word == status.Status.NOT_TESTABLE:
-        size = units.sized(found[0].plausible, effect.parameters[0].dimension)
-        why = f"absorbed by {', '.join(found[0].absorbed_by)}; off by this if its size is {size}"
+        why = f"absorbed by {', '.join(found[0].absorbed_by)}; {_off(found)}"
     elif word == status.Status.CANNOT_SEE and any(one.missed for one in found):
         sizes, why = [], status.reason(next(one for one in found if one.missed), word)
+    elif word == status.Status.CANNOT_SEE:
+        why = _off(found)
     seen = {status.usual_seen(one) for one in found}
     beside = status.usual_beside(effect, min(sizes, default=found[0].plausible))
     usual = f"{beside}: {_SEEN[seen.pop() if len(seen) == 1 else 'part']}" if beside else ""
     most = max((one.hides for one in found), key=lambda hidden: hidden.size)
     return name, where, _status(word, sizes, effect.parameters[0].dimension), usual, _hidden(adjusted, most), why
+
+
+def _off(found: Sequence[Candidate]) -> str:
+    """Return the size of the effect for which its largest change of the result holds."""
+    most = max(found, key=lambda one: one.hides.size)
+    return f"off by this if its size is {units.sized(most.assumed, most.dimension)}"
 
 
 def _status(word: str, sizes: Sequence[float], dimension: str) -> str:
