@@ -118,6 +118,8 @@ PLANTS: dict[str, dict[str, Plant]] = {
         "machine-scale": Plant({"scale": "machine_scale"}, where="axis"),
         "machine-squareness": Plant({"angle": "squareness"}, where="pair"),
         "machine-straightness": Plant({"b1": "bow.0", "b2": "bow.1"}, where="axis"),
+        "machine-angular": Plant({name: f"angular.{i}" for i, name in enumerate(("rx", "ry", "rz"))}, where="axis"),
+        "spindle-growth": Plant({"rate": "growth"}, by="t"),
         "stretched-targets": Plant({"stretch": "stretched.0", "shear": "stretched.1"}),
         "part-drift": Plant({name: f"drift.{i}" for i, name in enumerate(("vx", "vy", "vz"))}),
         "radial-distortion": Plant({"dk1": "k1"}),
@@ -131,6 +133,8 @@ _TYPICAL = {
     "moved": 0.1,
     "bad_pose": 0.1,
     "bow": 1e-7,
+    "angular": 1e-7,
+    "growth": 1e-5,
     "cx": 1.0,
 }
 """Sizes at which signatures are taken, where 1e-4 is not of the right order"""
@@ -152,7 +156,7 @@ def effects_of(plant: Plant, values: Mapping[str, float], place: str) -> dict[st
             found[key] = values[name]
     if plant.where in ("target", "image"):
         found[plant.where] = int(place[1:])
-    if "bow" in found:
+    if "bow" in found or "angular" in found:
         found["axis"] = "xyz".index(place)
     return found
 

@@ -178,11 +178,18 @@ def aligned(scene: Scene, unknowns: Array, effects: Effects) -> tuple[Array, Arr
         spindle[:, (i + 2) % 3] += effects["bow"][1] * arc
     if "bad_pose" in effects:
         spindle[effects["image"], :3] += effects["bad_pose"]
+    turn = rotation(spindle[:, 3:])
+    if "angular" in effects:
+        along = commanded[:, effects["axis"]]
+        turned = np.outer(along - (along.min() + along.max()) / 2, effects["angular"])
+        turn = rotation(turned) @ turn
+    grown = effects.get("growth", 0.0) * (scene.time - scene.time.min(initial=np.inf))
+    spindle[:, :3] += turn[:, :, 2] * grown[:, None]
     mounting = scene.given["mounting"]
     gamma = unknowns[6] if scene.angle_free else effects.get("gamma_s", 0.0)
     tilt = np.array([effects.get("alpha_s", 0.0), effects.get("beta_s", 0.0), 0.0])
     clamp = rotation(np.array([0.0, 0.0, -gamma])) @ rotation(tilt)
-    held = rotation(spindle[:, 3:]) @ clamp
+    held = turn @ clamp
     camera = held @ rotation(mounting[3:])
     centre = held @ (mounting[:3] + [effects.get("dx", 0.0), effects.get("dy", 0.0), 0.0]) + spindle[:, :3]
     part = rotation(unknowns[3:6])

@@ -69,6 +69,36 @@ def test_a_bent_axis_acts_as_poses_on_an_arc(axis: str, across: tuple[int, int])
     assert np.allclose(found, predicted(by_hand), rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("axis", "xyz")
+def test_an_axis_that_rolls_pitches_and_yaws_acts_as_poses_that_turn(axis: str) -> None:
+    """Rotations by hand, to second order; the lever is that from the spindle's position to the camera."""
+    table = effect("align-part", "machine-angular")
+    model = with_conditions(alignment(table))
+    rates = {"rx": 3e-8, "ry": -5e-8, "rz": 4e-8}
+    held = model.blocks["spindle"]
+    along = held.values[:, "xyz".index(axis)]
+    turn = np.outer(along - (along.min() + along.max()) / 2, list(rates.values()))
+    by_hand = model.with_blocks({**model.blocks, "spindle": held.moved(np.hstack([np.zeros_like(turn), turn]))})
+    found = predicted(with_effect(model, table, [(axis,)], rates))
+    assert np.abs(predicted(by_hand) - predicted(model)).max() > 1e-3
+    assert np.allclose(found, predicted(by_hand), rtol=0, atol=1e-6)
+
+
+def test_a_spindle_that_grows_moves_its_poses_along_it() -> None:
+    table = effect("align-part", "spindle-growth")
+    model = with_conditions(alignment(table))
+    held = model.blocks["spindle"]
+    (group,) = model.readings
+    first = [int(np.argmax(group.observations.index["spindle"] == image)) for image in range(12)]
+    growth = -1e-4 * group.observations.conditions["elapsed"][first]
+    moved = held.values.copy()
+    moved[:, :3] += held.rotations[:, :, 2] * growth[:, None]
+    by_hand = model.with_blocks({**model.blocks, "spindle": replace(held, values=moved)})
+    found = predicted(with_effect(model, table, [()], {"rate": -1e-4}))
+    assert np.abs(predicted(by_hand) - predicted(model)).max() > 1e-2
+    assert np.allclose(found, predicted(by_hand), rtol=0, atol=1e-9)
+
+
 def test_air_that_is_warmer_above_shortens_lengths_by_half_the_height() -> None:
     table = effect("multilaterate", "air-gradient")
     model = MEASURED["multilaterate"].model(table)

@@ -18,22 +18,21 @@ _EYE = np.eye(3)[:, :, None]
 class Shift(AtQuantity):
     """A point is displaced: `X += s d c`, c = 1 or a condition; d has one to three columns, along x, y, z.
 
-    x, y, z are those of the quantity's frame. s = -1 if the frame moves and not the point, as with a camera's holder
-    or the machine.
+    x, y, z are those of the quantity's frame; `first` is 2 if d has one column along z. s = -1 if the frame moves and
+    not the point, as with a camera's holder or the machine.
     """
 
     sign: float = 1.0
     condition: str = ""
+    first: int = 0
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point (3, n)."""
         shift = local.rows(self.block)
-        by_shift = self.sign * _EYE[:, : len(shift)]
+        by_shift = self.sign * _EYE[:, self.first : self.first + len(shift)]
         if self.condition:
             by_shift = by_shift * local.observations.conditions[self.condition]
-        moved = value.copy()
-        moved[: len(shift)] += shift * by_shift[range(len(shift)), range(len(shift))]
-        return Step(moved, _EYE, {self.block: by_shift})
+        return Step(value + (by_shift * shift).sum(axis=1), _EYE, {self.block: by_shift})
 
 
 @dataclass(frozen=True)

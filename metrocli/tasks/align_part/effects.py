@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.effect import ELAPSED, Effect, Parameter
+from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter
 from metrocli.effects.links.affine import Stretch
 from metrocli.effects.links.coupling_tilt import CouplingTilt
 from metrocli.effects.links.eccentricity import TargetEccentricity
 from metrocli.effects.links.growth import Growth
 from metrocli.effects.links.lens_changes import LensChange
+from metrocli.effects.links.machine_angles import MachineAngles
 from metrocli.effects.links.shifts import MachineBow, MachineError, Shift
 from metrocli.tasks.shared.images.places import IMAGE, image_point
 from metrocli.units import parse_quantity
@@ -26,6 +27,22 @@ def _size(name: str, dimension: str, plausible: str) -> Parameter:
 
 def _sizes(names: tuple[str, ...], dimension: str, plausible: str) -> tuple[Parameter, ...]:
     return tuple(_size(name, dimension, plausible) for name in names)
+
+
+def _spindle_growth(by: str, condition: str, rate: Parameter, usual: str) -> Effect:
+    return Effect(
+        "spindle-growth",
+        "the spindle grows along its axis while the images are taken: bearings and motor warm up or cool down",
+        (rate,),
+        lambda block, where: Shift(block, Quantity.POINT_IN_SPINDLE, sign=-1.0, condition=condition, first=2),
+        where=("by",),
+        by=by,
+        needs=({"t": "t", "T": "temp"}[by],),
+        confused_with=("part-drift",),
+        usual=usual,
+        reveal="poses with the spindle tilted, the first poses again at the end, and the spindle's temperature",
+        source="ISO 230-3: thermal distortion caused by rotating spindles",
+    )
 
 
 PLACES = (
@@ -140,7 +157,7 @@ EFFECTS: tuple[Effect, ...] = (
         (_size("scale", "ratio", "200 ppm"),),
         lambda block, where: MachineError(block, "xyz".index(where["axis"]), "xyz".index(where["axis"])),
         where=("axis",),
-        confused_with=("part-expansion", "focal-change"),
+        confused_with=("part-expansion", "focal-change", "machine-angular"),
         usual="1 to 1000 ppm",
         reveal="targets seen from poses far apart along this axis, and a calibrated length along it",
         source="ISO 230-2; ISO 230-3",
@@ -151,7 +168,7 @@ EFFECTS: tuple[Effect, ...] = (
         (_size("angle", "angle", "200 urad"),),
         lambda block, where: MachineError(block, "xyz".index(where["pair"][0]), "xyz".index(where["pair"][1])),
         where=("pair",),
-        confused_with=("part-drift", "clamping-angle"),
+        confused_with=("part-drift", "clamping-angle", "machine-angular"),
         usual="5 urad to 1 mrad",
         reveal="targets in a plane seen from poses far apart along both axes",
         source="ISO 230-1",
@@ -168,16 +185,29 @@ EFFECTS: tuple[Effect, ...] = (
         source="ISO 230-1:2012 (EYX, EZX and the like)",
     ),
     Effect(
+        "machine-angular",
+        "roll, pitch and yaw of an axis of the machine grow along it: the spindle, and the camera in it, turn",
+        _sizes(("rx", "ry", "rz"), "curvature", "1e-7 1/mm"),
+        lambda block, where: MachineAngles(block, "xyz".index(where["axis"])),
+        where=("axis",),
+        confused_with=("machine-scale", "machine-squareness"),
+        usual="1e-9 to 1e-7 1/mm",
+        reveal="targets at different distances and in all corners of the image, from poses far apart along this axis",
+        source="ISO 230-1:2012 (EAX, EBX, ECX and the like)",
+    ),
+    Effect(
         "part-drift",
         "the part moves in the machine while the images are taken: clamping, floor, warming up",
         _sizes(("vx", "vy", "vz"), "speed", "0.1 mm/min"),
         lambda block, where: Shift(block, _MACHINE, condition=ELAPSED),
         needs=("t",),
-        confused_with=("machine-squareness", "bad-pose"),
+        confused_with=("machine-squareness", "bad-pose", "spindle-growth"),
         usual="1 um/min to 0.1 mm/min",
         reveal="the first poses again at the end",
         source="ISO 230-3: drift over time",
     ),
+    _spindle_growth("t", ELAPSED, _size("rate", "speed", "10 um/min"), "1 um/h to 1 um/min"),
+    _spindle_growth("T", WARMING, Parameter("rate", plausible=0.1, base="mm K-1"), "1e-3 to 1e-2"),
     Effect(
         "radial-distortion",
         "the distortion of the lens is not that of its calibration",

@@ -112,6 +112,8 @@ ALIGNED = {
     "machine-scale": "axis=x,scale=200 ppm",
     "machine-squareness": "pair=xy,angle=1 mrad",
     "machine-straightness": "axis=x,b1=3e-3 1/m,b2=-3e-3 1/m",
+    "machine-angular": "axis=x,rx=3e-3 1/m,ry=-2e-3 1/m,rz=4e-3 1/m",
+    "spindle-growth": "by=t,rate=-20 um/min",
     "part-drift": "vx=20 um/min,vy=40 um/min,vz=-20 um/min",
     "radial-distortion": "dk1=0.01",
     "bad-pose": "image=image3,dx=1 mm,dy=2 mm,dz=-1 mm",
@@ -124,7 +126,7 @@ def test_an_alignment_finds_what_was_planted(name: str, tmp_path: Path, metrocli
     """Six targets in each image, the spindle turned between images."""
     job = small_jobs.turned(tmp_path)
     keys = [pair.partition("=") for pair in ALIGNED[name].split(",")]
-    where = "".join(f", {key}: {value}" for key, _, value in keys if key in ("target", "axis", "pair", "image"))
+    where = "".join(f", {key}: {value}" for key, _, value in keys if key in ("target", "axis", "pair", "image", "by"))
     job.write_text(f"{job.read_text()}effects: [{{name: {name}{where}}}]\n")
     truth = simulated(tmp_path, job, metrocli, "--effect", f"{name}:{ALIGNED[name]}")
     ran = metrocli("align-part", job, "--json", "--set", "inputs.observations=new/observations.csv")
