@@ -34,6 +34,8 @@ class Variable:
     """Blocks that it depends on"""
     needs: tuple[str, ...] = ()
     """Conditions without which a reading does not have it"""
+    of_data: bool = False
+    """Whether it is a further column of the data; a parameter of the same name comes before it"""
 
 
 OfPlace = Callable[[str], tuple[Variable, ...]]
@@ -107,7 +109,7 @@ def measured(name: str, heading: str, unit: Compound) -> Variable:
     def at(value: Array, local: Local) -> Step:
         return Step(unit.factor * local.observations.conditions[heading][None])
 
-    return Variable(name, base_unit(unit.powers), at, needs=(heading,))
+    return Variable(name, base_unit(unit.powers), at, needs=(heading,), of_data=True)
 
 
 def component(name: str, unit: str, number: int) -> Variable:

@@ -10,10 +10,12 @@ from typing import Any
 
 from metrocli import tasks
 from metrocli.effects import wanted as effects
+from metrocli.effects.own import columns
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, UsageError
+from metrocli.formats.csv_headings import numeric
 from metrocli.nodes import Node
-from metrocli.project import further_columns, yaml_text
+from metrocli.project import yaml_text
 from metrocli.project.campaign import KEY as CAMPAIGN
 from metrocli.project.campaign import Part, bound, parts_of
 from metrocli.project.heading import Heading
@@ -135,10 +137,10 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     heading, settings = read_sections(root, (Heading, section), faults)
     named = (*(heading.effects if heading is not BAD else ()), *more)
     inputs = inputs_of(root, section, faults)
-    columns = further_columns.variables(inputs)
-    places = further_columns.with_variables(tasks.KINDS[kind].task().places, columns)
+    further = columns.variables(((item.spec, item.paths) for item in inputs), numeric)
+    places = columns.with_variables(tasks.KINDS[kind].task().places, further)
     own = Own() if heading is BAD else own_effects(heading, Defining(kind, path, places, wishes.files), faults)
-    inputs = tuple(further_columns.reading(item, columns, own.effects) for item in inputs)
+    inputs = tuple(replace(item, spec=columns.reading(item.spec, further, own.effects)) for item in inputs)
     wanted = effects.read((*tasks.KINDS[kind].task().effects, *own.effects), named, faults) if named else ()
     if heading is not BAD and settings is not BAD and heading.require and len(wanted) == len(named):
         known = figures_of(kind, settings, wanted)

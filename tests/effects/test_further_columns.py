@@ -212,3 +212,11 @@ def test_only_a_column_that_is_used_counts_as_read(hall: Path, metrocli: Metrocl
     assert "the column 'load_kN' is not used" in metrocli("multilaterate", hall).err
     hall.write_text(hall.read_text() + defined(CASES["multilaterate"]))
     assert "load_kN" not in metrocli("multilaterate", hall).err
+
+
+def test_a_new_column_changes_no_definition(hall: Path, metrocli: Metrocli) -> None:
+    own = "define: [{name: load-error, acts_on: length, adds: load*sin(3*azimuth), "
+    own += "parameters: {load: {unit: um, plausible: 5 um}}}]"
+    hall.write_text(hall.read_text() + own + "\neffects: [{name: load-error}]\n")
+    assert metrocli("check", hall).code == 0
+    assert "the column 'load_kN' is not used" in metrocli("multilaterate", hall).err

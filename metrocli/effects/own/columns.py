@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+from typing import Any
 
 from metrocli import units
 from metrocli.effects.acting import Acting, Variable, measured
 from metrocli.effects.effect import Effect
 from metrocli.expressions.dimensions import Compound, compound
-from metrocli.formats.csv_headings import numeric
-from metrocli.project.named_files import Input
 from metrocli.settings import TableFile
 
+Numeric = Callable[[Path], Iterable[str]]
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _TIME = "t"
 
 
-def variables(inputs: Iterable[Input]) -> tuple[Variable, ...]:
-    """Return a variable for each further column of numbers in the files of the readings.
+def variables(files: Iterable[tuple[Any, Sequence[Path]]], numeric: Numeric) -> tuple[Variable, ...]:
+    """Return a variable for each further column of numbers in those files that hold readings.
+
+    `files` are specifications with their paths; `numeric` returns the headings of the columns of numbers of a file.
 
     A heading such as `load_kg` is the variable `load` in kg; one that does not end in a unit is a plain number of the
     whole name. Of two headings with the same name only the first one is a variable.
     """
     found: dict[str, Variable] = {}
-    for item in inputs:
-        for heading in _headings(item) if _of_readings(item) else ():
+    for spec, paths in files:
+        for heading in _headings(spec, chain.from_iterable(map(numeric, paths))) if _of_readings(spec) else ():
             name, unit = _taken_apart(heading)
             if _NAME.fullmatch(name):
                 found.setdefault(name, measured(name, heading, unit))
@@ -41,31 +45,27 @@ def with_variables(places: Iterable[Acting], more: Sequence[Variable]) -> tuple[
     )
 
 
-def reading(item: Input, more: Iterable[Variable], effects: Iterable[Effect]) -> Input:
-    """Return an input of which the further columns are read that the effects use."""
-    if not _of_readings(item):
-        return item
+def reading(spec: Any, more: Iterable[Variable], effects: Iterable[Effect]) -> Any:
+    """Return the specification of a file of which the further columns are read that the effects use."""
+    if not _of_readings(spec):
+        return spec
     needed = {need for effect in effects for need in effect.needs}
     further = tuple(need for one in more for need in one.needs if need in needed)
-    columns = replace(item.spec.columns, further=further)
-    return replace(item, spec=TableFile(columns)) if further else item
+    return TableFile(replace(spec.columns, further=further)) if further else spec
 
 
-def _of_readings(item: Input) -> bool:
-    """Return whether an input is a table of readings, or of what was noted when they were made."""
-    if not isinstance(item.spec, TableFile):
+def _of_readings(spec: Any) -> bool:
+    """Return whether a file is a table of readings, or of what was noted when they were made."""
+    if not isinstance(spec, TableFile):
         return False
-    columns = item.spec.columns
+    columns = spec.columns
     return bool(columns.measured) or any(one.name == _TIME for one in columns.columns)
 
 
-def _headings(item: Input) -> Iterable[str]:
-    """Yield the headings of columns of numbers that the kind of job does not read itself."""
-    own = {column.name for column in item.spec.columns.columns}
-    for path in item.paths:
-        for heading in numeric(path):
-            if not {heading, heading.rpartition("_")[0]} & own:
-                yield heading
+def _headings(spec: TableFile, there: Iterable[str]) -> Iterator[str]:
+    """Yield the headings that the kind of job does not read itself."""
+    own = {column.name for column in spec.columns.columns}
+    return (heading for heading in there if not {heading, heading.rpartition("_")[0]} & own)
 
 
 def _taken_apart(heading: str) -> tuple[str, Compound]:
