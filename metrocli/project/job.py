@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -137,10 +138,12 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     heading, settings = read_sections(root, (Heading, section), faults)
     named = (*(heading.effects if heading is not BAD else ()), *more)
     inputs = inputs_of(root, section, faults)
-    further = columns.variables(((item.spec, item.paths) for item in inputs), numeric)
-    places = columns.with_variables(tasks.KINDS[kind].task().places, further)
+    files = tuple((item.spec, item.paths) for item in inputs)
+    further = cache(lambda: columns.variables(files, numeric))
+    places = cache(lambda: columns.with_variables(tasks.KINDS[kind].task().places, further()))
     own = Own() if heading is BAD else own_effects(heading, Defining(kind, path, places, wishes.files), faults)
-    inputs = tuple(replace(item, spec=columns.reading(item.spec, further, own.effects)) for item in inputs)
+    if any(effect.definition for effect in own.effects):
+        inputs = tuple(replace(item, spec=columns.reading(item.spec, further(), own.effects)) for item in inputs)
     wanted = effects.read((*tasks.KINDS[kind].task().effects, *own.effects), named, faults) if named else ()
     if heading is not BAD and settings is not BAD and heading.require and len(wanted) == len(named):
         known = figures_of(kind, settings, wanted)

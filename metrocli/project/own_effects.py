@@ -69,8 +69,8 @@ class Defining:
 
     kind: str
     job: Path
-    places: tuple[Acting, ...]
-    """With the further columns of the data as variables"""
+    places: Callable[[], tuple[Acting, ...]]
+    """With the further columns of the data as variables; files are looked at only if something is defined"""
     files: YamlFiles
 
 
@@ -96,12 +96,13 @@ def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> Own:
         path = path_beside(node)
         if path.resolve() in {one.resolve() for one in files}:
             continue
-        effects = of_file(kind, path, taken, faults, read_before, node, given.places)
+        effects = of_file(kind, path, taken, faults, read_before, node, given.places())
         with suppress(InputError):  # which is among the faults by now
             files[path] = read_before.read(path)
         taken |= {effect.name for effect in effects}
         found += effects
-    found += read(heading.define, given.places, taken, faults)
+    if heading.define:
+        found += read(heading.define, given.places(), taken, faults)
     project = None if by_project is None else by_project.source.folder / PROJECT_FILE
     return Own(tuple(found), files, project, packages, sought)
 
