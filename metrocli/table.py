@@ -53,6 +53,8 @@ class Columns:
     """Names of columns that name a block: the image, the view."""
     fewest_copied: int = 0
     """Fewest rows of a copied block, where an instrument at rest repeats its readings"""
+    further: tuple[str, ...] = ()
+    """Headings of further columns of numbers, which effects of one's own use: read as they are, without conversion."""
     every: bool = False
     """Read every column under its full name: as numbers, or as text if any cell is not a number."""
 
@@ -71,6 +73,8 @@ class Table:
     """Name of each column as the file has it, with its unit."""
     warnings: tuple[str, ...] = ()
     """Remarks of the reader that are not faults, such as an unused column."""
+    further: tuple[str, ...] = ()
+    """Headings of its further columns, on which effects of one's own depend."""
     _lists: dict[str, list[str]] = field(default_factory=dict, init=False, repr=False, compare=False)
     """Text columns as lists, once they are asked for"""
 
@@ -93,6 +97,10 @@ class Table:
         if name not in self.columns and default is not None:
             return np.full(len(self), default)
         return np.asarray(self.columns[name], dtype=float)
+
+    def conditions(self, *names: str) -> dict[str, Array]:
+        """Return those of the named columns that it has, and its further columns, each (rows,)."""
+        return {name: self.numbers(name) for name in (*names, *self.further) if name in self}
 
     def texts(self, name: str) -> list[str]:
         """Return a text column as a list, the same one each time."""

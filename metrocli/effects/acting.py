@@ -12,6 +12,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import ELAPSED, WARMING
+from metrocli.expressions.dimensions import Compound, base_unit
 
 Evaluate = Callable[[Array, Local], Step]
 """Returns a variable (1, n) at the quantity's value (in, n), with its derivatives as a link has them"""
@@ -33,6 +34,8 @@ class Variable:
     """Blocks that it depends on"""
     needs: tuple[str, ...] = ()
     """Conditions without which a reading does not have it"""
+    of_data: bool = False
+    """Whether it is a further column of the data; a parameter of the same name comes before it"""
 
 
 OfPlace = Callable[[str], tuple[Variable, ...]]
@@ -98,6 +101,15 @@ def condition(name: str, unit: str, key: str, *needs: str) -> Variable:
         return Step(local.observations.conditions[key][None])
 
     return Variable(name, unit, at, needs=needs or (key,))
+
+
+def measured(name: str, heading: str, unit: Compound) -> Variable:
+    """Return a variable that is a column of the data, by its heading and its unit; its value is in base units."""
+
+    def at(value: Array, local: Local) -> Step:
+        return Step(unit.factor * local.observations.conditions[heading][None])
+
+    return Variable(name, base_unit(unit.powers), at, needs=(heading,), of_data=True)
 
 
 def component(name: str, unit: str, number: int) -> Variable:

@@ -38,6 +38,8 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
     """
     raw = taken_apart(read_text(path, shown or str(path), held), shown or str(path))
     columns = _every(raw, columns) if columns.every else columns
+    further = tuple(name for name in columns.further if name in raw.header)
+    columns = replace(columns, columns=(*columns.columns, *(Column(name) for name in further)))
     places, faults = _find(raw, columns)
     complete, without_key = not faults, set[int | None]()
     values: dict[str, Values] = {}
@@ -55,7 +57,7 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
         raise InputError(shortened(faults))
     internal = {c.name: units.internal_unit(c.dimension) for c in columns.columns if _has_unit(c) and c.name in values}
     headings = {name: raw.header[index] for name, (index, _) in places.items()}
-    table = Table(values, internal, raw.file, tuple(raw.numbers), headings, _unused(raw, columns, places))
+    table = Table(values, internal, raw.file, tuple(raw.numbers), headings, _unused(raw, columns, places), further)
     copied = copies.faults(table, columns)
     if copied:
         raise InputError(shortened(copied))

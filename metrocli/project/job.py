@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from metrocli import tasks
 from metrocli.effects import wanted as effects
+from metrocli.effects.own import columns
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, UsageError
+from metrocli.formats.csv_headings import numeric
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.campaign import KEY as CAMPAIGN
@@ -19,7 +22,7 @@ from metrocli.project.campaign import Part, bound, parts_of
 from metrocli.project.heading import Heading
 from metrocli.project.named_files import Input, inputs_of, missing
 from metrocli.project.overrides import effect_node, overridden
-from metrocli.project.own_effects import Own, Package, own_effects
+from metrocli.project.own_effects import Defining, Own, Package, own_effects
 from metrocli.project.ranges import ranges_of, within
 from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import BAD, Schema, read_sections, sections_schema, settings_of
@@ -134,13 +137,18 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     section = tasks.KINDS[kind].settings()
     heading, settings = read_sections(root, (Heading, section), faults)
     named = (*(heading.effects if heading is not BAD else ()), *more)
-    own = Own() if heading is BAD else own_effects(kind, heading, path, wishes.files, faults)
+    inputs = inputs_of(root, section, faults)
+    files = tuple((item.spec, item.paths) for item in inputs)
+    further = cache(lambda: columns.variables(files, numeric))
+    places = cache(lambda: columns.with_variables(tasks.KINDS[kind].task().places, further()))
+    own = Own() if heading is BAD else own_effects(heading, Defining(kind, path, places, wishes.files), faults)
+    if any(effect.definition for effect in own.effects):
+        inputs = tuple(replace(item, spec=columns.reading(item.spec, further(), own.effects)) for item in inputs)
     wanted = effects.read((*tasks.KINDS[kind].task().effects, *own.effects), named, faults) if named else ()
     if heading is not BAD and settings is not BAD and heading.require and len(wanted) == len(named):
         known = figures_of(kind, settings, wanted)
         for requirement in heading.require:
             requirement.limit_among(known, faults)
-    inputs = inputs_of(root, section, faults)
     if heading is not BAD and heading.ranges:
         ranges = ranges_of(heading.ranges, [item.spec for item in inputs], faults)
         inputs = tuple(replace(item, spec=within(item.spec, ranges)) for item in inputs)

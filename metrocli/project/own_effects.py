@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from metrocli import tasks
+from metrocli.effects.acting import Acting
 from metrocli.effects.effect import Effect
 from metrocli.effects.own.define import read
 from metrocli.errors import Fault, InputError
@@ -62,13 +63,24 @@ class Own:
     """Where a project file was sought that may name one of the files: the nearest first, up to the one that was read"""
 
 
-def own_effects(kind: str, heading: Heading, job: Path, read_before: YamlFiles, faults: list[Fault]) -> Own:
-    """Return the effects for a job of a kind: its definitions, those of its file and its project, and of packages.
+@dataclass(frozen=True)
+class Defining:
+    """What definitions need to be read: the places where effects can act, and the files that were read before."""
+
+    kind: str
+    job: Path
+    places: Callable[[], tuple[Acting, ...]]
+    """With the further columns of the data as variables; files are looked at only if something is defined"""
+    files: YamlFiles
+
+
+def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> Own:
+    """Return the effects for a job: its definitions, those of its file and its project, and of packages.
 
     Appends a fault for each mistake, with its place.
     """
-    task = tasks.KINDS[kind].task()
-    taken = {effect.name for effect in task.effects}
+    kind, read_before = given.kind, given.files
+    taken = {effect.name for effect in tasks.KINDS[kind].task().effects}
     found: list[Effect] = []
     files: dict[Path, YamlFile] = {}
     packages: dict[str, Package] = {}
@@ -78,18 +90,19 @@ def own_effects(kind: str, heading: Heading, job: Path, read_before: YamlFiles, 
             faults.append(Fault(f"a package offers an effect '{effect.name}', which exists already"))
         taken.add(effect.name)
         found.append(effect)
-    sought = tuple(_project_files_above(job.parent))
+    sought = tuple(_project_files_above(given.job.parent))
     by_project = _of_project(sought[-1], read_before)
     for node in filter(None, (heading.effects_from, by_project)):
         path = path_beside(node)
         if path.resolve() in {one.resolve() for one in files}:
             continue
-        effects = of_file(kind, path, taken, faults, read_before, node)
+        effects = of_file(kind, path, taken, faults, read_before, node, given.places())
         with suppress(InputError):  # which is among the faults by now
             files[path] = read_before.read(path)
         taken |= {effect.name for effect in effects}
         found += effects
-    found += read(heading.define, task.places, taken, faults)
+    if heading.define:
+        found += read(heading.define, given.places(), taken, faults)
     project = None if by_project is None else by_project.source.folder / PROJECT_FILE
     return Own(tuple(found), files, project, packages, sought)
 
@@ -128,8 +141,13 @@ def of_file(
     faults: list[Fault],
     read_before: YamlFiles,
     named: Node | None = None,
+    places: tuple[Acting, ...] = (),
 ) -> list[Effect]:
-    """Return the effects that a file defines for a kind; those that only fit other kinds are left out."""
+    """Return the effects that a file defines for a kind; those that only fit other kinds are left out.
+
+    `places` are those of the kind unless given.
+    """
+    places = places or tasks.KINDS[kind].task().places
     if not path.is_file():
         message, hint = f"effects_from: no such file: {path}", "a file with effects under `define:`"
         faults.append(named.fault(message, hint) if named is not None else Fault(message, str(path), hint=hint))
@@ -149,7 +167,7 @@ def of_file(
     names, found = set(taken), list[Effect]()
     for node in define.items:
         wrong: list[Fault] = []
-        effects = read([node], tasks.KINDS[kind].task().places, names, wrong)
+        effects = read([node], places, names, wrong)
         if wrong and (_fits(kind, node) or not any(_fits(name, node) for name in tasks.KINDS if name != kind)):
             faults.extend(wrong)
         names |= {effect.name for effect in effects}

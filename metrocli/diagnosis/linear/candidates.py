@@ -20,6 +20,7 @@ from metrocli.diagnosis.linear.scans import any_apart, is_filled, scanned_column
 from metrocli.diagnosis.linear.signatures import of_places, scan
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import can_act, lacking, names_for, places_of
+from metrocli.effects.links.own import NoValueAtReadingError
 from metrocli.effects.model import Model
 
 _MOST_PLACES = 3000
@@ -125,7 +126,7 @@ def families_of(job: AdjustedJob, system: System) -> tuple[list[Family], list[No
             missing.append(NotTested(effect, job.not_sought[effect.name]))
             continue
         missing += _untestable(job.model, effect)
-        for family in _of_effect(job, system, effect):
+        for family in _of_effect(job, system, effect, missing):
             families.setdefault((family.name, family.columns.parameters), []).append(family)
     tested = {name for name, _ in families}
     seen = [one for one in missing if one.where or one.effect.name not in tested]
@@ -168,13 +169,18 @@ def _places(model: Model, effect: Effect) -> list[tuple[str, ...]]:
     return list(product(*(names_for(model, effect, key) for key in effect.keys)))[:_MOST_PLACES]
 
 
-def _of_effect(job: AdjustedJob, system: System, effect: Effect) -> Iterator[Family]:
+def _of_effect(job: AdjustedJob, system: System, effect: Effect, missing: list[NotTested]) -> Iterator[Family]:
+    """Yield the families of an effect; add to `missing` where it has no value at a reading."""
     places = _absent(job.model, effect)
     together = bool(effect.keys) and all(job.model.places[key].index for key in effect.keys)
     for chosen in [places] if together else [[place] for place in places]:
         by_size: dict[int, list[_Columns]] = {}
-        for item in _columns(job, system, effect, chosen) if chosen else ():
-            by_size.setdefault(item.own.values.shape[1], []).append(item)
+        try:
+            for item in _columns(job, system, effect, chosen) if chosen else ():
+                by_size.setdefault(item.own.values.shape[1], []).append(item)
+        except NoValueAtReadingError as error:
+            at = {} if together else dict(zip(effect.keys, chosen[0], strict=True))
+            missing.append(NotTested(effect, str(error), at))
         for items in by_size.values():
             yield _family(system, items)
 
@@ -246,8 +252,7 @@ def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[
             changed = Own.of(full, own)
             if len(changed.rows) >= job.fewest:
                 named = _scanned_places(job.model, effect, scanned)
-                alternative = Alternative(effect, place, tuple(scanned.items()), names, named)
-                yield _Columns(alternative, changed)
+                yield _Columns(Alternative(effect, place, tuple(scanned.items()), names, named), changed)
 
 
 def _steps(job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]) -> Iterator[_Columns]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.observations import Observations
 from metrocli.effects.acting import Variable
 from metrocli.effects.links.of_block import AtQuantity
 from metrocli.errors import InputError
@@ -56,12 +58,12 @@ class OwnTerms(AtQuantity):
         by_block = {self.block: np.zeros((d, local.blocks[self.block].size, n))}
         by_block |= {name: np.zeros((d, local.blocks[name].size, n)) for name in self.blocks if name != self.block}
         for number, expression in self.terms:
-            gradient = self._evaluated(expression, values)
+            gradient = self._evaluated(expression, values, local.observations)
             moved[number] += gradient.value
             for column, name in enumerate(self.parameters):
                 by_block[self.block][number, column] = gradient.by.get(name, 0.0)
             if self.wave:
-                across = self._evaluated(expression, values | {self.parameters[0]: np.ones(1)})
+                across = self._evaluated(expression, values | {self.parameters[0]: np.ones(1)}, local.observations)
                 by_block[self.block][number, 1] = across.by[self.parameters[1]]
             for name, step in known.items():
                 if name not in gradient.by:
@@ -72,12 +74,13 @@ class OwnTerms(AtQuantity):
                     by_block[block][number] += gradient.by[name] * inner[0]
         return Step(moved, by_input, by_block)
 
-    def _evaluated(self, expression: Expression, values: dict[str, Array]) -> _Gradient:
+    def _evaluated(self, expression: Expression, values: dict[str, Array], observations: Observations) -> _Gradient:
         used = [name for name in expression.names if name not in self.scanned]
         try:
             jet = expression.carried_out(Jets(expression, used, values, order=1))
         except NoValueError as error:
-            what = f"{self.name}: {error.message.replace(' at the best estimates', '')} at a reading"
+            at = _named(observations, _first_without(expression, used, values, observations.count))
+            what = f"{self.name}: {error.message.replace(' at the best estimates', '')} at {at}"
             hint = (
                 "it has a corner or a step there, which has to lie between readings"
                 if error.differentiable
@@ -86,6 +89,27 @@ class OwnTerms(AtQuantity):
             raise NoValueAtReadingError(f"{what}; {hint}") from error
         gradient = np.broadcast_to(jet.gradient, (len(used), *np.shape(jet.gradient)[1:])) if used else ()
         return _Gradient(jet.value, dict(zip(used, gradient, strict=True)))
+
+
+def _first_without(expression: Expression, used: Sequence[str], values: Mapping[str, Array], count: int) -> int:
+    """Return the first of the readings at which an expression that lacks a value somewhere has none."""
+    low, high = 0, count
+    while high - low > 1:
+        middle = (low + high) // 2
+        part = {name: one[low:middle] if np.shape(one) == (count,) else one for name, one in values.items()}
+        try:
+            expression.carried_out(Jets(expression, used, part, order=1))
+        except NoValueError:
+            high = middle
+        else:
+            low = middle
+    return low
+
+
+def _named(observations: Observations, number: int) -> str:
+    """Return the keys of a reading in words; parts of a large adjustment have none."""
+    keys = [f"{key} {names[number]}" for key, names in observations.keys.items()]
+    return f"the reading {', '.join(keys)}" if keys else "a reading"
 
 
 @dataclass(frozen=True)

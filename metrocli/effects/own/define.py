@@ -75,7 +75,8 @@ class _Reader:
         if self.faults:
             return None
         sample = {key: _SAMPLE.get(key) or next(iter(acting.split.get(key, {"": None}))) for key in where}
-        known = acting.variables_at(sample)
+        own = {*self.given.parameters, *self.given.scan}
+        known = {n: one for n, one in acting.variables_at(sample).items() if not (one.of_data and n in own)}
         self._names(known, where)
         used = self._used(known)
         if self.faults:
@@ -87,17 +88,16 @@ class _Reader:
         if self.faults:
             return None
         ordered = self._in_order(parameters, wave)
-        own = list(used)
         template = acting.variables_at(sample | ({"axis": "{axis}"} if "axis" in where else {}))
         return Effect(
             self.given.name.value,
             self.given.cause,
             ordered,
-            self._link(acting, own, ordered, scanned, wave),
+            self._link(acting, list(used), ordered, scanned, wave),
             where=where,
             scanned=tuple(scanned),
             space=Space.WAVE if wave else Space.FLAT,
-            needs=tuple(dict.fromkeys(need for name in own for need in template[name].needs)),
+            needs=tuple(dict.fromkeys(need for name in used for need in template[name].needs)),
             reveal=self.given.reveal,
             source=self.given.source,
             definition=text_of(self.node),

@@ -130,10 +130,8 @@ def _spindle_poses(sighted: Sighted, table: Table) -> tuple[Array, tuple[str, ..
     rows = np.array([place[name] for name in sighted.images], dtype=np.intp)
     unused = [name for name in place if name not in set(sighted.images)]
     warnings = (f"{len(unused)} poses have no sighting: {', '.join(unused[:8])}",) if unused else ()
-    conditions = {**sighted.observations.conditions}
-    for name in ("t", "temp"):
-        if name in table and name not in conditions:
-            conditions[name] = table.numbers(name)[rows][sighted.view]
+    of_poses = {name: values[rows][sighted.view] for name, values in table.conditions("t", "temp").items()}
+    conditions = {**of_poses, **sighted.observations.conditions}
     observations = replace(sighted.observations, conditions=conditions)
     return spindle_poses(table, rows), warnings, replace(sighted, observations=observations)
 

@@ -116,7 +116,7 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     held = spindle_poses(poses, range(len(poses)))
     part = pose_from_euler(at[:3], at[3:])
     to_camera = part_in_camera(part, held, truth.clamping_angle, model.taper)
-    images, times = tuple(poses.texts("image")), {name: poses.numbers(name) for name in ("t", "temp") if name in poses}
+    images, times = tuple(poses.texts("image")), poses.conditions("t", "temp")
     shown = Shown(model.lens, model.image_size, images, to_camera, known, model.convention, times)
     sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
     seen = sights(shown)

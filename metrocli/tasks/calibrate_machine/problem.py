@@ -233,7 +233,7 @@ def conditions(position: Array, table: Table | None = None) -> dict[str, Array]:
     found = dict(zip((*POSITION, *NOMINAL), (*position, *position), strict=True))
     if table is not None:
         _refuse_sides(table)
-        found |= {name: table.numbers(name) for name in ("t", *SIDES) if name in table}
+        found |= table.conditions("t", *SIDES)
     return found
 
 

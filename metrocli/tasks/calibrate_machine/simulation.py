@@ -143,7 +143,7 @@ def _points(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[
     columns: dict[str, Values] = {"point": np.array([f"P{i + 1:03d}" for i in range(n)])}
     columns |= dict(zip(POSITION, flow.position, strict=True))
     columns |= {f"m{axis}": row for axis, row in zip(POSITION, seen, strict=True)}
-    columns |= {name: flow.conditions[name] for name in ("t", *SIDES)}
+    columns |= flow.conditions
     if names != [""]:
         columns["tool"] = np.array(names)[flow.tool]
     return Table(columns, {**dict.fromkeys(("x", "y", "z", "mx", "my", "mz"), "mm"), "t": "s"}), model
@@ -163,7 +163,7 @@ def _stops(job: _Measurement, machine: Machine, rng: np.random.Generator) -> Flo
     moved = np.sign(np.diff(position, axis=1, prepend=position[:, :1] - 1))
     given = {"t": np.arange(position.shape[1]) * job.simulation.interval, **dict(zip(SIDES, moved, strict=True))}
     if table is not None:
-        given |= {name: table.numbers(name) for name in given if name in table}
+        given |= table.conditions(*given)
     return Flow(position, tool, given)
 
 
@@ -212,8 +212,7 @@ def _readings_of_stations(
         station = np.array([names.index(name) for name in table.texts("station")])
         points = np.array(table.texts("point"), dtype=str)
         flow = Flow(commanded(machine_of(job.settings), table), tools_of(table, job.settings), {})
-        given = {name: table.numbers(name) for name in _CONDITIONS if name in table}
-        return names, station, replace(flow, conditions=given), points
+        return names, station, replace(flow, conditions=table.conditions(*_CONDITIONS)), points
     once, n = _stops(job, machine, rng), job.simulation.points
     names = [f"S{i + 1}" for i in range(_STATIONS)] if listed is None else listed.texts("station")
     order = np.tile(np.arange(n), len(names))

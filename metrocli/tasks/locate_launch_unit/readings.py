@@ -88,7 +88,7 @@ def read(table: Table, environment: Environment | None = None) -> Readings:
         table.numbers("spindle"),
         np.stack([table.numbers(angle) for angle in ANGLES]),
         distance if air is None else distance * air.towards,
-        {name: table.numbers(name) for name in ("t", "temp") if name in table},
+        table.conditions("t", "temp"),
         table.file,
         air,
         (f"{table.file}: no pose has a distance, so `environment:` changes nothing",)

@@ -49,7 +49,7 @@ def simulated(
         distance = readings.distance + rng.normal(size=len(readings.names)) * (noise.distance or 0.0)
         air = air_of(environment, places)
         columns["distance"] = distance if air is None else distance * (1 + rng.normal() * air.std) / air.towards
-    columns |= {name: places.numbers(name) for name in _UNITS if name in places and name != "distance"}
+    columns |= places.conditions(*(name for name in _UNITS if name != "distance"))
     units |= {name: unit for name, unit in _UNITS.items() if name in columns}
     true = dict(zip("xyz", truth.place, strict=True)) | {"gamma": float(wrapped(truth.gamma))}
     return Simulation({"poses.csv": Table(columns, units)}, true | added)
@@ -59,7 +59,7 @@ def _exact(truth: Truth, noise: Noise, places: Table, effects: Sequence[Wanted])
     """Return readings without noise, and the true values of their effects; vertical beams stay without effects."""
     receiver, spindle = places.stacked("xyz"), places.numbers("spindle")
     angles, distance = aligned(np.array(truth.place), truth.gamma, receiver, spindle)
-    conditions = {name: places.numbers(name) for name in ("t", "temp") if name in places}
+    conditions = places.conditions("t", "temp")
     has = distance if truth.distances else np.full_like(distance, np.nan)
     names = tuple(places.texts("pose"))
     readings = Readings(names, receiver, np.zeros_like(receiver), spindle, angles, has, conditions)

@@ -46,7 +46,8 @@ class Planned:
     def design(self, pace: LengthSimulation | None) -> Table:
         """Return point, tracer and conditions of each reading; times and temperatures follow from `pace`, if given."""
         if self.lengths is not None:
-            return _with(self.lengths, {name: self.lengths.columns[name] for name in _KEPT if name in self.lengths})
+            kept = (*_KEPT, *self.lengths.further)
+            return _with(self.lengths, {name: self.lengths.columns[name] for name in kept if name in self.lengths})
         names, stations = self.points.texts("point"), self.tracers.texts("tracer")
         turn = np.repeat(np.arange(len(names)), len(stations)).astype(float)
         columns: dict[str, Values] = {"point": np.repeat(np.array(names), len(stations))}

@@ -163,7 +163,7 @@ def _observations(settings: Settings, readings: Readings, lengths: Table, air: A
             "point": _of_each(readings.names, readings.point),
             "tracer": _of_each(readings.stations, readings.station),
         },
-        conditions={name: lengths.numbers(name) for name in ("t", "temp") if name in lengths},
+        conditions=lengths.conditions("t", "temp"),
         components=("length",),
         unit="mm",
     )

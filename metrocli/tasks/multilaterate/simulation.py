@@ -67,7 +67,7 @@ def simulated(
     reading = reading if air is None else reading / air.towards
     said = places + rng.normal(0.0, 1.0, places.shape) * truth.tracer_error
     columns: dict[str, Values] = {"point": design.columns["point"], "tracer": design.columns["tracer"]}
-    columns |= {"length": reading} | {name: design.columns[name] for name in _UNITS if name in design}
+    columns |= {"length": reading} | design.conditions(*_UNITS)
     names = planned.tracers.texts("tracer")
     files = {
         "lengths.csv": Table(columns, {name: unit for name, unit in _UNITS.items() if name in columns}),
@@ -104,7 +104,7 @@ def _model(design: Table, planned: Planned, points: Array, stations: Array, air:
     names, tracers = planned.points.texts("point"), planned.tracers.texts("tracer")
     index = {t.POINT: matched(design, "point", names, "the points")}
     index[t.TRACER] = matched(design, "tracer", tracers, "the tracers")
-    conditions = {name: design.numbers(name) for name in ("t", "temp") if name in design}
+    conditions = design.conditions("t", "temp")
     if air is not None:
         conditions[t.AIR] = air.ratio
     observations = Observations(np.zeros((1, len(design))), np.ones(1), index, conditions=conditions)

@@ -166,8 +166,10 @@ def build(readings: Readings, size: tuple[Index, float], noise: float, lengths: 
 
 
 def _conditions(readings: Readings, pitch: float) -> dict[str, Array]:
-    given = {name: readings.table.numbers(name) for name in ("t", "temp") if name in readings.table}
-    return {**given, bg.HOLLOW: bg.hollow(readings.views, readings.view, readings.balls, pitch)}
+    return {
+        **readings.table.conditions("t", "temp"),
+        bg.HOLLOW: bg.hollow(readings.views, readings.view, readings.balls, pitch),
+    }
 
 
 def _keys(table: Table) -> dict[str, tuple[str, ...]]:

@@ -291,3 +291,10 @@ def test_json_of_next(tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.Mo
     assert [aim["why"] for aim in data["next_aims"]] == ["shows sphere-form LT5"]
     ran = metrocli("plan", "hall/jobs/hall.yaml", "--reveal", "sphere-from:LT5", "--force")
     assert ran.code == 2 and "sphere-form:LT5" in ran.err  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("count", [0, 1001])
+def test_at_most_a_thousand_readings_are_proposed(count: int, tmp_path: Path, metrocli: Metrocli) -> None:
+    assert metrocli("init", tmp_path / "hall", "--sample", "laboratory-effects").code == 0  # type: ignore[attr-defined]
+    ran = metrocli("diagnose", tmp_path / "hall/jobs/hall.yaml", "--next", str(count))
+    assert ran.code == 2 and "1<=x<=1000" in ran.err  # type: ignore[attr-defined]

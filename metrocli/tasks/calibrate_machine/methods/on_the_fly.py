@@ -156,11 +156,11 @@ def _offset(whole: Measurement, state: Mapping[str, Block]) -> Array:
 
 
 def _channels(whole: Measurement, state: Mapping[str, Block]) -> Array:
-    """Return the two coordinates of each point across its leg, from the commanded line, and its time if given."""
-    leg, points, time = whole.track.leg, whole.track.points, whole.track.time
+    """Return the two coordinates of each point across its leg, from the commanded line, and its conditions."""
+    leg, points, conditions = whole.track.leg, whole.track.points, whole.track.conditions
     across = _across(whole, state)[leg]
     values = np.einsum("nab,bn->an", across, points) - _offset(whole, state)[leg].T
-    return values if time is None else np.concatenate([values, time[None]])
+    return np.concatenate([values, *(one[None] for one in conditions.values())])
 
 
 def ways(whole: Measurement, state: Mapping[str, Block]) -> Array:
@@ -206,8 +206,7 @@ def _observations(
     condition = conditions(position) | {
         f"from_{axis}": signs[leg] for axis, signs in zip("xyz", path.last_moves(), strict=True)
     }
-    if len(few.values) > 2:
-        condition["t"] = few.values[2]
+    condition |= dict(zip(whole.track.conditions, few.values[2:], strict=True))
     return Observations(
         few.values[:2] + _offset(whole, blocks)[leg].T,
         np.ones(1),

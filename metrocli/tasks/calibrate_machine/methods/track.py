@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,7 +40,8 @@ class Track:
     points: Array
     """(3, n), in the tracker's frame"""
     leg: Index
-    time: Array | None
+    conditions: Mapping[str, Array]
+    """Times if given, and further columns, each (n,)"""
     pose: Array
     """Approximate pose of the tracker in the machine, (6,)"""
     warnings: tuple[str, ...]
@@ -47,8 +49,8 @@ class Track:
 
     def selected(self, keep: Mask) -> Track:
         """Return the track with some of its points."""
-        time = None if self.time is None else self.time[keep]
-        return Track(self.points[:, keep], self.leg[keep], time, self.pose, self.warnings, self.facts)
+        conditions = {name: values[keep] for name, values in self.conditions.items()}
+        return Track(self.points[:, keep], self.leg[keep], conditions, self.pose, self.warnings, self.facts)
 
 
 def cut(table: Table, path: Path, tools: Array, track_tool: Index | None, corner: float) -> Track:
@@ -68,7 +70,7 @@ def cut(table: Table, path: Path, tools: Array, track_tool: Index | None, corner
     still[~wild] = _standing(points[:, ~wild], leg[~wild])
     broken, breaks = _breaks(points, wild, path.tool[leg])
     kept = ~(wild | near_corner | still | broken)
-    time = table.numbers("t") if "t" in table else None
+    conditions = {name: values[kept] for name, values in table.conditions("t").items()}
     facts = {
         "track_points": points.shape[1],
         "points_used": int(kept.sum()),
@@ -80,7 +82,7 @@ def cut(table: Table, path: Path, tools: Array, track_tool: Index | None, corner
     }
     seen = np.bincount(leg[kept], minlength=len(path.lengths)) > 0
     told = _told(breaks, leg, along, wild) + _unseen(seen, path)
-    return Track(points[:, kept], leg[kept], None if time is None else time[kept], found.pose, tuple(told), facts)
+    return Track(points[:, kept], leg[kept], conditions, found.pose, tuple(told), facts)
 
 
 def _aligned(points: Array, tool: Index | None, path: Path, tools: Array, file: str) -> Alignment:

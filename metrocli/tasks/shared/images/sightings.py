@@ -227,7 +227,7 @@ def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
     spread = table.numbers("sigma", sigma)
     _refuse(table, spread <= 0, "the standard deviation of an image point is not above zero")
     numbers = np.cumsum(enough) - 1
-    conditions = {name: table.numbers(name)[keep] for name in ("t", "temp", SIZE) if name in table}
+    conditions = {name: values[keep] for name, values in table.conditions("t", "temp", SIZE).items()}
     observations = Observations(
         readings=table.stacked(("u", "v")).T[:, keep],
         sigma=np.broadcast_to(spread, (2, len(spread)))[:, keep],
