@@ -110,6 +110,7 @@ def model_of(
     places = {
         "axis": Place(POSITION),
         "pair": Place(PAIRS),
+        "reversal": Place(REVERSALS),
         "tracer": Place(tracers, TRACER),
         "point": Place(tuple(points), POINT),
     }
@@ -253,3 +254,5 @@ ERROR_BLOCKS = ("axis X", "axis Y", "axis Z", SQUARENESS, TOOL)
 BLOCKS = (*ERROR_BLOCKS, TRACKER, LEG, LINE, TRACER, STOP, AIR)
 """Names of the blocks of machine and instruments; all other blocks are effects"""
 PAIRS = ("xy", "xz", "yz")
+REVERSALS = ("xy", "xz", "yx", "yz", "zx", "zy")
+"""Places of reversals: the axis that turns, and the axis along which the point is shifted"""

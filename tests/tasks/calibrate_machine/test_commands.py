@@ -114,6 +114,14 @@ def columns_of_truth():  # type: ignore[no-untyped-def]
 
 PLANTED = {
     "backlash:axis=x,width=9um": ("backlash, axis: x", {"backlash.x.width": 0.009}),
+    "straightness-reversal:reversal=xz,width=9um": (
+        "straightness-reversal, reversal: xz",
+        {"straightness-reversal.xz.width": 0.009},
+    ),
+    "angular-reversal:axis=y,rx=40urad,ry=-30urad,rz=50urad": (
+        "angular-reversal, axis: y",
+        {"angular-reversal.y.rx": 4e-5, "angular-reversal.y.ry": -3e-5, "angular-reversal.y.rz": 5e-5},
+    ),
     "screw-pitch-error:axis=y,amplitude=5um,phase=2rad,period=27mm": (
         "screw-pitch-error, axis: y, period: 27 mm",
         {"screw-pitch-error.y.amplitude": 0.005, "screw-pitch-error.y.phase": 2.0},
