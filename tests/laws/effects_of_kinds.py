@@ -94,7 +94,7 @@ def selfcal_grid(effect: Effect) -> Model:
 
 
 def calibrate_machine(effect: Effect) -> Model:
-    """120 points with three tools that are known to 1 um, from all sides, times at random; or lengths to 80 points."""
+    """120 points with three tools known to 1 um, from all sides, times and speeds at random; or lengths to 80 points."""
     if effect in LENGTH_EFFECTS:
         return machine_from_lengths(effect)
     rng = np.random.default_rng(6)
@@ -105,7 +105,10 @@ def calibrate_machine(effect: Effect) -> Model:
     table = replace(table, columns={**table.columns, **more})
     settings = simulated_machine.settings(tools=tools, tool_uncertainty=0.001)
     problem = standstill(settings, table)
-    problem = problem.with_model(problem.model.with_group(unit_noise(problem.readings, 0.002)))
+    speeds = {f"speed_{axis}": rng.uniform(-50, 50, 120) for axis in "xyz"}
+    seen = problem.readings.observations
+    moving = replace(problem.readings, observations=replace(seen, conditions={**seen.conditions, **speeds}))
+    problem = problem.with_model(problem.model.with_group(unit_noise(moving, 0.002)))
     solved = adjust(problem.blocks.values(), problem.groups)
     return with_conditions(problem.model.with_blocks(solved.blocks))
 

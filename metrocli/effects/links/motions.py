@@ -11,6 +11,7 @@ from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import ELAPSED
 from metrocli.effects.links.of_block import OfBlock
+from metrocli.instruments.machine_path import SPEED
 
 _AS_IT_IS = np.eye(6)[:, :, None]
 AXES = "xyz"
@@ -58,6 +59,17 @@ class BacklashGrowth(ErrorMotionEffect):
         """Return the motion (6, n)."""
         given = local.observations.conditions
         return self.along(self.axis, np.sign(given[f"from_{self.axis}"]) * given[self.axis] / 2, value, local)
+
+
+@dataclass(frozen=True)
+class ServoLag(ErrorMotionEffect):
+    """Lag behind the command: `-tau v` along an axis, v its speed [mm/s]; column tau [s]."""
+
+    axis: str
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the motion (6, n)."""
+        return self.along(self.axis, -local.observations.conditions[SPEED.format(axis=self.axis)], value, local)
 
 
 @dataclass(frozen=True)

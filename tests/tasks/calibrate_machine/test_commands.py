@@ -134,16 +134,20 @@ PLANTED = {
 }
 
 
-@pytest.mark.parametrize("planted", PLANTED)
-@pytest.mark.parametrize("text", [STANDSTILL, FLIGHT], ids=["standstill", "on-the-fly"])
-def test_an_effect_that_is_planted_is_estimated(folder: Path, text: str, planted: str, metrocli: Metrocli) -> None:
+IN_MOTION = {"servo-lag:axis=y,tau=1.5ms": ("servo-lag, axis: y", {"servo-lag.y.tau": 1.5e-3})}
+BOTH = [(text, planted, *PLANTED[planted]) for text in (STANDSTILL, FLIGHT) for planted in PLANTED]
+
+
+@pytest.mark.parametrize("text, planted, wanted, truth", BOTH + [(FLIGHT, key, *IN_MOTION[key]) for key in IN_MOTION])
+def test_an_effect_that_is_planted_is_estimated(
+    folder: Path, text: str, planted: str, wanted: str, truth: dict[str, float], metrocli: Metrocli
+) -> None:
     job = made(folder, text, metrocli)
     assert metrocli("simulate", job, "--out", folder / "new", "--force", "--effect", planted).code == 0
     for name in ("points.csv", "track.csv"):
         if (folder / "new" / name).exists():
             (folder / name).write_text((folder / "new" / name).read_text())
     plain = json.loads(metrocli("calibrate-machine", job, "--json").out)
-    wanted, truth = PLANTED[planted]
     job.write_text(f"{text}effects: [{{name: {wanted}}}]\n")
     found = json.loads(metrocli("calibrate-machine", job, "--json").out)
     assert plain["statistics"]["sigma0"] > 1.05 > found["statistics"]["sigma0"]

@@ -156,11 +156,14 @@ def _offset(whole: Measurement, state: Mapping[str, Block]) -> Array:
 
 
 def _channels(whole: Measurement, state: Mapping[str, Block]) -> Array:
-    """Return the two coordinates of each point across its leg, from the commanded line, and its time if given."""
+    """Return two coordinates of each point across its leg, from the commanded line; time and speed if given."""
     leg, points, time = whole.track.leg, whole.track.points, whole.track.time
     across = _across(whole, state)[leg]
-    values = np.einsum("nab,bn->an", across, points) - _offset(whole, state)[leg].T
-    return values if time is None else np.concatenate([values, time[None]])
+    values: Array = np.einsum("nab,bn->an", across, points) - _offset(whole, state)[leg].T
+    if time is None:
+        return values
+    speed = whole.path.speeds(leg, ways(whole, state), time)
+    return np.concatenate([values, time[None], speed[None]], axis=0)
 
 
 def ways(whole: Measurement, state: Mapping[str, Block]) -> Array:
@@ -207,7 +210,7 @@ def _observations(
         f"from_{axis}": signs[leg] for axis, signs in zip("xyz", path.last_moves(), strict=True)
     }
     if len(few.values) > 2:
-        condition["t"] = few.values[2]
+        condition |= {"t": few.values[2], **path.axis_speeds(leg, few.values[3])}
     return Observations(
         few.values[:2] + _offset(whole, blocks)[leg].T,
         np.ones(1),
