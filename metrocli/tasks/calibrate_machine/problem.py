@@ -112,6 +112,7 @@ def model_of(
         "pair": Place(PAIRS),
         "reversal": Place(REVERSALS),
         "tracer": Place(tracers, TRACER),
+        "line": Place(blocks[LINE].members if LINE in blocks else (), LINE),
         "point": Place(tuple(points), POINT),
     }
     to = [link for link in readings.chain.links if isinstance(link, (ErrorMotion, ReachedPoint))]
@@ -227,14 +228,14 @@ def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block])
 
 
 def conditions(position: Array, table: Table | None = None) -> dict[str, Array]:
-    """Return the conditions of readings: commanded position, and time and directions of approach if the file has them.
+    """Return the conditions of readings: commanded position, and time, temperature and directions of approach if given.
 
     Raises InputError if a direction of approach is not -1, 0 or 1.
     """
     found = dict(zip((*POSITION, *NOMINAL), (*position, *position), strict=True))
     if table is not None:
         _refuse_sides(table)
-        found |= {name: table.numbers(name) for name in ("t", *SIDES) if name in table}
+        found |= {name: table.numbers(name) for name in ("t", "temp", *SIDES) if name in table}
     return found
 
 
