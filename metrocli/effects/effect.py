@@ -19,7 +19,9 @@ ELAPSED, WARMING = "elapsed", "warming"
 """Conditions that effects vary with: time since the earliest reading [s], and temperature minus that of it [K]"""
 DRIVERS = {"t": ELAPSED, "T": WARMING}
 """Allowed values of the key `by`, and the condition that each stands for"""
-COLUMN = {"t": "t_s", "temp": "temp_degC", "distance": "distance_mm"}
+COLUMN = {"t": "t_s", "temp": "temp_degC", "distance": "distance_mm"} | {
+    f"speed_{axis}": "t_s in the track of a path" for axis in "xyz"
+}
 """Column of the file that holds a condition, for messages"""
 MakeLink = Callable[[str, Mapping[str, str]], Link]
 """Builds the link of an effect from the name of its block and the place where it acts"""

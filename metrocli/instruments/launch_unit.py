@@ -32,6 +32,8 @@ ENCODERS = {
     "phi4": (Quantity.RECEIVER_ANGLES, 0),
 }
 """For each encoder, the pair of angles it belongs to, and its number in this pair"""
+TURNED = "turned_{encoder}"
+"""Condition of a reading: 1 where this angle grew since the pose before, -1 where it fell, 0 if it never moves"""
 _GAMMA = COLUMNS.index("gamma")
 _TURN = 2 * np.pi
 _REACH = 0.01

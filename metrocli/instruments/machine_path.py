@@ -11,6 +11,8 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.instruments.machine import Machine
 
+SPEED = "speed_{axis}"
+"""Condition of a reading in motion: speed of an axis as commanded [mm/s]"""
 _SAME = 1e-6
 """Vertices closer together than this [mm] are the same"""
 
@@ -96,6 +98,20 @@ class Path:
             inside = (along > _SAME) & (along < self.lengths[:, None] - _SAME)
             marks.append((along + self.before[:, None])[inside])
         return np.unique(np.concatenate([*marks, [self.length]]))
+
+    def speeds(self, leg: Index, along: Array, time: Array) -> Array:
+        """Return the speed of points along their legs, (n,), in order of time: differences of their neighbours."""
+        near = np.arange(len(leg))
+        stays = np.diff(leg) == 0
+        before, after = near.copy(), near.copy()
+        before[1:] -= stays
+        after[:-1] += stays
+        passed = time[after] - time[before]
+        return np.asarray(np.divide(along[after] - along[before], passed, out=np.zeros(len(leg)), where=passed > 0))
+
+    def axis_speeds(self, leg: Index, speed: Array) -> dict[str, Array]:
+        """Return the speeds of the axes, (n,) each, as conditions of readings with a speed along their legs."""
+        return {SPEED.format(axis=axis): speed * part for axis, part in zip("xyz", self.direction[leg].T, strict=True)}
 
     def last_moves(self) -> Array:
         """Return the sign of the last movement of each axis on each leg, (3, legs); 0 where it has not moved yet."""

@@ -20,6 +20,10 @@ POSITION = "position"
 """Condition of an observation: distance along its line, from the middle"""
 ACROSS = tuple(f"{which}{axis}" for which in "ab" for axis in "xyz")
 """Conditions: two unit vectors across the line"""
+ALONG = tuple(f"along_{axis}" for axis in "xyz")
+"""Conditions: unit vector along the line, in the sense of growing positions"""
+FROM_START = "from start"
+"""Condition: distance from the lowest position of the line"""
 _REACH = np.array([10.0] * 3 + [0.1] * 5)
 
 

@@ -23,7 +23,9 @@ from metrocli.effects.effect import Effect
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.geometry.poses import pose_from_euler
+from metrocli.tasks.calibrate_machine.effects.laser import OF_THE_LASER
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths as machine_lengths
+from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.settings import Noise
 from metrocli.tasks.locate_launch_unit import problem as launch_problem
@@ -94,9 +96,11 @@ def selfcal_grid(effect: Effect) -> Model:
 
 
 def calibrate_machine(effect: Effect) -> Model:
-    """120 points with three tools that are known to 1 um, from all sides, times at random; or lengths to 80 points."""
+    """120 points with three tools known to 1 um, from all sides, times and speeds at random; or lines, or lengths to 80 points."""
     if effect in LENGTH_EFFECTS:
         return machine_from_lengths(effect)
+    if effect in OF_THE_LASER:
+        return machine_from_lines()
     rng = np.random.default_rng(6)
     tools = simulated_machine.THREE
     machine = simulated_machine.random_machine(rng)
@@ -105,7 +109,10 @@ def calibrate_machine(effect: Effect) -> Model:
     table = replace(table, columns={**table.columns, **more})
     settings = simulated_machine.settings(tools=tools, tool_uncertainty=0.001)
     problem = standstill(settings, table)
-    problem = problem.with_model(problem.model.with_group(unit_noise(problem.readings, 0.002)))
+    speeds = {f"speed_{axis}": rng.uniform(-50, 50, 120) for axis in "xyz"}
+    seen = problem.readings.observations
+    moving = replace(problem.readings, observations=replace(seen, conditions={**seen.conditions, **speeds}))
+    problem = problem.with_model(problem.model.with_group(unit_noise(moving, 0.002)))
     solved = adjust(problem.blocks.values(), problem.groups)
     return with_conditions(problem.model.with_blocks(solved.blocks))
 
@@ -125,6 +132,21 @@ def machine_from_lengths(effect: Effect) -> Model:
     stations = solved.blocks["tracer"]
     free = stations.free & (effect.name not in ("length-offset", "reflector-incidence"))
     return with_conditions(problem.model.with_blocks({**solved.blocks, "tracer": replace(stations, free=free)}))
+
+
+def machine_from_lines() -> Model:
+    """Lines along the axes and the face diagonals; times and temperatures at random."""
+    rng = np.random.default_rng(17)
+    machine = simulated_machine.random_machine(rng)
+    table = simulated_machine.line_table(
+        [simulated_machine.line(machine, axis, rng, 0.0) for axis in ("x", "y", "z", "xy", "yz", "xz")]
+    )
+    columns = {"t": rng.uniform(100.0, 2000.0, len(table)), "temp": 20 + rng.uniform(0, 1, len(table))}
+    noise = Noise(displacement=5e-4, straightness=1e-3, angle=1e-6)
+    settings = simulated_machine.settings("six-dof", tools={"": (0.0, 0.0, 0.0)}, noise=noise)
+    problem = six_dof(settings, replace(table, columns={**table.columns, **columns}))
+    problem = problem.with_model(problem.model.with_group(unit_noise(problem.readings, 1e-5)))
+    return with_conditions(problem.model.with_blocks(adjust(problem.blocks.values(), problem.groups).blocks))
 
 
 MEASURED: dict[str, Measured] = {

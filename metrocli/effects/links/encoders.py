@@ -25,6 +25,21 @@ class EncoderOffset(AtQuantity):
 
 
 @dataclass(frozen=True)
+class EncoderLag(AtQuantity):
+    """Lag of one encoder by its direction: `phi -= s width/2`, s the `direction`; column width [rad]."""
+
+    component: int
+    direction: str
+    """Condition: 1 where the angle grew, -1 where it fell, 0 if it never moves"""
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the angles (2, n)."""
+        by_block = np.zeros((2, 1, value.shape[1]))
+        by_block[self.component, 0] = -local.observations.conditions[self.direction] / 2
+        return Step(value + local.rows(self.block) * by_block[:, 0], np.eye(2)[:, :, None], {self.block: by_block})
+
+
+@dataclass(frozen=True)
 class Harmonic(AtQuantity):
     """A harmonic of one encoder: `phi += c cos k phi + s sin k phi` for one of two angles; columns c, s [rad].
 

@@ -11,13 +11,14 @@ from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import ELAPSED
 from metrocli.effects.links.of_block import OfBlock
+from metrocli.instruments.machine_path import SPEED
 
 _AS_IT_IS = np.eye(6)[:, :, None]
 AXES = "xyz"
 
 
 @dataclass(frozen=True)
-class _Motion(OfBlock):
+class ErrorMotionEffect(OfBlock):
     """A link that adds a displacement to the error motion, (6, n)."""
 
     takes = gives = Quantity.ERROR_MOTION
@@ -38,7 +39,7 @@ class _Motion(OfBlock):
 
 
 @dataclass(frozen=True)
-class Backlash(_Motion):
+class Backlash(ErrorMotionEffect):
     """Backlash: `+width/2` along an axis after a positive move, `-width/2` after a negative one; column width [mm]."""
 
     axis: str
@@ -49,7 +50,7 @@ class Backlash(_Motion):
 
 
 @dataclass(frozen=True)
-class BacklashGrowth(_Motion):
+class BacklashGrowth(ErrorMotionEffect):
     """Backlash that grows along the axis: `+-growth pos/2`, pos the commanded position; column growth [1]."""
 
     axis: str
@@ -61,7 +62,18 @@ class BacklashGrowth(_Motion):
 
 
 @dataclass(frozen=True)
-class ThermalGrowth(_Motion):
+class ServoLag(ErrorMotionEffect):
+    """Lag behind the command: `-tau v` along an axis, v its speed [mm/s]; column tau [s]."""
+
+    axis: str
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the motion (6, n)."""
+        return self.along(self.axis, -local.observations.conditions[SPEED.format(axis=self.axis)], value, local)
+
+
+@dataclass(frozen=True)
+class ThermalGrowth(ErrorMotionEffect):
     """Growth of a scale: `rate t pos` along an axis, pos its commanded position; column rate [1/s]."""
 
     axis: str
@@ -73,7 +85,7 @@ class ThermalGrowth(_Motion):
 
 
 @dataclass(frozen=True)
-class LoadSag(_Motion):
+class LoadSag(ErrorMotionEffect):
     """Sag: `dz += c a b`, a and b the commanded positions of two axes; column c [1/mm]."""
 
     pair: str
@@ -85,7 +97,7 @@ class LoadSag(_Motion):
 
 
 @dataclass(frozen=True)
-class MachineDrift(_Motion):
+class MachineDrift(ErrorMotionEffect):
     """The machine drifts: `d += v t`; columns vx, vy, vz [mm/s]."""
 
     def step(self, value: Array, local: Local) -> Step:
@@ -96,7 +108,7 @@ class MachineDrift(_Motion):
 
 
 @dataclass(frozen=True)
-class ScrewPitchError(_Motion):
+class ScrewPitchError(ErrorMotionEffect):
     """`amplitude sin(2 pi pos / period + phase)` along an axis; columns amplitude [mm], phase [rad], period [mm].
 
     Its derivatives are taken along the phasor and across it (`Space.WAVE`), so that an adjustment can start from

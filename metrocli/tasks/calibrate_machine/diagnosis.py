@@ -13,15 +13,16 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
-from metrocli.effects.effect import ELAPSED, WARMING
+from metrocli.effects.effect import ELAPSED, WARMING, Effect
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.geometry import poses
 from metrocli.instruments.machine import POSITION, TOOL
+from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracer import TRACER, beams
 from metrocli.instruments.tracker import TRACKER
 from metrocli.tasks.calibrate_machine import KIND
-from metrocli.tasks.calibrate_machine.effects import OF_LENGTHS, OF_MACHINES
+from metrocli.tasks.calibrate_machine.effects import OF_LENGTHS, OF_LINES, OF_MACHINES
 from metrocli.tasks.calibrate_machine.solve import Solved, refitted
 from metrocli.tasks.calibrate_machine.structure import clusters_of
 from metrocli.tasks.shared.structured_noise import count
@@ -45,7 +46,7 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
     return AdjustedJob(
         KIND.name,
         model,
-        OF_LENGTHS if TRACER in model.blocks else OF_MACHINES,
+        _effects_on(model),
         tuple(_covariates(model, group)),
         ("tracer",) if TRACER in model.blocks else (),
         {group.name: _parts(group)},
@@ -56,6 +57,13 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         sharing=count(clusters_of(solved).of[group.name]),
         not_sought={one.name: _PIECES for one in OF_MACHINES if one.space is Space.WAVE and _condensed(group)},
     )
+
+
+def _effects_on(model: Model) -> tuple[Effect, ...]:
+    """Return the effects on the machine, and those on what reads it: stations, a laser, or a tracker."""
+    if TRACER in model.blocks:
+        return OF_LENGTHS
+    return OF_LINES if LINE in model.blocks else OF_MACHINES
 
 
 def _condensed(group: Group) -> bool:

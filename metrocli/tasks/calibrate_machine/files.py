@@ -13,6 +13,7 @@ from metrocli.tasks.shared.known_places import SIGMAS
 _PLACE = tuple(Column(name, "length") for name in ("x", "y", "z"))
 _TOOL = Column("tool", TEXT, required=False)
 _TIME = Column("t", "time", required=False)
+_AIR = Column("temp", "temperature", required=False)
 _SIDES = tuple(Column(f"from_{axis}", required=False) for axis in "xyz")
 POINTS = Columns(
     (
@@ -45,6 +46,7 @@ LINES = Columns(
         *(Column(name, "angle") for name in ("ea", "eb", "ec")),
         *(Column(name, "length", required=False) for name in ("x", "y", "z")),
         _TIME,
+        _AIR,
     ),
     (),
     "lines of a laser with six degrees of freedom",
@@ -61,7 +63,7 @@ LENGTHS = Columns(
         Column("length", "length"),
         _TOOL,
         _TIME,
-        Column("temp", "temperature", required=False),
+        _AIR,
         *WEATHER,
         *_SIDES,
     ),

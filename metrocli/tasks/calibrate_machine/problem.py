@@ -110,7 +110,9 @@ def model_of(
     places = {
         "axis": Place(POSITION),
         "pair": Place(PAIRS),
+        "reversal": Place(REVERSALS),
         "tracer": Place(tracers, TRACER),
+        "line": Place(blocks[LINE].members if LINE in blocks else (), LINE),
         "point": Place(tuple(points), POINT),
     }
     to = [link for link in readings.chain.links if isinstance(link, (ErrorMotion, ReachedPoint))]
@@ -226,14 +228,14 @@ def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block])
 
 
 def conditions(position: Array, table: Table | None = None) -> dict[str, Array]:
-    """Return the conditions of readings: commanded position, and time and directions of approach if the file has them.
+    """Return the conditions of readings: commanded position, and time, temperature and directions of approach if given.
 
     Raises InputError if a direction of approach is not -1, 0 or 1.
     """
     found = dict(zip((*POSITION, *NOMINAL), (*position, *position), strict=True))
     if table is not None:
         _refuse_sides(table)
-        found |= table.conditions("t", *SIDES)
+        found |= table.conditions("t", "temp", *SIDES)
     return found
 
 
@@ -253,3 +255,5 @@ ERROR_BLOCKS = ("axis X", "axis Y", "axis Z", SQUARENESS, TOOL)
 BLOCKS = (*ERROR_BLOCKS, TRACKER, LEG, LINE, TRACER, STOP, AIR)
 """Names of the blocks of machine and instruments; all other blocks are effects"""
 PAIRS = ("xy", "xz", "yz")
+REVERSALS = ("xy", "xz", "yx", "yz", "zx", "zy")
+"""Places of reversals: the axis that turns, and the axis along which the point is shifted"""

@@ -236,6 +236,7 @@ def _track(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[T
     path = path_of(job.settings, machine_of(job.settings), listed)
     leg, along, time = travelled(path, _feeds(job, listed, path), job.simulation.sampling)
     given = {"t": time, **{name: signs[leg] for name, signs in zip(SIDES, path.last_moves(), strict=True)}}
+    given |= path.axis_speeds(leg, path.speeds(leg, along, time))
     seen, model = _seen(job, truth, Flow(path.at(leg, along), path.tool[leg], given), rng)
     columns: dict[str, Values] = {**dict(zip(POSITION, seen, strict=True)), "t": time}
     if "tool" in listed:

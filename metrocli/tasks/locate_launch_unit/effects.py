@@ -10,11 +10,11 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.acting import PLACE, TIMED, Acting, beam_from, components, point, scalar, seen_from
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.beams import BeamHeight, BeamOffset
-from metrocli.effects.links.encoders import BaseTilt, EncoderOffset, Harmonic, NonOrthogonality
+from metrocli.effects.links.encoders import BaseTilt, EncoderLag, EncoderOffset, Harmonic, NonOrthogonality
 from metrocli.effects.links.lengths import LengthOffset, LengthScale
 from metrocli.effects.links.points import AxisError
 from metrocli.effects.links.shifts import Shift
-from metrocli.instruments.launch_unit import ENCODERS, UNIT
+from metrocli.instruments.launch_unit import ENCODERS, TURNED, UNIT
 from metrocli.units import parse_quantity
 
 LAUNCH, RECEIVER = UNITS = "launch", "receiver"
@@ -37,6 +37,10 @@ def _harmonic(block: str, where: Mapping[str, str]) -> Link:
 
 def _offset(block: str, where: Mapping[str, str]) -> Link:
     return EncoderOffset(block, *ENCODERS[where["encoder"]])
+
+
+def _lag(block: str, where: Mapping[str, str]) -> Link:
+    return EncoderLag(block, *ENCODERS[where["encoder"]], TURNED.format(**where))
 
 
 def _tilt(block: str, where: Mapping[str, str]) -> Link:
@@ -118,6 +122,18 @@ EFFECTS: tuple[Effect, ...] = (
         usual="5 arcsec to 1 deg",
         reveal="the same poses with the unit over the top (base + 180 degrees, 180 degrees - tilt), or distances",
         source=_MURALIKRISHNAN,
+    ),
+    Effect(
+        "belt-hysteresis",
+        "a belt between axis and encoder stretches: the angle lags by the direction in which the axis came",
+        (_size("width", "angle", "200 arcsec"),),
+        _lag,
+        where=("encoder",),
+        needs=(TURNED,),
+        confused_with=("encoder-offset",),
+        usual="5 to 200 arcsec",
+        reveal="the same poses reached from both sides, listed in the order in which they were measured",
+        source="Kuprin et al. (axes driven by toothed belts); ISO 230-2:2014, reversal value B",
     ),
     Effect(
         "base-tilt",

@@ -89,7 +89,8 @@ def _angles(readings: Readings, name: str, rows: Index, sigma: float) -> Group:
     tilt = readings.angles[1] if lu.ENCODERS[name][0] is Quantity.LAUNCH_ANGLES else readings.angles[2]
     values = readings.angles[ANGLES.index(name)][rows]
     observations = _observations(readings, name, rows, values, sigma)
-    conditions = {**observations.conditions, lu.OVER: (np.cos(tilt[rows]) < 0).astype(float)}
+    turned = {lu.TURNED.format(encoder=one): sense[rows] for one, sense in zip(ANGLES, readings.turned, strict=True)}
+    conditions = {**observations.conditions, **turned, lu.OVER: (np.cos(tilt[rows]) < 0).astype(float)}
     return Group(name, lu.encoder_chain(name), replace(observations, conditions=conditions, unit="rad"))
 
 

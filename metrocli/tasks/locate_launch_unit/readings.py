@@ -9,6 +9,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Mask
 from metrocli.errors import Fault, InputError
+from metrocli.geometry.angles import wrapped
 from metrocli.instruments.launch_start import Beams
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.tasks.shared.environment import WEATHER, Air, Environment, air_of, unused
@@ -37,6 +38,9 @@ PLACES = Columns((*_PLACE, *_CONDITIONS), ("pose",), "receiver positions to meas
 _STEEP = 1.7e-3
 """Cosine of the tilt of the steepest beam with a usable base angle, 0.1 degrees from vertical"""
 
+_MOVED = 1e-3
+"""An angle that changes by less than this [rad] keeps the sense of its last move"""
+
 
 @dataclass(frozen=True)
 class Readings:
@@ -63,6 +67,22 @@ class Readings:
     def level(self) -> Mask:
         """Poses with a base angle: their beam is more than 0.1 degrees from vertical, (n,)."""
         return np.asarray((np.abs(np.cos(self.angles[1:3])) > _STEEP).all(axis=0))
+
+    @property
+    def turned(self) -> Array:
+        """Sense in which each angle reached its pose, by the shorter way from the pose before, (4, n).
+
+        It is 1 or -1; 0 for an angle that never moves. The first pose has the sense of the move that follows it.
+        """
+        n = len(self.names)
+        order = np.argsort(self.conditions.get("t", np.arange(n)), kind="stable")
+        change = wrapped(np.diff(self.angles[:, order], prepend=self.angles[:, order[:1]]))
+        sense = np.where(np.abs(change) > _MOVED, np.sign(change), 0.0)
+        first = np.argmax(sense != 0, axis=1)[:, None]
+        last = np.maximum(np.maximum.accumulate(np.where(sense != 0, np.arange(n), 0), axis=1), first)
+        found = np.zeros_like(sense)
+        found[:, order] = np.take_along_axis(sense, last, axis=1)
+        return found
 
     @property
     def beams(self) -> Beams:

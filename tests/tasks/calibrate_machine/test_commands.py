@@ -114,6 +114,14 @@ def columns_of_truth():  # type: ignore[no-untyped-def]
 
 PLANTED = {
     "backlash:axis=x,width=9um": ("backlash, axis: x", {"backlash.x.width": 0.009}),
+    "straightness-reversal:reversal=xz,width=9um": (
+        "straightness-reversal, reversal: xz",
+        {"straightness-reversal.xz.width": 0.009},
+    ),
+    "angular-reversal:axis=y,rx=40urad,ry=-30urad,rz=50urad": (
+        "angular-reversal, axis: y",
+        {"angular-reversal.y.rx": 4e-5, "angular-reversal.y.ry": -3e-5, "angular-reversal.y.rz": 5e-5},
+    ),
     "screw-pitch-error:axis=y,amplitude=5um,phase=2rad,period=27mm": (
         "screw-pitch-error, axis: y, period: 27 mm",
         {"screw-pitch-error.y.amplitude": 0.005, "screw-pitch-error.y.phase": 2.0},
@@ -126,16 +134,20 @@ PLANTED = {
 }
 
 
-@pytest.mark.parametrize("planted", PLANTED)
-@pytest.mark.parametrize("text", [STANDSTILL, FLIGHT], ids=["standstill", "on-the-fly"])
-def test_an_effect_that_is_planted_is_estimated(folder: Path, text: str, planted: str, metrocli: Metrocli) -> None:
+IN_MOTION = {"servo-lag:axis=y,tau=1.5ms": ("servo-lag, axis: y", {"servo-lag.y.tau": 1.5e-3})}
+BOTH = [(text, planted, *PLANTED[planted]) for text in (STANDSTILL, FLIGHT) for planted in PLANTED]
+
+
+@pytest.mark.parametrize("text, planted, wanted, truth", BOTH + [(FLIGHT, key, *IN_MOTION[key]) for key in IN_MOTION])
+def test_an_effect_that_is_planted_is_estimated(
+    folder: Path, text: str, planted: str, wanted: str, truth: dict[str, float], metrocli: Metrocli
+) -> None:
     job = made(folder, text, metrocli)
     assert metrocli("simulate", job, "--out", folder / "new", "--force", "--effect", planted).code == 0
     for name in ("points.csv", "track.csv"):
         if (folder / "new" / name).exists():
             (folder / name).write_text((folder / "new" / name).read_text())
     plain = json.loads(metrocli("calibrate-machine", job, "--json").out)
-    wanted, truth = PLANTED[planted]
     job.write_text(f"{text}effects: [{{name: {wanted}}}]\n")
     found = json.loads(metrocli("calibrate-machine", job, "--json").out)
     assert plain["statistics"]["sigma0"] > 1.05 > found["statistics"]["sigma0"]

@@ -24,6 +24,10 @@ PLANTED = {
         "encoder-eccentricity:encoder=phi4,c1=30arcsec,s1=-20arcsec",
         "{name: encoder-eccentricity, encoder: phi4}",
     ),
+    "belt-hysteresis.phi3": (
+        "belt-hysteresis:encoder=phi3,width=60arcsec",
+        "{name: belt-hysteresis, encoder: phi3}",
+    ),
     "base-tilt.launch": ("base-tilt:unit=launch,tx=20arcsec,ty=-30arcsec", "{name: base-tilt, unit: launch}"),
     "beam-offset": ("beam-offset:h=0.2mm", "{name: beam-offset}"),
     "distance-scale": ("distance-scale:scale=20ppm", "{name: distance-scale}"),

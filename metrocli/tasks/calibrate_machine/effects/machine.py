@@ -15,8 +15,11 @@ from metrocli.effects.links.motions import (
     LoadSag,
     MachineDrift,
     ScrewPitchError,
+    ServoLag,
     ThermalGrowth,
 )
+from metrocli.effects.links.reversals import AngularReversal, StraightnessReversal
+from metrocli.instruments.machine_path import SPEED
 from metrocli.units import parse_quantity
 
 SCHWENKE = "Schwenke et al. 2008, Geometric error measurement and compensation of machines, CIRP Annals 57"
@@ -68,6 +71,42 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         usual="1 to 50 ppm",
         reveal="points along the whole axis, each approached from both sides",
         source="ISO 230-2:2014, reversal value B at each target position",
+    ),
+    Effect(
+        "straightness-reversal",
+        "an axis that turns shifts what it carries across its direction: play and friction of its guides",
+        (size("width", "length", "10 um"),),
+        lambda block, where: StraightnessReversal(block, *where["reversal"]),
+        where=("reversal",),
+        needs=("from_{reversal[0]}",),
+        confused_with=("backlash", "angular-reversal"),
+        usual="0.5 to 10 um",
+        reveal="the same points approached from both sides of the axis that turns; lines run in both directions",
+        source="ISO 230-1:2012 (EYX, EZX, ...); ISO 230-2:2014, reversal value B, formed across the axis",
+    ),
+    Effect(
+        "angular-reversal",
+        "an axis that turns tips its carriage: it is driven beside its guides, and these give way",
+        tuple(size(name, "angle", "5 arcsec") for name in ("rx", "ry", "rz")),
+        lambda block, where: AngularReversal(block, where["axis"]),
+        where=("axis",),
+        needs=("from_{axis}",),
+        confused_with=("backlash", "straightness-reversal"),
+        usual="0.2 to 5 arcsec",
+        reveal="lines run in both directions with angles read; points from both sides with tools of different length",
+        source="ISO 230-1:2012 (EAX, EBX, ECX, ...); ISO 230-2:2014, reversal value B, formed of the angles",
+    ),
+    Effect(
+        "servo-lag",
+        "an axis in motion is behind its command by its speed times a time: the gain of its control is finite",
+        (size("tau", "time", "60 ms"),),
+        lambda block, where: ServoLag(block, where["axis"]),
+        where=("axis",),
+        needs=(SPEED,),
+        confused_with=("backlash",),
+        usual="0.05 to 60 ms",
+        reveal="the same diagonals in both directions, and at two feeds; lines of a laser at standstill",
+        source="ISO 230-4:2005 (circles at a feed); Mechanical Engineers' Handbook, Controller Design",
     ),
     Effect(
         "screw-pitch-error",

@@ -52,7 +52,7 @@ def lengths(settings: Settings, table: Table, stations: Table | None = None) -> 
     must_support(machine, position, blocks)
     names = np.array(table.texts("point"), dtype=str)
     points, point = np.unique(names, return_inverse=True)
-    given = conditions(position, table) | table.conditions("temp")
+    given = conditions(position, table)
     noise = PathNoise.of(settings.noise.of_lengths)
     stops = stops_of(_visits(position, tool, point), given.get("t"))
     stop_block = t.stop_block(stops if noise.repeatability else np.zeros_like(stops))

@@ -156,11 +156,14 @@ def _offset(whole: Measurement, state: Mapping[str, Block]) -> Array:
 
 
 def _channels(whole: Measurement, state: Mapping[str, Block]) -> Array:
-    """Return the two coordinates of each point across its leg, from the commanded line, and its conditions."""
+    """Return two coordinates of each point across its leg, from the commanded line, its conditions, and its speed."""
     leg, points, conditions = whole.track.leg, whole.track.points, whole.track.conditions
     across = _across(whole, state)[leg]
     values = np.einsum("nab,bn->an", across, points) - _offset(whole, state)[leg].T
-    return np.concatenate([values, *(one[None] for one in conditions.values())])
+    given = [*conditions.values()]
+    if "t" in conditions:
+        given.append(whole.path.speeds(leg, ways(whole, state), conditions["t"]))
+    return np.concatenate([values, *(one[None] for one in given)])
 
 
 def ways(whole: Measurement, state: Mapping[str, Block]) -> Array:
@@ -206,7 +209,10 @@ def _observations(
     condition = conditions(position) | {
         f"from_{axis}": signs[leg] for axis, signs in zip("xyz", path.last_moves(), strict=True)
     }
-    condition |= dict(zip(whole.track.conditions, few.values[2:], strict=True))
+    given = iter(few.values[2:])
+    condition |= dict(zip(whole.track.conditions, given, strict=False))
+    for speed in given:
+        condition |= path.axis_speeds(leg, speed)
     return Observations(
         few.values[:2] + _offset(whole, blocks)[leg].T,
         np.ones(1),

@@ -16,7 +16,17 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Observations
 from metrocli.errors import Fault, InputError
 from metrocli.instruments.machine import TOOL, Machine
-from metrocli.instruments.six_dof import ACROSS, CHANNELS, LINE, POSITION, LineNoise, line_block, line_chain
+from metrocli.instruments.six_dof import (
+    ACROSS,
+    ALONG,
+    CHANNELS,
+    FROM_START,
+    LINE,
+    POSITION,
+    LineNoise,
+    line_block,
+    line_chain,
+)
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
 from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
@@ -205,14 +215,17 @@ def approach(lines: Lines) -> dict[str, Array]:
 
 
 def line_conditions(lines: Lines, along: Array) -> dict[str, Array]:
-    """Return the conditions of readings on lines: distance from the line's middle, and two unit vectors across it."""
+    """Return the conditions of readings on lines: distances from middle and start, unit vectors across and along."""
     least = np.eye(3)[np.argmin(np.abs(along), axis=1)]
     first = np.cross(along, least)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     across = np.concatenate([first, np.cross(along, first)], axis=1)[lines.of].T
     counts = np.bincount(lines.of)
     middle = np.bincount(lines.of, lines.distance) / counts
-    return {POSITION: lines.distance - middle[lines.of], **dict(zip(ACROSS, across, strict=True))}
+    lowest = np.full(len(counts), np.inf)
+    np.minimum.at(lowest, lines.of, lines.distance)
+    distances = {POSITION: lines.distance - middle[lines.of], FROM_START: lines.distance - lowest[lines.of]}
+    return distances | dict(zip((*ACROSS, *ALONG), (*across, *along[lines.of].T), strict=True))
 
 
 def planned_lines(machine: Machine, step: float) -> Lines:
