@@ -114,6 +114,8 @@ class Effect:
     """The cause where it acts at all places of its kind, with sizes that scatter about 0; empty if none is usual"""
     definition: str = ""
     """For an effect of one's own: its definition, one line of YAML"""
+    lacks: str = ""
+    """For an effect of one's own: what the data lack to test it, such as "needs a column load"; empty if nothing"""
 
     @property
     def keys(self) -> tuple[str, ...]:
