@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import count
 from typing import Any
 
 from metrocli.diagnosis.laws.search import Law
@@ -33,7 +34,8 @@ def written(law: Law) -> Written:
     adds: dict[str, list[str]] = {}
     parameters: dict[str, tuple[float, float, str]] = {}
     scan: dict[str, tuple[float, str]] = {}
-    numbers = iter(range(1, 100))
+    used = {name for term in law.terms for name in term.form.variables}
+    names = (name for name in map("a{}".format, count(1)) if name not in used)
     for term, sizes, stds in zip(law.terms, law.sizes, law.stds, strict=True):
         form, acting = term.form, term.spot.acting
         known = acting.variables_at({})
@@ -44,7 +46,7 @@ def written(law: Law) -> Written:
         if form.scanned is not None:
             scan[scanned] = (form.scanned, _text(compound(known[form.variables[0]].unit).powers))
         for factor, size, std in zip(form.factors, sizes.tolist(), stds.tolist(), strict=True):
-            name = f"a{next(numbers)}"
+            name = next(names)
             parameters[name] = (size, std, _text(unit))
             text = factor.replace("{s}", scanned)
             adds.setdefault(term.spot.component, []).append(name if text == "1" else f"{name}*{text}")
