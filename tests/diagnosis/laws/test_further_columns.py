@@ -76,6 +76,9 @@ def test_a_cause_in_a_column_is_found_as_a_law(kind: str, form: str, metrocli: M
     (law,) = [one for one in found["laws"] if one["chosen"]]
     text = str(law["adds"])
     assert ("load*spindle_krpm" if form == "product" else "load") in text and "pressure" not in text
+    (parameter,) = law["parameters"].values()
+    assert parameter["unit"] == "mm/kN"
+    assert abs(parameter["value"] - size) < 4 * parameter["std"] < size
     assert found["verdict"] == "unexplained"
     extended = Path(found["extended_job"])
     assert "load" in extended.read_text()
