@@ -123,6 +123,14 @@ class Effect:
         return tuple(key for key in self.where if key != "by")
 
     @property
+    def remedy(self) -> str:
+        """What to do, for messages, where readings lack a column that it needs."""
+        again = (
+            "; a simulation that chooses its own readings has no further columns, only one that repeats those of a file"
+        )
+        return f"measure it with each reading{again if self.definition else ''}"
+
+    @property
     def is_step(self) -> bool:
         """Whether it acts on the readings from a scanned time on."""
         return len(self.scanned) == 1 and self.scanned[0].grid is change_points

@@ -52,7 +52,7 @@ def extended(model: Model, wanted: Iterable[Wanted]) -> Model:
             own.append(one.node.fault(f"{one.name} takes no `std`: a reading does not concern one {key} alone", hint))
         elif not own:
             reasons = dict.fromkeys(lacking(model, form, one.where) for form in one.forms)
-            hint = "" if _UNTOUCHED in reasons else "measure it with each reading"
+            hint = "" if _UNTOUCHED in reasons else one.forms[0].remedy
             own.append(one.node.fault(f"{one.name} {', or '.join(reasons)}", hint))
         faults.extend(own)
     if faults:
