@@ -125,10 +125,8 @@ class Effect:
     @property
     def remedy(self) -> str:
         """What to do, for messages, where readings lack a column that it needs."""
-        again = (
-            "; a simulation that chooses its own readings has no further columns, only one that repeats those of a file"
-        )
-        return f"measure it with each reading{again if self.definition else ''}"
+        simulated = "; a simulation that chooses its own readings, not those of a file, has no further columns"
+        return f"measure it with each reading{simulated if self.definition else ''}"
 
     @property
     def is_step(self) -> bool:
