@@ -69,3 +69,17 @@ def test_a_proposed_reading_has_the_column_of_the_reading_that_it_repeats(hall: 
         (added,) = one.added.values()
         same = np.all([np.asarray(keys[key]) == name for key, name in one.where.items()], axis=0)
         assert added.conditions["load_kN"][0] == there[np.flatnonzero(same)[-1]]
+
+
+def test_a_proposed_reading_is_written_as_a_row(hall: Path, metrocli: Metrocli) -> None:
+    """A tracer reads a point once more, later."""
+    file = hall.parent.parent / "data" / "made.csv"
+    head, first, *rows = file.read_text().splitlines()
+    cells = dict(zip(head.split(","), first.split(","), strict=True))
+    later = ",".join((cells | {"t_s": "99999.0"}).values())
+    file.write_text("\n".join([head, first, *rows, later]) + "\n")
+    assert metrocli("check", hall).code == 0
+    (group,) = adjusted_job_of(load(hall)).model.readings
+    assert group.observations.count == len(rows) + 2
+    file.write_text("\n".join([head, first, *rows, first]) + "\n")
+    assert "a second row" in metrocli("check", hall).err
