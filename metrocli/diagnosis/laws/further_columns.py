@@ -1,4 +1,4 @@
-"""Further columns of the data as variables of laws: those that can tell something that no other variable tells.
+"""Further columns of the data as variables of laws: those that differ from all other variables.
 
 Method: docs/algorithms/laws.md.
 """
@@ -15,7 +15,7 @@ from metrocli.diagnosis.laws.terms import powers_are_tried
 _FEWEST = 4
 """Fewest different values of a column"""
 _ALIKE = 0.999
-"""Correlation above which two variables are not told apart: with the time, with the number of the row"""
+"""Correlation above which a column counts as the same variable: as the time, or as the number of the row"""
 
 
 def kept(values: Mapping[str, Array], of_data: Collection[str]) -> dict[str, Array]:
