@@ -6,7 +6,9 @@ product, a direction of approach or a step. Their variable, period, place and si
 leave has a norm of 12 to 24 standard deviations, twice what is just found and more. The extended job is adjusted and
 diagnosed once more.
 
-    python -m benchmarks random_laws [KIND] [COUNT | FIRST-LAST] [nothing]
+    python -m benchmarks random_laws [KIND] [COUNT | FIRST-LAST] [nothing] [column]
+
+With `column` a column of random numbers, which has nothing to do with the readings, is a variable of laws too.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import re
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -153,6 +155,7 @@ def main(arguments: list[str]) -> int:
         before, found = time.process_time(), []
         for number in numbers:
             one = planted(kind, number, nothing)
+            one = replace(one, column=number) if "column" in arguments else one
             found.append(outcome(one))
             wanted = f"{one.form} of {' '.join(sorted(one.variables))}" if one.variables else NOTHING
             print(f"{kind} {number} {wanted} ({one.strength:.0f}): {found[-1].law}", flush=True)

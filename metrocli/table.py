@@ -55,6 +55,8 @@ class Columns:
     """Fewest rows of a copied block, where an instrument at rest repeats its readings"""
     further: tuple[str, ...] = ()
     """Headings of further columns of numbers, which effects of one's own use: read as they are, without conversion."""
+    tried: tuple[str, ...] = ()
+    """Headings of columns that are read as further ones if every cell is a number: laws are sought in them."""
     every: bool = False
     """Read every column under its full name: as numbers, or as text if any cell is not a number."""
 

@@ -11,8 +11,11 @@ import numpy.typing as npt
 
 from benchmarks.hidden import grids, images, lengths, machine, scenes
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.effects.acting import measured
 from metrocli.effects.effect import Effect
+from metrocli.effects.own.columns import with_variables
 from metrocli.effects.wanted import Wanted
+from metrocli.expressions.dimensions import compound
 from metrocli.tasks import KINDS
 
 Array = npt.NDArray[np.float64]
@@ -42,11 +45,25 @@ class Planted:
     variables: frozenset[str] = frozenset()
     where: tuple[tuple[str, str], ...] = ()
     strength: float = 0.0
+    column: int | None = None
+    """Seed of a further column of random numbers; None for none"""
 
     def job(self, effects: Sequence[Wanted] = (), own: Sequence[Effect] = ()) -> AdjustedJob:
         """Return it as `diagnose` takes it, with some effects in its model; `own` are defined beside the catalogue."""
         found = self.measured.adjusted(effects)
-        return replace(found, places=KINDS[self.kind].task().places, effects=(*found.effects, *own))
+        found = replace(found, places=KINDS[self.kind].task().places, effects=(*found.effects, *own))
+        return found if self.column is None else _with_column(found, np.random.default_rng(self.column))
+
+
+def _with_column(job: AdjustedJob, rng: np.random.Generator) -> AdjustedJob:
+    """Return a job with a column of random numbers beside its readings, which has nothing to do with them."""
+    column = measured("load", "load", compound("1"))
+    groups = []
+    for group in job.model.groups:
+        values = {"load": rng.uniform(0.2, 1.4, group.observations.count)}
+        conditions = {**group.observations.conditions, **values}
+        groups.append(replace(group, observations=replace(group.observations, conditions=conditions)))
+    return replace(job, model=replace(job.model, groups=tuple(groups)), places=with_variables(job.places, [column]))
 
 
 def _form(

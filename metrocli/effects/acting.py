@@ -36,6 +36,8 @@ class Variable:
     """Conditions without which a reading does not have it"""
     of_data: bool = False
     """Whether it is a further column of the data; a parameter of the same name comes before it"""
+    heading_unit: str = ""
+    """Unit of such a column in the heading, such as kN"""
 
 
 OfPlace = Callable[[str], tuple[Variable, ...]]
@@ -109,7 +111,8 @@ def measured(name: str, heading: str, unit: Compound) -> Variable:
     def at(value: Array, local: Local) -> Step:
         return Step(unit.factor * local.observations.conditions[heading][None])
 
-    return Variable(name, base_unit(unit.powers), at, needs=(heading,), of_data=True)
+    text = "K" if unit.point else unit.text
+    return Variable(name, base_unit(unit.powers), at, needs=(heading,), of_data=True, heading_unit=text)
 
 
 def component(name: str, unit: str, number: int) -> Variable:

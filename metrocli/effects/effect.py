@@ -119,11 +119,19 @@ class Effect:
     """The cause where it acts at all places of its kind, with sizes that scatter about 0; empty if none is usual"""
     definition: str = ""
     """For an effect of one's own: its definition, one line of YAML"""
+    lacks: str = ""
+    """For an effect of one's own: what the data lack to test it, such as "needs a column load"; empty if nothing"""
 
     @property
     def keys(self) -> tuple[str, ...]:
         """Kinds of place that a job names for it: all of `where` but `by`."""
         return tuple(key for key in self.where if key != "by")
+
+    @property
+    def remedy(self) -> str:
+        """What to do, for messages, where readings lack a column that it needs."""
+        simulated = "; a simulation that chooses its own readings, not those of a file, has no further columns"
+        return f"measure it with each reading{simulated if self.definition else ''}"
 
     @property
     def is_step(self) -> bool:

@@ -19,7 +19,7 @@ from metrocli.effects.effect import COLUMN, ELAPSED, WARMING, Effect
 from metrocli.effects.model import Added, Model
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError
-from metrocli.words import suggestion
+from metrocli.words import in_a_row, suggestion
 
 ELSEWHERE = "elsewhere"
 """Member of an effect's block for the readings on which the effect does not act; it stays at 0"""
@@ -52,7 +52,7 @@ def extended(model: Model, wanted: Iterable[Wanted]) -> Model:
             own.append(one.node.fault(f"{one.name} takes no `std`: a reading does not concern one {key} alone", hint))
         elif not own:
             reasons = dict.fromkeys(lacking(model, form, one.where) for form in one.forms)
-            hint = "" if _UNTOUCHED in reasons else "measure it with each reading"
+            hint = "" if _UNTOUCHED in reasons else one.forms[0].remedy
             own.append(one.node.fault(f"{one.name} {', or '.join(reasons)}", hint))
         faults.extend(own)
     if faults:
@@ -66,8 +66,7 @@ def with_conditions(model: Model) -> Model:
     `elapsed` needs the times of the readings, `warming` their temperatures. Both count from the earliest reading of all
     and keep their values if readings are left out later.
     """
-    readings = model.readings
-    with_time = [group.observations.conditions for group in readings if "t" in group.observations.conditions]
+    with_time = [one.observations.conditions for one in model.readings if "t" in one.observations.conditions]
     start = min((float(c["t"].min()) for c in with_time if c["t"].size), default=0.0)
     first = next((float(c["temp"][np.argmin(c["t"])]) for c in with_time if "temp" in c and start in c["t"]), None)
     groups = []
@@ -107,7 +106,8 @@ def _has(group: Group, needs: Sequence[str]) -> bool:
 def lacking(model: Model, effect: Effect, where: Mapping[str, str]) -> str:
     """Return the reason, for messages, why an effect cannot act at a place."""
     missing = [name for name in effect.needed(where) if not any(_has(group, [name]) for group in model.readings)]
-    return f"needs a column {' and '.join(COLUMN.get(name, name) for name in missing)}" if missing else _UNTOUCHED
+    columns = in_a_row([COLUMN.get(name, name) for name in missing])
+    return effect.lacks or (f"needs a column {columns}" if missing else _UNTOUCHED)
 
 
 def _reaches(group: Group, effect: Effect, where: Mapping[str, str]) -> bool:

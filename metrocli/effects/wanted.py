@@ -74,6 +74,11 @@ def read(table: Sequence[Effect], nodes: Sequence[Node], faults: list[Fault]) ->
     return listed
 
 
+def names_of(nodes: Iterable[Node]) -> frozenset[str]:
+    """Return the names of the effects that the nodes name, known or not."""
+    return frozenset(name.text for node in nodes if (name := node.get("name")) is not None)
+
+
 def _read(table: Sequence[Effect], node: Node, faults: list[Fault]) -> Wanted | None:
     name = node.get("name")
     if name is None or name.kind != "scalar":

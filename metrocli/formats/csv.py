@@ -38,7 +38,7 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
     """
     raw = taken_apart(read_text(path, shown or str(path), held), shown or str(path))
     columns = _every(raw, columns) if columns.every else columns
-    further = tuple(name for name in columns.further if name in raw.header)
+    further = tuple(dict.fromkeys((*(name for name in columns.further if name in raw.header), *_tried(raw, columns))))
     columns = replace(columns, columns=(*columns.columns, *(Column(name) for name in further)))
     places, faults = _find(raw, columns)
     complete, without_key = not faults, set[int | None]()
@@ -62,6 +62,13 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
     if copied:
         raise InputError(shortened(copied))
     return table
+
+
+def _tried(raw: Raw, columns: Columns) -> list[str]:
+    """Return the headings of those columns for laws of which every cell is a number."""
+    return [
+        name for name in columns.tried if name in raw.header and all(map(_is_number, raw.cells[raw.header.index(name)]))
+    ]
 
 
 def _every(raw: Raw, columns: Columns) -> Columns:

@@ -21,8 +21,11 @@ from metrocli.diagnosis.laws.definition import as_define, as_wanted
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.memory import as_fits
 from metrocli.diagnosis.mistakes import without_mistakes
+from metrocli.effects.acting import Variable
+from metrocli.effects.own import columns
 from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError, UsageError
 from metrocli.formats.aside import written_aside
+from metrocli.formats.csv_headings import numeric
 from metrocli.nodes import Node
 from metrocli.progress import SILENT, Named, Progress, counted
 from metrocli.project import yaml_text
@@ -57,7 +60,10 @@ def carry_out(
 
     `ordered` computes the folds of cross-validation, perhaps on other processors.
     """
-    adjust = _adjuster(job)
+    more = columns.variables(((item.spec, item.paths) for item in job.inputs), numeric)
+    inputs = tuple(replace(item, spec=columns.reading_all(item.spec, more)) for item in job.inputs)
+    job = replace(job, inputs=inputs) if more else job
+    adjust = _adjuster(job, more)
     progress = Named(job.file, progress)
     progress.doing("adjusting")
     adjusted, mistaken = without_mistakes(counting(read_inputs(job), progress), adjust)
@@ -80,18 +86,20 @@ def design_of(job: JobFile, progress: Progress = SILENT) -> tuple[AdjustedJob, D
     return adjusted, what_can_be_seen(adjusted)
 
 
-def _adjuster(job: JobFile) -> Callable[[Mapping[str, object]], AdjustedJob]:
+def _adjuster(job: JobFile, more: Sequence[Variable] = ()) -> Callable[[Mapping[str, object]], AdjustedJob]:
+    """Return what adjusts a job; `more` are variables of laws beside those that its kind has everywhere."""
     task = tasks.KINDS[job.kind].task()
     adjusted = task.diagnosed
     if adjusted is None:
         raise UsageError(f"{job.kind} jobs cannot be diagnosed")
     noise = job.root.get("noise")
     declared, model = _declared(noise), _model(noise)
+    places = columns.with_variables(task.places, more)
 
     def adjust(inputs: Mapping[str, object]) -> AdjustedJob:
         found = adjusted(task.job(job.settings, effects=job.effects, **inputs))
         every = (*found.effects, *job.own.effects)
-        return replace(found, declared=declared, noise_model=model, effects=every, places=task.places)
+        return replace(found, declared=declared, noise_model=model, effects=every, places=places)
 
     return adjust
 

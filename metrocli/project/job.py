@@ -141,7 +141,8 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     files = tuple((item.spec, item.paths) for item in inputs)
     further = cache(lambda: columns.variables(files, numeric))
     places = cache(lambda: columns.with_variables(tasks.KINDS[kind].task().places, further()))
-    own = Own() if heading is BAD else own_effects(heading, Defining(kind, path, places, wishes.files), faults)
+    defining = Defining(kind, path, places, wishes.files, effects.names_of(named))
+    own = Own() if heading is BAD else own_effects(heading, defining, faults)
     if any(effect.definition for effect in own.effects):
         inputs = tuple(replace(item, spec=columns.reading(item.spec, further(), own.effects)) for item in inputs)
     wanted = effects.read((*tasks.KINDS[kind].task().effects, *own.effects), named, faults) if named else ()

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from enum import IntEnum
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -72,6 +73,8 @@ class Defining:
     places: Callable[[], tuple[Acting, ...]]
     """With the further columns of the data as variables; files are looked at only if something is defined"""
     files: YamlFiles
+    named: Collection[str] = ()
+    """Effects that the job or the command line names: the data must have their columns"""
 
 
 def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> Own:
@@ -79,7 +82,7 @@ def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> Own:
 
     Appends a fault for each mistake, with its place.
     """
-    kind, read_before = given.kind, given.files
+    kind = given.kind
     taken = {effect.name for effect in tasks.KINDS[kind].task().effects}
     found: list[Effect] = []
     files: dict[Path, YamlFile] = {}
@@ -91,14 +94,14 @@ def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> Own:
         taken.add(effect.name)
         found.append(effect)
     sought = tuple(_project_files_above(given.job.parent))
-    by_project = _of_project(sought[-1], read_before)
+    by_project = _of_project(sought[-1], given.files)
     for node in filter(None, (heading.effects_from, by_project)):
         path = path_beside(node)
         if path.resolve() in {one.resolve() for one in files}:
             continue
-        effects = of_file(kind, path, taken, faults, read_before, node, given.places())
+        effects = of_file(path, given, taken, faults, node)
         with suppress(InputError):  # which is among the faults by now
-            files[path] = read_before.read(path)
+            files[path] = given.files.read(path)
         taken |= {effect.name for effect in effects}
         found += effects
     if heading.define:
@@ -135,25 +138,19 @@ def _project_files_above(folder: Path) -> Iterator[Path]:
 
 
 def of_file(
-    kind: str,
-    path: Path,
-    taken: Iterable[str],
-    faults: list[Fault],
-    read_before: YamlFiles,
-    named: Node | None = None,
-    places: tuple[Acting, ...] = (),
+    path: Path, given: Defining, taken: Iterable[str], faults: list[Fault], named: Node | None = None
 ) -> list[Effect]:
     """Return the effects that a file defines for a kind; those that only fit other kinds are left out.
 
-    `places` are those of the kind unless given.
+    `named` names the file. An effect that needs columns which the data lack is there with what it lacks, unless the job
+    names it: then it is a fault.
     """
-    places = places or tasks.KINDS[kind].task().places
     if not path.is_file():
         message, hint = f"effects_from: no such file: {path}", "a file with effects under `define:`"
         faults.append(named.fault(message, hint) if named is not None else Fault(message, str(path), hint=hint))
         return []
     try:
-        root = read_before.root(path)
+        root = given.files.root(path)
     except InputError as error:
         faults.extend(error.faults)
         return []
@@ -166,19 +163,41 @@ def of_file(
         return []
     names, found = set(taken), list[Effect]()
     for node in define.items:
-        wrong: list[Fault] = []
-        effects = read([node], places, names, wrong)
-        if wrong and (_fits(kind, node) or not any(_fits(name, node) for name in tasks.KINDS if name != kind)):
-            faults.extend(wrong)
+        effects = _of_node(node, given, names, faults)
         names |= {effect.name for effect in effects}
         found += effects
     return found
 
 
-def _fits(kind: str, node: Node) -> bool:
-    """Return whether a definition is without fault for a kind of job, but for a name that exists already."""
+def _of_node(node: Node, given: Defining, taken: Iterable[str], faults: list[Fault]) -> list[Effect]:
+    """Return the effect of a definition in a file for many jobs, none if it only fits other kinds."""
     wrong: list[Fault] = []
-    return bool(read([node], tasks.KINDS[kind].task().places, (), wrong)) and not wrong
+    effects = read([node], given.places(), taken, wrong, given.named.__contains__)
+    if not wrong and not any(effect.lacks for effect in effects):
+        return effects
+    here = _fit(given.kind, node)
+    if here is not Fit.WHOLE and max(_fit(kind, node) for kind in tasks.KINDS if kind != given.kind) > here:
+        return []
+    faults.extend(wrong)
+    return effects
+
+
+class Fit(IntEnum):
+    """How a definition fits a kind of job."""
+
+    NONE = 0
+    WITH_COLUMNS = 1
+    """In jobs whose data have further columns"""
+    WHOLE = 2
+
+
+def _fit(kind: str, node: Node) -> Fit:
+    """Return how a definition fits a kind of job, where its name exists already or not."""
+    wrong: list[Fault] = []
+    effects = read([node], tasks.KINDS[kind].task().places, (), wrong, lambda name: False)
+    if wrong or not effects:
+        return Fit.NONE
+    return Fit.WITH_COLUMNS if any(effect.lacks for effect in effects) else Fit.WHOLE
 
 
 @cache

@@ -172,6 +172,10 @@ def test_readings_of_every_method_take_the_column(name: str, metrocli: Metrocli,
     assert ran.code in (0, 6), ran.err
     one = json.loads(ran.out)["estimates"]["load-error.a"]
     assert abs(one["value"] - true) < 4 * one["std"] < true
+    if name != "standstill":
+        planted = ["--effect", f"load-error:a={size}{unit}"]
+        ran = metrocli("simulate", job, "--out", tmp_path / "again", *planted)
+        assert ran.code == 3 and "needs a column load_kN" in ran.err and "chooses its own readings" in ran.err
 
 
 @pytest.fixture

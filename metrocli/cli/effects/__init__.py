@@ -44,7 +44,7 @@ def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -
         echo(summary.as_json(data[kind] if kind else {"kinds": data}))
         return 0
     if check:
-        echo(f"{count} effects of one's own obey the laws")
+        echo("\n".join([f"{count} effects of one's own obey the laws", *_in_data(found)]))
         return 0
     echo("\n\n".join(_text(one, own) for one, own in found.values()))
     return 0
@@ -53,19 +53,21 @@ def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -
 def _own(kind: str, source: Path | None) -> list[Effect]:
     """Return the own effects of a kind: those of a file, else of the project of the working folder, and of packages."""
     from metrocli.errors import Fault, InputError
-    from metrocli.project.own_effects import of_file, of_packages, of_project
+    from metrocli.project.own_effects import Defining, of_file, of_packages, of_project
     from metrocli.project.yaml_text import YamlFiles
     from metrocli.settings import path_beside
     from metrocli.tasks import KINDS
 
-    taken = {effect.name for effect in KINDS[kind].task().effects}
+    task = KINDS[kind].task()
+    taken = {effect.name for effect in task.effects}
     found = list(of_packages(kind))
     files = YamlFiles()
     node = None if source is not None else of_project(Path(), files)
     path = source if node is None else path_beside(node)
     faults: list[Fault] = []
     if path is not None:
-        found += of_file(kind, path, taken | {effect.name for effect in found}, faults, files, node)
+        given = Defining(kind, path, lambda: task.places, files)
+        found += of_file(path, given, taken | {effect.name for effect in found}, faults, node)
     if faults:
         raise InputError(faults)
     return found
@@ -83,6 +85,16 @@ def _faults(found: dict[str, tuple[Kind, list[Effect]]]) -> tuple[list[Any], int
         for said in broken(effect, kind.task().places)
     ]
     return faults, sum(len(own) for _, own in found.values())
+
+
+def _in_data(found: dict[str, tuple[Kind, list[Effect]]]) -> list[str]:
+    """Return a line for each own effect that only data with further columns can test."""
+    return [
+        f"{effect.name}: {effect.lacks}; the units of its expression are tested with the data of a job ({name})"
+        for name, (_, own) in found.items()
+        for effect in own
+        if effect.lacks
+    ]
 
 
 def _data(kind: Kind, own: Sequence[Effect]) -> dict[str, Any]:

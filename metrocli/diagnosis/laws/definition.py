@@ -5,16 +5,20 @@ Method: docs/algorithms/laws.md.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import count
 from typing import Any
 
+from metrocli.diagnosis.laws.library import Term
 from metrocli.diagnosis.laws.search import Law
 from metrocli.expressions.dimensions import Powers, base_unit, compound
 
 _MARGIN = 1.5
 """A scanned value is written with a range of this factor on both sides"""
+_NAMED = re.compile(r"[A-Za-z]+|1")
 _PLAUSIBLE = 10.0
 """Plausible size of a parameter, as a multiple of its value or its standard uncertainty"""
 
@@ -33,22 +37,35 @@ def written(law: Law) -> Written:
     adds: dict[str, list[str]] = {}
     parameters: dict[str, tuple[float, float, str]] = {}
     scan: dict[str, tuple[float, str]] = {}
-    numbers = iter(range(1, 100))
+    used = {name for term in law.terms for name in term.form.variables}
+    names = (name for name in map("a{}".format, count(1)) if name not in used)
     for term, sizes, stds in zip(law.terms, law.sizes, law.stds, strict=True):
         form, acting = term.form, term.spot.acting
         known = acting.variables_at({})
-        unit = compound(acting.unit_of(term.spot.component)).powers
-        for name, power in form.powers_of().items():
-            unit = _divided(unit, compound(known[name].unit).powers, power)
+        unit = _unit_of(term)
+        one = compound(unit).factor
         scanned = f"s{len(scan) + 1}"
         if form.scanned is not None:
             scan[scanned] = (form.scanned, _text(compound(known[form.variables[0]].unit).powers))
         for factor, size, std in zip(form.factors, sizes.tolist(), stds.tolist(), strict=True):
-            name = f"a{next(numbers)}"
-            parameters[name] = (size, std, _text(unit))
+            name = next(names)
+            parameters[name] = (size / one, std / one, unit)
             text = factor.replace("{s}", scanned)
             adds.setdefault(term.spot.component, []).append(name if text == "1" else f"{name}*{text}")
     return Written({key: " + ".join(parts) for key, parts in adds.items()}, parameters, scan)
+
+
+def _unit_of(term: Term) -> str:
+    """Return the unit of the sizes of a term: with units of headings where these are plain names, else base units."""
+    known, powers = term.spot.acting.variables_at({}), term.form.powers_of()
+    of_component = term.spot.acting.unit_of(term.spot.component)
+    by_column = [known[name].heading_unit or known[name].unit for name in powers for _ in range(powers[name])]
+    if any(known[name].of_data for name in powers) and all(_NAMED.fullmatch(one) for one in by_column):
+        return "/".join([of_component, *(one for one in by_column if one != "1")])
+    unit = compound(of_component).powers
+    for name, power in powers.items():
+        unit = _divided(unit, compound(known[name].unit).powers, power)
+    return _text(unit)
 
 
 def _divided(unit: Powers, by: Powers, power: int) -> Powers:

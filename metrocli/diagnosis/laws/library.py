@@ -16,6 +16,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.laws.further_columns import kept
 from metrocli.diagnosis.laws.terms import Form, columns_of, forms_of
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.column_parts import Part
@@ -201,7 +202,7 @@ def _at(job: AdjustedJob, system: System, acting: Acting) -> tuple[Array, dict[s
     whole = np.zeros((system.rows, len(acting.components)))
     values: dict[str, Array] = {}
     known = acting.variables_at({})
-    own = {*acting.components, acting.name} - {"angle"}
+    own, partly = {*acting.components, acting.name} - {"angle"}, set[str]()
     for group in job.model.readings:
         links = group.chain.links
         at = next((i for i in reversed(range(len(links))) if links[i].gives is acting.quantity), None)
@@ -221,8 +222,12 @@ def _at(job: AdjustedJob, system: System, acting: Acting) -> tuple[Array, dict[s
         for name, one in known.items():
             there = all(need in observations.conditions for need in one.needs)
             if name in own or name.startswith("beam_") or not there:
+                partly |= {name} if one.of_data else set()
                 continue
             full = np.broadcast_to(one.at(value, local).value[0], (n,))
             if np.isfinite(full).all():
                 values[name] = values.get(name, np.zeros(system.rows)) + system.spread(group, np.array(full))
-    return whole, values
+    acting_on = np.flatnonzero(whole.any(axis=1))
+    seen = {name: one[acting_on] for name, one in values.items() if name not in partly}
+    chosen = kept(seen, {name for name, one in known.items() if one.of_data})
+    return whole, {name: values[name] for name in chosen}

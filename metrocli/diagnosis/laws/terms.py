@@ -38,6 +38,11 @@ class Form:
         return {}
 
 
+def powers_are_tried(variable: str) -> bool:
+    """Return whether powers of a variable are tried, by its name: neither harmonics nor its sign alone."""
+    return variable not in _ANGLES and not variable.startswith(_SIDE)
+
+
 def _order(factor: str) -> int:
     head = factor.partition("(")[2].partition("*")
     return int(head[0]) if head[1] else 1
@@ -71,7 +76,7 @@ def forms_of(values: Mapping[str, Array], elapsed: Mapping[str, Array], periods:
     At most `periods` periods are tried for each variable, from one over its range to that many halves.
     """
     yield Form("constant", ("1",), ())
-    smooth = [name for name in values if name not in _ANGLES and not name.startswith(_SIDE)]
+    smooth = [name for name in values if powers_are_tried(name)]
     for name in values:
         if name in _ANGLES:
             for order in range(1, _HARMONICS + 1):

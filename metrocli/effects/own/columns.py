@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
@@ -12,11 +11,12 @@ from typing import Any
 from metrocli import units
 from metrocli.effects.acting import Acting, Variable, measured
 from metrocli.effects.effect import Effect
+from metrocli.effects.own.names import WORD
 from metrocli.expressions.dimensions import Compound, compound
+from metrocli.expressions.expression import CONSTANTS, FUNCTIONS
 from metrocli.settings import TableFile
 
 Numeric = Callable[[Path], Iterable[str]]
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _TIME = "t"
 
 
@@ -32,7 +32,7 @@ def variables(files: Iterable[tuple[Any, Sequence[Path]]], numeric: Numeric) -> 
     for spec, paths in files:
         for heading in _headings(spec, chain.from_iterable(map(numeric, paths))) if _of_readings(spec) else ():
             name, unit = _taken_apart(heading)
-            if _NAME.fullmatch(name):
+            if WORD.fullmatch(name) and name not in (*FUNCTIONS, *CONSTANTS):
                 found.setdefault(name, measured(name, heading, unit))
     return tuple(found.values())
 
@@ -52,6 +52,13 @@ def reading(spec: Any, more: Iterable[Variable], effects: Iterable[Effect]) -> A
     needed = {need for effect in effects for need in effect.needs}
     further = tuple(need for one in more for need in one.needs if need in needed)
     return TableFile(replace(spec.columns, further=further)) if further else spec
+
+
+def reading_all(spec: Any, more: Iterable[Variable]) -> Any:
+    """Return the specification of a file of which all further columns are read whose cells are all numbers."""
+    if not _of_readings(spec):
+        return spec
+    return TableFile(replace(spec.columns, tried=tuple(need for one in more for need in one.needs)))
 
 
 def _of_readings(spec: Any) -> bool:

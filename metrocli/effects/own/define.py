@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from metrocli import units
 from metrocli.adjust.model.blocks import Space
@@ -13,34 +13,39 @@ from metrocli.effects.acting import Acting, Variable
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.own import OwnTerms
 from metrocli.effects.own.definition import Definition, Given, Scan, text_of
+from metrocli.effects.own.names import not_free
 from metrocli.effects.own.parameters import components, of_unit, shape, values_tried
 from metrocli.effects.own.trials import Trial, is_wave, without_value
 from metrocli.errors import Fault
 from metrocli.expressions.derivatives import NoValueError
 from metrocli.expressions.dimensions import Compound, base_unit, compound, described, unit_of
-from metrocli.expressions.expression import CONSTANTS, FUNCTIONS, NAME, ExpressionError
+from metrocli.expressions.expression import NAME, ExpressionError
 from metrocli.nodes import Node
 from metrocli.settings import BAD, Section
-from metrocli.words import suggestion
+from metrocli.words import in_a_row, nearest, suggestion
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
-_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_KEYS = ("name", "by", "std")
-"""Keys of `effects:` that no parameter can have as its name"""
 _SAMPLE = {"axis": "x", "pair": "xy"}
 
 
-def read(nodes: Iterable[Node], places: Sequence[Acting], taken: Iterable[str], faults: list[Fault]) -> list[Effect]:
+def read(
+    nodes: Iterable[Node],
+    places: Sequence[Acting],
+    taken: Iterable[str],
+    faults: list[Fault],
+    required: Callable[[str], bool] = lambda name: True,
+) -> list[Effect]:
     """Return the effects that the nodes define for a kind of job with these places to act.
 
-    `taken` are the names of its other effects. Appends a fault for each mistake.
+    `taken` are the names of its other effects. Appends a fault for each mistake. An unknown variable is a mistake in an
+    effect that is `required`, by its name; any other effect with one `lacks` a column of the data.
     """
     names, found = set(taken), list[Effect]()
     for node in nodes:
         given = Section(Definition).read(node, faults)
         if given is BAD:
             continue
-        reader = _Reader(given, node, tuple(places), names)
+        reader = _Reader(given, node, tuple(places), names, required(given.name.value))
         effect = reader.effect()
         faults.extend(reader.faults)
         names.add(given.name.value)
@@ -57,7 +62,10 @@ class _Reader:
     node: Node
     places: tuple[Acting, ...]
     taken: set[str]
+    required: bool
     faults: list[Fault] = field(default_factory=list)
+    unknown: dict[str, str] = field(default_factory=dict)
+    """Variables that no column explains, each with the nearest known name or an empty text"""
 
     def effect(self) -> Effect | None:
         """Return the entry of the table, or None if the definition has a fault."""
@@ -77,10 +85,23 @@ class _Reader:
         sample = {key: _SAMPLE.get(key) or next(iter(acting.split.get(key, {"": None}))) for key in where}
         own = {*self.given.parameters, *self.given.scan}
         known = {n: one for n, one in acting.variables_at(sample).items() if not (one.of_data and n in own)}
-        self._names(known, where)
+        for fault in not_free((self.given.parameters, self.given.scan), known, where):
+            self._fault(*fault)
         used = self._used(known)
         if self.faults:
             return None
+        plain = Effect(
+            self.given.name.value,
+            self.given.cause,
+            tuple(parameters),
+            where=where,
+            reveal=self.given.reveal,
+            source=self.given.source,
+            definition=text_of(self.node),
+        )
+        if self.unknown:
+            names = [f"{name} (did you mean '{near}'?)" if near else name for name, near in self.unknown.items()]
+            return replace(plain, lacks=f"needs a column {in_a_row(names)}")
         self._units(acting, used)
         if self.faults:
             return None
@@ -89,18 +110,13 @@ class _Reader:
             return None
         ordered = self._in_order(parameters, wave)
         template = acting.variables_at(sample | ({"axis": "{axis}"} if "axis" in where else {}))
-        return Effect(
-            self.given.name.value,
-            self.given.cause,
-            ordered,
-            self._link(acting, list(used), ordered, scanned, wave),
-            where=where,
+        return replace(
+            plain,
+            parameters=ordered,
+            link=self._link(acting, list(used), ordered, scanned, wave),
             scanned=tuple(scanned),
             space=Space.WAVE if wave else Space.FLAT,
             needs=tuple(dict.fromkeys(need for name in used for need in template[name].needs)),
-            reveal=self.given.reveal,
-            source=self.given.source,
-            definition=text_of(self.node),
         )
 
     def _fault(self, key: str, message: str, hint: str | None = None) -> None:
@@ -173,21 +189,6 @@ class _Reader:
             return None
         return unit
 
-    def _names(self, known: Mapping[str, Variable], where: Sequence[str]) -> None:
-        """Add a fault for each parameter whose name is not free."""
-        both = [("parameters", name) for name in self.given.parameters] + [("scan", name) for name in self.given.scan]
-        seen: set[str] = set()
-        for key, name in both:
-            if not _WORD.fullmatch(name):
-                self._fault(f"{key}.{name}", f"'{name}' is not a name", "write letters, digits and _")
-            elif name in (*FUNCTIONS, *CONSTANTS, *_KEYS, *where):
-                self._fault(f"{key}.{name}", f"'{name}' has a meaning of its own", "choose another name")
-            elif name in known:
-                self._fault(f"{key}.{name}", f"'{name}' is a variable there", "choose another name")
-            elif name in seen:
-                self._fault(f"{key}.{name}", f"'{name}' is also under parameters", "choose another name")
-            seen.add(name)
-
     def _used(self, known: Mapping[str, Variable]) -> dict[str, Variable]:
         """Return the variables in the expressions; add a fault for each unknown name, and each parameter not used."""
         own = {**self.given.parameters, **self.given.scan}
@@ -200,6 +201,8 @@ class _Reader:
                 named.add(part.name)
                 if part.name in known:
                     used[part.name] = known[part.name]
+                elif part.name not in own and not self.required:
+                    self.unknown[part.name] = nearest(part.name, known) or ""
                 elif part.name not in own:
                     hint = suggestion(part.name, [*own, *known])
                     self.faults.append(

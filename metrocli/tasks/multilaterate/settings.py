@@ -24,7 +24,7 @@ LENGTHS = Columns(
         Column("temp", "temperature", required=False),
         *WEATHER,
     ),
-    ("point", "tracer"),
+    ("point", "tracer", "t"),
     "lengths read by the tracers",
     measured=("length",),
     alike=("tracer",),

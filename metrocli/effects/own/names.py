@@ -1,0 +1,31 @@
+"""Names that the parameters of an effect of one's own can have."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Container, Iterable, Iterator, Sequence
+
+from metrocli.expressions.expression import CONSTANTS, FUNCTIONS
+
+WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_KEYS = ("name", "by", "std")
+"""Keys of `effects:` that no parameter can have as its name"""
+_OTHER = "choose another name"
+
+
+def not_free(
+    given: tuple[Iterable[str], Iterable[str]], known: Container[str], where: Sequence[str]
+) -> Iterator[tuple[str, str, str]]:
+    """Yield key, fault and hint for each parameter and scanned parameter (`given`) whose name is not free."""
+    parameters, scan = given
+    seen: set[str] = set()
+    for key, name in [*(("parameters", name) for name in parameters), *(("scan", name) for name in scan)]:
+        if not WORD.fullmatch(name):
+            yield f"{key}.{name}", f"'{name}' is not a name", "write letters, digits and _"
+        elif name in (*FUNCTIONS, *CONSTANTS, *_KEYS, *where):
+            yield f"{key}.{name}", f"'{name}' has a meaning of its own", _OTHER
+        elif name in known:
+            yield f"{key}.{name}", f"'{name}' is a variable there", _OTHER
+        elif name in seen:
+            yield f"{key}.{name}", f"'{name}' is also under parameters", _OTHER
+        seen.add(name)
