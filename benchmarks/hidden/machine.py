@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,8 @@ PARAMETERS = {
     "thermal-growth": ("rate",),
     "machine-drift": ("vx", "vy", "vz"),
     "load-sag": ("c",),
+    "straightness-reversal": ("width",),
+    "angular-reversal": ("rx", "ry", "rz"),
     "tracker-eccentricity": ("c1", "s1"),
     "tracker-scale": ("scale",),
     "tracker-range-zero": ("r0",),
@@ -131,15 +134,20 @@ def names(m: Measurement) -> npt.NDArray[np.str_]:
 
 def _tables(m: Measurement) -> Iterator[Array]:
     """Yield the displacement by each knot of each table, chain XYZ."""
-    tool = np.array(list(TOOLS.values()))[m.tool]
     for i in range(3):
-        lever = tool.copy()
-        lever[:, i + 1 :] += m.at[:, i + 1 :]
+        lever = _lever(m, i)
         knots = np.linspace(LOW[i], HIGH[i], m.knots)
         for hat in np.eye(m.knots):
             share = np.interp(m.at[:, i], knots, hat)[:, None]
             yield from (share * unit for unit in np.eye(3))
             yield from (share * np.cross(unit, lever) for unit in np.eye(3))
+
+
+def _lever(m: Measurement, axis: int) -> Array:
+    """Return the tool vector with the positions of the axes between an axis and the tool, (n, 3)."""
+    lever = np.array(list(TOOLS.values()))[m.tool]
+    lever[:, axis + 1 :] += m.at[:, axis + 1 :]
+    return lever
 
 
 def _true_tables(rng: np.random.Generator, count: int) -> Iterator[float]:
@@ -198,8 +206,10 @@ def _about_z(angle: float) -> Array:
 
 def places(name: str) -> list[dict[str, str]]:
     """Return where an effect can be."""
-    if name in ("backlash", "backlash-growth", "screw-pitch-error", "thermal-growth"):
+    if name in ("backlash", "backlash-growth", "screw-pitch-error", "thermal-growth", "angular-reversal"):
         return [{"axis": axis} for axis in "xyz"]
+    if name == "straightness-reversal":
+        return [{"reversal": turned + shifted} for turned, shifted in permutations("xyz", 2)]
     return [{"pair": pair} for pair in ("xy", "xz", "yz")] if name == "load-sag" else [{}]
 
 
@@ -214,10 +224,15 @@ def change(m: Measurement, name: str, where: Mapping[str, str], v: Mapping[str, 
             moved[:, i] = v["width"] / 2 * m.came[:, i]
         elif name == "backlash-growth":
             moved[:, i] = v["growth"] * m.at[:, i] / 2 * m.came[:, i]
+        elif name == "angular-reversal":
+            moved = np.cross(np.array([v["rx"], v["ry"], v["rz"]]) * m.came[:, i, None] / 2, _lever(m, i))
         elif name == "thermal-growth":
             moved[:, i] = v["rate"] * elapsed * m.at[:, i]
         else:
             moved[:, i] = v["amplitude"] * np.sin(2 * np.pi * m.at[:, i] / v["period"] + v["phase"])
+    elif name == "straightness-reversal":
+        a, b = ("xyz".index(axis) for axis in where["reversal"])
+        moved[:, b] = v["width"] / 2 * m.came[:, a]
     elif name == "load-sag":
         a, b = ("xyz".index(axis) for axis in where["pair"])
         moved[:, 2] = v["c"] * m.at[:, a] * m.at[:, b]

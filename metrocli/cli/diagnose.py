@@ -110,7 +110,7 @@ def _once(
         console.print("\n".join(["", *next_lines(proposed)]))
     if not as_json:
         _keep(loaded, data, force, console)
-    return NOT_MET if wanted["require"] not in (None, diagnosis.verdict) else 0
+    return 0 if _is_met(wanted["require"], diagnosis) else NOT_MET
 
 
 def _extended(job: JobFile, diagnosis: Diagnosis, output: Path | None, force: bool) -> Path | None:
@@ -175,7 +175,12 @@ def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> i
         if steps:
             last = load(steps[-1], Wishes(accept_doubtful=job.accept_doubtful))
             _keep(last, _data(last, loop.last, None), force, console)
-    return NOT_MET if wanted["require"] not in (None, loop.last.verdict) else 0
+    return 0 if _is_met(wanted["require"], loop.last) else NOT_MET
+
+
+def _is_met(verdict: str | None, diagnosis: Diagnosis) -> bool:
+    """Return whether a diagnosis has the required verdict; one that ended early has none that counts."""
+    return verdict is None or (diagnosis.verdict == verdict and diagnosis.ended_early == "")
 
 
 def _seconds(text: str) -> float:

@@ -86,14 +86,20 @@ def diagnose(
 
     found, _ = diagnosed(job)
     units, scattered = found.noisier_units, [one.found.effect.name for one in found.scatters]
-    plain = None if found.law is None or found.interrupted else without_scatter(job, units, scattered)
+    suspect = found.law is not None or _in_noisy_unit(found)
+    plain = without_scatter(job, units, scattered) if suspect and not found.interrupted else None
     if plain is None:
         return found
-    progress.doing("diagnosing again without the noise for which a law may stand", job.budget.left())
+    progress.doing("diagnosing again without the noise that may stand for a law or an effect", job.budget.left())
     again, searched = diagnosed(plain)
-    if again.law is not None and explains_scatter(again.law, job, searched.selection, units, scattered):
-        return again
-    return found
+    explains = explains_scatter(again.law, job, searched.selection, units, scattered)
+    return again if explains and (again.law is not None or again.findings) else found
+
+
+def _in_noisy_unit(found: Diagnosis) -> bool:
+    """Return whether an effect was found at a unit whose noise was taken for larger before."""
+    noisy = {(unit.key, unit.name) for unit in found.noisier_units}
+    return any(noisy & set(one.effect.alternative.where.items()) for one in found.findings)
 
 
 def _diagnosed(

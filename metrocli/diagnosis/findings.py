@@ -101,6 +101,11 @@ class Diagnosis:
         return next((one for one in self.laws if one.chosen), None)
 
     @property
+    def ended_early(self) -> str:
+        """Why it ended before all was tried, in words; "" if it did not."""
+        return "interrupted" if self.interrupted else f"limit of {self.limited:g} s" if self.limited is not None else ""
+
+    @property
     def verdict(self) -> Verdict:
         """The verdict, which the report states first."""
         if self.mistaken is not None:

@@ -20,7 +20,12 @@ ELAPSED, WARMING = "elapsed", "warming"
 DRIVERS = {"t": ELAPSED, "T": WARMING}
 """Allowed values of the key `by`, and the condition that each stands for"""
 COLUMN = {"t": "t_s", "temp": "temp_degC", "distance": "distance_mm"} | {
-    f"speed_{axis}": "t_s in the track of a path" for axis in "xyz"
+    name: text
+    for axis in "xyz"
+    for name, text in (
+        (f"speed_{axis}", "t_s in the track of a path"),
+        (f"since_{axis}", f"from_{axis} that agrees with the order of the readings"),
+    )
 }
 """Column of the file that holds a condition, for messages"""
 MakeLink = Callable[[str, Mapping[str, str]], Link]

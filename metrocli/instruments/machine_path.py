@@ -13,6 +13,8 @@ from metrocli.instruments.machine import Machine
 
 SPEED = "speed_{axis}"
 """Condition of a reading in motion: speed of an axis as commanded [mm/s]"""
+SINCE = "since_{axis}"
+"""Condition: distance that an axis has travelled since it turned [mm]; infinite where it has not turned yet"""
 _SAME = 1e-6
 """Vertices closer together than this [mm] are the same"""
 
@@ -113,12 +115,35 @@ class Path:
         """Return the speeds of the axes, (n,) each, as conditions of readings with a speed along their legs."""
         return {SPEED.format(axis=axis): speed * part for axis, part in zip("xyz", self.direction[leg].T, strict=True)}
 
+    def since_turns(self, leg: Index, along: Array) -> dict[str, Array]:
+        """Return the distance of each axis since it turned at distances along legs, (n,) each, as conditions."""
+        found = {}
+        for axis, side, part in zip("xyz", self.last_moves(), self.direction.T, strict=True):
+            after = since_turn(part * self.lengths, side)
+            if after is not None:
+                found[SINCE.format(axis=axis)] = after[leg] - np.abs(part[leg]) * (self.lengths[leg] - along)
+        return found
+
     def last_moves(self) -> Array:
         """Return the sign of the last movement of each axis on each leg, (3, legs); 0 where it has not moved yet."""
         signs = np.where(np.abs(self.direction) > _SAME, np.sign(self.direction), np.nan).T
         for axis in signs:
             _fill_forward(axis)
         return np.nan_to_num(signs)
+
+
+def since_turn(moves: Array, side: Array) -> Array | None:
+    """Return how far an axis has travelled since it turned, after each of its moves (n,), with their sides (n,).
+
+    It turns where the side changes, and is infinite before. None if a move contradicts its side: the axis went
+    farther and came back, nobody knows how far.
+    """
+    if (moves * side < 0).any():
+        return None
+    starts = np.flatnonzero(np.diff(side) != 0) + 1
+    way = np.concatenate([[0.0], np.cumsum(np.abs(moves))])
+    begun = np.concatenate([[-np.inf], way[starts]])
+    return np.asarray(way[1:] - begun[np.searchsorted(starts, np.arange(len(moves)), side="right")])
 
 
 def _fill_forward(values: Array) -> None:

@@ -10,14 +10,16 @@ import numpy as np
 from metrocli.adjust.allowance import take
 from metrocli.adjust.model.blocks import Array, Block, Space
 from metrocli.adjust.model.chain import Link, Local, Step
+from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.geometry import poses
-from metrocli.geometry.rotations import nearest_rotation
+from metrocli.geometry.rotations import cross_matrix, nearest_rotation
 from metrocli.instruments.camera import TAPER, TARGET
 from metrocli.instruments.frames import Into, OutOf, PointOf
 
-PART, SPINDLE, COUPLING = "part", "spindle", "coupling"
-"""Blocks: pose of the part in the machine, pose of the spindle in the machine for each image, clamping angle"""
+PART, SPINDLE, COUPLING, MACHINE = "part", "spindle", "coupling", "machine"
+"""Blocks: pose of the part in the machine, pose of the spindle in the machine for each image, clamping angle, and what
+a calibration of the machine leaves open"""
 
 _ANGLE_REACH = 0.5
 
@@ -53,11 +55,40 @@ def _coupling_rotation(angle: Array) -> Array:
     return np.array([[c, -s, zero], [s, c, zero], [zero, zero, one]])
 
 
-def to_camera() -> tuple[Link, ...]:
-    """Return the links from a target of the part to the camera frame."""
+@dataclass(frozen=True)
+class UncertainPoses:
+    """Link for a spindle that stands off its pose (R, d) by what is not known of the machine, `(u, w) = F z`.
+
+    To first order points are displaced by the opposite: `X -= u + w x (X - d)`.
+    """
+
+    spread: Array
+    """F (images, 6, k)"""
+    block: str = MACHINE
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The poses of the spindle, and the unknowns of the machine."""
+        return (SPINDLE, self.block)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n) relative to the spindle as it truly stands."""
+        spread = np.moveaxis(self.spread[local.index(SPINDLE)], 0, -1)
+        shift, turn = np.split(np.einsum("akn,k->an", spread, local.members(self.block)[0]), 2)
+        lever, turned = value - local.rows(SPINDLE)[:3], np.moveaxis(cross_matrix(turn.T), 0, -1)
+        by_unknown = -spread[:3] - np.cross(spread[3:], lever[:, None], axis=0)
+        by_pose = np.concatenate([turned, np.zeros_like(turned)], axis=1)
+        moved = value - shift - np.cross(turn, lever, axis=0)
+        return Step(moved, np.eye(3)[:, :, None] - turned, {SPINDLE: by_pose, self.block: by_unknown})
+
+
+def to_camera(spread: Array | None = None) -> tuple[Link, ...]:
+    """Return the links from a target of the part to the camera frame; `spread` (images, 6, k) is that of the poses."""
     return (
         PointOf(TARGET, Quantity.POINT_IN_PART),
         OutOf(PART, Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE),
+        *([] if spread is None or not spread.shape[2] else [UncertainPoses(spread)]),
         Into(SPINDLE, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_SPINDLE),
         Coupling(COUPLING),
         Into(TAPER, Quantity.POINT_IN_TAPER, Quantity.POINT_IN_CAMERA),
@@ -81,6 +112,18 @@ def coupling_block(angle: float, free: bool) -> Block:
 def spindle_block(values: Array, images: Sequence[str]) -> Block:
     """Return the block with the commanded poses of the spindle, which are known."""
     return Block(SPINDLE, values, poses.COLUMNS, tuple(images), free=np.array(False), space=Space.POSE, noun="image")
+
+
+def machine_blocks(spread: Array) -> list[Block]:
+    """Return the block of what is not known of the machine, z of `UncertainPoses`, if there is any."""
+    count = spread.shape[2]
+    names = tuple(f"error {number}" for number in range(1, count + 1))
+    return [Block(MACHINE, np.zeros((1, count)), names)] if count else []
+
+
+def machine_priors(spread: Array) -> list[Group]:
+    """Return what is known of it beforehand: mean 0 and variance 1."""
+    return [prior(one, np.zeros(1, dtype=np.intp), np.ones((1, one.size))) for one in machine_blocks(spread)]
 
 
 @dataclass(frozen=True)

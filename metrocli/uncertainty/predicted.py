@@ -9,27 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import Fault, InputError
-from metrocli.instruments.machine import (
-    AXES,
-    SQUARENESS_NAMES,
-    Axis,
-    Machine,
-    bracket,
-    by_errors,
-    by_squareness,
-    errors_of,
-)
 from metrocli.result import Result
 from metrocli.table import Table
-from metrocli.uncertainty.comparison import ENTRIES, POINTS, TABLES, TABLES_COVARIANCE
+from metrocli.uncertainty.calibrated_machine import error_motion, outside
+from metrocli.uncertainty.comparison import POINTS, TABLES_COVARIANCE
 from metrocli.words import suggestion
 
 Array = npt.NDArray[np.float64]
 COMMON, CORE, POINTS_COVARIANCE = "points_common", "points_core", "points_covariance"
 _IN_MACHINE = ("align-part",)
 """Kinds of job whose points are in the frame of a machine, where they are measured too"""
-_SLACK = 1e-6
-"""A commanded position beyond the range of an axis by less than this is rounding [mm]"""
 
 
 @dataclass(frozen=True)
@@ -55,11 +44,6 @@ class Places:
         return Places(self.values[rows], self.common[rows], self.core, self.own[rows])
 
 
-def has_machine(result: Result) -> bool:
-    """Return whether a result has error tables with their covariance."""
-    return TABLES_COVARIANCE in result.arrays
-
-
 def has_points(result: Result) -> bool:
     """Return whether a result has points with their covariance."""
     return POINTS in result.tables and POINTS_COVARIANCE in result.arrays
@@ -76,13 +60,12 @@ def reached(result: Result, commanded: Table) -> Places:
     Its covariance is that of the error tables and of the tool vectors. Tables that are not determined count as zero,
     as in the result. Raises InputError for positions outside the axes, and for tools without a prediction.
     """
-    machine = _machine(result)
     position = commanded.stacked(("x", "y", "z")).T
     tools = result.tables["tools"]
-    which = _tools(tools, commanded, _outside(machine, commanded))
+    which = _tools(tools, commanded, outside(result, commanded))
     vectors = tools.stacked(("x", "y", "z"))[which]
-    by_entry = _by_entry(result.tables[ENTRIES], machine, position, vectors.T)
-    displacement = by_entry @ _values(result)
+    motion, by_motion = error_motion(result, position, vectors.T)
+    displacement, by_entry = motion[:, :3], by_motion[:, :3]
     by_tool = np.eye(3)[None, :, None, :] * (which[:, None] == np.arange(len(tools)))[:, None, :, None]
     common = np.concatenate([by_entry, by_tool.reshape(len(which), 3, -1)], axis=2)
     entries, size = len(by_entry[0, 0]), common.shape[2]
@@ -133,27 +116,6 @@ def independent(values: Array, covariance: Array) -> Places:
     return Places(values, np.zeros((len(values), 3, 0)), np.zeros((0, 0)), covariance)
 
 
-def _machine(result: Result) -> Machine:
-    axes, entries = result.tables["axes"], result.tables[ENTRIES]
-    place = axes.numbers("place")
-    error, position = np.array(entries.texts("error")), entries.numbers("position")
-    x, y, z = (Axis(letter, position[error == f"E{letter}{letter}"]) for letter in AXES)
-    return Machine(tuple(np.argsort(place).tolist()), (x, y, z))
-
-
-def _outside(machine: Machine, commanded: Table) -> list[Fault]:
-    faults: list[Fault] = []
-    for axis in machine.axes:
-        name = axis.letter.lower()
-        at, low, high = commanded.numbers(name), float(axis.knots[0]), float(axis.knots[-1])
-        faults += commanded.faults_at(
-            np.flatnonzero((at < low - _SLACK) | (at > high + _SLACK)).tolist(),
-            lambda row, at=at, name=name: f"the commanded {name} {at[row]:g} mm is outside the calibrated axis",  # type: ignore[misc]
-            lambda row, low=low, high=high: f"expected {low:g} to {high:g} mm: leave the point out",  # type: ignore[misc]
-        )
-    return faults
-
-
 def _tools(tools: Table, commanded: Table, faults: list[Fault]) -> npt.NDArray[np.intp]:
     """Return the number of the tool of each row; raises InputError with the faults found before and its own.
 
@@ -186,31 +148,3 @@ def _tools(tools: Table, commanded: Table, faults: list[Fault]) -> npt.NDArray[n
     if faults:
         raise InputError(faults)
     return np.array([names.index(name) for name in cells], dtype=np.intp)
-
-
-def _values(result: Result) -> Array:
-    """Return the entries of all tables; those without a value in the result are zero."""
-    listed, square = result.tables[ENTRIES], {one.name: one.value for one in result.estimates}
-    error, position = np.array(listed.texts("error")), listed.numbers("position")
-    values = np.array([square.get(name, 0.0) for name in error.tolist()])
-    for name in np.unique(error[~np.isnan(position)]).tolist():
-        if TABLES + name in result.tables:
-            values[error == name] = np.nan_to_num(result.tables[TABLES + name].numbers("value"), nan=0.0)
-    return values
-
-
-def _by_entry(entries: Table, machine: Machine, position: Array, tool: Array) -> Array:
-    """Return the derivatives of d by the entries of all tables, (n, 3, entries), at positions (3, n), tools (3, n)."""
-    error, n = np.array(entries.texts("error")), position.shape[1]
-    derivative, rows = np.zeros((n, 3, len(error))), np.arange(n)
-    for axis in machine.axes:
-        lower, share = bracket(axis.knots, position[axis.number])
-        by_error = by_errors(machine.lever(axis.number, position, tool))[:3]
-        for k, name in enumerate(errors_of(axis.letter)):
-            columns = np.flatnonzero(error == name)
-            derivative[rows, :, columns[lower]] = (by_error[:, k] * (1 - share)).T
-            derivative[rows, :, columns[lower + 1]] = (by_error[:, k] * share).T
-    by_angle = next(iter(by_squareness(position, np.zeros(3))[1].values()))[:3]
-    for k, name in enumerate(SQUARENESS_NAMES):
-        derivative[:, :, error == name] = by_angle[:, k].T[:, :, None]
-    return derivative

@@ -14,6 +14,7 @@ from metrocli.geometry.rotations import cross_matrix
 from metrocli.result import Result
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.uncertainty import predicted
+from metrocli.uncertainty.calibrated_machine import has_machine
 from metrocli.uncertainty.coverage import COVERAGE, effective, factor
 from metrocli.uncertainty.predicted import Places
 from metrocli.units import find_unit
@@ -118,7 +119,7 @@ def columns_for(result: Result, header: Collection[str]) -> Columns:
     lengths = bool({"from", "to"} & set(header))
     if predicted.has_points(result):
         return LENGTHS if lengths else MEASURED
-    if not predicted.has_machine(result):
+    if not has_machine(result):
         raise InputError(
             f"this result of {result.kind} predicts neither points nor a machine's errors, so nothing can be held "
             "against it. Verify takes results of calibrate-machine, and those with a table of points and its "

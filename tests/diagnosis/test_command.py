@@ -557,7 +557,10 @@ def test_a_search_ends_at_its_limit_with_what_it_has_found(folder: Path, metrocl
     data = json.loads(ran.out)
     assert (ran.code, data["limited"], data["effects"]) == (0, pytest.approx(1e-3), [])
     assert data["verdict"] == "unexplained" and data["candidates"]
-    assert "The search ended at the limit of 0.001 s" in metrocli("diagnose", job, "--limit", "1 ms").out
+    ended = metrocli("diagnose", job, "--limit", "1 ms", "--require", "clean")
+    assert "The search ended at the limit of 0.001 s" in ended.out
+    # a verdict that counts would need all that was to be tried
+    assert ended.code == 6 and "so far (limit of 0.001 s)" in ended.out.splitlines()[0]
     assert json.loads(metrocli("diagnose", job, "--json").out)["limited"] is None
 
 

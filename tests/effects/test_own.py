@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from places import DOCS
+from places import DOCS, SAMPLES
 from simulated import lengths as simulated_lengths
 
 from metrocli.adjust.model.blocks import Array
@@ -298,6 +299,36 @@ def test_a_scan_that_is_too_coarse_for_the_readings_excludes_nothing(
         design = json.loads(capsys.readouterr().out)
         statuses.append({one["status"] for one in design["candidates"] if one["name"] == "pump"})
     assert statuses == [{"excluded"}, {"cannot-see"}]
+
+
+PUMP = """metrocli: 1
+job: multilaterate
+inputs: {lengths: ../data/tip4_lengths.csv, points: ../data/points.csv, tracers: ../data/tracers.csv}
+noise: {constant: 0.1 um, proportional: 0.1 um/m}
+simulation: {mover_error: 2 um, tracer_error: 5 mm}
+define:
+  - {name: pump, acts_on: length, adds: "a*sin(2*pi*t/p + phase)", where: [tracer],
+     parameters: {a: {unit: um, plausible: 10 um}, phase: {unit: rad, plausible: 3.2 rad}},
+     scan: {p: {from: 60 s, to: 3600 s, steps: 12}}}
+"""
+
+
+def test_noise_of_the_tracer_in_which_a_wave_is_found_does_not_stay_beside_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(SAMPLES / "gear-m3d3", tmp_path / "gear")
+    job = tmp_path / "gear" / "jobs" / "pump.yaml"
+    job.write_text(PUMP)
+    planted = ["--effect", "pump:tracer=LT2,a=3um,phase=0.4rad,p=128s", "--seed", "5", "--quiet"]
+    assert run(["simulate", str(job), "--out", str(tmp_path / "made"), *planted]) == 0
+    # the wave hides between two values, so at first LT2 passes for noisier by a factor of ten
+    monkeypatch.setattr("metrocli.diagnosis.linear.scans._MOST", 12)
+    made = [f"inputs.{name}={tmp_path / 'made' / name}.csv" for name in ("lengths", "tracers")]
+    assert run(["diagnose", str(job), "--set", made[0], "--set", made[1], "--json", "--quiet"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    (found,) = data["effects"]
+    assert (found["name"], found["where"]) == ("pump", {"tracer": "LT2"})
+    assert data["noise"]["as_declared"] and data["noise"]["apart"] == []
 
 
 def test_a_step_is_not_tried_at_the_time_of_a_reading(shop: Path, capsys: pytest.CaptureFixture[str]) -> None:

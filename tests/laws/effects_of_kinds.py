@@ -110,6 +110,7 @@ def calibrate_machine(effect: Effect) -> Model:
     settings = simulated_machine.settings(tools=tools, tool_uncertainty=0.001)
     problem = standstill(settings, table)
     speeds = {f"speed_{axis}": rng.uniform(-50, 50, 120) for axis in "xyz"}
+    speeds |= {f"since_{axis}": rng.uniform(0, 100, 120) for axis in "xyz"}
     seen = problem.readings.observations
     moving = replace(problem.readings, observations=replace(seen, conditions={**seen.conditions, **speeds}))
     problem = problem.with_model(problem.model.with_group(unit_noise(moving, 0.002)))
@@ -152,7 +153,7 @@ def machine_from_lines() -> Model:
 MEASURED: dict[str, Measured] = {
     "calibrate-camera": Measured(lambda effect: with_conditions(calibration(effect)), {}),
     "align-part": Measured(lambda effect: with_conditions(alignment(effect)), {}),
-    "calibrate-machine": Measured(calibrate_machine, {"period": 37.0, "at": 900.0}),
+    "calibrate-machine": Measured(calibrate_machine, {"period": 37.0, "length": 30.0, "at": 900.0}),
     "multilaterate": Measured(multilaterate, {"at": 900.0}),
     "locate-launch-unit": Measured(locate_launch_unit, {}),
     "selfcal-grid": Measured(selfcal_grid, {"at": 1600.0, "from_view": 2.0}),

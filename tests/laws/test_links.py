@@ -19,7 +19,7 @@ from metrocli.instruments import frames, launch_unit, lens, spindle_camera, trac
 from metrocli.instruments.frames import DistanceBetween, Into, OutOf, PointOf
 from metrocli.instruments.launch_unit import AboutBase, BeamBack, BeamLength, BeamOut, Encoders, Reading
 from metrocli.instruments.lens import PARAMETERS, Lens, LensBackward
-from metrocli.instruments.spindle_camera import Coupling
+from metrocli.instruments.spindle_camera import Coupling, UncertainPoses
 from metrocli.instruments.tracer import LengthFrom, Returned
 
 N = 9
@@ -160,6 +160,10 @@ CASES: dict[str, Case] = {
     "Coupling": Case(Coupling("coupling"), (Block("coupling", np.array([[0.4]]), ("gamma_s",)),)),
     "Coupling, several": Case(
         Coupling("coupling"), (Block("coupling", np.array([[0.4], [-0.2]]), ("gamma_s",), ("a", "b")),)
+    ),
+    "UncertainPoses": Case(
+        UncertainPoses(np.random.default_rng(21).normal(size=(4, 6, 3)) * 0.1),
+        (pose_block("spindle", 4), Block("machine", np.array([[0.4, -1.1, 0.7]]), ("a", "b", "c"))),
     ),
     "ReadBlock": Case(reading(point_block(5), (0, 2)), (point_block(5),)),
     "ReadBlock, poses": Case(reading(pose_block("pose", 4), (1, 3, 4, 5)), (pose_block("pose", 4),)),

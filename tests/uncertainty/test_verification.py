@@ -205,7 +205,7 @@ def test_rows_without_a_prediction_are_listed_together(result: Result, machine: 
     with pytest.raises(InputError) as caught:
         verify(result, replace(check, columns={**check.columns, "x": x, "tool": tool}))
     text = str(caught.value)
-    assert "points.csv:3: error: the commanded x 700 mm is outside the calibrated axis" in text
+    assert "points.csv:3: error: the commanded x 700 mm of point 'P1' is outside the calibrated axis" in text
     assert "points.csv:5: error: the result has no tool 'T7' (column 'tool')" in text
     none = {name: column for name, column in check.columns.items() if name != "tool"}
     with pytest.raises(InputError, match="several tools"):

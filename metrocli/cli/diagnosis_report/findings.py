@@ -93,6 +93,7 @@ def headline(diagnosis: Diagnosis) -> str:
     limits = [] if as_declared else [f"the noise is {noise.ratio:.2g} times what was declared"]
     limits += [noisier(unit) for unit in diagnosis.noisier_units if unit.key != DECLARED_SIGMA]
     where = f" in {diagnosis.job.part}" if diagnosis.job.part else ""
+    where += f" so far ({diagnosis.ended_early})" if diagnosis.ended_early else ""
     return f"{diagnosis.verdict}{where}{wrong}{', but ' if limits else ''}{', and '.join(limits)}"
 
 

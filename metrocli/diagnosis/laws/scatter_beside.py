@@ -1,7 +1,8 @@
-"""Noise of single units, and scatter at all places of a kind, that only stand for a law.
+"""Noise of single units, and scatter at all places of a kind, that only stand for a law or an effect.
 
 A search weights noisier units and finds scatters before any law is sought. A law in one unit, such as a fast wave, then
-passes for its noise. So the search is held again without them, and the law stays if it explains them.
+passes for its noise. So the search is held again without them, and the law stays if it explains them. So is it where an
+effect is found in a unit that was weighted before.
 
 Method: docs/algorithms/laws.md.
 """
@@ -33,13 +34,14 @@ def without_scatter(job: AdjustedJob, units: Sequence[Unit], scattered: Sequence
 
 
 def explains_scatter(
-    law: Law, job: AdjustedJob, selection: Selection, units: Sequence[Unit], scattered: Sequence[str]
+    law: Law | None, job: AdjustedJob, selection: Selection, units: Sequence[Unit], scattered: Sequence[str]
 ) -> bool:
-    """Return whether no noise of a unit, where there was some, and no scatter of these effects is needed beside a law.
+    """Return whether no noise of a unit, where there was some, and no scatter is needed beside a law and named effects.
 
-    `selection` is that of the search without them, in which the law was found.
+    `selection` is that of the search without them, in which these were found.
     """
-    beside = selection.fitted(without=selection.unknown).with_columns(law.columns)
+    beside = selection.fitted(without=selection.unknown)
+    beside = beside if law is None else beside.with_columns(law.columns)
     if units and noisier_units(job, selection.test_set.system, beside):
         return False
     levels = [log_level_beside(beside, selection.test_set, name) for name in scattered]

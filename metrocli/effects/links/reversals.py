@@ -1,4 +1,4 @@
-"""Effects of a reversal on the error motion of a machine: across the axis that turned, and on the angles of it."""
+"""Effects of a reversal on the error motion of a machine: along the axis that turned, across it, and on its angles."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.effects.links.motions import AXES, ErrorMotionEffect
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments.machine import POSITION, TOOL, ErrorMotion, Machine, by_errors
+from metrocli.instruments.machine_path import SINCE
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,25 @@ class StraightnessReversal(ErrorMotionEffect):
         """Return the motion (6, n)."""
         side = np.sign(local.observations.conditions[f"from_{self.turned}"])
         return self.along(self.shifted, side / 2, value, local)
+
+
+@dataclass(frozen=True)
+class Hysteresis(ErrorMotionEffect):
+    """What backlash lacks behind a turn, while it builds up: `-s width exp(-w/length)`; columns width, length [mm].
+
+    s = +1 after a positive move of the axis, -1 after a negative one; w is its way since it turned.
+    """
+
+    axis: str
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the motion (6, n)."""
+        width, length = local.rows(self.block)
+        given = local.observations.conditions
+        lacking = np.exp(-given[SINCE.format(axis=self.axis)] / length)
+        by_block = np.zeros((3, 2, len(lacking)))
+        by_block[AXES.index(self.axis), 0] = -np.sign(given[f"from_{self.axis}"]) * lacking
+        return self.moved(value, by_block[:, 0] * width, by_block)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from metrocli.table import Table
 from metrocli.tasks.align_part.camera import CameraModel
 from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION
 from metrocli.tasks.align_part.fitted_targets import TargetList
+from metrocli.tasks.align_part.spindle_poses import SpindlePoses, note_of
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside, placed
@@ -44,6 +45,7 @@ class Problem(Modelled):
     warnings: tuple[str, ...] = ()
     part: Part | None = None
     """The part in the machine, where its temperature is known"""
+    notes: tuple[str, ...] = ()
 
     def with_part(self, part: Part) -> Problem:
         """Return a copy whose part has grown from 20 degC, by an unknown that its temperature observes."""
@@ -73,14 +75,19 @@ def places_of(images: Sequence[str], targets: Sequence[str]) -> dict[str, Place]
     }
 
 
-def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool, listed: TargetList) -> Problem:
+def build(
+    camera: CameraModel, sighted: Sighted, commanded: SpindlePoses, free_angle: bool, listed: TargetList
+) -> Problem:
     """Return the adjustment with its starting values, found from the sightings alone.
 
-    Raises InputError if readings do not fit the image size, or if an image has no spindle pose.
+    Raises InputError if readings do not fit the image size, if an image has no spindle pose, or if the machine's result
+    does not give the errors there.
     """
     sighted = check_inside(sighted, camera.image_size)
     sighted = placed(sighted, images_needed(sighted.targets))
-    held, warnings, sighted = _spindle_poses(sighted, table)
+    rows, warnings, sighted = _with_poses(sighted, commanded.commanded)
+    motion = commanded.motion(rows)
+    held = commanded.moved(rows, motion.mean)
     targets = sighted.targets
     seen = np.bincount(sighted.target, minlength=len(targets.names)) > 0
     pose, angle = _start(camera, sighted, held, free_angle)
@@ -99,13 +106,18 @@ def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool,
             taper,
             target_block(targets.points, targets.names, free, max(extent, 1.0)),
             spindle.spindle_block(held, sighted.images),
+            *spindle.machine_blocks(motion.spread),
         )
     }
     observations = replace(
         sighted.observations, index={TARGET: sighted.target, spindle.SPINDLE: sighted.view, "view": sighted.view}
     )
-    group = Group(IMAGES, Chain((*spindle.to_camera(), lens_link(camera.convention))), observations)
-    others: tuple[Group, ...] = (*camera.prior(), *listed.priors(blocks[TARGET], targets.sigma, free))
+    group = Group(IMAGES, Chain((*spindle.to_camera(motion.spread), lens_link(camera.convention))), observations)
+    others: tuple[Group, ...] = (
+        *camera.prior(),
+        *listed.priors(blocks[TARGET], targets.sigma, free),
+        *spindle.machine_priors(motion.spread),
+    )
     takes_part = free.any(axis=1).astype(float)
     datum = list_datum(blocks[TARGET], takes_part, spindle.PART, scale=False) if free.any() else None
     if sighted.eccentric:
@@ -113,11 +125,12 @@ def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool,
     places = places_of(sighted.images, targets.names)
     nominal = {TARGET: targets.points}
     model = Model(blocks, (group, *others), datum, (IMAGES,), places, nominal=nominal)
-    return Problem(model, camera, sighted, (*listed.warnings, *warnings))
+    notes = () if commanded.machine is None else (note_of(motion),)
+    return Problem(model, camera, sighted, (*listed.warnings, *warnings, *commanded.warnings()), notes=notes)
 
 
-def _spindle_poses(sighted: Sighted, table: Table) -> tuple[Array, tuple[str, ...], Sighted]:
-    """Return the spindle's pose for each image, warnings, and the sightings with time and temperature of the poses."""
+def _with_poses(sighted: Sighted, table: Table) -> tuple[Index, tuple[str, ...], Sighted]:
+    """Return the row of each image's pose, warnings, and the sightings with time and temperature of the poses."""
     place = {name: row for row, name in enumerate(table.texts("image"))}
     missing = [name for name in sighted.images if name not in place]
     if missing:
@@ -133,14 +146,7 @@ def _spindle_poses(sighted: Sighted, table: Table) -> tuple[Array, tuple[str, ..
     of_poses = {name: values[rows][sighted.view] for name, values in table.conditions("t", "temp").items()}
     conditions = {**of_poses, **sighted.observations.conditions}
     observations = replace(sighted.observations, conditions=conditions)
-    return spindle_poses(table, rows), warnings, replace(sighted, observations=observations)
-
-
-def spindle_poses(table: Table, rows: Sequence[int] | Index) -> Array:
-    """Return the commanded poses (rows, 6) of the spindle from the chosen rows of the table."""
-    chosen = np.asarray(rows, dtype=np.intp)
-    angles = np.stack([table.numbers(name, 0.0) for name in "abc"], axis=1)[chosen]
-    return poses.pose_from_euler(table.stacked("xyz")[chosen], angles)
+    return rows, warnings, replace(sighted, observations=observations)
 
 
 def _start(camera: CameraModel, sighted: Sighted, held: Array, free_angle: bool) -> tuple[Array, float]:

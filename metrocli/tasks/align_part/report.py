@@ -138,6 +138,7 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
         shown=(ShownTable("views", ("image", "readings", "rms", "largest", "largest_target")),),
         notes=(
             *_notes(solution, adjusted, prediction),
+            *problem.notes,
             *([] if problem.part is None else [problem.part.note_of_listed]),
             *fixture.notes,
             *in_words(tables[TABLE]),

@@ -57,6 +57,11 @@ class Inputs:
         Either(TableFile(TARGETS), FileOf(("fit-part",))),
         "coordinates of targets in the part (CSV), or the result of fit-part that has them",
     )
+    machine: Path | None = setting(
+        FileOf(("calibrate-machine",)),
+        "result of calibrate-machine, by whose errors the poses of the spindle are corrected",
+        default=None,
+    )
     supports: Path | None = setting(
         TableFile(SUPPORTS), "supports that raise the part along z of the machine", default=None
     )
@@ -76,6 +81,7 @@ class Files:
     camera: Result | CameraFile
     poses: Table
     targets: Table | Result
+    machine: Result | None = None
     supports: Table | None = None
     points: Table | None = None
     observations: Table | None = None

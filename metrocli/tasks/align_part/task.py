@@ -8,22 +8,26 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.cluster_robust import FROM_RESIDUALS, STRUCTURED, must_suffice
+from metrocli.adjust.model.observations import Index
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.errors import InputError, UndeterminedError, together
 from metrocli.geometry.poses import EULER, pose_from_euler
+from metrocli.imageset import ImageSet
 from metrocli.instruments.spindle_camera import part_in_camera
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
+from metrocli.table import Table
 from metrocli.tasks.align_part.camera import camera_of
 from metrocli.tasks.align_part.diagnosis import adjusted_job
 from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION, PLACES
 from metrocli.tasks.align_part.fitted_targets import target_list
 from metrocli.tasks.align_part.fixturing import must_level
-from metrocli.tasks.align_part.problem import Problem, build, spindle_poses
+from metrocli.tasks.align_part.problem import Problem, build
 from metrocli.tasks.align_part.report import delivered, explained, predicted, report
 from metrocli.tasks.align_part.settings import Files, Settings
 from metrocli.tasks.align_part.simulation import Truth, true_model
+from metrocli.tasks.align_part.spindle_poses import SpindlePoses
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.planted_effects import planted, refuse_pictures
@@ -65,7 +69,8 @@ def prepared(job: Job[Settings, Files]) -> Problem:
     listed = target_list(files.targets, settings.part)
     sigma = float("nan") if settings.targets == ESTIMATE else 0.0
     sighted = sightings(settings, files.observations, listed.table, files.images, Needs(1, sigma, sigma))
-    problem = build(model, sighted, files.poses, "clamping-angle" in settings.estimate, listed)
+    commanded = SpindlePoses(files.poses, files.machine)
+    problem = build(model, sighted, commanded, "clamping-angle" in settings.estimate, listed)
     problem = problem if settings.part is None else problem.with_part(settings.part)
     return problem.with_effects(job.effects)
 
@@ -80,7 +85,13 @@ def check(job: Job[Settings, Files]) -> None:
         lambda: None if files.supports is None else must_level(files.supports),
         lambda: camera_of(files.camera).must_fit(images),
         lambda: target_list(files.targets, job.settings.part),
+        lambda: SpindlePoses(files.poses, files.machine).must_be_known(_shown(files.poses, images)),
     )
+
+
+def _shown(poses: Table, images: ImageSet) -> Index:
+    """Return the rows of the poses of images."""
+    return np.flatnonzero(np.isin(poses.texts("image"), images.names))
 
 
 def solved(settings: Settings, problem: Problem) -> Adjusted:
@@ -113,7 +124,8 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     growth = 0.0 if settings.part is None else settings.part.growth + settings.part.std * float(rng.normal())
     known = replace(known, points=known.points * (1 + growth))
     at = np.array([getattr(truth.part, name) for name in EULER])
-    held = spindle_poses(poses, range(len(poses)))
+    commanded, every = SpindlePoses(poses, files.machine), np.arange(len(poses))
+    held = commanded.moved(every, commanded.motion(every).drawn(rng))
     part = pose_from_euler(at[:3], at[3:])
     to_camera = part_in_camera(part, held, truth.clamping_angle, model.taper)
     images, times = tuple(poses.texts("image")), poses.conditions("t", "temp")

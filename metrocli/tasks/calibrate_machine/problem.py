@@ -31,6 +31,7 @@ from metrocli.instruments.machine import (
     squareness_block,
     tool_block,
 )
+from metrocli.instruments.machine_path import SINCE, since_turn
 from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracer import AIR, POINT, STOP, TRACER
 from metrocli.instruments.tracer import aspects as beam_aspects
@@ -236,6 +237,23 @@ def conditions(position: Array, table: Table | None = None) -> dict[str, Array]:
     if table is not None:
         _refuse_sides(table)
         found |= table.conditions("t", "temp", *SIDES)
+        found |= since_turns(position, found)
+    return found
+
+
+def since_turns(position: Array, given: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the distance of each axis since it turned, as conditions, from positions (3, n) in the order of travel.
+
+    The order is that of the times in `given`, else that of the rows. Axes without sides, or with sides that
+    contradict the order, are left out.
+    """
+    n = position.shape[1]
+    order, found = np.argsort(given.get("t", np.arange(n)), kind="stable"), {}
+    for axis, places in zip(POSITION, position[:, order], strict=True):
+        side = given.get(f"from_{axis}")
+        way = None if side is None else since_turn(np.diff(places, prepend=places[:1]), side[order])
+        if way is not None:
+            found[SINCE.format(axis=axis)] = way[np.argsort(order)]
     return found
 
 

@@ -24,7 +24,7 @@ from metrocli.instruments.machine import (
     errors_of,
     is_angle,
 )
-from metrocli.instruments.machine_path import Path
+from metrocli.instruments.machine_path import SINCE, Path
 from metrocli.instruments.six_dof import CHANNELS, LINE, line_block, line_chain
 from metrocli.instruments.tracer import AIR, POINT, TRACER, beams, reach_of_machine, tracer_block
 from metrocli.instruments.tracer import chain as length_chain
@@ -39,6 +39,7 @@ from metrocli.tasks.calibrate_machine.problem import (
     SIDES,
     commanded,
     machine_of,
+    since_turns,
     tools_of,
 )
 from metrocli.tasks.calibrate_machine.settings import (
@@ -143,10 +144,16 @@ def _points(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[
     columns: dict[str, Values] = {"point": np.array([f"P{i + 1:03d}" for i in range(n)])}
     columns |= dict(zip(POSITION, flow.position, strict=True))
     columns |= {f"m{axis}": row for axis, row in zip(POSITION, seen, strict=True)}
-    columns |= flow.conditions
+    columns |= _written(flow)
     if names != [""]:
         columns["tool"] = np.array(names)[flow.tool]
     return Table(columns, {**dict.fromkeys(("x", "y", "z", "mx", "my", "mz"), "mm"), "t": "s"}), model
+
+
+def _written(flow: Flow) -> dict[str, Array]:
+    """Return the conditions that have columns in a file; the way since a turn follows from the positions."""
+    ways = {SINCE.format(axis=axis) for axis in POSITION}
+    return {name: values for name, values in flow.conditions.items() if name not in ways}
 
 
 def _stops(job: _Measurement, machine: Machine, rng: np.random.Generator) -> Flow:
@@ -164,7 +171,7 @@ def _stops(job: _Measurement, machine: Machine, rng: np.random.Generator) -> Flo
     given = {"t": np.arange(position.shape[1]) * job.simulation.interval, **dict(zip(SIDES, moved, strict=True))}
     if table is not None:
         given |= table.conditions(*given)
-    return Flow(position, tool, given)
+    return Flow(position, tool, given | since_turns(position, given))
 
 
 def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
@@ -179,7 +186,7 @@ def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple
     )
     noise = PathNoise.of(job.settings.noise.of_lengths)
     returns = 0.0 if noise.std is not None else noise.repeatability
-    columns: dict[str, Values] = {"point": points, "station": np.array(names)[station], **flow.conditions}
+    columns: dict[str, Values] = {"point": points, "station": np.array(names)[station], **_written(flow)}
     air, blocks = air_of(job.settings.environment, Table(columns), "station"), {TRACER: block}
     members, point = np.unique(points, return_inverse=True)
     flow = replace(flow, index={TRACER: station, POINT: point}, points=tuple(members.tolist()))
@@ -236,7 +243,7 @@ def _track(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[T
     path = path_of(job.settings, machine_of(job.settings), listed)
     leg, along, time = travelled(path, _feeds(job, listed, path), job.simulation.sampling)
     given = {"t": time, **{name: signs[leg] for name, signs in zip(SIDES, path.last_moves(), strict=True)}}
-    given |= path.axis_speeds(leg, path.speeds(leg, along, time))
+    given |= path.since_turns(leg, along) | path.axis_speeds(leg, path.speeds(leg, along, time))
     seen, model = _seen(job, truth, Flow(path.at(leg, along), path.tool[leg], given), rng)
     columns: dict[str, Values] = {**dict(zip(POSITION, seen, strict=True)), "t": time}
     if "tool" in listed:

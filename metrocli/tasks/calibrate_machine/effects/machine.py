@@ -18,8 +18,8 @@ from metrocli.effects.links.motions import (
     ServoLag,
     ThermalGrowth,
 )
-from metrocli.effects.links.reversals import AngularReversal, StraightnessReversal
-from metrocli.instruments.machine_path import SPEED
+from metrocli.effects.links.reversals import AngularReversal, Hysteresis, StraightnessReversal
+from metrocli.instruments.machine_path import SINCE, SPEED
 from metrocli.units import parse_quantity
 
 SCHWENKE = "Schwenke et al. 2008, Geometric error measurement and compensation of machines, CIRP Annals 57"
@@ -48,6 +48,27 @@ def _periods(conditions: Mapping[str, Array]) -> Array:
     return np.asarray(1 / np.linspace(1 / _LONGEST, 1 / _SHORTEST, count))
 
 
+_BEHIND = 0.02
+"""Least mean of `exp(-2 w/length)` behind turns: with a shorter length hardly a reading shows it"""
+_ALIKE = 0.7
+"""Largest cosine with plain backlash, which a longer length is more like"""
+_LONGEST_BUILD_UP = 300.0
+"""Longest length that is searched [mm]"""
+
+
+def _lengths(conditions: Mapping[str, Array]) -> Array:
+    """Return lengths of build-up, each 1.3 times the one before, that readings behind the turns of some axis show."""
+    tried: Array = _LONGEST_BUILD_UP * 1.3 ** -np.arange(40.0)[::-1]
+    since = [conditions[name] for axis in AXES if (name := SINCE.format(axis=axis)) in conditions]
+    shown = np.zeros(len(tried), dtype=bool)
+    for way in since:
+        lacking = np.exp(-way[np.isfinite(way)] / tried[:, None])
+        if lacking.size:
+            square = (lacking**2).mean(axis=1)
+            shown |= (square > _BEHIND) & (lacking.mean(axis=1) < _ALIKE * np.sqrt(square))
+    return np.asarray(tried[shown | (tried == tried[0])])
+
+
 OF_THE_MACHINE: tuple[Effect, ...] = (
     Effect(
         "backlash",
@@ -71,6 +92,19 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         usual="1 to 50 ppm",
         reveal="points along the whole axis, each approached from both sides",
         source="ISO 230-2:2014, reversal value B at each target position",
+    ),
+    Effect(
+        "hysteresis",
+        "the backlash of an axis is not there at once: it builds up over the way since the axis turned, by friction",
+        (size("width", "length", "20 um"),),
+        lambda block, where: Hysteresis(block, where["axis"]),
+        where=("axis",),
+        needs=("from_{axis}", SINCE),
+        scanned=(Parameter("length", "length", grid=_lengths, tried=12),),
+        confused_with=("backlash",),
+        usual="1 to 20 um",
+        reveal="points close behind a turn and far from it, listed in the order of travel",
+        source="Dahl 1976, Solid friction damping of mechanical vibrations, AIAA Journal 14",
     ),
     Effect(
         "straightness-reversal",

@@ -209,6 +209,7 @@ def _observations(
     condition = conditions(position) | {
         f"from_{axis}": signs[leg] for axis, signs in zip("xyz", path.last_moves(), strict=True)
     }
+    condition |= path.since_turns(leg, few.x - path.before[leg])
     given = iter(few.values[2:])
     condition |= dict(zip(whole.track.conditions, given, strict=False))
     for speed in given:

@@ -31,6 +31,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
 from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
 from metrocli.tasks.calibrate_machine.problem import (
+    SIDES,
     Problem,
     commanded,
     conditions,
@@ -38,6 +39,7 @@ from metrocli.tasks.calibrate_machine.problem import (
     machine_of,
     model_of,
     must_support,
+    since_turns,
     tool_prior,
 )
 from metrocli.tasks.calibrate_machine.settings import Settings
@@ -209,9 +211,16 @@ def runs_of(lines: Lines, table: Table) -> list[Run]:
 
 
 def approach(lines: Lines) -> dict[str, Array]:
-    """Return the directions of approach from_x, from_y, from_z, (n,) each; 0 for axes that stand still on the line."""
+    """Return the directions of approach, and the distances since an axis turned on its line, (n,) each.
+
+    The directions are 0 for axes that stand still on the line.
+    """
     moved = np.sign(np.where(np.abs(lines.along) > _LEAST_PART, lines.along, 0.0))[lines.of].T * lines.sense
-    return dict(zip((f"from_{axis}" for axis in "xyz"), moved, strict=True))
+    parts = np.split(np.arange(len(lines.of)), np.flatnonzero(np.diff(lines.of) != 0) + 1)
+    sides = dict(zip(SIDES, moved, strict=True))
+    ways = [since_turns(lines.position[:, rows], {name: side[rows] for name, side in sides.items()}) for rows in parts]
+    common = set(ways[0]).intersection(*ways)
+    return sides | {name: np.concatenate([way[name] for way in ways]) for name in sorted(common)}
 
 
 def line_conditions(lines: Lines, along: Array) -> dict[str, Array]:
