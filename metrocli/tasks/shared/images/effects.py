@@ -5,6 +5,8 @@ from __future__ import annotations
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.affine import RowShear
 from metrocli.effects.links.eccentricity import TargetEccentricity
+from metrocli.effects.model import Model
+from metrocli.tasks.shared.images.settings import ROLLING
 
 
 def rolling_shutter(pose: str, *confused_with: str) -> Effect:
@@ -21,6 +23,17 @@ def rolling_shutter(pose: str, *confused_with: str) -> Effect:
         reveal="the image again with camera and targets at rest, or with a global shutter or a flash",
         source="Meingast, Geyer and Sastry 2005, Geometric models of rolling-shutter cameras",
     )
+
+
+def not_sought(shutter: str, model: Model) -> dict[str, str]:
+    """Return the effects that `diagnose` does not look for with a shutter and a list of targets, with the reasons.
+
+    On a real board a shear of single images, or a blur, passes for what bends it or for how it was printed.
+    """
+    read_at_once = "the rows of an image are read at once; if they are read one after another, write `shutter: rolling`"
+    no_dots = "the list of targets has no radius: corners and crosses are found by their edges, not as centroids"
+    found = {} if shutter == ROLLING else {"rolling-shutter": read_at_once}
+    return found if "radius" in model.readings[0].observations.conditions else {**found, PERSPECTIVE_BLUR.name: no_dots}
 
 
 PERSPECTIVE_BLUR = Effect(

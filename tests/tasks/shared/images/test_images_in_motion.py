@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from benchmarks.hidden.images import Images
 from benchmarks.hidden.scenes import Scene, board_scene, cmm_scene, part_scene
 from metrocli.adjust.adjustment import adjust
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import with_effect, with_effect_everywhere
@@ -32,6 +35,11 @@ def rolled(scene: Scene, rng: np.random.Generator, per_image: Array) -> Images:
     return Images(scene, uv + rng.normal(0, scene.noise, uv.shape))
 
 
+def sought(images: Images) -> AdjustedJob:
+    """The job of a camera with a rolling shutter."""
+    return replace(images.adjusted(), not_sought={})
+
+
 def in_one(scene: Scene) -> Array:
     """A motion in one image, that with the most targets."""
     motion = np.zeros((len(scene.time), 2))
@@ -48,7 +56,7 @@ def fullest(scene: Scene) -> int:
 def test_the_image_with_a_rolling_shutter_is_named(kind: str) -> None:
     rng = np.random.default_rng(5)
     scene = SCENES[kind](rng)
-    diagnosis = diagnose(rolled(scene, rng, in_one(scene)).adjusted())
+    diagnosis = diagnose(sought(rolled(scene, rng, in_one(scene))))
     (finding,) = diagnosis.findings
     alternative = finding.effect.alternative
     assert (diagnosis.verdict, alternative.effect.name) == ("explained", "rolling-shutter")
@@ -72,7 +80,7 @@ def test_a_shutter_in_every_image_is_one_effect_with_a_standard_deviation() -> N
     rng = np.random.default_rng(25)
     scene = board_scene(rng)
     motion = rng.normal(0, 2e-3, (len(scene.time), 2))
-    job = rolled(scene, rng, motion).adjusted()
+    job = sought(rolled(scene, rng, motion))
     diagnosis = diagnose(job)
     assert [one.found.effect.name for one in diagnosis.scatters] == ["rolling-shutter"]
     model = with_effect_everywhere(job.model, shutter("calibrate-camera"), 2e-3)
@@ -87,7 +95,7 @@ def test_one_motion_in_all_images_is_a_skew_and_an_aspect_of_the_lens() -> None:
     """The page: it cannot be told from them."""
     rng = np.random.default_rng(35)
     scene = board_scene(rng)
-    diagnosis = diagnose(rolled(scene, rng, np.tile([3e-3, 2e-3], (len(scene.time), 1))).adjusted())
+    diagnosis = diagnose(sought(rolled(scene, rng, np.tile([3e-3, 2e-3], (len(scene.time), 1)))))
     assert {one.effect.alternative.effect.name for one in diagnosis.findings} == {"axis-skew", "aspect-ratio"}
     assert not diagnosis.scatters
 
@@ -95,7 +103,7 @@ def test_one_motion_in_all_images_is_a_skew_and_an_aspect_of_the_lens() -> None:
 def test_images_of_one_target_do_not_show_it() -> None:
     """Rig cmm: one pose for all images, so that a displaced image is a wrong reading."""
     rng = np.random.default_rng(45)
-    job = rolled(scene := cmm_scene(rng, 20), rng, np.zeros((len(scene.time), 2))).adjusted()
+    job = sought(rolled(scene := cmm_scene(rng, 20), rng, np.zeros((len(scene.time), 2))))
     assert "rolling-shutter" not in {one.alternative.effect.name for one in what_can_be_seen(job).candidates}
 
 
@@ -131,3 +139,11 @@ def test_an_image_that_is_noisier_along_its_motion_is_reported_as_noisier() -> N
     diagnosis = diagnose(images.adjusted())
     assert [one.name for one in diagnosis.noisier_units] == ["I005"]
     assert not diagnosis.findings
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_without_a_rolling_shutter_it_is_not_sought(kind: str) -> None:
+    rng = np.random.default_rng(85)
+    job = rolled(scene := SCENES[kind](rng), rng, np.zeros((len(scene.time), 2))).adjusted()
+    (reason,) = [one.reason for one in what_can_be_seen(job).not_tested if one.effect.name == "rolling-shutter"]
+    assert "write `shutter: rolling`" in reason
