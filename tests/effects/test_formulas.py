@@ -99,6 +99,19 @@ def test_a_spindle_that_grows_moves_its_poses_along_it() -> None:
     assert np.allclose(found, predicted(by_hand), rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["calibrate-camera", "align-part"])
+def test_rows_that_are_read_later_are_displaced_by_the_motion_of_one_image(kind: str) -> None:
+    table = effect(kind, "rolling-shutter")
+    model = MEASURED[kind].model(table)
+    (group,) = model.readings
+    image = model.places["image"].names[2]
+    before, after = predicted(model), predicted(with_effect(model, table, [(image,)], {"a_u": 2e-3, "a_v": -1e-3}))
+    here = group.observations.index["view"] == 2
+    expected = np.outer([2e-3, -1e-3], (before[1] - 885.0) * here)
+    assert np.allclose(after - before, expected, rtol=0, atol=1e-9)
+    assert np.abs(expected).max() > 0.5
+
+
 def test_air_that_is_warmer_above_shortens_lengths_by_half_the_height() -> None:
     table = effect("multilaterate", "air-gradient")
     model = MEASURED["multilaterate"].model(table)

@@ -15,13 +15,15 @@ from metrocli.effects.links.of_block import OfBlock
 
 @dataclass(frozen=True)
 class TargetEccentricity(OfBlock):
-    """The point whose image is the centre of the ellipse, `X - k r^2 / Z (e_z - n_z n)`; column factor k [1].
+    """The point whose image is the centre of the ellipse, `X - k r^2 / Z (e_z - n_z n)`; column k [1] or k r^2 [mm2].
 
     A circle of radius r about X with normal n is the image of the unit circle under the matrix (r e1, r e2, X). This
     matrix sends one line to infinity. The image of the pole of that line is the centre of the ellipse in the plane
     Z = 1. k = 1 is the full effect.
     """
 
+    radius: str = "radius"
+    """Condition that is the radius r; empty where the column is an area, `k r^2`"""
     before: Chain = field(default_factory=lambda: Chain(()))
     """Links from the target to the camera"""
     targets: str = "target"
@@ -41,7 +43,8 @@ class TargetEccentricity(OfBlock):
         """Return the point (3, n), with derivatives by the point, the factor and the blocks that orient the normal."""
         normal, turns = self._normal(local)
         factor = local.rows(self.block)[0]
-        share = np.nan_to_num(local.observations.conditions["radius"]) ** 2 / value[2]
+        area = np.nan_to_num(local.observations.conditions[self.radius]) ** 2 if self.radius else 1.0
+        share = area / value[2]
         away = -normal[2] * normal
         away[2] += 1
         by_point = np.repeat(np.eye(3)[:, :, None], value.shape[1], axis=2)

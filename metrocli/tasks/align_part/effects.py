@@ -11,6 +11,7 @@ from metrocli.effects.links.growth import Growth
 from metrocli.effects.links.lens_changes import LensChange
 from metrocli.effects.links.machine_angles import MachineAngles
 from metrocli.effects.links.shifts import MachineBow, MachineError, Shift
+from metrocli.tasks.shared.images.effects import PERSPECTIVE_BLUR, rolling_shutter
 from metrocli.tasks.shared.images.places import IMAGE, image_point
 from metrocli.units import parse_quantity
 
@@ -229,5 +230,7 @@ EFFECTS: tuple[Effect, ...] = (
         reveal="larger tilts of the targets; the radius of every target in the list",
         source="Ahn, Warnecke and Kotowski 1999, Systematic geometric image measurement errors of circular targets",
     ),
+    PERSPECTIVE_BLUR,
+    rolling_shutter("spindle", "bad-pose"),
 )
 """The effects, in the order of the documents"""

@@ -15,7 +15,7 @@ from metrocli.targets.pattern import Pattern
 from metrocli.tasks.align_part.fixturing import SUPPORTS
 from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.tasks.shared.images.camera_settings import CameraFile, Extrinsics
-from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults, targets_setting
+from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults, shutter_setting, targets_setting
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
 from metrocli.tasks.shared.part import Part
@@ -121,6 +121,7 @@ class Settings:
     )
     targets: str = targets_setting()
     eccentricity: str = eccentricity_setting()
+    shutter: str = shutter_setting()
     simulation: AlignSimulation | None = setting(
         Section(AlignSimulation), "the truth for `metrocli simulate`", default=None
     )

@@ -30,6 +30,7 @@ from metrocli.tasks.align_part.simulation import Truth, true_model
 from metrocli.tasks.align_part.spindle_poses import SpindlePoses
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
+from metrocli.tasks.shared.images.effects import not_sought
 from metrocli.tasks.shared.images.planted_effects import planted, refuse_pictures
 from metrocli.tasks.shared.images.rendering import Draw, pictures
 from metrocli.tasks.shared.images.settings import ESTIMATE
@@ -55,7 +56,8 @@ def run(job: Job[Settings, Files]) -> Result:
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the adjusted job for `diagnose`, with all its readings, outliers included; raises as `run` does."""
     problem = prepared(job)
-    return adjusted_job(problem, solved(replace(job.settings, outliers="report"), problem))
+    found = adjusted_job(problem, solved(replace(job.settings, outliers="report"), problem))
+    return replace(found, not_sought=not_sought(job.settings.shutter, found.model))
 
 
 def prepared(job: Job[Settings, Files]) -> Problem:

@@ -10,6 +10,7 @@ from metrocli.effects.links.growth import Growth
 from metrocli.effects.links.lens_changes import LensChange
 from metrocli.effects.links.plane_bend import PlaneBend
 from metrocli.effects.links.shifts import Shift
+from metrocli.tasks.shared.images.effects import PERSPECTIVE_BLUR, rolling_shutter
 from metrocli.tasks.shared.images.places import IMAGE, image_point
 from metrocli.units import parse_quantity
 
@@ -156,6 +157,7 @@ EFFECTS: tuple[Effect, ...] = (
         reveal="larger tilts of the targets; the radius of every target in the list",
         source="Ahn, Warnecke and Kotowski 1999, Systematic geometric image measurement errors of circular targets",
     ),
+    PERSPECTIVE_BLUR,
     Effect(
         "target-plane-bend",
         "the board is not flat: paper on a bent plate, a plate under its own weight",
@@ -179,6 +181,7 @@ EFFECTS: tuple[Effect, ...] = (
         reveal="the first views again at the end",
         source="Smith and Cope 2010; Elias et al. 2020",
     ),
+    rolling_shutter("view", "axis-skew", "aspect-ratio"),
     _moved_target(Quantity.POINT_ON_BOARD),
     _moved_target(Quantity.POINT_ON_TARGETS),
     _scale_of_targets(Quantity.POINT_ON_BOARD),

@@ -15,7 +15,13 @@ from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.tasks.shared.images.camera_settings import Extrinsics, LensValues
-from metrocli.tasks.shared.images.settings import ESTIMATE, eccentricity_setting, image_faults, targets_setting
+from metrocli.tasks.shared.images.settings import (
+    ESTIMATE,
+    eccentricity_setting,
+    image_faults,
+    shutter_setting,
+    targets_setting,
+)
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
 from metrocli.tasks.shared.structured_noise import NOISE_HELP
@@ -178,6 +184,7 @@ class Settings:
 
     targets: str = targets_setting()
     eccentricity: str = eccentricity_setting()
+    shutter: str = shutter_setting()
     length_limit: LengthLimit | None = setting(
         Section(LengthLimit), "largest length measuring error that is allowed, for the test lengths", default=None
     )

@@ -28,6 +28,7 @@ from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_vie
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.camera_parameters import delivered
+from metrocli.tasks.shared.images.effects import not_sought
 from metrocli.tasks.shared.images.planted_effects import planted, refuse_pictures
 from metrocli.tasks.shared.images.rendering import Draw, pictures
 from metrocli.tasks.shared.images.settings import ESTIMATE
@@ -56,7 +57,8 @@ def run(job: Job[Settings, Files]) -> Result:
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the adjusted job for `diagnose`, with all its readings, outliers included; raises as `run` does."""
     settings, problem = prepared(job)
-    return adjusted_job(problem, solved(replace(settings, outliers="report"), problem))
+    found = adjusted_job(problem, solved(replace(settings, outliers="report"), problem))
+    return replace(found, not_sought=not_sought(settings.shutter, found.model))
 
 
 def compare(job: Job[Settings, Files]) -> Table:

@@ -28,6 +28,10 @@ class ImageSettings(Protocol):
         """auto, correct or ignore."""
 
 
+ROLLING = "rolling"
+"""Shutter that reads the rows of an image one after another"""
+
+
 def eccentricity_setting() -> str:
     """Return the setting for the eccentricity of circular targets."""
     text = (
@@ -35,6 +39,13 @@ def eccentricity_setting() -> str:
         "or auto: correct it if circles of known size are found in images"
     )
     chosen: str = setting(Choice("auto", "correct", "ignore"), text, default="auto")
+    return chosen
+
+
+def shutter_setting() -> str:
+    """Return the setting for how the rows of an image are read."""
+    text = "global: all rows of an image at once; rolling: one after another, and `diagnose` looks for motion meanwhile"
+    chosen: str = setting(Choice("global", ROLLING), text, default="global")
     return chosen
 
 

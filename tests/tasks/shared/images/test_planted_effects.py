@@ -36,6 +36,12 @@ def calibration(folder: Path, rig: str, convention: str, effect: str, estimate: 
         ("cmm", "{name: focal-drift, by: T}", "focal-drift:by=T,rate=2e-3 1/K"),
         ("cmm", "{name: principal-point-drift}", "principal-point-drift:rate_u=20 px/h,rate_v=-30 px/h"),
         ("board", "{name: target-plane-bend}", "target-plane-bend:bxx=3e-5 1/mm,bxy=-1e-5 1/mm,byy=2e-5 1/mm"),
+        ("board", "{name: rolling-shutter, image: view03.png}", "rolling-shutter:image=view03.png,a_u=3e-3,a_v=-2e-3"),
+        (
+            "network",
+            "{name: rolling-shutter, image: view03.png}",
+            "rolling-shutter:image=view03.png,a_u=-3e-3,a_v=5e-3",
+        ),
         ("board", "{name: moved-target, target: T7}", "moved-target:target=T7,dx=1 mm,dy=-0.5 mm,dz=0.8 mm"),
     ],
 )
@@ -118,6 +124,8 @@ ALIGNED = {
     "radial-distortion": "dk1=0.01",
     "bad-pose": "image=image3,dx=1 mm,dy=2 mm,dz=-1 mm",
     "coupling-shift": "dx=0.5 mm,dy=-0.7 mm",
+    "rolling-shutter": "image=image3,a_u=3e-3,a_v=-2e-3",
+    "perspective-blur": "area=400 mm2",
 }
 
 
