@@ -28,6 +28,8 @@ _MOST_NUMBERS = 4_000_000
 """Unknowns times readings above which only the own member of each reading is considered"""
 _FOLLOWS = 1e-6
 """Difference of the result and what moves, relative to the move, that is rounding"""
+_VANISHED = 1e-100
+"""Norm of a column that counts as 0: the square of a smaller one can be"""
 _NOTHING = 1e-9
 """Change of the result, relative to the change of all readings, that is rounding"""
 
@@ -71,7 +73,7 @@ def _of_some(
 ) -> tuple[float, int]:
     """Return the largest change by some alternatives, and its member; 0 if it is not above `least`."""
     at = list(chosen)
-    scale = np.where(family.raw[at] > 0, family.raw[at], 1.0)
+    scale = np.where(family.raw[at] > _VANISHED, family.raw[at], 1.0)
     scaled = gram[at] / (scale[:, :, None] * scale[:, None, :])
     values, vectors = np.linalg.eigh(scaled)
     seen = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])

@@ -45,7 +45,8 @@ def error_motion(result: Result, position: Array, tool: Array) -> tuple[Array, A
 def outside(result: Result, commanded: Table, key: str = "point", rows: Index | slice = _ALL) -> list[Fault]:
     """Return a fault for each position beyond the calibrated range of an axis; `key` is the column of their names."""
     faults: list[Fault] = []
-    names, chosen = commanded.texts(key), np.arange(len(commanded))[rows]
+    whose = [f" of {key} '{one}'" for one in commanded.texts(key)] if key in commanded else [""] * len(commanded)
+    chosen = np.arange(len(commanded))[rows]
     for axis in _machine(result).axes:
         name, low, high = axis.letter.lower(), float(axis.knots[0]), float(axis.knots[-1])
         at = commanded.numbers(name)
@@ -54,7 +55,7 @@ def outside(result: Result, commanded: Table, key: str = "point", rows: Index | 
         faults += commanded.faults_at(
             chosen[beyond[chosen]].tolist(),
             lambda row, at=at, name=name: (  # type: ignore[misc]
-                f"the commanded {name} {at[row]:g} mm of {key} '{names[row]}' is outside the calibrated axis"
+                f"the commanded {name} {at[row]:g} mm{whose[row]} is outside the calibrated axis"
             ),
             lambda _, hint=hint: hint,  # type: ignore[misc]
         )
