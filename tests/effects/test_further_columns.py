@@ -224,3 +224,16 @@ def test_a_new_column_changes_no_definition(hall: Path, metrocli: Metrocli) -> N
     hall.write_text(hall.read_text() + own + "\neffects: [{name: load-error}]\n")
     assert metrocli("check", hall).code == 0
     assert "the column 'load_kN' is not used" in metrocli("multilaterate", hall).err
+
+
+@pytest.mark.parametrize("heading", ["tracer_gain", "temp_spindle", "length_2"])
+def test_a_column_whose_name_begins_like_one_of_the_job_is_a_variable(
+    heading: str, hall: Path, metrocli: Metrocli
+) -> None:
+    lengths = hall.parent.parent / "data/lengths.csv"
+    lengths.write_text(lengths.read_text().replace("load_kN", heading))
+    own = f"define: [{{name: load-error, acts_on: length, adds: a*{heading}, parameters: {{a: {{unit: um, plausible: 5 um}}}}}}]"
+    hall.write_text(hall.read_text() + own + "\neffects: [{name: load-error}]\n")
+    ran = metrocli("multilaterate", hall, "--json")
+    assert ran.code in (0, 6), ran.err
+    assert "load-error.a" in json.loads(ran.out)["estimates"]

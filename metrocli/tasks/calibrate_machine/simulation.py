@@ -162,8 +162,8 @@ def _stops(job: _Measurement, machine: Machine, rng: np.random.Generator) -> Flo
         position = position[:, rng.permutation(count)]
         tool = rng.integers(len(names), size=count)
     came = map(last_sides, np.diff(position, axis=1, prepend=position[:, :1] - 1))
-    given: dict[str, Array] = dict(zip(SIDES, came, strict=True))
-    given["t"] = np.arange(float(position.shape[1])) * job.simulation.interval
+    given: dict[str, Array] = {"t": np.arange(float(position.shape[1])) * job.simulation.interval}
+    given |= zip(SIDES, came, strict=True)
     if table is not None:
         given |= table.conditions(*given)
     return Flow(position, tool, given | since_turns(position, given))
