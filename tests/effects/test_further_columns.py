@@ -212,6 +212,15 @@ def test_an_empty_cell_of_a_column_that_is_used_has_its_place(hall: Path, metroc
     assert ran.code == 3 and "lengths.csv:2:" in ran.err and "'load_kN': an empty cell" in ran.err
 
 
+def test_a_cell_that_is_no_number_has_its_place(hall: Path, metrocli: Metrocli) -> None:
+    lengths = hall.parent.parent / "data/lengths.csv"
+    head, first, *rows = lengths.read_text().splitlines()
+    lengths.write_text("\n".join([head, first.rpartition(",")[0] + ",n/a", *rows]) + "\n")
+    hall.write_text(hall.read_text() + defined(CASES["multilaterate"]))
+    ran = metrocli("check", hall)
+    assert ran.code == 3 and "lengths.csv:2:" in ran.err and "'n/a'" in ran.err
+
+
 def test_only_a_column_that_is_used_counts_as_read(hall: Path, metrocli: Metrocli) -> None:
     assert "the column 'load_kN' is not used" in metrocli("multilaterate", hall).err
     hall.write_text(hall.read_text() + defined(CASES["multilaterate"]))
