@@ -16,7 +16,8 @@ _HEAD = 1 << 16
 def numeric(path: Path) -> tuple[str, ...]:
     """Return the headings of the columns of which most of the first cells that are not empty are numbers.
 
-    Where such a column is used, another cell is a fault with its line. A file that cannot be read has none; its faults are reported where the whole of it is read.
+    Where such a column is used, another cell is a fault with its line. A file that cannot be read has none; its faults
+    are reported where the whole of it is read.
     """
     try:
         with path.open("rb") as file:
