@@ -59,26 +59,26 @@ def usual_seen(candidate: Candidate) -> bool | Literal["part"] | None:
 def reason(candidate: Candidate, word: str) -> str:
     """Return the reason for a candidate's status, in words."""
     effect = candidate.alternative.effect
-    dimension = effect.parameters[0].dimension
-    plausible, at = units.readable(candidate.plausible, dimension)
+    parameter = effect.parameters[0]
+    plausible, at = parameter.readable(candidate.plausible)
     if word == Status.NOT_TESTABLE:
         return f"absorbed by {', '.join(candidate.absorbed_by)}; `hides` is for {plausible:.3g} {at}".rstrip()
-    size, unit = units.readable(candidate.detectable, dimension)
+    size, unit = parameter.readable(candidate.detectable)
     if word == Status.CANNOT_SEE and candidate.missed:
         name = effect.scanned[0].name
         return f"missed between values of {name}, which are further apart than the readings tell: scan a smaller range"
     if word == Status.CANNOT_SEE:
-        hides = f"`hides` is for {units.sized(candidate.assumed, dimension)}"
-        return f"detected from {size:.3g} {unit} on; {seen_in_words(candidate)}; {hides}"
-    return "" if word == Status.NAMED else f"excluded above {size:.3g} {unit}; {seen_in_words(candidate)}"
+        hides = f"`hides` is for {parameter.sized(candidate.assumed)}"
+        return f"detected from {f'{size:.3g} {unit}'.strip()} on; {seen_in_words(candidate)}; {hides}"
+    return "" if word == Status.NAMED else f"excluded above {f'{size:.3g} {unit}'.strip()}; {seen_in_words(candidate)}"
 
 
 def seen_in_words(candidate: Candidate) -> str:
     """Return in words how far the usual sizes of a candidate are detected."""
     usual = candidate.alternative.effect.usual
     if not usual:
-        size, unit = units.readable(candidate.plausible, candidate.dimension)
-        return f"larger than {size:.3g} {unit} is not plausible".replace(" ,", ",")
+        size, unit = candidate.alternative.effect.parameters[0].readable(candidate.plausible)
+        return f"larger than {f'{size:.3g} {unit}'.strip()} is not plausible"
     found = {True: "are", "part": "are in part", False: "are not"}[usual_seen(candidate) or False]
     least = candidate.detectable if candidate.testable else candidate.plausible
     return f"usual sizes ({usual_beside(candidate.alternative.effect, least)}) {found} seen"
@@ -91,9 +91,8 @@ def usual_beside(effect: Effect, size: float) -> str:
     """
     if effect.usual_sizes is None:
         return ""
-    dimension = effect.parameters[0].dimension
-    unit = units.readable(size, dimension)[1]
-    low, high = (units.find_unit(unit, dimension).outside(one) if unit else one for one in effect.usual_sizes)
+    dimension, unit = effect.parameters[0].dimension, effect.parameters[0].readable(size)[1]
+    low, high = (units.find_unit(unit, dimension).outside(one) if dimension else one for one in effect.usual_sizes)
     if low < _SMALLEST and " " in effect.usual.partition(" to ")[0]:
         return effect.usual
     return f"{units.two_digits(low)} to {units.two_digits(high)} {'' if unit == '1' else unit}".strip()

@@ -74,6 +74,14 @@ class Parameter:
         """The internal unit."""
         return units.internal_unit(self.dimension) if self.dimension else self.base or "1"
 
+    def readable(self, size: float) -> tuple[float, str]:
+        """Return a size of it and the unit that suits it; base units where no dimension has the unit."""
+        return units.readable(size, self.dimension) if self.dimension else (size, self.base)
+
+    def sized(self, size: float) -> str:
+        """Return a size of it to two digits, for sentences: "0.21 um"."""
+        return f"{units.sized(size, self.dimension)} {self.base}".strip()
+
 
 @dataclass(frozen=True)
 class Effect:

@@ -14,9 +14,10 @@ _HEAD = 1 << 16
 
 
 def numeric(path: Path) -> tuple[str, ...]:
-    """Return the headings of the columns whose first cells are numbers or empty, but not all empty.
+    """Return the headings of the columns of which most of the first cells that are not empty are numbers.
 
-    A file that cannot be read has none; its faults are reported where the whole of it is read.
+    Where such a column is used, another cell is a fault with its line. A file that cannot be read has none; its faults
+    are reported where the whole of it is read.
     """
     try:
         with path.open("rb") as file:
@@ -31,7 +32,7 @@ def numeric(path: Path) -> tuple[str, ...]:
 
 def _hold_numbers(cells: Sequence[str]) -> bool:
     filled = [cell.strip() for cell in cells if cell.strip()]
-    return bool(filled) and all(map(_is_number, filled))
+    return 2 * sum(map(_is_number, filled)) > len(filled)
 
 
 def _is_number(cell: str) -> bool:

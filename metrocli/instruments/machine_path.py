@@ -126,27 +126,25 @@ class Path:
 
     def last_moves(self) -> Array:
         """Return the sign of the last movement of each axis on each leg, (3, legs); 0 where it has not moved yet."""
-        signs = np.where(np.abs(self.direction) > _SAME, np.sign(self.direction), np.nan).T
-        for axis in signs:
-            _fill_forward(axis)
-        return np.nan_to_num(signs)
+        return np.stack([last_sides(np.where(np.abs(part) > _SAME, part, 0.0)) for part in self.direction.T])
 
 
 def since_turn(moves: Array, side: Array) -> Array | None:
     """Return how far an axis has travelled since it turned, after each of its moves (n,), with their sides (n,).
 
-    It turns where the side changes, and is infinite before. None if a move contradicts its side: the axis went
-    farther and came back, nobody knows how far.
+    It turns where the side changes, and is infinite before; an axis of side 0 stands still, or has not moved yet. None
+    if a move contradicts its side: the axis went farther and came back, nobody knows how far.
     """
-    if (moves * side < 0).any():
+    held = last_sides(side)
+    if (moves * held < 0).any():
         return None
-    starts = np.flatnonzero(np.diff(side) != 0) + 1
+    starts = np.flatnonzero((held[:-1] != 0) & (np.diff(held) != 0)) + 1
     way = np.concatenate([[0.0], np.cumsum(np.abs(moves))])
     begun = np.concatenate([[-np.inf], way[starts]])
     return np.asarray(way[1:] - begun[np.searchsorted(starts, np.arange(len(moves)), side="right")])
 
 
-def _fill_forward(values: Array) -> None:
-    known = np.where(np.isfinite(values), np.arange(len(values)), -1)
-    last = np.maximum.accumulate(known)
-    values[last >= 0] = values[last[last >= 0]]
+def last_sides(moves: Array) -> Array:
+    """Return the sign of the last of the moves of an axis that is not 0, after each of them (n,); 0 before it moves."""
+    last = np.maximum.accumulate(np.where(moves != 0, np.arange(len(moves)), 0))
+    return np.asarray(np.sign(moves)[last])

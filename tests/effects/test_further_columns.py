@@ -212,6 +212,15 @@ def test_an_empty_cell_of_a_column_that_is_used_has_its_place(hall: Path, metroc
     assert ran.code == 3 and "lengths.csv:2:" in ran.err and "'load_kN': an empty cell" in ran.err
 
 
+def test_a_cell_that_is_no_number_has_its_place(hall: Path, metrocli: Metrocli) -> None:
+    lengths = hall.parent.parent / "data/lengths.csv"
+    head, first, *rows = lengths.read_text().splitlines()
+    lengths.write_text("\n".join([head, first.rpartition(",")[0] + ",n/a", *rows]) + "\n")
+    hall.write_text(hall.read_text() + defined(CASES["multilaterate"]))
+    ran = metrocli("check", hall)
+    assert ran.code == 3 and "lengths.csv:2:" in ran.err and "'n/a'" in ran.err
+
+
 def test_only_a_column_that_is_used_counts_as_read(hall: Path, metrocli: Metrocli) -> None:
     assert "the column 'load_kN' is not used" in metrocli("multilaterate", hall).err
     hall.write_text(hall.read_text() + defined(CASES["multilaterate"]))
@@ -224,3 +233,16 @@ def test_a_new_column_changes_no_definition(hall: Path, metrocli: Metrocli) -> N
     hall.write_text(hall.read_text() + own + "\neffects: [{name: load-error}]\n")
     assert metrocli("check", hall).code == 0
     assert "the column 'load_kN' is not used" in metrocli("multilaterate", hall).err
+
+
+@pytest.mark.parametrize("heading", ["tracer_gain", "temp_spindle", "length_2"])
+def test_a_column_whose_name_begins_like_one_of_the_job_is_a_variable(
+    heading: str, hall: Path, metrocli: Metrocli
+) -> None:
+    lengths = hall.parent.parent / "data/lengths.csv"
+    lengths.write_text(lengths.read_text().replace("load_kN", heading))
+    own = f"define: [{{name: load-error, acts_on: length, adds: a*{heading}, parameters: {{a: {{unit: um, plausible: 5 um}}}}}}]"
+    hall.write_text(hall.read_text() + own + "\neffects: [{name: load-error}]\n")
+    ran = metrocli("multilaterate", hall, "--json")
+    assert ran.code in (0, 6), ran.err
+    assert "load-error.a" in json.loads(ran.out)["estimates"]

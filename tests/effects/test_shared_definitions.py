@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -83,3 +84,16 @@ def test_a_definition_for_another_kind_lacks_no_column(hall: Path, metrocli: Met
     own = {kind: [one["name"] for one in every["effects"] if one["own"]] for kind, every in found.items()}
     assert own["multilaterate"] == ["load-error", "zero-error"]
     assert own["calibrate-machine"] == []
+
+
+def test_sizes_without_a_dimension_are_told_with_their_base_units(hall: Path, metrocli: Metrocli) -> None:
+    lengths = hall.parent.parent / "data" / "lengths.csv"
+    head, *rows = [line for line in lengths.read_text().splitlines() if not line.startswith("#")]
+    loads = np.random.default_rng(3).uniform(0.2, 1.4, len(rows)).round(4)
+    cells = [f"{row},{load}" for row, load in zip(rows, loads.tolist(), strict=True)]
+    lengths.write_text("\n".join([f"{head},load_kN", *cells]) + "\n")
+    every = json.loads(metrocli("diagnose", hall, "--json").out)["candidates"]
+    (reason,) = [one["reason"] for one in every if one["name"] == "load-error"]
+    assert re.fullmatch(r"excluded above \S+ s2 kg-1; larger than 3e-08 s2 kg-1 is not plausible", reason), reason
+    (line,) = [one for one in metrocli("diagnose", hall).out.splitlines() if one.startswith("load-error")]
+    assert re.search(r"excluded above \S+ s2 kg-1", line), line

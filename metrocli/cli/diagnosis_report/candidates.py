@@ -11,6 +11,7 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
 from metrocli.diagnosis.hidden_change import HiddenChange
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
+from metrocli.effects.effect import Parameter
 from metrocli.words import listed
 
 _SHOWN = 5
@@ -53,30 +54,28 @@ def _line(adjusted: AdjustedJob, name: str, word: str, found: Sequence[Candidate
     beside = status.usual_beside(effect, min(sizes, default=found[0].plausible))
     usual = f"{beside}: {_SEEN[seen.pop() if len(seen) == 1 else 'part']}" if beside else ""
     most = max((one.hides for one in found), key=lambda hidden: hidden.size)
-    return name, where, _status(word, sizes, effect.parameters[0].dimension), usual, _hidden(adjusted, most), why
+    return name, where, _status(word, sizes, effect.parameters[0]), usual, _hidden(adjusted, most), why
 
 
 def _off(found: Sequence[Candidate]) -> str:
     """Return the size of the effect for which its largest change of the result holds."""
     most = max(found, key=lambda one: one.hides.size)
-    return f"off by this if its size is {units.sized(most.assumed, most.dimension)}"
+    return f"off by this if its size is {most.alternative.effect.parameters[0].sized(most.assumed)}"
 
 
-def _status(word: str, sizes: Sequence[float], dimension: str) -> str:
+def _status(word: str, sizes: Sequence[float], parameter: Parameter) -> str:
     """Return the status with the sizes from which effects are detected."""
     if not sizes:
         return word
     between = {str(status.Status.EXCLUDED): "above", str(status.Status.CANNOT_SEE): "below", "detectable": "from"}
-    return f"{word} {between[word]} {_span(min(sizes), max(sizes), dimension)}" if word in between else word
+    return f"{word} {between[word]} {_span(min(sizes), max(sizes), parameter)}" if word in between else word
 
 
 def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool) -> tuple[str, ...]:
     name = wrong.effect.name
     if not wrong.testable:
         return name, "one reading", str(status.Status.NOT_TESTABLE), "", "", status.UNCHECKED
-    word = _status(
-        "detectable" if open_yet else status.Status.EXCLUDED, wrong.between, wrong.effect.parameters[0].dimension
-    )
+    word = _status("detectable" if open_yet else status.Status.EXCLUDED, wrong.between, wrong.effect.parameters[0])
     why = "larger ones are listed as wrong readings"
     why += f"; {wrong.unchecked} readings are checked by no other" if wrong.unchecked else ""
     return name, "one reading", word, "", _hidden(adjusted, wrong.hides), why
@@ -87,7 +86,7 @@ def _hidden(adjusted: AdjustedJob, hidden: HiddenChange) -> str:
     return f"{units.sized(hidden.size, adjusted.delivered.dimension)}{place}"
 
 
-def _span(least: float, most: float, dimension: str) -> str:
-    low, unit = units.readable(least, dimension)
+def _span(least: float, most: float, parameter: Parameter) -> str:
+    low, unit = parameter.readable(least)
     both = dict.fromkeys(units.two_digits(size) for size in (low, low * most / least))
     return f"{' to '.join(both)} {unit}".strip()

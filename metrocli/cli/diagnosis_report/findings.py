@@ -255,7 +255,7 @@ def _parameter(size: Size) -> str:
     if size.std is None:
         digits, partly = ("6g", "") if size.seen else ("2g", " (not seen)")
         return f"{key} {size.value:.{digits}} {size.parameter.unit}{partly}"
-    _, symbol = units.readable(size.value, dimension)
+    _, symbol = size.parameter.readable(size.value)
     factor = units.find_unit(symbol, dimension).outside(1.0) if dimension and symbol != "1" else 1.0
     return f"{key} = {units.format_quantity(size.value * factor, symbol, size.std * factor)}"
 

@@ -38,13 +38,13 @@ def written(law: Law) -> Written:
     parameters: dict[str, tuple[float, float, str]] = {}
     scan: dict[str, tuple[float, str]] = {}
     used = {name for term in law.terms for name in term.form.variables}
-    names = (name for name in map("a{}".format, count(1)) if name not in used)
+    names, shapes = ((name for name in map(text.format, count(1)) if name not in used) for text in ("a{}", "s{}"))
     for term, sizes, stds in zip(law.terms, law.sizes, law.stds, strict=True):
         form, acting = term.form, term.spot.acting
         known = acting.variables_at({})
         unit = _unit_of(term)
         one = compound(unit).factor
-        scanned = f"s{len(scan) + 1}"
+        scanned = next(shapes) if form.scanned is not None else ""
         if form.scanned is not None:
             scan[scanned] = (form.scanned, _text(compound(known[form.variables[0]].unit).powers))
         for factor, size, std in zip(form.factors, sizes.tolist(), stds.tolist(), strict=True):

@@ -72,7 +72,7 @@ def _of_readings(spec: Any) -> bool:
 def _headings(spec: TableFile, there: Iterable[str]) -> Iterator[str]:
     """Yield the headings that the kind of job does not read itself."""
     own = {column.name for column in spec.columns.columns}
-    return (heading for heading in there if not {heading, heading.rpartition("_")[0]} & own)
+    return (heading for heading in there if not {heading, _taken_apart(heading)[0]} & own)
 
 
 def _taken_apart(heading: str) -> tuple[str, Compound]:

@@ -24,7 +24,7 @@ from metrocli.instruments.machine import (
     errors_of,
     is_angle,
 )
-from metrocli.instruments.machine_path import SINCE, Path
+from metrocli.instruments.machine_path import SINCE, Path, last_sides
 from metrocli.instruments.six_dof import CHANNELS, LINE, line_block, line_chain
 from metrocli.instruments.tracer import AIR, POINT, TRACER, beams, reach_of_machine, tracer_block
 from metrocli.instruments.tracer import chain as length_chain
@@ -35,13 +35,7 @@ from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import path_of
 from metrocli.tasks.calibrate_machine.methods.six_dof import approach, laser_noise, line_conditions, planned_lines
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
-from metrocli.tasks.calibrate_machine.problem import (
-    SIDES,
-    commanded,
-    machine_of,
-    since_turns,
-    tools_of,
-)
+from metrocli.tasks.calibrate_machine.problem import SIDES, commanded, machine_of, since_turns, tools_of
 from metrocli.tasks.calibrate_machine.settings import (
     LENGTHS,
     ON_THE_FLY,
@@ -167,8 +161,9 @@ def _stops(job: _Measurement, machine: Machine, rng: np.random.Generator) -> Flo
         position[:, : corners.shape[1]] = corners
         position = position[:, rng.permutation(count)]
         tool = rng.integers(len(names), size=count)
-    moved = np.sign(np.diff(position, axis=1, prepend=position[:, :1] - 1))
-    given = {"t": np.arange(position.shape[1]) * job.simulation.interval, **dict(zip(SIDES, moved, strict=True))}
+    came = map(last_sides, np.diff(position, axis=1, prepend=position[:, :1] - 1))
+    given: dict[str, Array] = {"t": np.arange(float(position.shape[1])) * job.simulation.interval}
+    given |= zip(SIDES, came, strict=True)
     if table is not None:
         given |= table.conditions(*given)
     return Flow(position, tool, given | since_turns(position, given))
@@ -219,7 +214,8 @@ def _readings_of_stations(
         station = np.array([names.index(name) for name in table.texts("station")])
         points = np.array(table.texts("point"), dtype=str)
         flow = Flow(commanded(machine_of(job.settings), table), tools_of(table, job.settings), {})
-        return names, station, replace(flow, conditions=table.conditions(*_CONDITIONS)), points
+        given = table.conditions(*_CONDITIONS, *SIDES)
+        return names, station, replace(flow, conditions=given | since_turns(flow.position, given)), points
     once, n = _stops(job, machine, rng), job.simulation.points
     names = [f"S{i + 1}" for i in range(_STATIONS)] if listed is None else listed.texts("station")
     order = np.tile(np.arange(n), len(names))

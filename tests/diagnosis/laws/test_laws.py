@@ -23,12 +23,15 @@ from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.laws.definition import as_define, as_wanted, written
 from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.near import near_effects
-from metrocli.diagnosis.laws.terms import columns_of, forms_of
+from metrocli.diagnosis.laws.terms import Form, columns_of, forms_of
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.verdict import as_data
+from metrocli.effects.acting import measured
+from metrocli.effects.own.columns import with_variables
 from metrocli.effects.own.define import read
 from metrocli.errors import Fault
 from metrocli.expressions.derivatives import Jets
+from metrocli.expressions.dimensions import compound
 from metrocli.expressions.expression import parse
 from metrocli.project import yaml_text
 from metrocli.tasks import KINDS
@@ -91,6 +94,24 @@ def test_a_wave_of_one_tracer_is_found_with_its_period_and_size(found: Diagnosis
     spread = max(std for _, std, _ in texts.parameters.values())
     assert abs(amplitude - SIZE) < 4 * spread
     assert law.gain.shown and law.part_of_structure > 0.9 and law.p_value < 1e-3
+
+
+def test_a_column_of_the_data_keeps_its_name_beside_those_of_a_law(found: Diagnosis) -> None:
+    """Columns s1 and a1: a sine in s1 needs another name for its period, and its sizes need others than a1."""
+    assert found.law is not None
+    (term,) = found.law.terms
+    more = [measured(name, name, compound("mm")) for name in ("s1", "a1")]
+    (acting,) = with_variables((term.spot.acting,), more)
+    spot = replace(term.spot, acting=acting)
+    texts = [text.replace("X", "s1") for text in term.form.factors]
+    wave = replace(term, spot=spot, form=replace(term.form, variables=("s1",), factors=tuple(texts)))
+    line = replace(term, spot=spot, form=Form("powers", ("a1",), ("a1",)))
+    law = replace(
+        found.law, terms=(wave, line), sizes=(*found.law.sizes, np.ones(1)), stds=(*found.law.stds, np.ones(1))
+    )
+    shown = written(law)
+    assert shown.adds == {"": "a2*sin(2*pi*s1/s2) + a3*cos(2*pi*s1/s2) + a4*a1"}
+    assert set(shown.parameters) == {"a2", "a3", "a4"} and set(shown.scan) == {"s2"}
 
 
 def test_folds_that_travel_give_the_same_law(found: Diagnosis) -> None:

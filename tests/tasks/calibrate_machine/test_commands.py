@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import pytest
 
 from metrocli.formats import csv, hdf5
 from metrocli.tasks.calibrate_machine.files import TRACK
+from metrocli.tasks.calibrate_machine.problem import SIDES
 
 Metrocli = Callable[..., Any]
 HEAD = """metrocli: 1
@@ -363,3 +365,40 @@ def test_the_schema_names_what_a_job_may_say(metrocli: Metrocli) -> None:
         schema["properties"]
     )
     assert TRACK.columns[0].name == "x"
+
+
+def test_an_axis_that_stands_still_keeps_the_side_from_which_it_came(folder: Path, metrocli: Metrocli) -> None:
+    """Points in rows along x, to and fro: y and z stand still within each."""
+    to_and_fro = [*range(0, 601, 150), *range(600, -1, -150)]
+    places = [(x, y, z) for z in (0, -250, -500) for y in (0, 260, -260) for x in to_and_fro]
+    rows = [f"P{i},{x},{y},{z},{x},{y},{z},T1" for i, (x, y, z) in enumerate(places)]
+    (folder / "points.csv").write_text("\n".join(["point,x_mm,y_mm,z_mm,mx_mm,my_mm,mz_mm,tool", *rows]) + "\n")
+    job = folder / "job.yaml"
+    job.write_text(STANDSTILL)
+    assert metrocli("simulate", job, "--out", folder / "new").code == 0
+    head, *lines = (folder / "new" / "points.csv").read_text().splitlines()
+    sides = {name: [float(line.split(",")[head.split(",").index(name)]) for line in lines] for name in SIDES}
+    assert sides["from_x"] == ([1.0] * 6 + [-1.0] * 4 + ([-1.0] + [1.0] * 5 + [-1.0] * 4) * 8)
+    assert sides["from_y"] == ([1.0] * 20 + [-1.0] * 10 + [1.0] * 20 + [-1.0] * 10) + ([1.0] * 20 + [-1.0] * 10)
+    assert sides["from_z"] == [1.0] * 30 + [-1.0] * 60
+
+
+def test_lengths_are_made_again_with_the_sides_of_their_file(folder: Path, metrocli: Metrocli) -> None:
+    assert metrocli("init", folder / "lab", "--sample", "machine-lengths").code == 0
+    data, job = folder / "lab" / "data" / "lengths.csv", folder / "lab" / "jobs" / "lengths.yaml"
+    head, *lines = [line for line in data.read_text().splitlines() if not line.startswith("#")]
+    x = [float(line.split(",")[head.split(",").index("x_mm")]) for line in lines]
+    sides = [1.0]
+    for before, place in pairwise(x):
+        sides.append(float(np.sign(place - before)) or sides[-1])
+    data.write_text("\n".join([f"{head},from_x", *(f"{a},{b:g}" for a, b in zip(lines, sides, strict=True))]) + "\n")
+    planted = ["--effect", "hysteresis:axis=x,width=20um,length=60mm"]
+    ran = metrocli("simulate", job, "--seed", 5, "--out", folder / "new", *planted)
+    assert ran.code == 0, ran.err
+    data.write_text((folder / "new" / "lengths.csv").read_text())
+    job.write_text(
+        job.read_text() + "effects: [{name: hysteresis, axis: x, length: 60 mm}, {name: backlash, axis: x}]\n"
+    )
+    found = json.loads(metrocli("calibrate-machine", job, "--json").out)["estimates"]
+    for name, true in {"hysteresis.x.width": 0.02, "backlash.x.width": 0.0}.items():
+        assert abs(found[name]["value"] - true) < 4 * found[name]["std"] < 0.02

@@ -89,3 +89,12 @@ def test_sides_that_contradict_the_order_are_not_a_way() -> None:
     assert [(dict(one.where), one.reason) for one in missing] == [
         ({"axis": "y"}, "needs a column from_y that agrees with the order of the readings")
     ]
+
+
+def test_an_axis_that_stands_still_does_not_turn() -> None:
+    moves = np.array([0.0, 0.0, 3.0, 0.0, 2.0, -1.0, 0.0, -4.0])
+    side = np.array([0.0, 0, 1, 0, 1, -1, 0, -1])
+    held = np.array([0.0, 0, 1, 1, 1, -1, -1, -1])
+    expected = [np.inf] * 5 + [1.0, 1.0, 5.0]
+    for one in (side, held):
+        assert since_turn(moves, one).tolist() == expected  # type: ignore[union-attr]

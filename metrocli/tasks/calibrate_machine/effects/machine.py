@@ -99,7 +99,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         (size("width", "length", "20 um"),),
         lambda block, where: Hysteresis(block, where["axis"]),
         where=("axis",),
-        needs=("from_{axis}", SINCE),
+        needs=(SINCE,),
         scanned=(Parameter("length", "length", grid=_lengths, tried=12),),
         confused_with=("backlash",),
         usual="1 to 20 um",
