@@ -80,9 +80,11 @@ def row_hashes(table: Table, names: Sequence[str]) -> Hashes:
 
 
 def _codes(values: npt.NDArray[np.generic]) -> Hashes:
-    if values.dtype.kind in "US":
-        numbers: Hashes = np.unique(values, return_inverse=True)[1].astype(np.uint64).ravel()
-        return numbers
+    if values.dtype.kind == "U":
+        codes = np.zeros(len(values), dtype=np.uint64)
+        for letter in np.ascontiguousarray(values).view(np.uint32).reshape(len(values), -1).T:
+            codes = codes * _ODD + letter
+        return codes
     bits: Hashes = (np.ascontiguousarray(values, dtype=np.float64) + 0.0).view(np.uint64)  # -0 is 0
     return bits
 

@@ -35,8 +35,7 @@ def _misfit(statistics: Mapping[str, Scalar | Mapping[str, float]], verdicts: Se
         if verdict.name.removeprefix("statistics.") == "sigma0" and verdict.condition.lstrip().startswith("<")
     ]
     beyond = any(not limit.met for limit in limits) if limits else sigma0 > MOST
-    bound = chi_bound(dof, _LEVEL)
-    if not beyond or sigma0 <= bound:
+    if not beyond or sigma0 <= (bound := chi_bound(dof, _LEVEL)):
         return ()
     allowed = " and ".join(limit.condition.strip() for limit in limits) or f"<= {MOST:g}"
     other = "" if limits else '; `require: {sigma0: "< 5"}` sets another limit'

@@ -24,6 +24,8 @@ Aspect = Callable[[Mapping[str, Block], Observations], Array]
 """Function that returns a condition of the readings (n,) at the present values, e.g. the azimuth of a beam"""
 
 _ROUNDS, _STEPS = 20, 200
+_NEAR = 1e-3
+"""A round but the last ends with a step below this, in standard deviations: it moves the weights far less"""
 _SETTLED = 1e-9
 """The standard deviations have converged when a round changes none of them by more than this fraction"""
 _STILL = 1e-7
@@ -46,7 +48,7 @@ def adjust_with_iterated_weights(
     name, sigma_of = noise
     state = {block.name: block for block in blocks}
     for _ in range(_ROUNDS):
-        solution = adjust(state.values(), groups, datum, Control(_STEPS, covariance=False))
+        solution = adjust(state.values(), groups, datum, Control(_STEPS, _NEAR, covariance=False))
         state = dict(solution.blocks)
         found = next(group for group in groups if group.name == name)
         sigma = sigma_of(found, state)

@@ -12,6 +12,7 @@ import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.datum import Datum
+from metrocli.adjust.medians import median
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Mask
@@ -108,7 +109,7 @@ def gross(group: Group, blocks: Mapping[str, Block]) -> Array:
 def typical(group: Group, blocks: Mapping[str, Block]) -> float:
     """Return the median length of a group's residuals, in the unit of its readings."""
     residual = group.residuals(blocks)
-    return float(np.median(np.nan_to_num(np.sqrt((residual**2).sum(axis=0)), nan=np.inf)))
+    return float(median(np.nan_to_num(np.sqrt((residual**2).sum(axis=0)), nan=np.inf)))
 
 
 def _distances(group: Group, blocks: Mapping[str, Block]) -> Array:
@@ -119,7 +120,7 @@ def _distances(group: Group, blocks: Mapping[str, Block]) -> Array:
 
 def _scale(distance: Array) -> float:
     """Return a robust standard deviation from lengths of residuals."""
-    return float(_MAD * np.median(distance)) if distance.size else 0.0
+    return float(_MAD * median(distance)) if distance.size else 0.0
 
 
 def critical_value(tests: int, level: float = 0.05) -> float:

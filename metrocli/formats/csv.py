@@ -18,6 +18,7 @@ import numpy as np
 from metrocli import copies, units
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_keys import repeated
+from metrocli.formats.csv_plain import PlainCells, plain_cells
 from metrocli.formats.csv_text import Raw, read_text, shortened, taken_apart
 from metrocli.formats.file_bytes import FileBytes
 from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
@@ -36,7 +37,7 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
     `shown` is the name of the file in messages, `held` its content if it is already read. The table's warnings list
     unused columns. Raises InputError with all faults, at most MOST_FAULTS per file.
     """
-    raw = taken_apart(read_text(path, shown or str(path), held), shown or str(path))
+    raw = taken_apart(read_text(path, shown or str(path), held), shown or str(path), plain_cells)
     columns = _every(raw, columns) if columns.every else columns
     further = tuple(dict.fromkeys((*(name for name in columns.further if name in raw.header), *_tried(raw, columns))))
     columns = replace(columns, columns=(*columns.columns, *(Column(name) for name in further)))
@@ -50,14 +51,14 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
             values[column.name] = _convert(raw, index, column, unit, faults)
             if column.name in columns.key:
                 without_key |= {fault.line for fault in faults[before:]}
-    raw = replace(raw, cells=())  # which take many times the memory of the values
+    raw = replace(raw, cells=())  # which take more memory than the values
     if complete:
         faults += repeated(raw, columns, values, without_key)
     if faults:
         raise InputError(shortened(faults))
     internal = {c.name: units.internal_unit(c.dimension) for c in columns.columns if _has_unit(c) and c.name in values}
     headings = {name: raw.header[index] for name, (index, _) in places.items()}
-    table = Table(values, internal, raw.file, tuple(raw.numbers), headings, _unused(raw, columns, places), further)
+    table = Table(values, internal, raw.file, raw.numbers, headings, _unused(raw, columns, places), further)
     copied = copies.faults(table, columns)
     if copied:
         raise InputError(shortened(copied))
@@ -66,15 +67,23 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
 
 def _tried(raw: Raw, columns: Columns) -> list[str]:
     """Return the headings of those columns for laws of which every cell is a number."""
-    return [
-        name for name in columns.tried if name in raw.header and all(map(_is_number, raw.cells[raw.header.index(name)]))
-    ]
+    return [name for name in columns.tried if name in raw.header and _all_numbers(raw, raw.header.index(name))]
 
 
 def _every(raw: Raw, columns: Columns) -> Columns:
     """Return a column for each name in the header: of numbers, or of text if any cell is not a finite number."""
-    kinds = [NUMBER if all(map(_is_number, cells)) else TEXT for cells in raw.cells]
+    kinds = [NUMBER if _all_numbers(raw, k) else TEXT for k in range(len(raw.header))]
     return replace(columns, columns=tuple(Column(*column) for column in zip(raw.header, kinds, strict=True)))
+
+
+def _all_numbers(raw: Raw, index: int) -> bool:
+    return _quick(raw, index) is not None or all(map(_is_number, raw.cells[index]))
+
+
+def _quick(raw: Raw, index: int) -> Array | None:
+    """Return a column of finite numbers that a plain file holds in the usual notation; None for any other."""
+    values = raw.cells.numbers(index) if isinstance(raw.cells, PlainCells) else None
+    return values if values is not None and np.isfinite(values).all() else None
 
 
 def _is_number(cell: str) -> bool:
@@ -169,6 +178,16 @@ def _convert(raw: Raw, index: int, column: Column, unit: units.Unit | None, faul
     """Return one column in internal units; cells that are empty and may be so become NaN."""
     if column.dimension == TEXT:
         return _texts(raw, index, column, faults)
+    quick = _quick(raw, index) if column.dimension != WHOLE else None
+    numbers = _numbers(raw, index, column, faults) if quick is None else quick
+    values = np.asarray(numbers, dtype=float)
+    inside = values if unit is None else unit.array_inside(values)
+    _refuse_beyond(raw, index, column, unit, inside, faults)
+    return np.array(numbers, dtype=np.int64) if column.dimension == WHOLE and not column.may_be_empty else inside
+
+
+def _numbers(raw: Raw, index: int, column: Column, faults: list[Fault]) -> list[float] | list[int]:
+    """Return the cells of a column as numbers, with a fault for each cell that is none."""
     cells = raw.cells[index]
     kind = int if column.dimension == WHOLE else float
     try:
@@ -176,12 +195,15 @@ def _convert(raw: Raw, index: int, column: Column, unit: units.Unit | None, faul
         sound = _is_plain("".join(cells)) and bool((np.abs(np.asarray(numbers, dtype=float)) < _most(column)).all())
     except (ValueError, OverflowError):
         sound = False
-    if not sound:
-        numbers = [_number(raw, row, index, column, faults) for row in range(len(cells))]
-    values = np.array(numbers, dtype=float)
-    inside = values if unit is None else unit.array_inside(values)
-    _refuse_beyond(raw, index, column, unit, inside, faults)
-    return np.array(numbers, dtype=np.int64) if column.dimension == WHOLE and not column.may_be_empty else inside
+    if sound:
+        return numbers
+    read = [_number(cell.strip(), column) for cell in cells]
+    name = raw.header[index]
+    faults += [
+        raw.fault(f"column '{name}': {reason}", raw.numbers[row], index, hint)
+        for row, (_, reason, hint) in enumerate(read) if reason
+    ]  # fmt: skip
+    return [value for value, _, _ in read]
 
 
 def _refuse_beyond(
@@ -189,9 +211,13 @@ def _refuse_beyond(
 ) -> None:
     """Add a fault for each value that the column's quantity cannot have."""
     allowed = column.allowed or units.range_of(column.dimension)
+    beyond = np.flatnonzero(allowed.excludes(values)).tolist()
+    if not beyond:
+        return
     limits = units.in_words(allowed, column.dimension, unit.symbol if unit else "")
-    for row in np.flatnonzero(allowed.excludes(values)).tolist():
-        cell = raw.cells[index][row].strip()
+    cells = raw.cells[index]
+    for row in beyond:
+        cell = cells[row].strip()
         message = f"column '{raw.header[index]}': {cell} is beyond what it can hold, {limits}"
         if abs(values[row]) > units.OVERLOAD:
             hint = "is it an overload marker of the instrument? leave the row out"
@@ -208,28 +234,26 @@ def _most(column: Column) -> float:
     return _WHOLE_LIMIT if column.dimension == WHOLE else float("inf")
 
 
-def _number(raw: Raw, row: int, index: int, column: Column, faults: list[Fault]) -> float | int:
-    """Return one cell as a number; if it is not a number, add a fault and return 0."""
-    cell = raw.cells[index][row].strip()
+def _number(cell: str, column: Column) -> tuple[float | int, str, str | None]:
+    """Return one cell as a number; if it is not a number 0, the reason, and what to do."""
     if not cell and column.may_be_empty:
-        return float("nan")
+        return float("nan"), "", None
     try:
         value = int(cell) if column.dimension == WHOLE else float(cell)
         if _is_plain(cell) and abs(value) < _most(column):
-            return value
+            return value, "", None
         odd = "has digits that are not ASCII" if not cell.isascii() else "has an underscore" if "_" in cell else ""
         reason = f"'{cell}' {odd or 'is not a finite number'}"
     except ValueError:
         reason = f"'{cell}' is not a {'whole ' if column.dimension == WHOLE else ''}number" if cell else "an empty cell"
     comma = re.fullmatch(r"([+-]?[0-9]*),([0-9]+)", cell)
     hint = f"write {comma[1]}.{comma[2]}" if comma else None if cell.isascii() else "write 0 to 9, as on a keyboard"
-    hint = f"write {cell.replace('_', '')}" if reason.endswith("underscore") else hint
-    name = raw.header[index]
-    faults.append(raw.fault(f"column '{name}': {reason}", raw.numbers[row], index, hint))
-    return 0
+    return 0, reason, f"write {cell.replace('_', '')}" if reason.endswith("underscore") else hint
 
 
 def _texts(raw: Raw, index: int, column: Column, faults: list[Fault]) -> Values:
+    if isinstance(raw.cells, PlainCells) and raw.cells.length[index].all() and raw.cells.longest(index) <= LONGEST_TEXT:
+        return raw.cells.texts(index)
     cells = raw.cells[index] if raw.bare else [cell.strip() for cell in raw.cells[index]]
     name = raw.header[index]
     if not column.may_be_empty and "" in cells:

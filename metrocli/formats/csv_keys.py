@@ -6,17 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from metrocli.copies import row_hashes
 from metrocli.errors import Fault
 from metrocli.formats.csv_text import Raw
-from metrocli.table import Columns
+from metrocli.table import Columns, Table
 
 if TYPE_CHECKING:
     from collections.abc import Container
 
     from metrocli.table import Values
-
-_BLOCK = 100_000
-"""Rows that are taken from an array at once as values of Python, which need much memory"""
 
 
 def repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Container[int | None]) -> list[Fault]:
@@ -24,7 +22,7 @@ def repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Con
     names = [name for name in columns.key if name in values]
     if not names:
         return []
-    if _all_different([values[name] for name in names]):
+    if _all_different(Table({name: values[name] for name in names})):
         return []
     keys = list(zip(*(values[name].tolist() for name in names), strict=True))
     first: dict[tuple[object, ...], int] = {}
@@ -40,17 +38,7 @@ def repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Con
     return faults
 
 
-def _all_different(keys: list[Values]) -> bool:
-    """Return whether no two rows have the same values in all columns; False also if there are too many values."""
-    code, kinds = np.zeros(len(keys[0]), dtype=np.int64), 1
-    for column in keys:
-        numbers: dict[object, int] = {}
-        number = np.empty(len(code), dtype=np.int64)
-        for at in range(0, len(code), _BLOCK):
-            block = column[at : at + _BLOCK].tolist()
-            for value in dict.fromkeys(block):
-                numbers.setdefault(value, len(numbers))
-            number[at : at + _BLOCK] = np.fromiter(map(numbers.__getitem__, block), dtype=np.int64, count=len(block))
-        code = code * len(numbers) + number
-        kinds *= len(numbers)
-    return kinds < 1 << 62 and bool((np.diff(np.sort(code)) > 0).all())
+def _all_different(keys: Table) -> bool:
+    """Return whether no two rows have the same values in all columns; False also where chance gives equal numbers."""
+    numbers = np.sort(row_hashes(keys, tuple(keys)))
+    return bool((numbers[1:] != numbers[:-1]).all())

@@ -1,28 +1,104 @@
-"""The cells of a plain CSV file, taken apart as a whole; anything unusual is left to the reader that explains it."""
+"""The cells of a plain CSV file, as places in an array of its letters; anything unusual is left to other readers.
+
+Whole columns become texts or numbers at once, without a Python object for each cell.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, overload
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from metrocli.table import Array
 
 _UNUSUAL = ' "#\t\v\f\x1c\x1d\x1e\x1f'
 """Quotation marks, comments and white space of ASCII other than line ends; a separator is allowed"""
+_OF_NUMBERS = np.zeros(256, dtype=bool)
+_OF_NUMBERS[list(b"0123456789+-.eE\0")] = True
+"""Letters of decimal numbers, and the zero after a short one"""
+_LONGEST = 30
+"""Letters of the longest decimal number that is read here"""
 
 
-def plain_cells(lines: Sequence[str], first: int, separator: str, columns: int) -> tuple[Sequence[str], ...] | None:
-    """Return the cells of each column of the lines from number `first` (from 0); None unless they are plain.
+@dataclass(frozen=True)
+class PlainCells(Sequence[Sequence[str]]):
+    """The cells of each column."""
 
-    Plain are lines of ASCII letters without quotation marks, comments and white space, none of them empty except the
-    last, all with as many cells as there are columns.
+    letters: npt.NDArray[np.uint8]
+    """All letters of the rows, and as many zeros as the longest cell has letters"""
+    start: npt.NDArray[np.intp]
+    """First letter of each cell, (columns, rows)"""
+    length: npt.NDArray[np.intp]
+    """Number of letters of each cell, (columns, rows)"""
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    @overload
+    def __getitem__(self, column: int) -> list[str]: ...
+
+    @overload
+    def __getitem__(self, column: slice) -> list[list[str]]: ...
+
+    def __getitem__(self, column: int | slice) -> list[str] | list[list[str]]:
+        if isinstance(column, slice):
+            return [self[k] for k in range(*column.indices(len(self)))]
+        listed: list[str] = self.texts(column).tolist()
+        return listed
+
+    def texts(self, column: int) -> npt.NDArray[np.str_]:
+        """Return the texts of a column, (rows,)."""
+        wide = self._letters(column).astype(np.uint32)
+        return wide.view(f"U{wide.shape[1]}").ravel()
+
+    def longest(self, column: int) -> int:
+        """Return the number of letters of the longest cell of a column."""
+        return int(self.length[column].max())
+
+    def numbers(self, column: int) -> Array | None:
+        """Return a column as numbers, (rows,); None unless all its cells are decimal numbers of usual length."""
+        if self.longest(column) > _LONGEST or not self.length[column].all():
+            return None
+        letters = self._letters(column)
+        if not _OF_NUMBERS[letters].all():
+            return None
+        try:
+            return letters.view(f"S{letters.shape[1]}").ravel().astype(float)
+        except ValueError:
+            return None
+
+    def _letters(self, column: int) -> npt.NDArray[np.uint8]:
+        """Return the letters of each cell of a column, with zeros after a short one, (rows, letters)."""
+        width = max(self.longest(column), 1)
+        windows = np.lib.stride_tricks.sliding_window_view(self.letters, width)
+        found: npt.NDArray[np.uint8] = windows[self.start[column]]
+        found[np.arange(width) >= self.length[column][:, None]] = 0
+        return found
+
+
+def plain_cells(rows: str, separator: str, columns: int) -> PlainCells | None:
+    """Return the cells of the rows of a file, which are all that follows its header; None unless they are plain.
+
+    Plain are rows of ASCII letters without quotation marks, comments and white space, none of them empty, all with as
+    many cells as there are columns.
     """
-    end = len(lines) if lines[-1] else len(lines) - 1
-    rows = lines[first:end]
-    if not rows or "" in rows:
+    if not rows.isascii() or any(mark in rows for mark in _UNUSUAL if mark != separator):
         return None
-    text = separator.join(rows)
-    if not text.isascii() or any(mark in text for mark in _UNUSUAL if mark != separator):
+    whole = rows if rows.endswith("\n") else rows + "\n"
+    if whole.startswith("\n") or "\n\n" in whole:
         return None
+    letters = np.frombuffer(whole.encode("ascii"), dtype=np.uint8)
+    ends = np.flatnonzero((letters == ord(separator)) | (letters == ord("\n")))
     # a row with a cell too many could make up for one with a cell too few
-    if set(map(str.count, rows, [separator] * len(rows))) != {columns - 1}:
+    last = letters[ends[columns - 1 :: columns]]
+    if len(ends) % columns or not (last == ord("\n")).all() or len(last) != np.count_nonzero(letters == ord("\n")):
         return None
-    flat = text.split(separator)
-    return tuple(flat[k::columns] for k in range(columns))
+    start = np.append(0, ends[:-1] + 1)
+    length = ends - start
+    padded = np.concatenate([letters, np.zeros(int(length.max()), dtype=np.uint8)])
+    return PlainCells(padded, start.reshape(-1, columns).T, length.reshape(-1, columns).T)

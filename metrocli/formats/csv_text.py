@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 from metrocli.errors import Fault, InputError
-from metrocli.formats.csv_plain import plain_cells
 from metrocli.formats.file_bytes import FileBytes, read_bytes
 
 MOST_FAULTS = 20
@@ -19,22 +19,32 @@ LONGEST_TEXT = 200
 _WHOLE_LIMIT = 1 << 62
 
 
+Cells = Sequence[Sequence[str]]
+"""Cells of each column"""
+Plainly = Callable[[str, str, int], Cells | None]
+"""Returns the cells of rows with a separator and a number of columns if the rows are plain, else None"""
+
+
 @dataclass(frozen=True)
 class Raw:
     """A CSV file as its header and cells, all of them text."""
 
     file: str
-    lines: Sequence[str]
-    """All lines of the file, unchanged, for messages."""
+    text: str
+    """The whole file, unchanged."""
     separator: str
     header_line: int
     header: tuple[str, ...]
-    cells: tuple[Sequence[str], ...]
-    """Cells of each column."""
+    cells: Cells
     numbers: Sequence[int]
     """Line number of each row."""
     bare: bool = False
     """Whether no cell has white space, so that none needs to be stripped."""
+
+    @cached_property
+    def lines(self) -> list[str]:
+        """All lines of the file, unchanged."""
+        return self.text.split("\n")
 
     def fault(self, message: str, line: int, cell: int | None = None, hint: str | None = None) -> Fault:
         shown = self.lines[line - 1]
@@ -68,39 +78,56 @@ def read_text(path: Path, shown: str, held: FileBytes | None = None) -> str:
         raise InputError([Fault("the file is not text in UTF-8", shown, line, column, hint=hint)]) from error
 
 
-def taken_apart(text: str, file: str) -> Raw:
-    """Split the text into header and cells.
+def taken_apart(text: str, file: str, plainly: Plainly | None = None) -> Raw:
+    """Split the text into header and cells; `plainly` may take the cells apart as a whole.
 
     Raises InputError if there is no header or no row, or if a row has another number of cells than the header.
     """
-    lines = text.split("\n")
-    at = next((n for n, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
-    if at is None:
+    found = next(((n, line, end) for n, line, end in _lines(text) if _is_row(line)), None)
+    if found is None:
         raise InputError(
             [Fault("the file is empty", file, 1, 1, hint="expected a header with the names of the columns")]
         )
-    separator = max(",;\t", key=lines[at].count)
-    header = tuple(cell.strip() for cell in next(csv.reader([lines[at]], delimiter=separator)))
+    number, heading, end = found
+    separator = max(",;\t", key=heading.count)
+    header = tuple(cell.strip() for cell in next(csv.reader([heading], delimiter=separator)))
     if len(header) > MOST_COLUMNS:
         hint = "keep the columns that a job reads; is it a table with rows and columns exchanged?"
         message = f"the header has {len(header)} columns, more than {MOST_COLUMNS}"
-        raise InputError([Fault(message, file, at + 1, hint=hint)])
-    raw = Raw(file, lines, separator, at + 1, header, (), ())
-    plain = plain_cells(lines, at + 1, separator, len(header))
-    if plain is not None and not _nameless(header):
-        return replace(raw, cells=plain, numbers=range(at + 2, at + 2 + len(plain[0])), bare=True)
-    numbers = [n for n, line in enumerate(lines[at + 1 :], at + 2) if line and (line[0] not in "# \t" or _is_row(line))]
+        raise InputError([Fault(message, file, number, hint=hint)])
+    raw = Raw(file, text, separator, number, header, (), ())
     if _nameless(header):
-        raise InputError([raw.fault("the columns have no names", at + 1, None, "write their names in the first line")])
+        raise InputError([raw.fault("the columns have no names", number, None, "write their names in the first line")])
+    cells = plainly(text[end + 1 :], separator, len(header)) if plainly else None
+    if cells is not None:
+        return replace(raw, cells=cells, numbers=range(number + 1, number + 1 + len(cells[0])), bare=True)
+    return _row_by_row(raw)
+
+
+def _lines(text: str) -> Iterator[tuple[int, str, int]]:
+    """Yield the number of each line, the line, and its end in the text; the rest of the text is not split."""
+    number, start = 1, 0
+    while start <= len(text):
+        end = text.find("\n", start)
+        end = len(text) if end < 0 else end
+        yield number, text[start:end], end
+        number, start = number + 1, end + 1
+
+
+def _row_by_row(raw: Raw) -> Raw:
+    first, separator, width = raw.header_line, raw.separator, len(raw.header)
+    numbers = [
+        n for n, line in enumerate(raw.lines[first:], first + 1) if line and (line[0] not in "# \t" or _is_row(line))
+    ]
     if not numbers:
-        raise InputError([raw.fault("there is a header and no row", at + 1)])
-    if '"' in text:
+        raise InputError([raw.fault("there is a header and no row", first)])
+    if '"' in raw.text:
         return _quoted(raw)
-    rows = [lines[n - 1] for n in numbers]
-    wrong = [n for n, row in zip(numbers, rows, strict=True) if row.count(separator) != len(header) - 1]
-    refuse_cells(raw, [(n, lines[n - 1].count(separator) + 1) for n in wrong])
+    rows = [raw.lines[n - 1] for n in numbers]
+    counts = [row.count(separator) + 1 for row in rows]
+    refuse_cells(raw, [(n, count) for n, count in zip(numbers, counts, strict=True) if count != width])
     flat = separator.join(rows).split(separator)
-    return replace(raw, cells=tuple(flat[k :: len(header)] for k in range(len(header))), numbers=numbers)
+    return replace(raw, cells=tuple(flat[k::width] for k in range(width)), numbers=numbers)
 
 
 def _nameless(header: Sequence[str]) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from metrocli.formats.seal import FORMAT, VERSION
 from metrocli.record import Record
 from metrocli.result import Result, ShownTable
-from metrocli.table import Table
+from metrocli.table import Table, ascii_letters
 
 _TEXT = h5py.string_dtype("utf-8")
 _SCALING = (  # of the covariance, for noise declared, estimated, structured
@@ -118,15 +118,13 @@ def _storable(values: Any) -> Any:
     """Return a column as it is stored: text becomes UTF-8 of fixed length, that of the longest text."""
     if values.dtype.kind != "U":
         return values
-    try:
-        encoded = values.astype(np.bytes_)  # letters of ASCII only; many times faster
-    except UnicodeEncodeError:
+    letters = ascii_letters(values)
+    if letters is None:
         encoded = np.char.encode(values, "utf-8")
-    letters = (
-        np.ascontiguousarray(encoded).view(np.uint8).reshape(encoded.size, -1) if encoded.size else np.zeros((1, 0))
-    )
-    longest = int(np.flatnonzero(letters.any(axis=0)).max(initial=0)) + 1
-    return encoded.astype(h5py.string_dtype("utf-8", longest))
+        letters = np.ascontiguousarray(encoded).view(np.uint8).reshape(values.size, encoded.dtype.itemsize)
+    longest = next((k for k in range(letters.shape[1], 1, -1) if letters[:, k - 1].any()), 1)
+    kept = np.ascontiguousarray(letters[:, :longest])
+    return kept.view(h5py.string_dtype("utf-8", longest)).ravel()
 
 
 def _shown_text(shown: ShownTable) -> str:

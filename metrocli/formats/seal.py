@@ -48,8 +48,8 @@ def sealed(label: Label, body: bytes) -> bytes:
     """Return a result file from its label and its HDF5 part."""
     text = json.dumps({"format": FORMAT, **asdict(label)}, ensure_ascii=False).encode() + b"\n"
     first = len(_first_line(b""))
-    rest = text + b"\n" * (_start_of_body(first + len(text)) - first - len(text)) + body
-    return _first_line(rest) + rest
+    padded = text + b"\n" * (_start_of_body(first + len(text)) - first - len(text))
+    return b"".join([_first_line(padded, body), padded, body])
 
 
 def unsealed(data: bytes, shown: str) -> tuple[Label, bytes]:
@@ -81,8 +81,11 @@ def is_remains(head: bytes) -> bool:
     return _MAGIC.startswith(head[: len(_MAGIC)]) or FORMAT.encode() in head[:4096]
 
 
-def _first_line(rest: bytes) -> bytes:
-    return f"{FORMAT} {VERSION} sha256 {hashlib.sha256(rest).hexdigest()}\n".encode()
+def _first_line(*rest: bytes) -> bytes:
+    found = hashlib.sha256()
+    for part in rest:
+        found.update(part)
+    return f"{FORMAT} {VERSION} sha256 {found.hexdigest()}\n".encode()
 
 
 def _start_of_body(length: int) -> int:

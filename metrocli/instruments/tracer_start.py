@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from random import Random  # numpy.random takes longer to load than a small job to adjust
+
 import numpy as np
 import numpy.typing as npt
+
+from metrocli.adjust.medians import median
 
 Array = npt.NDArray[np.float64]
 
@@ -31,7 +35,7 @@ def start(points: Array, lengths: Array, absolute: bool = False, near: Array | N
     gross errors, the sum of |v| is minimised, which is robust against them. Of many lengths a random sample is used.
     """
     if len(lengths) > _MOST:
-        some = np.random.default_rng(0).choice(len(lengths), _MOST, replace=False)
+        some = Random(0).sample(range(len(lengths)), _MOST)
         points, lengths = points[some], lengths[some]
     centre = points.mean(axis=0)
     local = points - centre
@@ -40,7 +44,7 @@ def start(points: Array, lengths: Array, absolute: bool = False, near: Array | N
     guesses = _guesses(local, reading, absolute)
     said = None if near is None else (near - centre) / scale
     if said is not None:
-        dead = 0.0 if absolute else float(np.median(np.linalg.norm(local - said, axis=1) - reading))
+        dead = 0.0 if absolute else float(median(np.linalg.norm(local - said, axis=1) - reading))
         guesses.append(np.array([*said, dead]))
     candidates = [_refined(local, reading, guess, absolute) for guess in guesses]
     if not candidates:
@@ -79,8 +83,8 @@ def _unspoiled(local: Array, reading: Array, absolute: bool) -> Array:
     Gross errors spoil the linear equations, since lengths are coefficients in them. Most small samples are free of
     gross errors (Rousseeuw 1984, least median of squares).
     """
-    rng, n = np.random.default_rng(0), len(local)
-    rows = rng.integers(n, size=(_DRAWS, 7))
+    n = len(local)
+    rows = np.array(Random(0).choices(range(n), k=7 * _DRAWS)).reshape(_DRAWS, 7)
     known, last = reading[rows][:, :, None], -np.ones((*rows.shape, 1))
     matrix = np.concatenate([2 * local[rows], *([] if absolute else [2 * known]), last], axis=2)
     right = (local[rows] ** 2).sum(axis=2) - reading[rows] ** 2
@@ -88,13 +92,13 @@ def _unspoiled(local: Array, reading: Array, absolute: bool) -> Array:
     states[:, 3] *= not absolute
     some = np.linspace(0, n - 1, min(n, _COMPARED)).astype(int)
     miss = reading[some] + states[:, 3:4] - np.linalg.norm(local[some] - states[:, None, :3], axis=2)
-    return np.asarray(states[np.argmin(np.median(np.abs(miss), axis=1)), :4])
+    return np.asarray(states[np.argmin(median(np.abs(miss))), :4])
 
 
 def _weights(residual: Array) -> Array:
     """Return the factors of the residuals that turn squares into |v|; all 1 if no residual is far off."""
     miss = np.abs(residual)
-    middle = max(float(np.median(miss)), _ROUNDING)
+    middle = max(float(median(miss)), _ROUNDING)
     if miss.max() <= _GROSS * middle:
         return np.ones(len(miss))
     return np.asarray(np.sqrt(middle / np.maximum(miss, middle)))
@@ -111,7 +115,7 @@ def _refined(local: Array, reading: Array, guess: Array, absolute: bool) -> tupl
         if np.abs(state - before).max() < _STILL:
             break
     miss = np.abs(_residual(local, reading, state, absolute)[0])
-    return state, float(np.minimum(miss, _GROSS * np.median(miss) + _ROUNDING).mean())
+    return state, float(np.minimum(miss, _GROSS * median(miss) + _ROUNDING).mean())
 
 
 def _descended(local: Array, reading: Array, guess: Array, absolute: bool, weights: Array) -> Array:

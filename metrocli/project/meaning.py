@@ -21,7 +21,7 @@ from metrocli.project.job import JobFile
 from metrocli.project.requirements import Requirement
 from metrocli.record import InputFile, Record, Verdict
 from metrocli.result import Result
-from metrocli.table import Table
+from metrocli.table import Table, ascii_letters
 
 _FOR_MESSAGES = ("node", "source", "file")
 """Fields of settings that hold places for messages"""
@@ -175,12 +175,25 @@ def _add(value: Any, add: Callable[[bytes], object], folder: Path) -> None:
         _add(sorted(value, key=str), add, folder)
     elif form == "array":
         words = value.dtype.kind == "U"  # whose bytes depend on the longest of them
-        data = "\0".join(value.tolist()).encode() if words else value.tobytes()
+        data = _joined(value) if words else value.tobytes()
         add(f"array{'text' if words else value.dtype.str}{value.shape}{len(data)}:".encode() + data)
     elif callable(value):
         _add(f"{value.__module__}.{value.__qualname__}", add, folder)
     else:
         raise TypeError(f"a {kind.__name__} has no digest")
+
+
+def _joined(texts: Any) -> bytes:
+    """Return texts joined by zeros."""
+    letters = ascii_letters(texts)
+    if letters is None:
+        return "\0".join(texts.tolist()).encode()
+    import numpy as np
+
+    kept = np.pad(letters, ((0, 0), (0, 1)), constant_values=0)
+    used = kept != 0
+    used[:-1, -1] = True
+    return bytes(kept[used])
 
 
 @cache

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+from benchmarks import command_speed
 from metrocli import tasks
 from metrocli.cli import commands, help
 
@@ -29,6 +31,13 @@ def test_nothing_heavy_is_imported(arguments: list[str]) -> None:
     done = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=False)
     assert done.stderr.splitlines()[-1] == "[]"
     assert done.returncode == (2 if arguments == ["nonsense"] else 0)
+
+
+def test_a_network_of_lengths_loads_no_scipy(tmp_path: Path) -> None:
+    script = IMPORTED.format(heavy=("scipy", "numpy.ma", "numpy.random"))
+    arguments = ["multilaterate", str(command_speed.network(tmp_path / "network", 100)), "--quiet"]
+    done = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=False)
+    assert (done.stderr.splitlines()[-1], done.returncode) == ("[]", 0)
 
 
 def test_help_names_every_command() -> None:

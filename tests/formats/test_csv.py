@@ -81,7 +81,7 @@ def test_an_empty_cell_is_nan_only_where_it_may_be(tmp_path: Path) -> None:
 
 
 def test_rows_know_their_line(tmp_path: Path) -> None:
-    assert read(tmp_path, "# c\n" + HEAD + "\na,1,2\n# c\nb,1,2\n").lines == (4, 6)
+    assert list(read(tmp_path, "# c\n" + HEAD + "\na,1,2\n# c\nb,1,2\n").lines) == [4, 6]
 
 
 def test_unknown_columns_are_a_warning(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def test_a_plain_file_is_read_as_any_other(tmp_path: Path, separator: str, more:
     assert table.texts("point")[:n] == [row[0] for row in ROWS]
     assert table.texts("tracer")[:n] == [row[1] for row in ROWS]
     assert table.numbers("length")[:n].tolist() == [float(row[2]) for row in ROWS]
-    assert table.lines[:n] == tuple(range(2, n + 2))
+    assert list(table.lines[:n]) == list(range(2, n + 2))
     assert len(table) == n + bool(more and not more.startswith("#"))
     if len(table) > n:
         assert (table.texts("point")[n], table.texts("tracer")[n], table.numbers("length")[n]) == ("P_1000", "T0", 5.0)
@@ -59,12 +59,15 @@ def test_the_last_line_may_end_or_not(tmp_path: Path, end: str) -> None:
     ],
 )
 def test_the_unusual_is_left_to_the_other_reader(line: str) -> None:
-    assert plain_cells(["x,y", "1,2", line, "3,4", ""], 1, ",", 2) is None
-    assert plain_cells(["x,y", "1,2", "3,4", ""], 1, ",", 2) == (["1", "3"], ["2", "4"])
+    assert plain_cells("\n".join(["1,2", line, "3,4", ""]), ",", 2) is None
+    plain = plain_cells("1,2\n3,4\n", ",", 2)
+    assert plain is not None
+    assert list(plain) == [["1", "3"], ["2", "4"]]
 
 
 def test_a_cell_too_many_and_one_too_few_do_not_make_up_for_each_other() -> None:
-    assert plain_cells(["x,y", "1,2,3", "4", ""], 1, ",", 2) is None
+    assert plain_cells("1,2,3\n4\n", ",", 2) is None
+    assert plain_cells("1,2,3\n4,\n5", ",", 2) is None
 
 
 def test_faults_of_plain_files_have_their_place(tmp_path: Path) -> None:

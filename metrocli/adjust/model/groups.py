@@ -143,8 +143,8 @@ def priors(block: Block, sigma: Array, free: Mask) -> list[Group]:
     sigma (members, size): above zero a prior, nan unknown, 0 exact. free (members, size): what is solved for.
     """
     known = free & np.isfinite(sigma) & (sigma > 0)
-    groups = []
-    for pattern in np.unique(known, axis=0):
+    groups: list[Group] = []
+    for pattern in np.unique(known, axis=0) if known.any() else ():
         columns = np.flatnonzero(pattern)
         members = np.flatnonzero((known == pattern).all(axis=1))
         if columns.size and members.size:

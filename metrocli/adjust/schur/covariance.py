@@ -8,7 +8,7 @@ constraints on these members the terms of `Gauge` are added. Method: docs/algori
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -31,6 +31,8 @@ class Covariance:
     """Covariance of the eliminated block"""
     factor: float = 1.0
     """sigma0^2 if the noise is estimated, else 1"""
+    _members: dict[str, Array] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """Covariances of the members of a block, once they are asked for"""
 
     def scaled(self, factor: float) -> Covariance:
         """Return the covariance multiplied by `factor`."""
@@ -60,7 +62,14 @@ class Covariance:
         return self.factor * self._columns(other, rows.reshape(m * s, self.layout.width))
 
     def members(self, name: str) -> Array:
-        """Return the covariance of each member of a block, (members, size, size)."""
+        """Return the covariance of each member of a block, (members, size, size), the same array each time."""
+        if name not in self._members:
+            found = self._of_members(name)
+            found.setflags(write=False)
+            self._members[name] = found
+        return self._members[name]
+
+    def _of_members(self, name: str) -> Array:
         m, s = self.shapes[name]
         if name == self.layout.eliminated:
             return self.factor * self.eliminated.covariance

@@ -94,7 +94,11 @@ class IrregularNormals:
         """Return `D^-1 + W Q W'` (members, s, s), and no variances of single readings."""
         return self.covariance(reduced), ()
 
-    def with_readings(self, members: Array, others: Array, chosen: Sequence[int]) -> Sequence[Array]:
+    def with_readings(self, reduced: Array, chosen: Sequence[int]) -> Sequence[Array]:
+        """Return nothing: single readings are in no tile."""
+        return ()
+
+    def seen_by(self, fields: Array, chosen: Sequence[int]) -> Sequence[Array]:
         """Return nothing: single readings are in no tile."""
         return ()
 

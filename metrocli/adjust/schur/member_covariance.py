@@ -110,19 +110,15 @@ class MemberCovariance:
         """
         full = np.empty((self.shape[1], *shape))
         for part, tile in zip(self.parts, self.tiles, strict=False):
-            rows = [(j, piece.rows) for j, piece in enumerate(tile.pieces) if piece.place == place]
-            for (_, numbers), found in zip(
-                rows, part.with_readings(*self._of(part), [j for j, _ in rows]), strict=True
-            ):
-                full[:, :, numbers] = found
+            chosen = [j for j, piece in enumerate(tile.pieces) if piece.place == place]
+            found = part.with_readings(self.reduced, chosen)
+            if self.gauge is not None:
+                # the other terms of the gauge are movements times J, which no reading sees
+                moves, seen = self.gauge.moves_of(part.members), part.seen_by(self.gauge.share_of(part), chosen)
+                found = [q - np.einsum("ksf,fdmk->sdmk", moves, h) for q, h in zip(found, seen, strict=True)]
+            for j, values in zip(chosen, found, strict=True):
+                full[:, :, tile.pieces[j].rows] = values.reshape(*values.shape[:2], -1)
         return full
-
-    def _of(self, part: Part) -> tuple[Array, Array]:
-        """Return the covariances of a part's members, (k, s, s), and those with the reduced unknowns, (k, s, width)."""
-        cross = -(part.weights() @ self.reduced)
-        if self.gauge is not None:
-            cross -= self.gauge.share_of(part) @ self.gauge.reduced.T
-        return self.covariance[part.members], cross
 
     def reads(self, place: int) -> bool:
         """Whether the readings of the group at `place` are in tiles."""

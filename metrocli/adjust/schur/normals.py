@@ -62,11 +62,14 @@ class Part(Protocol):
     def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
         """Return what `covariance` returns and, for each group of a tile, the variance of its adjusted readings."""
 
-    def with_readings(self, members: Array, others: Array, chosen: Sequence[int]) -> Sequence[Array]:
-        """Return the covariance of the members with the adjusted readings of chosen groups of a tile, each (s, d, m k).
+    def with_readings(self, reduced: Array, chosen: Sequence[int]) -> Sequence[Array]:
+        """Return the members' covariance with the adjusted readings of chosen groups of a tile, each (s, d, m, k).
 
-        `members` (k, s, s) and `others` (k, s, width) are the members' covariances with themselves and the others.
+        `reduced` (width, width) is the covariance of the reduced unknowns.
         """
+
+    def seen_by(self, fields: Array, chosen: Sequence[int]) -> Sequence[Array]:
+        """Return `H' J'` of fields H (k, s, f) for the readings of chosen groups of a tile, each (f, d, m, k)."""
 
     def solved(self, fields: Array) -> Array:
         """Return `D^-1 H` of fields H (k, s, f), (k, s, f)."""

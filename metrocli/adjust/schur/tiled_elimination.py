@@ -233,21 +233,29 @@ class EliminatedTile:
         explained = self._left(reduced) if self._few else self._explained(own, product, between, with_zeros(reduced))
         return self._covariance(between), tuple(one.reshape(len(one), -1) for one in explained)
 
-    def with_readings(self, members: Array, others: Array, chosen: Sequence[int]) -> list[Array]:
-        """Return the covariance of the members with the adjusted readings of chosen groups, each (s, d, m k).
+    def with_readings(self, reduced: Array, chosen: Sequence[int]) -> list[Array]:
+        """Return the covariance of the members with the adjusted readings of chosen groups, each (s, d, m, k).
 
-        It is `Q_ee J' + Q_er K'`, with Q_ee = `members` (k, s, s) and Q_er = `others` (k, s, width).
+        It is `Q_ee J' + Q_er K' = L'^-1 (U + Y Q Y' U - Y Q K')`, with Q = `reduced`.
         """
-        own = np.ascontiguousarray(members.transpose(1, 2, 0))
-        rest = np.ascontiguousarray(np.pad(others, ((0, 0), (0, 0), (0, 1))).transpose(1, 2, 0))
-        found = []
-        for part in (self.rows[i] for i in chosen):
-            total = np.einsum("abk,dbmk->admk", own, part.own)
+        own = [self.whitened(part) for part in self.rows]
+        product, between = self._shared(self._combined(len(self.free), own), reduced)
+        found, at = [], 0
+        for i, (part, u) in enumerate(zip(self.rows, own, strict=True)):
+            total = u + np.einsum("abk,bdmk->admk", between, u) if i in chosen else None
             for beside in part.beside:
-                slots = np.broadcast_to(beside.places, (part.own.shape[2], beside.places.shape[1]))
-                total += np.einsum("amck,dcmk->admk", rest[:, slots], beside.jacobian)
-            found.append(total.reshape(*total.shape[:2], -1))
+                mine = product[at : at + beside.places.size].reshape(*beside.places.shape, *product.shape[1:])
+                at += beside.places.size
+                if total is not None:
+                    mine = np.broadcast_to(mine, (u.shape[2], *mine.shape[1:]))
+                    total -= np.einsum("mcak,dcmk->admk", mine, beside.jacobian)
+            if total is not None:
+                found.append(self.backward(total))
         return found
+
+    def seen_by(self, fields: Array, chosen: Sequence[int]) -> list[Array]:
+        """Return `H' J'` of fields H (k, s, f) for the readings of chosen groups, each (f, d, m, k)."""
+        return [np.einsum("ksf,dsmk->fdmk", fields, self.rows[i].own) for i in chosen]
 
     def _left(self, reduced: Array) -> list[Array]:
         """Return the variance of each adjusted reading as `1 - diag(Z (I - X Q X') Z')`, with `X = Z'K`."""

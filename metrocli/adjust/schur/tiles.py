@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from random import Random  # numpy.random takes longer to load than a small job to adjust
 
 import numpy as np
 
@@ -147,7 +148,8 @@ class _Order:
 
         It is a hash with random factors: two members that are not read alike agree with a probability of about 2^-60.
         """
-        slots = np.random.default_rng(self.place).integers(1, 2**62, int(self.counts.max(initial=0)) + 1) | 1
+        draws = Random(self.place)
+        slots = np.array([draws.getrandbits(62) | 1 for _ in range(int(self.counts.max(initial=0)) + 1)])
         position = np.arange(len(self.rows)) - np.repeat(self.starts, self.counts)
         mixed = (self.code + 1) * slots[position]
         sums = np.concatenate([[0], np.cumsum(mixed)])

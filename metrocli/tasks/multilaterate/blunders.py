@@ -1,18 +1,20 @@
-"""Gross errors among the lengths of a network: they are found point by point before the adjustment."""
+"""Gross errors among the lengths of a network: a start that they do not disturb, and the search point by point."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import combinations
+from random import Random
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Index
+from metrocli.adjust.robust import robust_start
 from metrocli.instruments import tracer as t
-from metrocli.tasks.multilaterate.problem import Network
+from metrocli.tasks.multilaterate.problem import LENGTHS, Network
 
 _GROSS = 8.0
 """Misfit, in standard deviations, from which a length cannot be off by chance"""
@@ -22,6 +24,8 @@ _STEPS = 6
 """Gauss-Newton steps from the mover's reading to the intersection of the lengths"""
 _TRIED = 3
 """Largest number of wrong lengths that is searched at one point"""
+_SAMPLE = 2000
+"""Points that a robust start of a large network is found from, if no outliers are removed"""
 
 
 def most_wrong(lengths: Index) -> Index:
@@ -115,3 +119,57 @@ def _wrong(sight: _Sight, bound: float) -> list[int]:
         if serving:
             return list(serving[0]) if len(serving) == 1 else everything
     return everything
+
+
+def undisturbed_start(network: Network) -> dict[str, Block]:
+    """Return the values of the blocks near the solution, undisturbed by gross errors."""
+    return robust_start(network.blocks.values(), [network.lengths, *network.others], LENGTHS, network.datum)
+
+
+def quick_start(network: Network) -> dict[str, Block]:
+    """Return a start of a network; that of a large one comes from some of its points, which place the tracers.
+
+    Points with a prior, a calibrated distance or a known place stay. With effects, all do: an effect may act on few.
+    """
+    seen = network.seen > 0
+    ours = np.flatnonzero(network.unknown & seen)
+    if len(ours) <= 2 * _SAMPLE or network.effects:
+        return undisturbed_start(network)
+    kept = np.ones(len(seen), dtype=bool)
+    kept[ours] = False
+    kept[Random(0).sample(ours.tolist(), _SAMPLE)] = True
+    if not network.unknown[seen].all():  # other groups use the numbers of the points
+        return undisturbed_start(network.only(kept[network.lengths.observations.index[t.POINT]]))
+    return _of_some(network, np.flatnonzero(kept & seen))
+
+
+def _of_some(network: Network, chosen: Index) -> dict[str, Block]:
+    """Return a start found from the chosen points alone, which only lengths use; the other points stay as they are."""
+    block, datum, lengths = network.blocks[t.POINT], network.datum, network.lengths
+    number = np.full(len(block.members), -1)
+    number[chosen] = np.arange(len(chosen))
+    point = number[lengths.observations.index[t.POINT]]
+    some = lengths.observations.selected(point >= 0)
+    some = replace(some, index={**some.index, t.POINT: point[point >= 0]})
+    names = tuple(block.members[i] for i in chosen)
+    fewer = replace(block, values=block.values[chosen], members=names, free=block.free[chosen])
+    if datum is not None:
+        datum = replace(datum, reference=datum.reference[chosen], members=datum.members[chosen])
+    groups = [lengths.with_observations(some), *network.others]
+    found = robust_start([fewer, *_others(network.blocks)], groups, LENGTHS, datum)
+    values = block.values.copy()
+    values[chosen] = found[t.POINT].values
+    return {**found, t.POINT: block.with_values(values)}
+
+
+def _others(blocks: Mapping[str, Block]) -> list[Block]:
+    return [block for name, block in blocks.items() if name != t.POINT]
+
+
+def brought_back(network: Network, state: Mapping[str, Block], gross: Mapping[int, Rejected]) -> dict[str, Block]:
+    """Return the start with points that have gross errors moved back to the mover's readings."""
+    rows = network.lengths.observations.index[t.POINT][list(gross)]
+    block = state[t.POINT]
+    values = block.values.copy()
+    values[rows] = network.nominal[rows]
+    return {**state, t.POINT: replace(block, values=values)}

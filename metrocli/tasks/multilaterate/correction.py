@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from metrocli.adjust.medians import median
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
@@ -175,7 +176,7 @@ def astray(network: Network, probing: Probing | None) -> float:
         return 0.0
     extent = float(np.ptp(network.nominal[network.seen > 0], axis=0).max()) or 1.0
     gap = _gaps(network, probing)
-    return float(np.median(gap)) / (_ELSEWHERE * extent) if gap.size else 0.0
+    return float(median(gap)) / (_ELSEWHERE * extent) if gap.size else 0.0
 
 
 def _gaps(network: Network, probing: Probing) -> Array:
@@ -204,14 +205,14 @@ def wrong_entries(network: Network, solution: Solution) -> tuple[str, ...]:
     if network.datum is None or len(rows) < _ENOUGH:
         return ()
     error = network.nominal[rows] - solution.blocks[t.POINT].values[rows]
-    size = np.linalg.norm(error - np.median(error, axis=0), axis=1)
-    far = np.flatnonzero(size > max(_FAR * np.median(size), _PLAIN * np.ptp(network.nominal[rows], axis=0).max()))
+    size = np.linalg.norm(error - median(error.T), axis=1)
+    far = np.flatnonzero(size > max(_FAR * median(size), _PLAIN * np.ptp(network.nominal[rows], axis=0).max()))
     if not far.size:
         return ()
     names = [network.blocks[t.POINT].members[rows[i]] for i in far[np.argsort(-size[far])]]
     return (
         f"the entries of {len(names)} points may be wrong: {listed(names)} lie up to {size.max():.3g} mm from their "
-        f"place in the list of points, the others about {np.median(size):.3g} mm; wrong entries turn and shift the "
+        f"place in the list of points, the others about {median(size):.3g} mm; wrong entries turn and shift the "
         "frame: correct them",
     )
 

@@ -114,13 +114,14 @@ def network_of(
     observations = _observations(settings, readings, lengths, air)
     noise = PathNoise.of(settings.noise)
     blocks = {t.POINT: point_block, t.TRACER: tracer_block}
-    stops, alone = _stops(readings, observations.conditions.get("t"))
-    stop_block = t.stop_block(stops) if noise.repeatability else None
+    stop_block = None
+    if noise.repeatability:
+        stops, alone = _stops(readings, observations.conditions.get("t"))
+        observations = replace(observations, conditions={**observations.conditions, t.ALONE: alone})
+        stop_block = t.stop_block(stops)
     if stop_block is not None:
         blocks[t.STOP] = stop_block
         observations = replace(observations, index={**observations.index, t.STOP: stops})
-    if noise.repeatability:
-        observations = replace(observations, conditions={**observations.conditions, t.ALONE: alone})
     if air is not None:
         blocks[t.AIR] = air.block
         observations = replace(observations, conditions={**observations.conditions, t.AIR: air.ratio})

@@ -181,7 +181,10 @@ def _tracers(solution: Solution) -> Table:
 def _residuals(solved: Solved) -> Table:
     """Return /residuals, with minimal detectable error and external reliability of each length."""
     observations, found = solved.group.observations, solved.residuals
-    columns: dict[str, Values] = {name: np.array(values) for name, values in observations.keys.items()}
+    columns: dict[str, Values] = {
+        name: np.array(solved.solution.blocks[block].members)[observations.index[block]]
+        for name, block in (("point", t.POINT), ("tracer", t.TRACER))
+    }
     columns |= {
         "reading": observations.readings[0],
         "residual": found.values[0],
@@ -249,7 +252,7 @@ def _warnings(solved: Solved) -> list[str]:
             f"points with a wrong length beyond {bound}: {listed(alike, 5)}; it cannot be identified, "
             "since |w| are alike at the point (with four lengths all are equal); one more tracer would identify it"
         )
-    gone = [name for name, n, before in _lost(solved) if n == 0 < before]
+    gone = _lost(solved)
     if gone:
         lines.append(f"{len(gone)} points are left out, since too few of their lengths remain: {listed(gone)}")
     lines += [*wrong_entries(solved.network, solved.solution), *_elsewhere(solved)]
@@ -273,6 +276,7 @@ def _elsewhere(solved: Solved) -> Iterator[str]:
         )
 
 
-def _lost(solved: Solved) -> list[tuple[str, int, int]]:
+def _lost(solved: Solved) -> list[str]:
+    """Return the points all of whose lengths are left out."""
     names = solved.network.blocks[t.POINT].members
-    return list(zip(names, solved.network.seen.tolist(), solved.whole.seen.tolist(), strict=True))
+    return [names[i] for i in np.flatnonzero((solved.network.seen == 0) & (solved.whole.seen > 0))]

@@ -9,15 +9,24 @@ import numpy as np
 
 from metrocli.adjust.adjustment import covariance_at
 from metrocli.adjust.iterated_weights import adjust_with_iterated_weights
+from metrocli.adjust.medians import median
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Mask
-from metrocli.adjust.robust import as_likely, critical_value, robust_start
+from metrocli.adjust.robust import as_likely, critical_value
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.effects.estimates import absorbed
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.instruments import tracer as t
-from metrocli.tasks.multilaterate.blunders import Reason, Rejected, far_off, most_wrong
+from metrocli.tasks.multilaterate.blunders import (
+    Reason,
+    Rejected,
+    brought_back,
+    far_off,
+    most_wrong,
+    quick_start,
+    undisturbed_start,
+)
 from metrocli.tasks.multilaterate.layout_faults import carries, explained
 from metrocli.tasks.multilaterate.problem import LENGTHS, Network
 from metrocli.tasks.shared.lengths import settled
@@ -36,8 +45,6 @@ _ROUNDS = 30
 """Largest number of adjustments while outliers are removed"""
 _POINTS_NEAR, _TRACERS_NEAR = 0.02, 0.5
 """Plausible deviations of points and tracers from their lists, as shares of the measured volume"""
-_SAMPLE = 2000
-"""Points that a robust start of a large network is found from, if no outliers are removed"""
 _SMALL_ENOUGH = 1000
 """Networks of up to so many points are checked for determinacy before they are adjusted"""
 
@@ -89,7 +96,8 @@ class Solved:
         off = network.nominal[seen] - blocks[t.POINT].values[seen]
         points = float(np.sqrt((off**2).sum(axis=1).mean())) / extent
         apart = np.linalg.norm(network.said - blocks[t.TRACER].values[:, :3], axis=1)
-        tracers = float(np.nanmedian(apart)) / extent if np.isfinite(apart).any() else 0.0
+        found = apart[np.isfinite(apart)]
+        tracers = float(median(found)) / extent if found.size else 0.0
         return max(points / _POINTS_NEAR, tracers / _TRACERS_NEAR)
 
 
@@ -104,11 +112,11 @@ def solve(network: Network, remove: bool) -> Solved:
     groups = [start.lengths, *start.others]
     if network.effects:
         _must_see_effects(start, covariance_at(start.blocks.values(), groups, start.datum))
-    state = _robustly(start if remove else _sampled(start))
+    state = undisturbed_start(start) if remove else quick_start(start)
     if len(network.nominal) <= _SMALL_ENOUGH:
         _must_carry(start, covariance_at(state.values(), groups, start.datum))
     gross = far_off(network, state) if remove else {}
-    state = _brought_back(network, state, gross)
+    state = brought_back(network, state, gross)
     out, back = gross | out, bool(gross)
     for _ in range(_ROUNDS):
         solved = _adjusted(network, state, out)
@@ -122,32 +130,6 @@ def solve(network: Network, remove: bool) -> Solved:
             break
         out |= more
     return solved
-
-
-def _robustly(network: Network) -> dict[str, Block]:
-    return robust_start(network.blocks.values(), [network.lengths, *network.others], LENGTHS, network.datum)
-
-
-def _sampled(network: Network) -> Network:
-    """Return a large network with some of its points: they place the tracers well enough for a start.
-
-    Points with a prior, a calibrated distance or a known place stay. With effects, all do: an effect may act on few.
-    """
-    ours = np.flatnonzero(network.unknown & (network.seen > 0))
-    if len(ours) <= 2 * _SAMPLE or network.effects:
-        return network
-    left_out = np.zeros(len(network.nominal), dtype=bool)
-    left_out[np.random.default_rng(0).permutation(ours)[_SAMPLE:]] = True
-    return network.only(~left_out[network.lengths.observations.index[t.POINT]])
-
-
-def _brought_back(network: Network, state: Mapping[str, Block], gross: Mapping[int, Rejected]) -> dict[str, Block]:
-    """Return the start with points that have gross errors moved back to the mover's readings."""
-    rows = np.unique(network.lengths.observations.index[t.POINT][list(gross)])
-    block = state[t.POINT]
-    values = block.values.copy()
-    values[rows] = network.nominal[rows]
-    return {**state, t.POINT: replace(block, values=values)}
 
 
 def refitted(network: Network, keep: Mask) -> Solution:
@@ -209,9 +191,10 @@ def _must_be_near(network: Network, solution: Solution) -> None:
     """Raise NotConvergedError if the solution is far from the mover's readings, such as the mirror image."""
     seen = network.seen > 0
     away = np.linalg.norm(solution.blocks[t.POINT].values[seen] - network.nominal[seen], axis=1)
-    if np.median(away) > _ASTRAY * np.ptp(network.nominal[seen], axis=0).max():
+    middle = float(median(away))
+    if middle > _ASTRAY * np.ptp(network.nominal[seen], axis=0).max():
         raise NotConvergedError(
-            f"the points found lie {np.median(away):.3g} mm from their listed places (median): the adjustment ended in "
+            f"the points found lie {middle:.3g} mm from their listed places (median): the adjustment ended in "
             "a wrong place, such as the mirror image; give approximate places of the tracers in `inputs: tracers`"
         )
 
@@ -261,7 +244,7 @@ def _suspects(group: Group, w: Array, units: Array, bound: float) -> tuple[Suspe
     point = group.observations.index[t.POINT]
     keys = group.observations.keys
     suspects = []
-    for i in np.unique(point[w > bound * units]):
+    for i in sorted(set(point[w > bound * units].tolist())):
         rows = np.flatnonzero(point == i)
         tests = w[rows] / units[rows].min()
         worst = int(rows[np.argmax(tests)])

@@ -9,6 +9,7 @@ import numpy as np
 
 from metrocli import units
 from metrocli.adjust.allowance import take
+from metrocli.adjust.medians import median
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.errors import Fault, InputError, UndeterminedError
@@ -82,7 +83,7 @@ def _start_of(readings: Seen, i: int, points: Array, lengths: Array) -> Array:
     said = None if np.isnan(given).any() else given
     known = np.isfinite(readings.sigma[i])
     if known.all():
-        dead = 0.0 if readings.absolute else float(np.median(np.linalg.norm(points - given, axis=1) - lengths))
+        dead = 0.0 if readings.absolute else float(median(np.linalg.norm(points - given, axis=1) - lengths))
         return np.array([*given, dead])
     found = start(points, lengths, readings.absolute, said)
     if np.isnan(found).any():
@@ -94,7 +95,7 @@ def _start_of(readings: Seen, i: int, points: Array, lengths: Array) -> Array:
 
 
 def _misfit(points: Array, lengths: Array, tracer: Array) -> float:
-    return float(np.median(np.abs(lengths + tracer[3] - np.linalg.norm(points - tracer[:3], axis=1))))
+    return float(median(np.abs(lengths + tracer[3] - np.linalg.norm(points - tracer[:3], axis=1))))
 
 
 def _strange(readings: Seen, i: int, misfit: float, bad: int) -> Fault:
