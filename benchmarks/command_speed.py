@@ -43,20 +43,20 @@ def cpu(arguments: list[str], compiled: str) -> float:
     return min(seconds)
 
 
-def network(folder: Path, n: int) -> Path:
-    """Write a job of n points that four tracers read, and return its path."""
+def network(folder: Path, n: int, m: int = 4) -> Path:
+    """Write a job of n points that m tracers read, and return its path."""
     rng = np.random.default_rng(n)
-    points, tracers = rng.uniform(0, 1, (n, 3)) * VOLUME, CORNERS[:4] * VOLUME
+    points, tracers = rng.uniform(0, 1, (n, 3)) * VOLUME, CORNERS[:m] * VOLUME
     paths = np.linalg.norm(points[:, None] - tracers, axis=2)
     lengths = paths - paths[0] + rng.normal(size=paths.shape) * np.sqrt(1e-8 + (1e-7 * paths) ** 2)
     nominal = np.round(points + rng.normal(0, 0.02, points.shape), 5)
-    names, stations = np.array([f"P{i:06d}" for i in range(n)]), np.array(["LT1", "LT2", "LT3", "LT4"])
+    names, stations = np.array([f"P{i:06d}" for i in range(n)]), np.array([f"LT{j + 1}" for j in range(m)])
     folder.mkdir()
     mm = dict.fromkeys("xyz", "mm")
     csv.write(folder / "points.csv", Table({"point": names, **dict(zip("xyz", nominal.T, strict=True))}, mm))
     about = tracers + rng.normal(0, 2, tracers.shape)
     csv.write(folder / "tracers.csv", Table({"tracer": stations, **dict(zip("xyz", about.T, strict=True))}, mm))
-    columns = {"point": np.repeat(names, 4), "tracer": np.tile(stations, n), "length": np.round(lengths, 7).ravel()}
+    columns = {"point": np.repeat(names, m), "tracer": np.tile(stations, n), "length": np.round(lengths, 7).ravel()}
     csv.write(folder / "lengths.csv", Table(columns, {"length": "mm"}))
     job = folder / "job.yaml"
     job.write_text(

@@ -187,7 +187,7 @@ def _convert(raw: Raw, index: int, column: Column, unit: units.Unit | None, faul
 
 
 def _numbers(raw: Raw, index: int, column: Column, faults: list[Fault]) -> list[float] | list[int]:
-    """Return the cells of a column as numbers, with a fault for each cell that is none."""
+    """Return the cells of a column as numbers, and add a fault for each that is not a number."""
     cells = raw.cells[index]
     kind = int if column.dimension == WHOLE else float
     try:
