@@ -104,11 +104,12 @@ class Observations:
         if keep.dtype == bool and keep.all():
             return self
         chosen: Index = np.flatnonzero(keep) if keep.dtype == bool else np.asarray(keep, dtype=np.intp)
+        rows = chosen.tolist()  # a tuple takes them several times faster than elements of an array
         return replace(
             self,
             **self._numbers(chosen),
             index={name: index[..., chosen] for name, index in self.index.items()},
-            keys={name: tuple(values[i] for i in chosen) for name, values in self.keys.items()},
+            keys={name: tuple(map(values.__getitem__, rows)) for name, values in self.keys.items()},
         )
 
     def in_lattice(self, chosen: Index, lattice: Lattice) -> Observations:
