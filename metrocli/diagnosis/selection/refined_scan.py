@@ -5,7 +5,7 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,8 @@ from metrocli.effects.links.own import NoValueAtReadingError
 
 _TRIED = 40
 _ROUNDS = 2
+_ALIKE, _APART = 1 / 20, 0.02
+"""Odds from which another value of a scan explains the readings as well, and how far off it is at least, relatively"""
 _NEAR, _STARTS = 0.7, 5
 """Values of a scan that explain at least this share of what its best one does are refined too, at most so many"""
 
@@ -75,22 +77,64 @@ def _closer(job: AdjustedJob, selection: Selection, one: Chosen, name: str) -> S
     fitted = selection.beside(one)
     best, most = alternative, test_set.score(one.family, fitted, [one.number]).gain[0]
     shown = whole = one.columns
+    peaks: list[tuple[float, float]] = []
     for start in _starts(test_set, one, fitted, name):
+        peak = dict(start.scanned)[name], 0.0
         for value in _between(job, family, start, name).tolist():
-            tried = replace(start, scanned=tuple((k, value if k == name else old) for k, old in start.scanned))
-            try:
-                full = signature(job.model, test_set.system, tried.effect, tried.instance, dict(tried.scanned))
-            except NoValueAtReadingError:
+            found = _tried(job, test_set, fitted, _at(start, name, value))
+            if found is None:
                 continue
-            seen = test_set.system.seen(full)
-            gain = fitted.squares - fitted.with_columns(seen).squares
-            if gain > most * (1 + 1e-9):
-                best, most, shown, whole = tried, gain, seen, full
+            peak = max(peak, (value, found.gain), key=lambda each: each[1])
+            if found.gain > most * (1 + 1e-9):
+                best, most, shown, whole = _at(start, name, value), found.gain, found.seen, found.full
+        peaks.append(peak)
+    found_at = dict(best.scanned)[name]
+    apart = [
+        (value, gain)
+        for value, gain in peaks
+        if abs(value - found_at) > _APART * abs(found_at)
+        # between two values of one broad peak the readings are explained as well
+        and (middle := _tried(job, test_set, fitted, _at(best, name, (value + found_at) / 2))) is not None
+        and _odds(fitted, middle.gain, most, best) < _ALIKE
+    ]
+    known = tuple(alias for alias in one.aliases if alias[0] != name)
+    found_alike = ((name, value, _odds(fitted, gain, most, best)) for value, gain in apart if is_filled(best.effect))
+    aliases = (*known, *(alias for alias in found_alike if alias[2] > _ALIKE))
     if best is alternative:
-        return selection
+        return selection.with_one(replace(one, aliases=aliases), instead=one) if aliases != one.aliases else selection
     grown = _with_alternative(test_set, one.family, best, shown, whole)
-    new = Chosen(one.family, len(family.alternatives), shown)
+    new = Chosen(one.family, len(family.alternatives), shown, aliases)
     return replace(selection, test_set=grown).with_one(new, instead=one)
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """What an alternative explains beside a fit, with its visible and its whole columns."""
+
+    gain: float
+    seen: Array
+    full: Array
+
+
+def _tried(job: AdjustedJob, test_set: ScoreTests, fitted: FittedColumns, tried: Alternative) -> _Tried | None:
+    """Return what an alternative explains; None if it has no value at some reading."""
+    try:
+        full = signature(job.model, test_set.system, tried.effect, tried.instance, dict(tried.scanned))
+    except NoValueAtReadingError:
+        return None
+    seen = test_set.system.seen(full)
+    return _Tried(fitted.squares - fitted.with_columns(seen).squares, seen, full)
+
+
+def _at(start: Alternative, name: str, value: float) -> Alternative:
+    return replace(start, scanned=tuple((key, value if key == name else old) for key, old in start.scanned))
+
+
+def _odds(fitted: FittedColumns, gain: float, most: float, one: Alternative) -> float:
+    """Return the odds of a value that explains `gain` against the one that explains most."""
+    dof = max(fitted.dof - len(one.parameters), 1.0)
+    left = np.log((fitted.squares - gain) / max(fitted.squares - most, 1e-300))
+    return float(np.exp(-dof / 2 * max(float(left), 0.0)))
 
 
 def _starts(test_set: ScoreTests, one: Chosen, fitted: FittedColumns, name: str) -> list[Alternative]:
