@@ -343,8 +343,8 @@ def test_a_ball_that_is_read_again_later_is_a_reading_of_its_own(tmp_path: Path,
     job = tmp_path / "cube" / "jobs" / "views.yaml"
     assert metrocli("selfcal-grid", job, "--set", "require={}").code == 0
     table = hdf5.read(tmp_path / "cube" / "results" / "views.h5")[0].tables["residuals"]
-    rows = list(zip(*(table.texts(name) for name in ("view", "i", "j", "k", "time")), strict=True))
+    rows = list(zip(*(table.texts(name) for name in ("view", "i", "j", "k", "time", "component")), strict=True))
     assert len(set(rows)) == len(rows)
-    assert (*row[:4], "99000 s") in rows
+    assert (*row[:4], "99000 s", "x") in rows
     views.write_text(text + ",".join(row) + "\n")
     assert "a second row" in metrocli("check", job).err
