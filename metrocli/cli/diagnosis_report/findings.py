@@ -180,7 +180,7 @@ def _about(finding: Finding) -> Iterator[str]:
         yield f"  its size is that of `by: {name.alternative.effect.by}`; {forms} fits as well"
     for key, value, odds in name.chosen.aliases:
         scanned = next(one for one in name.alternative.effect.scanned if one.name == key)
-        yield f"  {key} = {scanned.sized(value)} fits as well (odds {odds:.2g}): the readings are spaced too evenly"
+        yield f"  {key} {value:.6g} {scanned.unit} fits as well (odds {odds:.2g}): the readings are spaced too evenly"
     if name.held:
         yield f"  not determined separately, taken as 0: {', '.join(name.held)}"
         yield f"  to determine them: {name.alternative.effect.reveal}"
