@@ -145,7 +145,7 @@ def _stops(job: _Measurement, machine: Machine, rng: np.random.Generator) -> Flo
     given = _clock(job, position.shape[1])
     if table is not None:
         given |= table.conditions("t", *SIDES)
-    given = _sides(position, given["t"]) | given
+    given = given | _sides(position, given["t"]) | given
     return Flow(position, tool, given | since_turns(position, given))
 
 
