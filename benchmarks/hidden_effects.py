@@ -1,8 +1,8 @@
 """Hidden effects: how often `diagnose` names what is in the readings, and how often what is not.
 
 Cases are seeded and simulated by plain formulas (benchmarks/hidden). Sizes are multiples of the least size that is
-found with 80 % power. Each rate has its 95 % binomial interval, and the bar that it is held against; so has the longest
-time of a diagnosis.
+found with 80 % power. `six-dof` are lines of a laser along a machine, `calibrate-machine` its points. Each rate has its
+95 % binomial interval, and the bar that it is held against; so has the longest time of a diagnosis.
 
     python -m benchmarks hidden_effects [KIND ...] [COUNT | FIRST-LAST] [SCENARIO]
 
@@ -16,7 +16,7 @@ import sys
 from collections.abc import Iterable
 from functools import partial
 
-from benchmarks.hidden import grids, images, launch, lengths, machine, rates
+from benchmarks.hidden import grids, images, launch, lengths, lines, machine, rates
 from benchmarks.hidden.case import Campaign, Found
 
 KINDS = {
@@ -26,6 +26,7 @@ KINDS = {
     "locate-launch-unit": Campaign(launch.case, launch.SCENARIOS),
     "selfcal-grid": Campaign(grids.case, grids.SCENARIOS, longest=20.0),
     "calibrate-machine": Campaign(machine.case, machine.SCENARIOS, longest=20.0),
+    "six-dof": Campaign(lines.case, lines.SCENARIOS, longest=20.0),
 }
 COUNT = 600
 

@@ -81,8 +81,8 @@ def _is_one_of_two(diagnosis: Diagnosis, name: str, at: int) -> bool:
     return bool(spots & {(name, (f"T{at}",)), (name, ())})
 
 
-def separated(case: Case, made: Sequence[Proposal], rng: np.random.Generator) -> bool:
-    """Return whether one of the two likeliest causes is left after readings are made and the job is diagnosed again."""
+def separated(case: Case, made: Sequence[Proposal], rng: np.random.Generator) -> tuple[bool, Verdict]:
+    """Return whether one of the two likeliest causes is left after readings are made, and the verdict with them."""
     found = diagnose(measured(case, made, rng).adjusted())
     before = case.diagnosis.findings[0].effect
     rival = before.rivals[0].alternative.spot
@@ -91,7 +91,7 @@ def separated(case: Case, made: Sequence[Proposal], rng: np.random.Generator) ->
     for finding in found.findings:
         one = finding.effect
         left |= {one.alternative.spot, *(other.alternative.spot for other in one.rivals)} & spots
-    return len(left) == 1 and next(iter(left))[0] == case.name
+    return len(left) == 1 and next(iter(left))[0] == case.name, found.verdict
 
 
 def measured(case: Case, made: Sequence[Proposal], rng: np.random.Generator) -> lengths.Measurement:
@@ -125,16 +125,20 @@ def main(arguments: list[str]) -> int:
     count, seed = [*numbers, *(COUNT, SEED)[len(numbers) :]][:2]
     proposed: list[tuple[float, bool]] = []
     random: list[tuple[float, bool]] = []
-    before = time.process_time()
+    before, verdicts = time.process_time(), list[Verdict]()
     for number, case in enumerate(cases(count, seed)):
         rng = np.random.default_rng([seed + 1, number])
         found = next_readings(case.diagnosis, READINGS)
         all_of_them = proposals(case.diagnosis.job)
         some = [all_of_them[i] for i in rng.choice(len(all_of_them), READINGS, replace=False)]
-        proposed.append((found.aims[0].after, separated(case, [one.proposal for one in found.readings], rng)))
-        random.append((predicted(case, some), separated(case, some, rng)))
+        apart, verdict = separated(case, [one.proposal for one in found.readings], rng)
+        proposed.append((found.aims[0].after, apart))
+        apart, other = separated(case, some, rng)
+        random.append((predicted(case, some), apart))
+        verdicts += [verdict, other]
         print(
-            f"{case.name:18} {found.aims[0].why}: {_words('proposed', *proposed[-1])}, {_words('random', *random[-1])}",
+            f"{case.name:18} {found.aims[0].why}: {_words('proposed', *proposed[-1])}, {verdict}; "
+            f"{_words('random', *random[-1])}, {other}",
             flush=True,
         )
     print(f"{len(proposed)} indistinct cases, {(time.process_time() - before):.0f} s of CPU time")
@@ -146,6 +150,8 @@ def main(arguments: list[str]) -> int:
             if inside.any():
                 mean, share = chances[inside].mean(), reached[inside].mean()
                 print(f"  {low} to {high}: {inside.sum():3} cases, {mean:.2f} predicted, {share:.2f} separated")
+    left = sum(one is Verdict.UNEXPLAINED for one in verdicts)
+    print(f"unexplained with the added readings: {left} of {len(verdicts)} diagnoses")
     chances, reached = np.array(proposed).T
     return int(reached.mean() < chances.mean() - 0.1)
 

@@ -52,6 +52,7 @@ class Images:
             rig=scene.rig,
             inputs=camera_job.Inputs(observations=NOWHERE, targets=NOWHERE),
             noise=noise,
+            shutter="rolling" if scene.rolling else "global",
             camera=Camera(image_size=scene.image_size, estimate=scene.lens_free),
         )
         units = {"u": "px", "v": "px", "t": "s", "temp": "degC"}
@@ -68,7 +69,8 @@ class Images:
         camera = CameraFile(image_size=scene.image_size, extrinsics=Extrinsics(**place), **scene.lens)
         inputs = part_job.Inputs(camera=NOWHERE, poses=NOWHERE, targets=NOWHERE, observations=NOWHERE)
         estimate = ("part-pose", "clamping-angle") if scene.angle_free else ("part-pose",)
-        settings = part_job.Settings(inputs=inputs, noise=noise, estimate=estimate)
+        shutter = "rolling" if scene.rolling else "global"
+        settings = part_job.Settings(inputs=inputs, noise=noise, estimate=estimate, shutter=shutter)
         files = {"camera": camera, "poses": poses, "targets": targets, "observations": observations}
         return align_part.diagnosed(align_part.TASK.job(settings, effects=effects, **files))
 
@@ -92,6 +94,7 @@ class Plant:
 
 
 _XYZ = ("dx", "dy", "dz")
+_ROWS = {"a_u": "rolling.0", "a_v": "rolling.1"}
 PLANTS: dict[str, dict[str, Plant]] = {
     "calibrate-camera": {
         "radial-distortion": Plant({"k2": "k2"}, ("k2",)),
@@ -105,6 +108,7 @@ PLANTS: dict[str, dict[str, Plant]] = {
         "focal-drift, T": Plant({"rate": "focal_T"}, by="T"),
         "principal-point-drift": Plant({"rate_u": "rate_u", "rate_v": "rate_v"}),
         "moved-target": Plant({name: f"moved.{i}" for i, name in enumerate(_XYZ)}, where="target"),
+        "rolling-shutter": Plant(_ROWS, where="image", rigs=("board",)),
     },
     "align-part": {
         "clamping-angle": Plant({"gamma_s": "gamma_s"}),
@@ -123,6 +127,7 @@ PLANTS: dict[str, dict[str, Plant]] = {
         "stretched-targets": Plant({"stretch": "stretched.0", "shear": "stretched.1"}),
         "part-drift": Plant({name: f"drift.{i}" for i, name in enumerate(("vx", "vy", "vz"))}),
         "radial-distortion": Plant({"dk1": "k1"}),
+        "rolling-shutter": Plant(_ROWS, where="image"),
     },
 }
 _TYPICAL = {
@@ -178,6 +183,8 @@ def _nearest(seen: Sight, kind: str, effect: tuple[str, str], left: Array) -> fl
     most = 0.0
     for name, plant in PLANTS[kind].items():
         if (seen.scene.rig or "") not in plant.rigs or set(plant.parameters) & set(seen.scene.lens_free):
+            continue
+        if name == "rolling-shutter" and not seen.scene.rolling:
             continue
         for place in _places(seen.scene, plant):
             if (name.partition(",")[0], place) == effect:
@@ -338,6 +345,7 @@ def _tried(kind: str, scenario: str, rng: np.random.Generator, at: tuple[int, st
 
 def without(scene: Scene, plants: list[Plant], names: list[str]) -> Scene:
     left_out = tuple(dict.fromkeys(name for plant in plants for name in plant.left_out))
+    scene = replace(scene, rolling="rolling-shutter" in names)
     if "clamping-angle" in names:
         return replace(scene, angle_free=False, unknowns=scene.unknowns[:6])
     return scene.without(left_out) if scene.lens_free else scene

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ PARAMETERS = {
     "encoder-eccentricity": ("c1", "s1"),
     "encoder-harmonic": ("c2", "s2"),
     "encoder-offset": ("offset",),
+    "belt-hysteresis": ("width",),
     "base-tilt": ("tx", "ty"),
     "axis-nonorthogonality": ("angle",),
     "beam-offset": ("h",),
@@ -36,6 +38,8 @@ PARAMETERS = {
 }
 OUTSIDE = ("_launch-creep", "_encoder-sine", "_third-harmonic", "_warm-up")
 _SIZES = {"angle": 1e-5, "tx": 1e-5, "ty": 1e-5, "c1": 1e-5, "s1": 1e-5, "c2": 1e-5, "s2": 1e-5, "scale": 1e-6}
+_STILL = 1e-3
+"""Smallest move of an axis [rad] that gives it a direction"""
 _ONE = 0.9
 """Cosine above which a change is that of a single reading"""
 _DRAWS = 500
@@ -119,7 +123,7 @@ def measurement(rng: np.random.Generator, distances: bool) -> Measurement:
 
 def places(m: Measurement, name: str) -> list[dict[str, str]]:
     """Return where an effect can be."""
-    if name in ("encoder-eccentricity", "encoder-harmonic"):
+    if name in ("encoder-eccentricity", "encoder-harmonic", "belt-hysteresis"):
         return [{"encoder": f"phi{i}"} for i in (1, 2, 3, 4)]
     if name == "encoder-offset":
         return [{"encoder": f"phi{i}"} for i in (2, 3, 4)]
@@ -142,6 +146,8 @@ def change(m: Measurement, name: str, where: Mapping[str, str], values: Mapping[
         row = READINGS.index(where["encoder"])
         phi = ideal[row]
         moved[row] += values.get("offset", 0.0)
+        if name == "belt-hysteresis":
+            moved[row] -= values["width"] / 2 * _grew(phi, m.t)
         moved[row] += values.get("c1", 0.0) * np.cos(phi) + values.get("s1", 0.0) * np.sin(phi)
         moved[row] += values.get("c2", 0.0) * np.cos(2 * phi) + values.get("s2", 0.0) * np.sin(2 * phi)
     elif name == "base-tilt":
@@ -168,6 +174,18 @@ def change(m: Measurement, name: str, where: Mapping[str, str], values: Mapping[
     off = moved - ideal
     off[:4] = (off[:4] + np.pi) % (2 * np.pi) - np.pi
     return off
+
+
+def _grew(phi: Array, t: Array) -> Array:
+    """Return 1 where an angle grew since the pose before in time, by the shorter way, -1 where it fell, (n,)."""
+    order, found = np.argsort(t), np.zeros(len(t))
+    steps = [(b - a + np.pi) % (2 * np.pi) - np.pi for a, b in pairwise(phi[order].tolist())]
+    sides = [0.0]
+    for step in steps:
+        sides.append(sides[-1] if abs(step) < _STILL else float(np.sign(step)))
+    first = next((side for side in sides if side), 0.0)
+    found[order] = [side or first for side in sides]
+    return found
 
 
 def _displaced(m: Measurement, name: str, where: Mapping[str, str], values: Mapping[str, float]) -> Array:

@@ -31,11 +31,14 @@ Array = npt.NDArray[np.float64]
 LOW, HIGH = np.array([0.0, -260.0, -500.0]), np.array([600.0, 260.0, 0.0])
 TOOLS = {"T1": (0.0, 0.0, 120.0), "T2": (110.0, 20.0, 150.0), "T3": (-30.0, 100.0, 210.0)}
 BEAM, CONSTANT, PROPORTIONAL = 1e-3, 2e-3, 3e-6
+LENGTH = 60.0
+"""Way over which hysteresis builds up, where it is held against other effects"""
 SIZE, SMALL = (6, 220), (3, 80)
 """Knots of each axis and points; in a small case fewer"""
 PARAMETERS = {
     "backlash": ("width",),
     "backlash-growth": ("growth",),
+    "hysteresis": ("width",),
     "screw-pitch-error": ("amplitude", "phase"),
     "thermal-growth": ("rate",),
     "machine-drift": ("vx", "vy", "vz"),
@@ -206,7 +209,7 @@ def _about_z(angle: float) -> Array:
 
 def places(name: str) -> list[dict[str, str]]:
     """Return where an effect can be."""
-    if name in ("backlash", "backlash-growth", "screw-pitch-error", "thermal-growth", "angular-reversal"):
+    if name in ("backlash", "backlash-growth", "hysteresis", "screw-pitch-error", "thermal-growth", "angular-reversal"):
         return [{"axis": axis} for axis in "xyz"]
     if name == "straightness-reversal":
         return [{"reversal": turned + shifted} for turned, shifted in permutations("xyz", 2)]
@@ -224,6 +227,8 @@ def change(m: Measurement, name: str, where: Mapping[str, str], v: Mapping[str, 
             moved[:, i] = v["width"] / 2 * m.came[:, i]
         elif name == "backlash-growth":
             moved[:, i] = v["growth"] * m.at[:, i] / 2 * m.came[:, i]
+        elif name == "hysteresis":
+            moved[:, i] = -v["width"] * m.came[:, i] * np.exp(-_way(m, i) / v["length"])
         elif name == "angular-reversal":
             moved = np.cross(np.array([v["rx"], v["ry"], v["rz"]]) * m.came[:, i, None] / 2, _lever(m, i))
         elif name == "thermal-growth":
@@ -253,6 +258,16 @@ def change(m: Measurement, name: str, where: Mapping[str, str], v: Mapping[str, 
     if name.startswith("tracker-") and name != "tracker-drift":
         return _misread(m.seen, name, v)
     return moved @ m.turn
+
+
+def _way(m: Measurement, axis: int) -> Array:
+    """Return how far an axis went since it turned, (n,), in the order of the points; inf before its first turn."""
+    ways, way = [], float("inf")
+    for k in range(len(m.at)):
+        way = 0.0 if k and m.came[k, axis] != m.came[k - 1, axis] else way
+        way += abs(m.at[k, axis] - m.at[max(k - 1, 0), axis])
+        ways.append(way)
+    return np.array(ways)
 
 
 def _misread(seen: Array, name: str, v: Mapping[str, float]) -> Array:
@@ -291,7 +306,7 @@ def nearest(m: Measurement, seen: Array, name: str, where: Mapping[str, str]) ->
         for place in places(other):
             if (other, place) == (name, dict(where)) or other == "screw-pitch-error":
                 continue
-            zero = dict.fromkeys(PARAMETERS[other], 0.0)
+            zero = dict.fromkeys(PARAMETERS[other], 0.0) | {"length": LENGTH}
             columns = np.stack(
                 [m.visible(change(m, other, place, zero | {p: 1e-6})) for p in PARAMETERS[other]], axis=1
             )
@@ -306,15 +321,15 @@ def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -
     where = options[int(rng.integers(len(options)))]
     count = PARAMETERS.get(name, ("c",))
     v = {"period": float(rng.uniform(4, 40)) if name[0] != "_" else float(rng.uniform(120, 350))}
-    v |= {"phase": float(rng.uniform(0, 6)), "tau": float(rng.uniform(80, 250))}
+    v |= {"phase": float(rng.uniform(0, 6)), "tau": float(rng.uniform(80, 250)), "length": float(rng.uniform(30, 120))}
     v |= dict(zip(("vx", "vy", "vz"), rng.normal(size=3).tolist(), strict=True))
     sizes = ("amplitude",) if name == "screw-pitch-error" else count
     v |= dict(zip(sizes, (rng.normal(size=len(sizes)) * 1e-6).tolist(), strict=True))
     seen = m.visible(change(m, name, where, v))
     wanted = times * np.sqrt(stated(m.adjusted(), name if name in PARAMETERS else "machine-drift", len(count)))
     v |= {key: v[key] * wanted / np.linalg.norm(seen) for key in sizes}
-    # a phase and the sign of an amplitude say the same thing, and the period is scanned: their region is not tested
-    known = {} if name == "screw-pitch-error" else {key: v[key] for key in count}
+    # a phase and the sign of an amplitude say the same thing, and period and length are scanned: no region is tested
+    known = {} if name in ("screw-pitch-error", "hysteresis") else {key: v[key] for key in count}
     hidden = Hidden(name, where, known, nearest(m, seen, name, where))
     return replace(m, read=m.read + change(m, name, where, v)), hidden
 

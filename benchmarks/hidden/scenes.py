@@ -81,6 +81,8 @@ class Scene:
     """spindle (images, 6), mounting (6,)"""
     radius: float = 0.0
     angle_free: bool = True
+    rolling: bool = False
+    """Whether the rows of an image are read one after another, which the job knows"""
     time: Array = field(default_factory=lambda: np.zeros(0))
     """(images,) [s]"""
     warmth: Array = field(default_factory=lambda: np.zeros(0))
@@ -131,6 +133,9 @@ class Scene:
         found = pixels(points, lens)
         if "factor" in effects:
             found = found + effects["factor"] * (pixels(ellipse_centres(points, turn, self.radius), lens) - found)
+        if "rolling" in effects:
+            below = (found[:, 1] - lens["cy"]) * (self.view == effects["image"])
+            found = found + below[:, None] * effects["rolling"][:2]
         if "outside" in effects:
             off = found - np.column_stack([lens["cx"], lens["cy"]])
             found = found + effects["size"] * effects["outside"](self, off, points)

@@ -1,16 +1,26 @@
 """The sizes at which an effect is found, and is distinguished from another, on average over its directions and forms.
 
-Method: docs/algorithms/selection-and-levels.md (smallest detectable size).
+Also the standard deviation at which a scatter of sizes at all places is found. Method:
+docs/algorithms/selection-and-levels.md (smallest detectable size; all of a kind).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.hidden_change import HiddenChange, hidden_by_scatter
 from metrocli.diagnosis.linear.distributions import noncentrality, power
+from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
+from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood
+from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.diagnosis.selection.all_of_a_kind import columns_of, may_scatter
+from metrocli.diagnosis.selection.thresholds import LATER
+from metrocli.effects.effect import Effect
 
 _DIRECTIONS = 1000
 _NODES = 80
@@ -21,6 +31,10 @@ _SMALLEST = 1e-3
 """The size over that at which every test is certain, at least"""
 _HALVINGS = 25
 _NOTHING = 1e-12
+_EIGHTY, _NINETY_FIVE = 0.84, 1.64
+"""By how much the root of twice the gain must exceed what is needed, so that so many of 100 cases do"""
+_STEPS, _WIDEST = 200, 1e4
+"""Standard deviations that are tried, in equal ratios, up and down from the largest usual one by this factor"""
 
 
 def size_found(grams: Array, ranks: Array, level: float, dof: int, wanted: float) -> float:
@@ -90,3 +104,61 @@ def _curve(level: float, rank: int, rest: int) -> tuple[Array, Array]:
     """Return roots of non-centralities from 0 on, and the power at each."""
     roots = np.linspace(0.0, np.sqrt(noncentrality(level, rank, rest, _ALL)), _NODES)
     return roots, power(level, rank, rest, roots**2)
+
+
+@dataclass(frozen=True)
+class ScatterCandidate:
+    """What the measurement can detect of an effect that is sought at all its places at once only."""
+
+    effect: Effect
+    detectable: float
+    """Standard deviation of its sizes that is found in 80 of 100 cases; inf if none is"""
+    hides: HiddenChange
+    """Change of the delivered result that is exceeded in 5 % of cases, by a scatter that is found with 95 % power"""
+
+    @property
+    def testable(self) -> bool:
+        """Whether any standard deviation of it is found."""
+        return bool(np.isfinite(self.detectable))
+
+    @property
+    def reason(self) -> str:
+        """What makes it visible, where nothing of it is."""
+        return f"it looks like noise of the readings; it would show by {self.effect.reveal}"
+
+
+def scatter_candidates(job: AdjustedJob, test_set: ScoreTests, noise: float = 1.0) -> tuple[ScatterCandidate, ...]:
+    """Return what can be detected of effects that are sought throughout, for a noise in units of the declared one."""
+    return tuple(
+        _candidate(job, test_set, one, noise)
+        for one in job.effects
+        if one.throughout and one.name not in job.not_sought and test_set.system.dof > 1
+    )
+
+
+def _candidate(job: AdjustedJob, test_set: ScoreTests, effect: Effect, noise: float) -> ScatterCandidate:
+    own = [family for family in test_set.throughout if family.name == effect.name]
+    if not own or not may_scatter(test_set, effect.name):
+        return ScatterCandidate(effect, float("inf"), HiddenChange(0.0))
+    base = nothing_fitted(test_set.system)
+    scatter = RestrictedLikelihood.beside(base, columns_of(test_set, effect)[0])
+    seen = scatter.eigenvalues, base.dof, effect.plausible / noise
+    size, hidden = (_scatter_found(*seen, beyond) * noise for beyond in (_EIGHTY, _NINETY_FIVE))
+    hides = hidden_by_scatter(job, test_set.system, own, hidden if np.isfinite(hidden) else effect.plausible)
+    return ScatterCandidate(effect, size, hides)
+
+
+def _scatter_found(eigenvalues: Array, dof: float, usual: float, beyond: float) -> float:
+    """Return the standard deviation s at which the mean gain of the log-likelihood suffices with some power.
+
+    With d the eigenvalues and nu the degrees of freedom it is `(nu ln(1 + s^2 sum d / nu) - sum ln(1 + s^2 d)) / 2`.
+    The noise is not known, so it is 0 where the scatter looks like noise.
+    """
+    from scipy.special import ndtri
+
+    tried = usual * np.geomspace(1 / _WIDEST, _WIDEST, _STEPS)
+    shown = tried[:, None] ** 2 * eigenvalues
+    gain = (dof * np.log1p(shown.sum(axis=1) / dof) - np.log1p(shown).sum(axis=1)) / 2
+    needed = max(float(-ndtri(LATER)), float(np.sqrt(np.log(dof)))) + beyond
+    enough = np.flatnonzero(np.sqrt(np.maximum(2 * gain, 0.0)) > needed)
+    return float(tried[enough[0]]) if enough.size else float("inf")

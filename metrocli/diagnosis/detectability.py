@@ -13,7 +13,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.average_power import size_found, size_separated
+from metrocli.diagnosis.average_power import ScatterCandidate, scatter_candidates, size_found, size_separated
 from metrocli.diagnosis.hidden_change import POWER, HiddenChange, forms_for, hidden_by_readings, hidden_change
 from metrocli.diagnosis.linear.candidates import Alternative, NotTested
 from metrocli.diagnosis.linear.distributions import noncentrality, single_level
@@ -49,7 +49,7 @@ _SEPARATED = 0.95
 
 @dataclass(frozen=True)
 class Candidate:
-    """What the measurement can detect of one cause at one place."""
+    """What the measurement can detect of one form of a cause at one place."""
 
     alternative: Alternative
     family: int
@@ -92,8 +92,8 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """Cause and place in words."""
-        return str(self.alternative)
+        """Cause, form and place in words."""
+        return self.alternative.words
 
 
 @dataclass(frozen=True)
@@ -142,13 +142,15 @@ class Design:
     not_tested: tuple[NotTested, ...]
     pairs: tuple[Pair, ...]
     readings: tuple[WrongReading, ...] = ()
+    scatters: tuple[ScatterCandidate, ...] = ()
 
 
 def design(job: AdjustedJob, test_set: ScoreTests, not_tested: Sequence[NotTested], noise: float = 1.0) -> Design:
     """Return what a measurement can detect, for a noise in units of the declared one."""
     candidates = tuple(_candidate(job, test_set, *spot, noise) for spot in _spots(test_set))
     readings = tuple(_wrong_reading(job, test_set, e, noise) for e in job.effects if e.of_one_reading)
-    return Design(candidates, tuple(not_tested), tuple(_pairs(test_set, candidates, noise)), readings)
+    pairs, scatters = tuple(_pairs(test_set, candidates, noise)), scatter_candidates(job, test_set, noise)
+    return Design(candidates, tuple(not_tested), pairs, readings, scatters)
 
 
 def _wrong_reading(job: AdjustedJob, test_set: ScoreTests, effect: Effect, noise: float) -> WrongReading:
@@ -169,14 +171,14 @@ def _wrong_reading(job: AdjustedJob, test_set: ScoreTests, effect: Effect, noise
 
 
 def _spots(test_set: ScoreTests) -> Iterable[tuple[int, Sequence[int]]]:
-    """Yield for each cause and place the number of its family and those of its alternatives."""
+    """Yield for each form of a cause at each place the number of its family and those of its alternatives."""
     for number, family in enumerate(test_set.families):
         if family.unknown:
             continue
-        places: dict[tuple[str, ...], list[int]] = {}
+        forms: dict[tuple[str, tuple[str, ...], str], list[int]] = {}
         for at, alternative in enumerate(family.alternatives):
-            places.setdefault(alternative.instance, []).append(at)
-        for chosen in places.values():
+            forms.setdefault(alternative.form, []).append(at)
+        for chosen in forms.values():
             yield number, chosen
 
 
@@ -185,9 +187,8 @@ def _candidate(job: AdjustedJob, test_set: ScoreTests, family: int, chosen: Sequ
     gram = own.gram
     ranks = ranks_of(roots(gram[list(chosen)], own.raw[list(chosen)]))
     traces = np.where(ranks > 0, np.einsum("kqq->k", gram[list(chosen)]), 0.0)
-    order = np.argsort(traces, kind="stable")
-    at = chosen[int(order[len(order) // 2])]
-    rank = int(ranks[order[len(order) // 2]])
+    middle = int(np.argsort(traces, kind="stable")[len(traces) // 2])
+    at, rank = chosen[middle], int(ranks[middle])
     alternative = own.alternatives[at]
     raw = own.raw[at]
     visible = float(np.sqrt(np.mean(np.diag(gram[at]) / np.where(raw > 0, raw, 1.0) ** 2)))
@@ -260,7 +261,8 @@ def _pairs(test_set: ScoreTests, candidates: Sequence[Candidate], noise: float) 
             imitated = turns[j].T @ gram[own[j], own[i]]
             product = imitated @ turns[i]
             # the largest singular value cannot exceed the root of the sum of squares, so most pairs need no SVD
-            rho = float(np.linalg.norm(product, 2)) if (product**2).sum() > _ALIKE**2 else 0.0
+            apart = one.alternative.spot != testable[j].alternative.spot and (product**2).sum() > _ALIKE**2
+            rho = float(np.linalg.norm(product, 2)) if apart else 0.0
             if rho > _ALIKE:
                 size = noise * size_separated(gram[own[i], own[i]], imitated, _SEPARATED)
                 yield Pair(one.name, testable[j].name, min(rho, 1.0), size, one.unit, one.dimension)

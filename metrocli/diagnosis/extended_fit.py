@@ -13,7 +13,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Standing
-from metrocli.diagnosis.linear.candidates import NotTested, families_of
+from metrocli.diagnosis.linear.candidates import NotTested, families_of, families_throughout
 from metrocli.diagnosis.linear.counted_tests import score_tests_of
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.linearised import linearised
@@ -46,7 +46,8 @@ def score_tests_of_job(
     families, not_tested = families_of(job, system)
     everything = [*families, *smooth_families(job, system)]
     test_set = score_tests_of(system, everything, rng, job.single_components, like)
-    test_set = replace(test_set, adjusted=job.adjusted, budget=job.budget)
+    everywhere = families_throughout(job, system)
+    test_set = replace(test_set, adjusted=job.adjusted, budget=job.budget, throughout=everywhere)
     return adjusted_with_all(test_set) if job.patient else test_set, not_tested
 
 

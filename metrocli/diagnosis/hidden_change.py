@@ -28,6 +28,8 @@ _MOST_NUMBERS = 4_000_000
 """Unknowns times readings above which only the own member of each reading is considered"""
 _FOLLOWS = 1e-6
 """Difference of the result and what moves, relative to the move, that is rounding"""
+_TWO_SIDED = 1.96
+"""Standard deviations that 5 % of normal errors exceed"""
 _VANISHED = 1e-100
 """Norm of a column that counts as 0: the square of a smaller one can be"""
 _NOTHING = 1e-9
@@ -102,6 +104,21 @@ def hidden_by_readings(job: AdjustedJob, system: System, rows: Index, errors: Ar
     squares = (moved**2).sum(axis=1)
     at = np.unravel_index(int(np.argmax(squares)), squares.shape) if squares.size else (0, 0)
     return _at_member(job, float(np.sqrt(squares[at])) if squares.size else 0.0, int(at[0]))
+
+
+def hidden_by_scatter(job: AdjustedJob, system: System, families: Sequence[Family], std: float) -> HiddenChange:
+    """Return the change of the delivered result that sizes at all places, which scatter by `std`, exceed in 5 %.
+
+    It is of the member, and along its direction, of the largest variance.
+    """
+    squares: Array | float = 0.0
+    for family in families:
+        moved = _shifts(job, system, family.absorbed_by(system, range(len(family.alternatives))))
+        flat = moved.reshape(*moved.shape[:2], -1)
+        squares = squares + flat @ np.swapaxes(flat, 1, 2)
+    largest = np.linalg.eigvalsh(squares)[:, -1] if np.ndim(squares) else np.zeros(1)
+    best = int(np.argmax(largest))
+    return _at_member(job, _TWO_SIDED * std * float(np.sqrt(max(largest[best], 0.0))), best)
 
 
 def _of_own_members(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:

@@ -3,11 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
-from metrocli.adjust.cluster_robust import FEWEST, STRUCTURED
+import numpy as np
+
+from metrocli.adjust.cluster_robust import ESTIMATED, FEWEST, STRUCTURED
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
+from metrocli.nodes import Node
+from metrocli.units import parse_quantity
+
+
+def declares(noise: Node | None, one: Scatter) -> bool:
+    """Whether the noise of a job can declare a scatter: it has parts, and this part is a number or absent."""
+    key = one.found.effect.noise
+    if not key or noise is None or noise.kind != "mapping":
+        return False
+    known = noise.get(key)
+    return known is None or known.text != ESTIMATED
+
+
+def with_declared(noise: Node, one: Scatter) -> Node:
+    """Return the noise of a job with a scatter beside what it declares, `sqrt(declared^2 + std^2)`."""
+    effect, known = one.found.effect, noise.get(one.found.effect.noise)
+    before = parse_quantity(known.text, effect.parameters[0].dimension) if known is not None else 0.0
+    text = _written(float(f"{np.hypot(before, one.found.std):.3g}"), effect.parameters[0].unit)
+    plain = replace(noise, kind="scalar", entries=(), items=())
+    kept = tuple(entry for entry in noise.entries if entry[0].text != effect.noise)
+    return replace(noise, entries=(*kept, (replace(plain, text=effect.noise), replace(plain, text=text))))
 
 
 def scatter_as_job(one: Scatter) -> Mapping[str, str]:

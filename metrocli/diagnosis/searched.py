@@ -258,7 +258,7 @@ def _noisier_beside(job: AdjustedJob, selection: Selection, most: int) -> tuple[
 
     An effect at all its places that explains as much as the noise of a unit is what makes this noisier.
     """
-    noisier = noisier_units(job, selection.test_set.system, selection.fitted(), most)
+    noisier = _of_no_effect(job, noisier_units(job, selection.test_set.system, selection.fitted(), most))
     if not noisier:
         unit = noise_instead(job, selection)
         return () if unit is None else (unit,)
@@ -271,9 +271,17 @@ def _noisier_beside(job: AdjustedJob, selection: Selection, most: int) -> tuple[
 def _sigma_first(job: AdjustedJob, test_set: ScoreTests) -> tuple[Unit, ...]:
     """Return the prior values whose stated sigma is wrong, if that explains the residuals better than any cause."""
     fitted = nothing_fitted(test_set.system)
-    units = noisier_units(job, test_set.system, fitted)
+    units = _of_no_effect(job, noisier_units(job, test_set.system, fitted))
     stated = all(unit.key == DECLARED_SIGMA and unit.ratio >= 1 for unit in units)
     return units if stated and all(one.log_level < log_level_of_strongest(test_set, fitted) for one in units) else ()
+
+
+def _of_no_effect(job: AdjustedJob, units: Sequence[Unit]) -> tuple[Unit, ...]:
+    """Return the units without prior values that scatter more than stated where an effect is this scatter."""
+    places = (job.model.places.get(one.keys[0]) for one in job.effects if one.throughout)
+    left = {place.index for place in places if place is not None}
+    own = {group.name for group in job.model.others if left.issuperset(group.chain.blocks)}
+    return tuple(one for one in units if one.key != DECLARED_SIGMA or one.ratio <= 1 or one.name not in own)
 
 
 def _joined(units: Sequence[Unit]) -> tuple[Unit, ...]:

@@ -1,13 +1,17 @@
-"""The status of each candidate: what a diagnosis concludes on it, and how far its usual sizes are seen."""
+"""The status of each candidate: what a diagnosis concludes on it, in words, and as plain data for `--json`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
-from typing import Literal
+from typing import Any, Literal
 
 from metrocli import units
-from metrocli.diagnosis.detectability import Candidate
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.average_power import ScatterCandidate
+from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
+from metrocli.diagnosis.hidden_change import POWER, HiddenChange
+from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.effects.effect import Effect
 
@@ -32,8 +36,11 @@ _SMALLEST = 0.01
 
 
 def status(candidate: Candidate, named: Iterable[NamedEffect]) -> str:
-    """Return the status of a candidate; one in the confidence set of a named effect counts as named."""
-    if any(candidate.alternative.spot in spots(name) for name in named):
+    """Return the status of a candidate; one in the confidence set of a named effect counts as named.
+
+    So does another form of a named cause only if it explains the readings as well.
+    """
+    if any(_claims(name, candidate.alternative) for name in named):
         return Status.NAMED
     if not candidate.testable:
         return Status.NOT_TESTABLE
@@ -44,6 +51,31 @@ def status(candidate: Candidate, named: Iterable[NamedEffect]) -> str:
 def spots(name: NamedEffect) -> set[tuple[str, tuple[str, ...]]]:
     """Return cause and place of a named effect and of all its rivals."""
     return {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
+
+
+def status_of_scatter(candidate: ScatterCandidate, named: Sequence[str]) -> str:
+    """Return the status of an effect that is sought at all its places at once, by the names that were found so."""
+    if candidate.effect.name in named:
+        return Status.NAMED
+    if not candidate.testable:
+        return Status.NOT_TESTABLE
+    return Status.EXCLUDED if candidate.detectable <= candidate.effect.plausible else Status.CANNOT_SEE
+
+
+def reason_of_scatter(candidate: ScatterCandidate, word: str) -> str:
+    """Return the reason for the status of an effect that is sought at all its places at once, in words."""
+    if word == Status.NAMED:
+        return ""
+    if word == Status.NOT_TESTABLE:
+        return candidate.reason
+    least = candidate.effect.parameters[0].sized(candidate.detectable)
+    said = "excluded above" if word == Status.EXCLUDED else "detected from"
+    return f"{said} a standard deviation of {least}"
+
+
+def _claims(name: NamedEffect, alternative: Alternative) -> bool:
+    own = {name.alternative.form, *(other.alternative.form for other in name.forms)}
+    return alternative.form in own or alternative.spot in spots(name) - {name.alternative.spot}
 
 
 def usual_seen(candidate: Candidate) -> bool | Literal["part"] | None:
@@ -96,3 +128,81 @@ def usual_beside(effect: Effect, size: float) -> str:
     if low < _SMALLEST and " " in effect.usual.partition(" to ")[0]:
         return effect.usual
     return f"{units.two_digits(low)} to {units.two_digits(high)} {'' if unit == '1' else unit}".strip()
+
+
+def _hides(job: AdjustedJob, hidden: HiddenChange) -> dict[str, Any]:
+    return delivered(job, hidden.size) | {"where": hidden.member, "power": POWER}
+
+
+def delivered(job: AdjustedJob, value: float) -> dict[str, Any]:
+    """Return a change of the delivered result with its unit, as plain data."""
+    unit = units.find_unit(job.delivered.unit, job.delivered.dimension)
+    return {"what": job.delivered.what, "value": unit.outside(value), "unit": unit.symbol}
+
+
+def candidates(
+    job: AdjustedJob, design: Design, named: Iterable[NamedEffect], scattered: Sequence[str] = ()
+) -> list[dict[str, Any]]:
+    """Return all candidates as plain data, tested or not; `scattered` are the effects named at all places."""
+    names = list(named)
+    tested = [_candidate(job, candidate, status(candidate, names)) for candidate in design.candidates]
+    readings = [_wrong_reading(job, one) for one in design.readings]
+    missing = [_open(one.effect, one.where, Status.NOT_TESTED, one.reason) for one in design.not_tested]
+    return tested + [_throughout(job, one, scattered) for one in design.scatters] + readings + missing
+
+
+def _throughout(job: AdjustedJob, one: ScatterCandidate, scattered: Sequence[str]) -> dict[str, Any]:
+    word = status_of_scatter(one, scattered)
+    found = _open(one.effect, {}, word, reason_of_scatter(one, word))
+    if not one.testable:
+        return found
+    least = {"value": one.detectable, "unit": one.effect.parameters[0].unit}
+    return found | {"minimal_detectable": least, "above": least, "hides": _hides(job, one.hides)}
+
+
+def _wrong_reading(job: AdjustedJob, one: WrongReading) -> dict[str, Any]:
+    unchecked = f"; {one.unchecked} readings cannot be checked" if one.unchecked else ""
+    if not one.testable:
+        return _open(one.effect, {}, Status.NOT_TESTABLE, UNCHECKED)
+    words = (
+        "wrong readings are listed as outliers; minimal_detectable is that of the median reading, above that of the "
+    )
+    words += f"one that is checked least{unchecked}"
+    return _open(one.effect, {}, Status.EXCLUDED, words) | {
+        "minimal_detectable": {"value": one.detectable, "unit": one.effect.parameters[0].unit},
+        "above": {"value": one.between[1], "unit": one.effect.parameters[0].unit},
+        "hides": _hides(job, one.hides),
+    }
+
+
+def _candidate(job: AdjustedJob, candidate: Candidate, word: str) -> dict[str, Any]:
+    own = candidate.alternative
+    return _open(own.effect, own.where, word, reason(candidate, word)) | {
+        "visible_share": candidate.visible,
+        **_sizes(candidate),
+        "hides": _hides(job, candidate.hides),
+    }
+
+
+def _sizes(candidate: Candidate) -> dict[str, Any]:
+    """Return the size from which a candidate is excluded, and its usual sizes."""
+    least = {"value": candidate.detectable, "unit": candidate.unit} if candidate.testable else None
+    usual = candidate.alternative.effect.usual_sizes
+    return {
+        "minimal_detectable": least,
+        "above": least,
+        "usual": None if usual is None else {"from": usual[0], "to": usual[1], "unit": candidate.unit},
+        "usual_seen": usual_seen(candidate),
+    }
+
+
+def _open(effect: Effect, where: Mapping[str, str], word: str, reason: str) -> dict[str, Any]:
+    return {
+        "name": effect.name,
+        "where": dict(where),
+        "by": effect.by or None,
+        "status": word,
+        "minimal_detectable": None,
+        "hides": None,
+        "reason": reason,
+    }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -12,9 +11,8 @@ from metrocli import units
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
-from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
+from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.findings import Diagnosis, Finding
-from metrocli.diagnosis.hidden_change import POWER, HiddenChange
 from metrocli.diagnosis.laws.definition import written
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.candidates import Alternative
@@ -22,10 +20,9 @@ from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.residual_structure import RemainingStructure
 from metrocli.diagnosis.searched import Scatter
-from metrocli.diagnosis.selection.confidence_set import NamedEffect, Rival
-from metrocli.diagnosis.status import UNCHECKED, Status, reason, status, usual_seen
+from metrocli.diagnosis.selection.confidence_set import Rival
+from metrocli.diagnosis.status import candidates, delivered
 from metrocli.diagnosis.wrong_readings import Outlier
-from metrocli.effects.effect import Effect
 
 
 def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -55,7 +52,12 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
         "unexplained": None if left is None else _left(diagnosis.job, left),
         "processes": [_process(diagnosis.job, one) for one in diagnosis.processes],
         "laws": [_law(diagnosis.job, one) for one in diagnosis.laws],
-        "candidates": candidates(diagnosis.job, diagnosis.design, [f.effect for f in diagnosis.findings]),
+        "candidates": candidates(
+            diagnosis.job,
+            diagnosis.design,
+            [f.effect for f in diagnosis.findings],
+            [one.found.effect.name for one in diagnosis.scatters],
+        ),
         "alike": alike(diagnosis.design),
         "separate_by": list(diagnosis.separate_by),
     }
@@ -134,6 +136,7 @@ def _correction(mistaken: Mistaken) -> dict[str, Any]:
 
 def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
     name, gain = finding.effect, finding.gain
+    units_of = {one.name: one.unit for one in name.alternative.effect.scanned}
     return {
         "name": name.alternative.effect.name,
         "where": _where(name.alternative),
@@ -142,8 +145,12 @@ def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
         "alternatives": [*map(_rival, name.rivals), *(asdict(one) | {"correlation": None} for one in finding.noise)],
         "by": name.alternative.effect.by or None,
         "forms": [{"by": form.alternative.effect.by, "odds": form.odds} for form in name.forms],
+        "aliases": [
+            {"parameter": key, "value": value, "odds": odds, "unit": units_of[key]}
+            for key, value, odds in name.chosen.aliases
+        ],
         "other_shape_from": finding.other_shape_from,
-        "gain": _gain(gain, job) | {"result_shift": _delivered(job, finding.shift)},
+        "gain": _gain(gain, job) | {"result_shift": delivered(job, finding.shift)},
     }
 
 
@@ -168,7 +175,7 @@ def _scatter(job: AdjustedJob, one: Scatter) -> dict[str, Any]:
         "alternatives": [asdict(rival) for rival in one.found.rivals],
         "instead_of": list(one.found.instead_of),
         "other_shape_from": None,
-        "gain": _gain(one.gain, job) | {"result_shift": _delivered(job, one.shift)},
+        "gain": _gain(one.gain, job) | {"result_shift": delivered(job, one.shift)},
     }
 
 
@@ -216,75 +223,6 @@ def _rival(rival: Rival) -> dict[str, Any]:
         "where": _where(rival.alternative),
         "correlation": rival.correlation,
         "odds": rival.odds,
-    }
-
-
-def _hides(job: AdjustedJob, hidden: HiddenChange) -> dict[str, Any]:
-    return _delivered(job, hidden.size) | {"where": hidden.member, "power": POWER}
-
-
-def _delivered(job: AdjustedJob, value: float) -> dict[str, Any]:
-    unit = units.find_unit(job.delivered.unit, job.delivered.dimension)
-    return {"what": job.delivered.what, "value": unit.outside(value), "unit": unit.symbol}
-
-
-def candidates(job: AdjustedJob, design: Design, named: Iterable[NamedEffect]) -> list[dict[str, Any]]:
-    """Return all candidates as plain data, tested or not."""
-    names = list(named)
-    tested = [_candidate(job, candidate, status(candidate, names)) for candidate in design.candidates]
-    readings = [_wrong_reading(job, one) for one in design.readings]
-    missing = [_open(one.effect, one.where, Status.NOT_TESTED, one.reason) for one in design.not_tested]
-    return tested + readings + missing
-
-
-def _wrong_reading(job: AdjustedJob, one: WrongReading) -> dict[str, Any]:
-    unchecked = f"; {one.unchecked} readings cannot be checked" if one.unchecked else ""
-    if not one.testable:
-        return _open(one.effect, {}, Status.NOT_TESTABLE, UNCHECKED)
-    return {
-        "name": one.effect.name,
-        "where": {},
-        "status": Status.EXCLUDED,
-        "minimal_detectable": {"value": one.detectable, "unit": one.effect.parameters[0].unit},
-        "above": {"value": one.between[1], "unit": one.effect.parameters[0].unit},
-        "hides": _hides(job, one.hides),
-        "reason": "wrong readings are listed as outliers; minimal_detectable is that of the median reading, above that "
-        f"of the one that is checked least{unchecked}",
-    }
-
-
-def _candidate(job: AdjustedJob, candidate: Candidate, word: str) -> dict[str, Any]:
-    return {
-        "name": candidate.alternative.effect.name,
-        "where": candidate.alternative.where,
-        "status": word,
-        "visible_share": candidate.visible,
-        **_sizes(candidate),
-        "hides": _hides(job, candidate.hides),
-        "reason": reason(candidate, word),
-    }
-
-
-def _sizes(candidate: Candidate) -> dict[str, Any]:
-    """Return the size from which a candidate is excluded, and its usual sizes."""
-    least = {"value": candidate.detectable, "unit": candidate.unit} if candidate.testable else None
-    usual = candidate.alternative.effect.usual_sizes
-    return {
-        "minimal_detectable": least,
-        "above": least,
-        "usual": None if usual is None else {"from": usual[0], "to": usual[1], "unit": candidate.unit},
-        "usual_seen": usual_seen(candidate),
-    }
-
-
-def _open(effect: Effect, where: Mapping[str, str], word: str, reason: str) -> dict[str, Any]:
-    return {
-        "name": effect.name,
-        "where": dict(where),
-        "status": word,
-        "minimal_detectable": None,
-        "hides": None,
-        "reason": reason,
     }
 
 

@@ -60,6 +60,8 @@ class Acting:
     """Kinds of place at which effects on it can have sizes of their own"""
     of_place: Mapping[str, OfPlace] = field(default_factory=dict)
     """For a kind of place, such as the axis: further variables there"""
+    refused: Mapping[str, str] = field(default_factory=dict)
+    """Names that columns of the data would have if their headings were others, each with what to write"""
     split: Mapping[str, Mapping[str, tuple[Quantity, int]]] = field(default_factory=dict)
     """For a kind of place, such as the encoder: the component of another quantity that stands for each of its names"""
 

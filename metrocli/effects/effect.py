@@ -19,6 +19,7 @@ ELAPSED, WARMING = "elapsed", "warming"
 """Conditions that effects vary with: time since the earliest reading [s], and temperature minus that of it [K]"""
 DRIVERS = {"t": ELAPSED, "T": WARMING}
 """Allowed values of the key `by`, and the condition that each stands for"""
+_FORMS = {"t": "by time", "T": "by temperature"}
 COLUMN = {"t": "t_s", "temp": "temp_degC", "distance": "distance_mm"} | {
     name: text
     for axis in "xyz"
@@ -59,6 +60,10 @@ class Parameter:
     """Number of grid values that `diagnose` tries first; it then refines between the best one and its neighbours"""
     base: str = ""
     """Its unit in base units, such as "mm s-2", if no dimension has it"""
+    shown: str = ""
+    """The unit of its definition where no dimension has it, such as um/kN; else empty"""
+    given: float = 1.0
+    """That unit in base units"""
 
     @property
     def spec(self) -> Spec:
@@ -75,12 +80,13 @@ class Parameter:
         return units.internal_unit(self.dimension) if self.dimension else self.base or "1"
 
     def readable(self, size: float) -> tuple[float, str]:
-        """Return a size of it and the unit that suits it; base units where no dimension has the unit."""
-        return units.readable(size, self.dimension) if self.dimension else (size, self.base)
+        """Return a size of it and the unit that suits it; that of its definition where no dimension has the unit."""
+        return units.readable(size, self.dimension) if self.dimension else (size / self.given, self.shown or self.base)
 
     def sized(self, size: float) -> str:
         """Return a size of it to two digits, for sentences: "0.21 um"."""
-        return f"{units.sized(size, self.dimension)} {self.base}".strip()
+        value, shown = (size, "") if self.dimension else self.readable(size)
+        return f"{units.sized(value, self.dimension)} {shown}".strip()
 
 
 @dataclass(frozen=True)
@@ -125,6 +131,10 @@ class Effect:
     """Whether it spoils a single reading; `diagnose` finds such an effect as an outlier"""
     of_all: str = ""
     """The cause where it acts at all places of its kind, with sizes that scatter about 0; empty if none is usual"""
+    throughout: bool = False
+    """Whether `diagnose` seeks it at all places at once only: at one of them it is a wrong reading"""
+    noise: str = ""
+    """Key under `noise:` of a job that declares the standard deviation of its sizes at all places; empty if none"""
     definition: str = ""
     """For an effect of one's own: its definition, one line of YAML"""
     lacks: str = ""
@@ -134,6 +144,11 @@ class Effect:
     def keys(self) -> tuple[str, ...]:
         """Kinds of place that a job names for it: all of `where` but `by`."""
         return tuple(key for key in self.where if key != "by")
+
+    @property
+    def form(self) -> str:
+        """The cause with its form where it has several: "spindle-growth by time"."""
+        return f"{self.name} {_FORMS[self.by]}" if self.by else self.name
 
     @property
     def remedy(self) -> str:

@@ -15,6 +15,12 @@ SPEED = "speed_{axis}"
 """Condition of a reading in motion: speed of an axis as commanded [mm/s]"""
 SINCE = "since_{axis}"
 """Condition: distance that an axis has travelled since it turned [mm]; infinite where it has not turned yet"""
+_ACCELERATION = 1000.0
+"""Acceleration of the simulated machine [mm/s^2]"""
+_REST = 0.5
+"""Rest of the machine at each vertex [s]"""
+_OVERSHOT = 0.1
+"""Largest share of moves that may contradict their side; with more the order is not that of travel"""
 _SAME = 1e-6
 """Vertices closer together than this [mm] are the same"""
 
@@ -132,19 +138,41 @@ class Path:
 def since_turn(moves: Array, side: Array) -> Array | None:
     """Return how far an axis has travelled since it turned, after each of its moves (n,), with their sides (n,).
 
-    It turns where the side changes, and is infinite before; an axis of side 0 stands still, or has not moved yet. None
-    if a move contradicts its side: the axis went farther and came back, nobody knows how far.
+    It turns where the side changes, and is infinite before; an axis of side 0 stands still, or has not moved yet. After
+    a move that contradicts its side the axis went farther and came back, nobody knows how far: the distance is infinite
+    up to the next change of side. None if more than a tenth of the moves do so.
     """
-    held = last_sides(side)
-    if (moves * held < 0).any():
+    held, numbers = last_sides(side), np.arange(len(moves))
+    against = moves * held < 0
+    if against.sum() > _OVERSHOT * np.count_nonzero(moves):
         return None
     starts = np.flatnonzero((held[:-1] != 0) & (np.diff(held) != 0)) + 1
-    way = np.concatenate([[0.0], np.cumsum(np.abs(moves))])
-    begun = np.concatenate([[-np.inf], way[starts]])
-    return np.asarray(way[1:] - begun[np.searchsorted(starts, np.arange(len(moves)), side="right")])
+    way, turn = np.concatenate([[0.0], np.cumsum(np.abs(moves))]), np.searchsorted(starts, numbers, side="right")
+    since = way[1:] - np.concatenate([[-np.inf], way[starts]])[turn]
+    lost = np.maximum.accumulate(np.where(against, numbers, -1))
+    return np.where(lost >= np.concatenate([[0], starts])[turn], np.inf, since)
 
 
 def last_sides(moves: Array) -> Array:
     """Return the sign of the last of the moves of an axis that is not 0, after each of them (n,); 0 before it moves."""
     last = np.maximum.accumulate(np.where(moves != 0, np.arange(len(moves)), 0))
     return np.asarray(np.sign(moves)[last])
+
+
+def travelled(path: Path, feeds: Array, sampling: float) -> tuple[Index, Array, Array]:
+    """Return leg, distance along it and time at equal time steps, each (n,).
+
+    The machine accelerates to the feed and brakes on each leg, and rests at each vertex.
+    """
+    ramp = np.minimum(feeds / _ACCELERATION, np.sqrt(path.lengths / _ACCELERATION))
+    top = ramp * _ACCELERATION
+    moving = path.lengths / top + ramp
+    begins = np.cumsum(moving + _REST) - moving
+    time = np.arange(0.0, begins[-1] + moving[-1] + _REST, sampling)
+    leg = np.clip(np.searchsorted(begins, time, side="right") - 1, 0, len(begins) - 1)
+    since = np.clip(time - begins[leg], 0.0, moving[leg])
+    left = np.minimum(since, moving[leg] - since)
+    ramped = np.minimum(left, ramp[leg])
+    early = ramped**2 * _ACCELERATION / 2 + np.maximum(left - ramp[leg], 0.0) * top[leg]
+    along = np.where(since <= moving[leg] / 2, early, path.lengths[leg] - early)
+    return leg, along, time

@@ -21,6 +21,8 @@ POINT, TRACER, STOP, AIR = "point", "tracer", "stop", "air"
 """Blocks: reflector positions; x0, y0, z0, dead path and scale of each tracer; deviations of the carrier's stops; the
 relative error of the refractive index, which all lengths share. The condition `air` is the index at a reading over that
 where its tracer was set to zero."""
+NO_STOP = "no other length"
+"""Name of the stop that stands for all stops with one length"""
 ALONE = "alone"
 """Condition: 1 for a length that is the only one of its stop, 0 for others"""
 COLUMNS = ("x", "y", "z", "dead_path", "scale")
@@ -171,7 +173,7 @@ def stop_block(stops: Index) -> Block | None:
         return None
     free = np.ones((count + 1, 3), dtype=bool)
     free[0] = False
-    members = ("no other length", *map(str, range(1, count + 1)))
+    members = (NO_STOP, *map(str, range(1, count + 1)))
     return Block(STOP, np.zeros((count + 1, 3)), ("x", "y", "z"), members, free, reach=np.array(1.0), noun="stop")
 
 

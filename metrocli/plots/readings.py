@@ -15,7 +15,21 @@ Array = npt.NDArray[np.float64]
 
 _TABLES = ("residuals", "angles", "distances", "lengths")
 """Tables of residuals: by the kind of its readings for a launch unit, and of calibrated lengths for a ball grid"""
-_KEYS = ("image", "target", "point", "tracer", "station", "pose", "view", "leg", "line", "at", "reading", "component")
+_KEYS = (
+    "image",
+    "target",
+    "point",
+    "tracer",
+    "station",
+    "time",
+    "pose",
+    "view",
+    "leg",
+    "line",
+    "at",
+    "reading",
+    "component",
+)
 _COUNTED, _COMMANDED = ("i", "j", "k"), ("x", "y", "z")
 """Columns of the ball of an artefact, and of the commanded place in mm"""
 _ENDS = (("i1", "j1", "k1"), ("i2", "j2", "k2"))

@@ -16,7 +16,7 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob, Ordered
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import LIMIT, Attended, diagnose, no_interrupt, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.job_entries import as_job, proposed_noise, scatter_as_job
+from metrocli.diagnosis.job_entries import as_job, declares, proposed_noise, scatter_as_job, with_declared
 from metrocli.diagnosis.laws.definition import as_define, as_wanted
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.memory import as_fits
@@ -185,12 +185,13 @@ def _adjusts(path: Path) -> bool:
 def _write(job: JobFile, diagnosis: Diagnosis, law: Law | None, place: tuple[Path, Path | None]) -> None:
     """Write the extended job, with a law or without, to a path; its result has the path beside it, or the usual one."""
     path, result = place
-    named = [*map(scatter_as_job, diagnosis.scatters), *(as_job(one.effect) for one in diagnosis.findings)]
+    scatters = [one for one in diagnosis.scatters if not declares(job.root.get("noise"), one)]
+    named = [*map(scatter_as_job, scatters), *(as_job(one.effect) for one in diagnosis.findings)]
     called = _free_name(diagnosis)
     new = [_node(job, entry) for entry in (*named, *([] if law is None else [as_wanted(law, called)]))]
     defined = [] if law is None else [_node(job, as_define(law, called))]
-    body = yaml_text.emit(_extended(job, new, defined, proposed_noise(diagnosis), (path.parent, result)))
-    text = f"# {job.file.name}{_NAMED if new else _SHARED}\n{_DIGEST}{_digest(body)}\n{body}"
+    body = yaml_text.emit(_extended(job, new, defined, diagnosis, (path.parent, result)))
+    text = f"# {job.file.name}{_NAMED if new or diagnosis.scatters else _SHARED}\n{_DIGEST}{_digest(body)}\n{body}"
     with written_aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
 
@@ -224,15 +225,14 @@ def _free_name(diagnosis: Diagnosis) -> str:
 
 
 def _extended(
-    job: JobFile, effects: Sequence[Node], defined: Sequence[Node], noise: str, to: tuple[Path, Path | None]
+    job: JobFile, effects: Sequence[Node], defined: Sequence[Node], found: Diagnosis, to: tuple[Path, Path | None]
 ) -> Node:
     folder, result = to
     below = {"define": _longer(job, "define", defined), "effects": _longer(job, "effects", effects)}
     output = result or job.output.with_name(f"{job.output.stem}.extended.h5")
     moved: Callable[[Node], Node] = lambda value: _relocated(value, job.folder, folder)  # noqa: E731
-    changed = {"inputs": moved, "effects_from": moved}
-    if noise:
-        changed["noise"] = lambda value: _with_model(job, value, noise)
+    noise: Callable[[Node], Node] = lambda value: _noise(job, value, found)  # noqa: E731
+    changed = {"inputs": moved, "effects_from": moved, "noise": noise}
     kept = [
         (key, changed[key.text](value) if key.text in changed else value)
         for key, value in job.root.entries
@@ -247,6 +247,14 @@ def _longer(job: JobFile, key: str, more: Sequence[Node]) -> Node:
     listed = job.root.get(key)
     items = (*(listed.items if listed is not None else ()), *more)
     return replace(job.root, kind="list", text="", entries=(), items=items)
+
+
+def _noise(job: JobFile, declared: Node, found: Diagnosis) -> Node:
+    """Return the noise of a job with the scatters that it can declare, and the model that is proposed."""
+    for one in found.scatters:
+        declared = with_declared(declared, one) if declares(declared, one) else declared
+    model = proposed_noise(found)
+    return _with_model(job, declared, model) if model else declared
 
 
 def _with_model(job: JobFile, declared: Node, model: str) -> Node:

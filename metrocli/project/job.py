@@ -140,7 +140,8 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     inputs = inputs_of(root, section, faults)
     files = tuple((item.spec, item.paths) for item in inputs)
     further = cache(lambda: columns.variables(files, numeric))
-    places = cache(lambda: columns.with_variables(tasks.KINDS[kind].task().places, further()))
+    no_variables = cache(lambda: columns.refused(files, numeric))
+    places = cache(lambda: columns.with_variables(tasks.KINDS[kind].task().places, further(), no_variables()))
     defining = Defining(kind, path, places, wishes.files, effects.names_of(named))
     own = Own() if heading is BAD else own_effects(heading, defining, faults)
     if any(effect.definition for effect in own.effects):

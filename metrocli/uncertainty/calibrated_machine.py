@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from hashlib import sha256
+
 import numpy as np
 import numpy.typing as npt
 
@@ -30,6 +32,12 @@ _SLACK = 1e-6
 def has_machine(result: Result) -> bool:
     """Return whether a result has error tables with their covariance."""
     return TABLES_COVARIANCE in result.arrays
+
+
+def digest_of(result: Result) -> str:
+    """Return a digest of the entries of all tables and their covariance: equal for results of the same calibration."""
+    parts = (_values(result), result.arrays[TABLES_COVARIANCE])
+    return sha256(b"".join(np.ascontiguousarray(one).tobytes() for one in parts)).hexdigest()
 
 
 def error_motion(result: Result, position: Array, tool: Array) -> tuple[Array, Array]:

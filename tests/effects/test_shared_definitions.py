@@ -86,7 +86,7 @@ def test_a_definition_for_another_kind_lacks_no_column(hall: Path, metrocli: Met
     assert own["calibrate-machine"] == []
 
 
-def test_sizes_without_a_dimension_are_told_with_their_base_units(hall: Path, metrocli: Metrocli) -> None:
+def test_sizes_without_a_dimension_are_told_in_the_unit_of_their_definition(hall: Path, metrocli: Metrocli) -> None:
     lengths = hall.parent.parent / "data" / "lengths.csv"
     head, *rows = [line for line in lengths.read_text().splitlines() if not line.startswith("#")]
     loads = np.random.default_rng(3).uniform(0.2, 1.4, len(rows)).round(4)
@@ -94,6 +94,6 @@ def test_sizes_without_a_dimension_are_told_with_their_base_units(hall: Path, me
     lengths.write_text("\n".join([f"{head},load_kN", *cells]) + "\n")
     every = json.loads(metrocli("diagnose", hall, "--json").out)["candidates"]
     (reason,) = [one["reason"] for one in every if one["name"] == "load-error"]
-    assert re.fullmatch(r"excluded above \S+ s2 kg-1; larger than 3e-08 s2 kg-1 is not plausible", reason), reason
+    assert re.fullmatch(r"excluded above \S+ um/kN; larger than 30 um/kN is not plausible", reason), reason
     (line,) = [one for one in metrocli("diagnose", hall).out.splitlines() if one.startswith("load-error")]
-    assert re.search(r"excluded above \S+ s2 kg-1", line), line
+    assert re.search(r"excluded above \S+ um/kN", line), line

@@ -97,7 +97,7 @@ def selfcal_grid(effect: Effect) -> Model:
 
 def calibrate_machine(effect: Effect) -> Model:
     """120 points with three tools known to 1 um, from all sides, times and speeds at random; or lines, or lengths to 80 points."""
-    if effect in LENGTH_EFFECTS:
+    if effect in LENGTH_EFFECTS or effect.throughout:
         return machine_from_lengths(effect)
     if effect in OF_THE_LASER:
         return machine_from_lines()
@@ -119,7 +119,10 @@ def calibrate_machine(effect: Effect) -> Model:
 
 
 def machine_from_lengths(effect: Effect) -> Model:
-    """80 points with three tools from five stations; known stations, where these would absorb it."""
+    """80 points with three tools from five stations, which read at once where an effect is of a stop.
+
+    Known stations, where these would absorb it.
+    """
     rng = np.random.default_rng(16)
     machine = simulated_machine.random_machine(rng, knots=(3, 3, 3))
     none = Noise(constant=0.0)
@@ -127,6 +130,8 @@ def machine_from_lengths(effect: Effect) -> Model:
         machine, rng, 80, simulated_machine.THREE, simulated_lengths_of_machine.STATIONS, none
     )
     columns = {**table.columns, "t": rng.uniform(100.0, 2000.0, 400), "temp": 20 + rng.uniform(0, 1, 400)}
+    if effect.throughout:
+        columns["t"] = 10.0 * np.unique(table.texts("point"), return_inverse=True)[1]
     settings = simulated_lengths_of_machine.settings(simulated_machine.THREE, (3, 3, 3))
     problem = machine_lengths(settings, replace(table, columns=columns))
     solved = adjust(problem.blocks.values(), problem.groups)

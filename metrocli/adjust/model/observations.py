@@ -12,6 +12,8 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
+TIME = "time"
+"""Key by which readings differ that are alike in all other keys"""
 
 
 @dataclass(frozen=True)

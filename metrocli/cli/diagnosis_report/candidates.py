@@ -8,6 +8,7 @@ from metrocli import units
 from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis import status
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.average_power import ScatterCandidate
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
 from metrocli.diagnosis.hidden_change import HiddenChange
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
@@ -19,20 +20,24 @@ _HEAD = ("candidate", "where", "status", "usual sizes", "result off by up to", "
 _SEEN = {True: "seen", "part": "seen in part", False: "not seen", None: ""}
 
 
-def candidate_lines(adjusted: AdjustedJob, design: Design, named: Sequence[NamedEffect] | None) -> list[str]:
+def candidate_lines(
+    adjusted: AdjustedJob, design: Design, named: Sequence[NamedEffect] | None, scattered: Sequence[str] = ()
+) -> list[str]:
     """Return the table of candidates, with one line for all places of a cause that have the same status.
 
-    Without `named` nothing was looked for yet: what residuals would exclude is `detectable`.
+    Without `named` nothing was looked for yet: what residuals would exclude is `detectable`. `scattered` are the
+    effects that are named at all places.
     """
     rows: dict[tuple[str, str], list[Candidate]] = {}
     for candidate in design.candidates:
         word = str(status.status(candidate, named or ()))
         word = "detectable" if named is None and word == status.Status.EXCLUDED else word
-        rows.setdefault((candidate.alternative.effect.name, word), []).append(candidate)
+        rows.setdefault((candidate.alternative.effect.form, word), []).append(candidate)
     lines = [_line(adjusted, name, word, found) for (name, word), found in rows.items()]
+    lines += [_of_scatter(adjusted, one, named is None, scattered) for one in design.scatters]
     lines += [_of_readings(adjusted, one, named is None) for one in design.readings]
     lines += [
-        (one.effect.name, " ".join(one.where.values()), str(status.Status.NOT_TESTED), "", "", one.reason)
+        (one.effect.form, " ".join(one.where.values()), str(status.Status.NOT_TESTED), "", "", one.reason)
         for one in design.not_tested
     ]
     return text_table(_HEAD, lines)
@@ -69,6 +74,18 @@ def _status(word: str, sizes: Sequence[float], parameter: Parameter) -> str:
         return word
     between = {str(status.Status.EXCLUDED): "above", str(status.Status.CANNOT_SEE): "below", "detectable": "from"}
     return f"{word} {between[word]} {_span(min(sizes), max(sizes), parameter)}" if word in between else word
+
+
+def _of_scatter(
+    adjusted: AdjustedJob, one: ScatterCandidate, open_yet: bool, scattered: Sequence[str]
+) -> tuple[str, ...]:
+    word = str(status.status_of_scatter(one, scattered))
+    if not one.testable:
+        return one.effect.name, "everywhere", word, "", "", one.reason
+    word = "detectable" if open_yet and word == status.Status.EXCLUDED else word
+    usual = status.usual_beside(one.effect, one.detectable)
+    said = _status(word, [one.detectable], one.effect.parameters[0])
+    return one.effect.name, "everywhere", said, usual, _hidden(adjusted, one.hides), "sizes are standard deviations"
 
 
 def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool) -> tuple[str, ...]:

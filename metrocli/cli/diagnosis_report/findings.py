@@ -63,7 +63,8 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
         )
     if extended is not None:
         parts.append([f"next: run {extended}, {_extension(diagnosis)}"])
-    parts.append(candidate_lines(job, diagnosis.design, [finding.effect for finding in findings]))
+    scattered = [one.found.effect.name for one in diagnosis.scatters]
+    parts.append(candidate_lines(job, diagnosis.design, [one.effect for one in findings], scattered))
     return "\n\n".join("\n".join(lines) for lines in parts)
 
 
@@ -177,6 +178,9 @@ def _about(finding: Finding) -> Iterator[str]:
     if name.forms:
         forms = ", ".join(f"`by: {form.alternative.effect.by}` (odds {form.odds:.2g})" for form in name.forms)
         yield f"  its size is that of `by: {name.alternative.effect.by}`; {forms} fits as well"
+    for key, value, odds in name.chosen.aliases:
+        scanned = next(one for one in name.alternative.effect.scanned if one.name == key)
+        yield f"  {key} {value:.6g} {scanned.unit} fits as well (odds {odds:.2g}): the readings are spaced too evenly"
     if name.held:
         yield f"  not determined separately, taken as 0: {', '.join(name.held)}"
         yield f"  to determine them: {name.alternative.effect.reveal}"
@@ -256,7 +260,8 @@ def _parameter(size: Size) -> str:
         digits, partly = ("6g", "") if size.seen else ("2g", " (not seen)")
         return f"{key} {size.value:.{digits}} {size.parameter.unit}{partly}"
     _, symbol = size.parameter.readable(size.value)
-    factor = units.find_unit(symbol, dimension).outside(1.0) if dimension and symbol != "1" else 1.0
+    of_unit = units.find_unit(symbol, dimension).outside(1.0) if dimension and symbol != "1" else 1.0
+    factor = of_unit / size.parameter.given
     return f"{key} = {units.format_quantity(size.value * factor, symbol, size.std * factor)}"
 
 

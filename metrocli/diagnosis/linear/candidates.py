@@ -51,20 +51,24 @@ class Alternative:
         """Cause and place, without the form and the values of scanned parameters."""
         return self.effect.name, self.instance
 
+    @property
+    def form(self) -> tuple[str, tuple[str, ...], str]:
+        """Cause, place and form (by time, by temperature), without the values of scanned parameters."""
+        return *self.spot, self.effect.by
+
     def like(self, other: Alternative) -> bool:
         """Return whether it differs from another alternative in the values of scanned parameters at most."""
-        return (self.effect.name, self.effect.by, self.instance, self.parameters, self.named) == (
-            other.effect.name,
-            other.effect.by,
-            other.instance,
-            other.parameters,
-            other.named,
-        )
+        return (self.form, self.parameters, self.named) == (other.form, other.parameters, other.named)
 
     def far_from(self, other: Alternative) -> float:
         """Return the distance of its scanned parameters from those of another alternative."""
         own = dict(self.scanned)
         return sum(abs(own[key] - value) for key, value in other.scanned)
+
+    @property
+    def words(self) -> str:
+        """Cause, form and place in words."""
+        return " ".join([self.effect.form, *self.instance, *(f"{key} {name}" for key, name in self.named)])
 
     def __str__(self) -> str:
         return " ".join([self.effect.name, *self.instance, *(f"{key} {name}" for key, name in self.named)])
@@ -86,6 +90,11 @@ class Family:
     """Covariate of a family of smooth functions, whose cause is not known; "" for effects"""
     whole: Mapping[int, Own | Step] = field(default_factory=dict)
     """Whole signatures of the alternatives whose columns are their visible parts"""
+
+    @property
+    def form(self) -> tuple[str, int, int]:
+        """Name, number of alternatives and number of columns of each, by which families of other tests are matched."""
+        return self.name, self.columns.count, self.columns.parameters
 
     def absorbed_by(self, system: System, chosen: Sequence[int]) -> Array:
         """Return the coordinates of what the unknowns absorb of some alternatives, (unknowns, chosen, parameters)."""
@@ -120,7 +129,7 @@ def families_of(job: AdjustedJob, system: System) -> tuple[list[Family], list[No
     families: dict[tuple[str, int], list[Family]] = {}
     missing: list[NotTested] = []
     for effect in job.effects:
-        if effect.of_one_reading:
+        if effect.of_one_reading or effect.throughout:
             continue
         if effect.name in job.not_sought:
             missing.append(NotTested(effect, job.not_sought[effect.name]))
@@ -128,9 +137,15 @@ def families_of(job: AdjustedJob, system: System) -> tuple[list[Family], list[No
         missing += _untestable(job.model, effect)
         for family in _of_effect(job, system, effect, missing):
             families.setdefault((family.name, family.columns.parameters), []).append(family)
-    tested = {name for name, _ in families}
-    seen = [one for one in missing if one.where or one.effect.name not in tested]
+    tested = {one.effect.form for parts in families.values() for part in parts for one in part.alternatives}
+    seen = [one for one in missing if one.where or one.effect.form not in tested]
     return [_joined(parts) for parts in families.values()], seen
+
+
+def families_throughout(job: AdjustedJob, system: System) -> tuple[Family, ...]:
+    """Return the effects that are sought at all their places at once only, as far as they can act somewhere."""
+    wanted = [one for one in job.effects if one.throughout and one.keys[0] in job.model.places]
+    return tuple(family for effect in wanted for family in _of_effect(job, system, effect, []))
 
 
 def _joined(parts: Sequence[Family]) -> Family:

@@ -61,6 +61,9 @@ def beside_random_columns(test_set: ScoreTests, columns: Array, rng: np.random.G
     `apart` tests each component of a reading on its own. The effective numbers of tests are those of white noise.
     """
     system = with_random_columns(test_set.system, columns)
-    families = [replace(one, gram=one.columns.grams(system.basis)) for one in test_set.families]
+    families, throughout = (
+        [replace(one, gram=one.columns.grams(system.basis)) for one in every]
+        for every in (test_set.families, test_set.throughout)
+    )
     found = score_tests_of(system, families, rng, apart, test_set)
-    return replace(found, adjusted=test_set.adjusted, budget=test_set.budget)
+    return replace(found, adjusted=test_set.adjusted, budget=test_set.budget, throughout=tuple(throughout))

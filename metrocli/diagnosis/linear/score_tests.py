@@ -94,6 +94,8 @@ class ScoreTests:
     """Readings that cannot be named outliers"""
     adjusted: frozenset[tuple[str, tuple[str, ...]]] = frozenset()
     """Cause and place of the effects with which the unknowns were adjusted; these do not stop the selection"""
+    throughout: tuple[Family, ...] = ()
+    """Effects that are sought at all their places at once only"""
     budget: Budget = field(default_factory=Budget)
     """CPU time for a search"""
     remembered: Remembered = field(default_factory=Remembered, compare=False, repr=False)
@@ -118,8 +120,8 @@ class ScoreTests:
 
         If only the smooth functions are the same, the outliers are one family more beside them.
         """
-        known = {_form(family): count for family, count in zip(other.families, other.tests, strict=False)}
-        forms = [_form(family) for family in self.families]
+        known = {family.form: count for family, count in zip(other.families, other.tests, strict=False)}
+        forms = [family.form for family in self.families]
         if not set(forms) <= set(known) or len(self.places) != len(other.places):
             return None
         causes = other.causes if len(forms) == len(known) else other.unknowns + 1
@@ -288,10 +290,6 @@ class ScoreTests:
         unit = np.zeros((self.system.rows, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         return self.system.seen(unit)
-
-
-def _form(family: Family) -> tuple[str, int, int]:
-    return family.name, family.columns.count, family.columns.parameters
 
 
 def _unit(columns: Array) -> Array:

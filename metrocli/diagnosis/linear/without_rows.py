@@ -22,7 +22,8 @@ def without_rows(test_set: ScoreTests, out: Index) -> ScoreTests:
 
     The local unknowns of the other rows do not change. So the shared columns of the rest are made orthonormal anew,
     and their part is taken from all other columns. Rows keep their numbers; those left out are zero. The effective
-    numbers of tests stay those of the whole measurement. Gram matrices need the rows left out only:
+    numbers of tests stay those of the whole measurement. Effects that scatter throughout are not sought in the rest.
+    Gram matrices need the rows left out only:
     `G'G + C'C - H - (C - D)' T T' (C - D)`. C are the products of the shared columns with G, D those of their rows
     left out. H is the Gram matrix of the rows left out without their local columns. T makes the shared columns of the
     rest orthonormal.
@@ -58,5 +59,6 @@ def without_rows(test_set: ScoreTests, out: Index) -> ScoreTests:
         families=tuple(map(cut, test_set.families, test_set.shared_products)),
         blocks=unit - basis.products(test_set.places, test_set.places),
         excluded=test_set.excluded | ~there.any(axis=1),
+        throughout=(),
         remembered=Remembered(),
     )

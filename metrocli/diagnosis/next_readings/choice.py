@@ -118,7 +118,8 @@ def revealing(job: AdjustedJob, design: Design, wanted: str, count: int) -> Next
     Raises UsageError if the job has no such candidate.
     """
     name, _, place = wanted.partition(":")
-    known = {_label(one.alternative): one.alternative for one in design.candidates}
+    # of several forms of a cause the first one, which is the usual one
+    known = {_label(one.alternative): one.alternative for one in reversed(design.candidates)}
     found = next((one for label, one in known.items() if label in (wanted, f"{name}:{place.partition('=')[2]}")), None)
     if found is None:
         hint = suggestion(wanted, list(known)) if known else "this job has no candidates"
@@ -150,7 +151,7 @@ def _of_candidate(job: AdjustedJob, alternative: Alternative, proposed: Sequence
     """Return the test of an effect of its largest usual size, all its parameters alike."""
     count = len(alternative.parameters)
     sizes = np.full(count, alternative.effect.plausible / np.sqrt(count))
-    return _Test(f"shows {alternative}", count, sizes, pool_of(job, proposed, [alternative], known=known))
+    return _Test(f"shows {alternative.words}", count, sizes, pool_of(job, proposed, [alternative], known=known))
 
 
 def _chosen(tests: Sequence[_Test], proposed: Sequence[Proposal], count: int) -> Next:

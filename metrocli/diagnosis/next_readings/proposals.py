@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.observations import TIME, Index, Observations
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.model import Model
@@ -49,7 +49,8 @@ def proposals(job: AdjustedJob) -> list[Proposal]:
 def _all(job: AdjustedJob) -> Iterator[Proposal]:
     units: dict[tuple[tuple[str, str], ...], dict[str, list[int]]] = {}
     for group in job.model.readings:
-        keys = [key for key in group.observations.keys if not job.made_together or key in job.made_together]
+        every = [key for key in group.observations.keys if key != TIME]
+        keys = [key for key in every if not job.made_together or key in job.made_together]
         named = zip(*(group.observations.keys[key] for key in keys), strict=True)
         for number, names in enumerate(named):
             unit = tuple(zip(keys, names, strict=True))

@@ -13,6 +13,7 @@ from math import lgamma
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.linear.candidates import Family
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.projection import READING, System
 from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood, gain_of_larger_noise, log_level_of
@@ -92,8 +93,9 @@ def scattered_throughout(selection: Selection) -> AllOfAKind | None:
     effects for which such a scatter is usual the likeliest is returned, with those as likely, if no noise of a group of
     readings is likelier.
     """
-    names = dict.fromkeys(family.name for family in selection.test_set.families)
-    usual = [_effect(selection.test_set, name) for name in names if _may_scatter(selection.test_set, name)]
+    test_set = selection.test_set
+    names = dict.fromkeys(family.name for family in (*test_set.families, *test_set.throughout))
+    usual = [_effect(test_set, name) for name in names if may_scatter(test_set, name)]
     of_all = _likeliest(selection, [(effect, selection.chosen) for effect in usual])
     return of_all or _likeliest(selection, [(effect, _instances(selection, effect)) for effect in usual])
 
@@ -123,13 +125,13 @@ def estimated_again(found: AllOfAKind, selection: Selection) -> AllOfAKind:
     What the first selection took for wrong readings or single instances may be part of the scatter.
     """
     base = selection.fitted()
-    scatter = RestrictedLikelihood.beside(base, _columns(selection.test_set, found.effect)[0])
+    scatter = RestrictedLikelihood.beside(base, columns_of(selection.test_set, found.effect)[0])
     return _with_size(found, scatter, base.dof)
 
 
 def log_level_beside(fitted: FittedColumns, test_set: ScoreTests, name: str) -> float:
     """Return ln of the level at which an effect scatters over all its places beside a fit."""
-    scatter = RestrictedLikelihood.beside(fitted, _columns(test_set, _effect(test_set, name))[0])
+    scatter = RestrictedLikelihood.beside(fitted, columns_of(test_set, _effect(test_set, name))[0])
     return scatter.log_level(scatter.best())
 
 
@@ -139,8 +141,9 @@ def _with_size(found: AllOfAKind, scatter: RestrictedLikelihood, dof: float) -> 
     return replace(found, std=std, spread=std * scatter.relative_spread(best), log_level=scatter.log_level(best))
 
 
-def _may_scatter(test_set: ScoreTests, name: str) -> bool:
-    own = [family for family in test_set.families if family.name == name and not family.unknown]
+def may_scatter(test_set: ScoreTests, name: str) -> bool:
+    """Whether a scatter of an effect at all its places is looked for though fewer than three of them are named."""
+    own = _families(test_set, name)
     if not own or not own[0].alternatives[0].effect.of_all:
         return False
     places = sum(len(family.alternatives) for family in own)
@@ -162,7 +165,12 @@ def _noise_of_groups(system: System, base: FittedColumns) -> Iterator[tuple[str,
 
 
 def _effect(test_set: ScoreTests, name: str) -> Effect:
-    return next(f for f in test_set.families if f.name == name and not f.unknown).alternatives[0].effect
+    return _families(test_set, name)[0].alternatives[0].effect
+
+
+def _families(test_set: ScoreTests, name: str) -> list[Family]:
+    every = (*test_set.families, *test_set.throughout)
+    return [family for family in every if family.name == name and not family.unknown]
 
 
 def _instances(selection: Selection, effect: Effect) -> list[Chosen]:
@@ -173,7 +181,7 @@ def _instances(selection: Selection, effect: Effect) -> list[Chosen]:
 def _compared(selection: Selection, effect: Effect, own: Sequence[Chosen]) -> AllOfAKind | None:
     """Return the scatter of an effect if it has more evidence than some members of the selection."""
     test_set, base, full = selection.test_set, selection.fitted(without=own), selection.fitted()
-    columns, places = _columns(test_set, effect)
+    columns, places = columns_of(test_set, effect)
     scatter = RestrictedLikelihood.beside(base, columns)
     best = scatter.best()
     singly = -(base.dof * np.log(full.squares) + (base.dof - full.dof) * np.log(base.dof)) / 2
@@ -194,9 +202,9 @@ def _log_choices(selection: Selection, effect: Effect, own: Sequence[Chosen], pl
     return lgamma(places + 1) - lgamma(named + 1) - lgamma(places - named + 1) + tries - lgamma(alike + 1)
 
 
-def _columns(test_set: ScoreTests, effect: Effect) -> tuple[Array, int]:
+def columns_of(test_set: ScoreTests, effect: Effect) -> tuple[Array, int]:
     """Return the visible columns of an effect at all places, (rows, columns), and the number of places."""
-    own = [i for i, family in enumerate(test_set.families) if family.name == effect.name and not family.unknown]
-    counts = [len(test_set.families[i].alternatives) for i in own]
-    columns = [test_set.all_visible(i, range(count)) for i, count in zip(own, counts, strict=True)]
-    return np.concatenate([one.reshape(len(one), -1) for one in columns], axis=1), sum(counts)
+    system, own = test_set.system, _families(test_set, effect.name)
+    counts = [len(family.alternatives) for family in own]
+    columns = [f.columns.whole(range(count), system.rows) for f, count in zip(own, counts, strict=True)]
+    return np.concatenate([system.seen(one.reshape(len(one), -1)) for one in columns], axis=1), sum(counts)

@@ -5,7 +5,8 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +24,8 @@ from metrocli.effects.links.own import NoValueAtReadingError
 
 _TRIED = 40
 _ROUNDS = 2
+_ALIKE, _APART = 1 / 20, 0.02
+"""Odds from which another value of a scan explains the readings as well, and how far off it is at least, relatively"""
 _NEAR, _STARTS = 0.7, 5
 """Values of a scan that explain at least this share of what its best one does are refined too, at most so many"""
 
@@ -64,32 +67,95 @@ def _same(selection: Selection, one: Chosen) -> Chosen:
     )
 
 
+@dataclass(frozen=True)
+class _Tried:
+    """An alternative with what it explains beside a fit, and its visible and whole columns."""
+
+    alternative: Alternative
+    gain: float
+    seen: Array
+    full: Array
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """A scanned parameter of a member of the selection, beside the rest."""
+
+    job: AdjustedJob
+    test_set: ScoreTests
+    one: Chosen
+    fitted: FittedColumns
+    name: str
+
+    def tried(self, alternative: Alternative) -> _Tried | None:
+        """Return what an alternative explains; None if it has no value at some reading."""
+        system = self.test_set.system
+        try:
+            full = signature(
+                self.job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned)
+            )
+        except NoValueAtReadingError:
+            return None
+        seen = system.seen(full)
+        return _Tried(alternative, self.fitted.squares - self.fitted.with_columns(seen).squares, seen, full)
+
+    def at(self, start: Alternative, value: float) -> _Tried | None:
+        """Return what an alternative with another value of the parameter explains."""
+        scanned = tuple((key, value if key == self.name else old) for key, old in start.scanned)
+        return self.tried(replace(start, scanned=scanned))
+
+    def value(self, tried: _Tried) -> float:
+        """Return the value of the parameter."""
+        return dict(tried.alternative.scanned)[self.name]
+
+    def peaks(self) -> list[_Tried]:
+        """Return the best value about each start, between its neighbours in the scan."""
+        family, found = self.test_set.families[self.one.family], list[_Tried]()
+        for start in _starts(self.test_set, self.one, self.fitted, self.name):
+            values = _between(self.job, family, start, self.name).tolist()
+            near = [one for value in values if (one := self.at(start, value)) is not None]
+            found += [max(near, key=lambda one: one.gain)] if near else []
+        return found
+
+    def aliases(self, peaks: Sequence[_Tried], best: _Tried) -> list[tuple[str, float, float]]:
+        """Return the values of other peaks that fit as well, with their odds.
+
+        Between two values of one broad peak the readings are explained as well.
+        """
+        if not is_filled(best.alternative.effect):
+            return []
+        found = []
+        for one in peaks:
+            value, here = self.value(one), self.value(best)
+            if abs(value - here) > _APART * abs(here) and self._odds(one, best) > _ALIKE:
+                middle = self.at(best.alternative, (value + here) / 2)
+                if middle is not None and self._odds(middle, best) < _ALIKE:
+                    found.append((self.name, value, self._odds(one, best)))
+        return found
+
+    def _odds(self, one: _Tried, best: _Tried) -> float:
+        dof = max(self.fitted.dof - len(best.alternative.parameters), 1.0)
+        left = (self.fitted.squares - one.gain) / max(self.fitted.squares - best.gain, 1e-300)
+        return float(np.exp(-dof / 2 * max(float(np.log(left)), 0.0)))
+
+
 def _closer(job: AdjustedJob, selection: Selection, one: Chosen, name: str) -> Selection:
     """Return the selection with a scanned parameter at its best value between values of the scan.
 
     The best value need not lie beside the best one of the scan: it lies beside one that is nearly as good.
     """
-    test_set = selection.test_set
-    family = test_set.families[one.family]
-    alternative = family.alternatives[one.number]
-    fitted = selection.beside(one)
-    best, most = alternative, test_set.score(one.family, fitted, [one.number]).gain[0]
-    shown = whole = one.columns
-    for start in _starts(test_set, one, fitted, name):
-        for value in _between(job, family, start, name).tolist():
-            tried = replace(start, scanned=tuple((k, value if k == name else old) for k, old in start.scanned))
-            try:
-                full = signature(job.model, test_set.system, tried.effect, tried.instance, dict(tried.scanned))
-            except NoValueAtReadingError:
-                continue
-            seen = test_set.system.seen(full)
-            gain = fitted.squares - fitted.with_columns(seen).squares
-            if gain > most * (1 + 1e-9):
-                best, most, shown, whole = tried, gain, seen, full
-    if best is alternative:
-        return selection
-    grown = _with_alternative(test_set, one.family, best, shown, whole)
-    new = Chosen(one.family, len(family.alternatives), shown)
+    test_set, family = selection.test_set, selection.test_set.families[one.family]
+    scan = _Scan(job, test_set, one, selection.beside(one), name)
+    known = float(test_set.score(one.family, scan.fitted, [one.number]).gain[0])
+    held, peaks = _Tried(family.alternatives[one.number], known, one.columns, one.columns), scan.peaks()
+    best = max(peaks, key=lambda each: each.gain, default=held)
+    best = best if best.gain > held.gain * (1 + 1e-9) else held
+    others = tuple(alias for alias in one.aliases if alias[0] != name)
+    aliases = (*others, *scan.aliases(peaks, best))
+    if best is held:
+        return selection.with_one(replace(one, aliases=aliases), instead=one) if aliases != one.aliases else selection
+    grown = _with_alternative(test_set, one.family, best.alternative, best.seen, best.full)
+    new = Chosen(one.family, len(family.alternatives), best.seen, aliases)
     return replace(selection, test_set=grown).with_one(new, instead=one)
 
 

@@ -24,6 +24,8 @@ class Chosen:
     family: int
     number: int
     columns: Array
+    aliases: tuple[tuple[str, float, float], ...] = ()
+    """Other values of a scanned parameter that fit alike: its name, the value, and the odds against the chosen one"""
 
     @property
     def outlier(self) -> bool:

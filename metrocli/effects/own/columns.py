@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -18,6 +19,8 @@ from metrocli.settings import TableFile
 
 Numeric = Callable[[Path], Iterable[str]]
 _TIME = "t"
+_OTHER = re.compile(r"[^A-Za-z0-9_/%.]+")
+"""What a heading has between its name and its unit if it is written as `load [kN]`"""
 
 
 def variables(files: Iterable[tuple[Any, Sequence[Path]]], numeric: Numeric) -> tuple[Variable, ...]:
@@ -37,10 +40,47 @@ def variables(files: Iterable[tuple[Any, Sequence[Path]]], numeric: Numeric) -> 
     return tuple(found.values())
 
 
-def with_variables(places: Iterable[Acting], more: Sequence[Variable]) -> tuple[Acting, ...]:
-    """Return the places with more variables; one that a place knows already by this name keeps its meaning."""
+def refused(files: Iterable[tuple[Any, Sequence[Path]]], numeric: Numeric) -> dict[str, str]:
+    """Return the names of columns of numbers whose headings no expression can use, each with what to write.
+
+    They are headings with other characters than letters, digits and `_`, and names of constants such as `pi`.
+    """
+    found: dict[str, str] = {}
+    for spec, paths in files:
+        for path in paths if _of_readings(spec) else ():
+            for heading in _headings(spec, numeric(path)):
+                name, unit = _words_of(heading)
+                if name and (name in CONSTANTS or not WORD.fullmatch(heading)):
+                    better = f"{'my_' if name in CONSTANTS else ''}{name}{unit}"
+                    found.setdefault(name, f"row 1 of {path.name}: write the heading '{heading}' as {better}")
+    return found
+
+
+def _words_of(heading: str) -> tuple[str, str]:
+    """Return the name that a heading means, and its unit as the end of a heading, such as `load` and `_kN`."""
+    if WORD.fullmatch(heading):
+        name, _ = _taken_apart(heading)
+        return name, heading[len(name) :]
+    name, _, rest = (one.strip() for one in _OTHER.sub(" ", heading).partition(" "))
+    try:
+        return name, f"_{rest}" if rest and compound(rest) else ""
+    except units.QuantityError:
+        return name, "_UNIT"
+
+
+def with_variables(
+    places: Iterable[Acting], more: Sequence[Variable], not_usable: Mapping[str, str] | None = None
+) -> tuple[Acting, ...]:
+    """Return the places with more variables; one that a place knows already by this name keeps its meaning.
+
+    `not_usable` are names of columns that no expression can use, each with what to write.
+    """
     return tuple(
-        replace(one, variables=(*one.variables, *(each for each in more if each.name not in one.all_units())))
+        replace(
+            one,
+            variables=(*one.variables, *(each for each in more if each.name not in one.all_units())),
+            refused=not_usable or {},
+        )
         for one in places
     )
 

@@ -13,7 +13,7 @@ from metrocli.effects.acting import Acting, Variable
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.own import OwnTerms
 from metrocli.effects.own.definition import Definition, Given, Scan, text_of
-from metrocli.effects.own.names import not_free
+from metrocli.effects.own.names import constants_of_data, near_name, not_free
 from metrocli.effects.own.parameters import components, of_unit, shape, values_tried
 from metrocli.effects.own.trials import Trial, is_wave, without_value
 from metrocli.errors import Fault
@@ -22,7 +22,7 @@ from metrocli.expressions.dimensions import Compound, base_unit, compound, descr
 from metrocli.expressions.expression import NAME, ExpressionError
 from metrocli.nodes import Node
 from metrocli.settings import BAD, Section
-from metrocli.words import in_a_row, nearest, suggestion
+from metrocli.words import in_a_row, suggestion
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _SAMPLE = {"axis": "x", "pair": "xy"}
@@ -65,7 +65,7 @@ class _Reader:
     required: bool
     faults: list[Fault] = field(default_factory=list)
     unknown: dict[str, str] = field(default_factory=dict)
-    """Variables that no column explains, each with the nearest known name or an empty text"""
+    """Variables that no column explains, each with what may be meant or an empty text"""
 
     def effect(self) -> Effect | None:
         """Return the entry of the table, or None if the definition has a fault."""
@@ -87,7 +87,7 @@ class _Reader:
         known = {n: one for n, one in acting.variables_at(sample).items() if not (one.of_data and n in own)}
         for fault in not_free((self.given.parameters, self.given.scan), known, where):
             self._fault(*fault)
-        used = self._used(known)
+        used = self._used(known, acting.refused)
         if self.faults:
             return None
         plain = Effect(
@@ -100,7 +100,7 @@ class _Reader:
             definition=text_of(self.node),
         )
         if self.unknown:
-            names = [f"{name} (did you mean '{near}'?)" if near else name for name, near in self.unknown.items()]
+            names = [f"{name} ({hint})" if hint else name for name, hint in self.unknown.items()]
             return replace(plain, lacks=f"needs a column {in_a_row(names)}")
         self._units(acting, used)
         if self.faults:
@@ -189,12 +189,16 @@ class _Reader:
             return None
         return unit
 
-    def _used(self, known: Mapping[str, Variable]) -> dict[str, Variable]:
-        """Return the variables in the expressions; add a fault for each unknown name, and each parameter not used."""
+    def _used(self, known: Mapping[str, Variable], refused: Mapping[str, str]) -> dict[str, Variable]:
+        """Return the variables in the expressions; add a fault for each unknown name, and each parameter not used.
+
+        `refused` are names of columns that no expression can use, each with what to write.
+        """
         own = {**self.given.parameters, **self.given.scan}
         used: dict[str, Variable] = {}
         named: set[str] = set()
         for model in self.given.adds.values():
+            self.faults += [model.fault(error) for error in constants_of_data(model.node.text, refused)]
             for part in model.expression.parts:
                 if part.operation != NAME:
                     continue
@@ -202,9 +206,9 @@ class _Reader:
                 if part.name in known:
                     used[part.name] = known[part.name]
                 elif part.name not in own and not self.required:
-                    self.unknown[part.name] = nearest(part.name, known) or ""
+                    self.unknown[part.name] = refused.get(part.name) or near_name(part.name, known)
                 elif part.name not in own:
-                    hint = suggestion(part.name, [*own, *known])
+                    hint = refused.get(part.name) or suggestion(part.name, [*own, *known])
                     self.faults.append(
                         model.fault(ExpressionError(f"unknown variable '{part.name}'", part.start, hint))
                     )

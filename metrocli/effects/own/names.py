@@ -1,11 +1,12 @@
-"""Names that the parameters of an effect of one's own can have."""
+"""Names in the definition of an effect of one's own: those that are free, and what others may mean."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 
-from metrocli.expressions.expression import CONSTANTS, FUNCTIONS
+from metrocli.expressions.expression import CONSTANTS, FUNCTIONS, ExpressionError
+from metrocli.words import nearest
 
 WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _KEYS = ("name", "by", "std")
@@ -29,3 +30,18 @@ def not_free(
         elif name in seen:
             yield f"{key}.{name}", f"'{name}' is also under parameters", _OTHER
         seen.add(name)
+
+
+def constants_of_data(expression: str, refused: Mapping[str, str]) -> Iterator[ExpressionError]:
+    """Yield an error for each constant in an expression that is the name of a column too; `refused` has the remedy."""
+    for name, value in CONSTANTS.items():
+        found = re.search(rf"\b{name}\b", expression)
+        if found is not None and name in refused:
+            said = f"'{name}' is {value:.6g}, and a column of the data has this name"
+            yield ExpressionError(said, found.start(), refused[name])
+
+
+def near_name(name: str, known: Iterable[str]) -> str:
+    """Return the question whether the nearest known name is meant; empty if none is near."""
+    near = nearest(name, known)
+    return f"did you mean '{near}'?" if near else ""

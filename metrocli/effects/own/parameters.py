@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -49,7 +50,8 @@ def of_unit(
     for dimension in units.DIMENSIONS.values():
         if symbol in dimension.symbols and dimension.coherent == 1.0 and dimension.name not in _NOT_MEANT:
             return Parameter(name, dimension.name, plausible, grid=grid, tried=tried)
-    return Parameter(name, "", plausible, grid=grid, tried=tried, base=_base_unit(unit))
+    plain = Parameter(name, "", plausible, grid=grid, tried=tried, base=_base_unit(unit))
+    return replace(plain, shown=text.strip(), given=unit.factor)
 
 
 def _base_unit(unit: Compound) -> str:

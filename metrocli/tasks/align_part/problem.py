@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside, placed
 from metrocli.tasks.shared.images.target_list import images_needed
+from metrocli.tasks.shared.owed_to_inputs import Source
 from metrocli.tasks.shared.part import Part
 
 _ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
@@ -46,6 +47,8 @@ class Problem(Modelled):
     part: Part | None = None
     """The part in the machine, where its temperature is known"""
     notes: tuple[str, ...] = ()
+    sources: Mapping[str, Source] = field(default_factory=dict)
+    """The calibrated machine, if its errors are unknowns, by the name of its input"""
 
     def with_part(self, part: Part) -> Problem:
         """Return a copy whose part has grown from 20 degC, by an unknown that its temperature observes."""
@@ -126,7 +129,9 @@ def build(
     nominal = {TARGET: targets.points}
     model = Model(blocks, (group, *others), datum, (IMAGES,), places, nominal=nominal)
     notes = () if commanded.machine is None else (note_of(motion),)
-    return Problem(model, camera, sighted, (*listed.warnings, *warnings, *commanded.warnings()), notes=notes)
+    told = (*listed.warnings, *warnings, *commanded.warnings())
+    sources = {"machine": Source(spindle.MACHINE, motion.turn, motion.digest)} if len(motion.turn) else {}
+    return Problem(model, camera, sighted, told, notes=notes, sources=sources)
 
 
 def _with_poses(sighted: Sighted, table: Table) -> tuple[Index, tuple[str, ...], Sighted]:

@@ -196,13 +196,13 @@ def _statistics(problem: Problem, adjusted: Adjusted, found: Residuals, predicti
 
 
 def _owed(problem: Problem, solution: Solution) -> tuple[dict[str, Table], dict[str, Array]]:
-    """Return what the estimates owe to the camera and to the targets of a fit, where these have a joint covariance."""
+    """Return what the estimates owe to camera, targets and machine, where these have a joint covariance."""
     correlated = [group for group in problem.others if group.observations.covariance is not None]
     inputs = {"targets" if TARGET in group.chain.blocks else "camera": group for group in correlated}
     blocks = delivered(problem.effects)
     change = np.eye(sum(int(solution.blocks[name].free.sum()) for name in blocks))
     change[:6, :6] = poses.euler_form_by_step(solution.blocks[spindle.PART].values[0])
-    return owed(solution, blocks, change, inputs)
+    return owed(solution, blocks, change, inputs, problem.sources)
 
 
 def _notes(solution: Solution, adjusted: Adjusted, prediction: Prediction | None) -> list[str]:

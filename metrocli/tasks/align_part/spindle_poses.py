@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from metrocli.geometry import poses
 from metrocli.instruments.machine import is_angle
 from metrocli.result import Result
 from metrocli.table import Table
-from metrocli.uncertainty.calibrated_machine import error_motion, outside
+from metrocli.uncertainty.calibrated_machine import digest_of, error_motion, outside
 from metrocli.uncertainty.comparison import TABLES_COVARIANCE
 
 _FLANGE = np.zeros((3, 1))
@@ -34,6 +34,10 @@ class Motion:
     """m (n, 6)"""
     spread: Array
     """F (n, 6, k)"""
+    turn: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """K (k, errors) with z = K e: e are the errors of the machine's tables, whatever the poses"""
+    digest: str = ""
+    """Of the machine's tables and their covariance"""
 
     def drawn(self, rng: np.random.Generator) -> Array:
         """Return a motion (n, 6) with errors of the machine drawn as its result leaves them open."""
@@ -65,7 +69,8 @@ class SpindlePoses:
             return Motion(np.zeros((len(rows), 6)), np.zeros((len(rows), 6, 0)))
         self.must_be_known(rows)
         mean, by_entry = error_motion(self.machine, self.commanded.stacked("xyz")[rows].T, _FLANGE)
-        return Motion(mean, _independent(by_entry @ _root(self.machine.arrays[TABLES_COVARIANCE])))
+        spread, turn = _independent(by_entry @ _root(self.machine.arrays[TABLES_COVARIANCE]))
+        return Motion(mean, spread, turn, digest_of(self.machine))
 
     def must_be_known(self, rows: Index) -> None:
         """Raise InputError for poses beyond the calibrated axes, and for errors that the result leaves open."""
@@ -127,10 +132,10 @@ def _root(covariance: Array) -> Array:
     return np.asarray(size[:, None] * axes * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _independent(spread: Array) -> Array:
-    """Return F (n, 6, k) of the same covariance `F F'` with as few unknowns as its rank has."""
+def _independent(spread: Array) -> tuple[Array, Array]:
+    """Return F (n, 6, k) of the same covariance `F F'` with as few unknowns z as its rank has, and K with z = K e."""
     flat = spread.reshape(-1, spread.shape[2])
     scale = np.tile([1.0] * 3 + [_LEVER] * 3, len(spread))
     _, singular, axes = np.linalg.svd(scale[:, None] * flat, full_matrices=False)
     kept = axes[singular > _ROUNDING * singular.max(initial=0.0)]
-    return np.asarray(flat @ kept.T).reshape(len(spread), 6, -1)
+    return np.asarray(flat @ kept.T).reshape(len(spread), 6, -1), kept

@@ -28,6 +28,7 @@ from metrocli.tasks.calibrate_machine.structure import clusters_of
 from metrocli.tasks.shared.structured_noise import count
 
 _FOLDS = 10
+_NO_STOPS = "the machine does not stop at the readings"
 _PIECES = "the readings are averages over pieces of the path longer than a pitch; a job may name it with its period"
 
 
@@ -55,8 +56,15 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         made_together=("leg",) if _condensed(group) else (),
         variations=lambda model, readings: () if _condensed(group) else _variations(model, readings),
         sharing=count(clusters_of(solved).of[group.name]),
-        not_sought={one.name: _PIECES for one in OF_MACHINES if one.space is Space.WAVE and _condensed(group)},
+        not_sought=dict(_not_sought(group)),
     )
+
+
+def _not_sought(group: Group) -> Iterator[tuple[str, str]]:
+    """Yield the effects that condensed pieces of a path do not show, each with the reason."""
+    if _condensed(group):
+        yield from ((one.name, _PIECES) for one in OF_MACHINES if one.space is Space.WAVE)
+        yield from ((one.name, _NO_STOPS) for one in OF_MACHINES if one.throughout)
 
 
 def _effects_on(model: Model) -> tuple[Effect, ...]:

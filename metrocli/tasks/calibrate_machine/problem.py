@@ -104,9 +104,16 @@ class Problem(Modelled):
 
 
 def model_of(
-    blocks: Mapping[str, Block], readings: Group, others: Sequence[Group] = (), points: Sequence[str] = ()
+    blocks: Mapping[str, Block],
+    readings: Group,
+    others: Sequence[Group] = (),
+    points: Sequence[str] = (),
+    stops: Sequence[str] = (),
 ) -> Model:
-    """Return the model of a machine with its readings and priors; `points` are the names of the points of lengths."""
+    """Return the model of a machine with its readings and priors.
+
+    `points` and `stops` are the names of those of lengths; the first stop stands for all that have one length.
+    """
     tracers = blocks[TRACER].members if TRACER in blocks else ()
     places = {
         "axis": Place(POSITION),
@@ -115,6 +122,7 @@ def model_of(
         "tracer": Place(tracers, TRACER),
         "line": Place(blocks[LINE].members if LINE in blocks else (), LINE),
         "point": Place(tuple(points), POINT),
+        "stop": Place(tuple(stops), STOP),
     }
     to = [link for link in readings.chain.links if isinstance(link, (ErrorMotion, ReachedPoint))]
     aspects = beam_aspects(Chain(tuple(to))) if tracers else {}

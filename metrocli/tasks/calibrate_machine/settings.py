@@ -185,15 +185,14 @@ class MachineSimulation:
 
     error: float = setting(Quantity("length", minimum=0.0), "mean length of the error in the volume", default=0.1)
     smooth: bool = setting(Flag(), "smooth error curves instead of straight lines between knots", default=False)
-    tracker: tuple[float, ...] = setting(
-        _VECTOR, "place of the tracker in the machine", default=(-1000.0, -800.0, 300.0)
-    )
+    tracker: tuple[float, ...] = setting(_VECTOR, "place of the tracker in the machine", (-1000.0, -800.0, 300.0))
     points: int = setting(Whole(1, 1_000_000), "standstill, lengths: number of points", default=226)
     interval: float = setting(Quantity("time", positive=True), "all but on-the-fly: time between readings", default=4.0)
     sampling: float = setting(Quantity("time", positive=True), "on-the-fly: time between points", default=0.002)
     feed: float = setting(
         Quantity("speed", positive=True), "on-the-fly: feed for a path without a column feed", default=40.0
     )
+    warming: float = setting(Quantity("temperature difference"), "all but on-the-fly: from first to last reading", 0.0)
     step: float = setting(Quantity("length", positive=True), "six-dof: distance between readings", default=25.0)
 
 

@@ -21,10 +21,8 @@ from metrocli.instruments.machine import (
     SQUARENESS,
     SQUARENESS_NAMES,
     Machine,
-    errors_of,
-    is_angle,
 )
-from metrocli.instruments.machine_path import SINCE, Path, last_sides
+from metrocli.instruments.machine_path import SINCE, Path, last_sides, travelled
 from metrocli.instruments.six_dof import CHANNELS, LINE, line_block, line_chain
 from metrocli.instruments.tracer import AIR, POINT, TRACER, beams, reach_of_machine, tracer_block
 from metrocli.instruments.tracer import chain as length_chain
@@ -33,7 +31,13 @@ from metrocli.simulation import Simulation
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import path_of
-from metrocli.tasks.calibrate_machine.methods.six_dof import approach, laser_noise, line_conditions, planned_lines
+from metrocli.tasks.calibrate_machine.methods.six_dof import (
+    approach,
+    laser_noise,
+    line_conditions,
+    lines_of,
+    planned_lines,
+)
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.problem import SIDES, commanded, machine_of, since_turns, tools_of
 from metrocli.tasks.calibrate_machine.settings import (
@@ -44,7 +48,7 @@ from metrocli.tasks.calibrate_machine.settings import (
     MachineSimulation,
     Settings,
 )
-from metrocli.tasks.calibrate_machine.truth import Flow, Truth, truth_of, warmed
+from metrocli.tasks.calibrate_machine.truth import Flow, Truth, true_errors, truth_of, warmed
 from metrocli.tasks.calibrate_machine.volume import grid_of
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.environment import air_of
@@ -53,12 +57,10 @@ from metrocli.tasks.shared.lengths import PathNoise
 if TYPE_CHECKING:
     from metrocli.table import Values
 
-_ACCELERATION = 1000.0
-"""Acceleration of the simulated machine [mm/s^2]"""
-_REST = 0.5
-"""Rest of the machine at each vertex [s]"""
 _MISALIGNED = np.array([0.01] * 3 + [1e-4] * 5)
 """Standard deviations of the simulated misalignment of a line: three offsets [mm], five angles [rad]"""
+_FIRST_TEMPERATURE = 20.0
+"""At the first reading [degC] (ISO 1)"""
 _CONDITIONS = {"t": "s", "temp": "degC", "pressure": "hPa", "humidity": "percent"}
 """Conditions of lengths that a simulation takes over from the job's file, with their units"""
 _STATIONS = 4
@@ -101,27 +103,6 @@ class _Measurement:
         return model.groups[0].chain.predict(model.blocks, model.groups[0].observations), model
 
 
-def true_errors(settings: Settings, truth: Truth) -> Table:
-    """Return the true error tables, interpolated at the knots of the job."""
-    names, at, length, angle = [], [], [], []
-    for axis, fine in zip(machine_of(settings).axes, truth.machine.axes, strict=True):
-        for k, name in enumerate(errors_of(axis.letter)):
-            table = fine.from_raw[k] @ truth.blocks[fine.block].values[:, k]
-            values = np.interp(axis.knots, fine.knots, table)
-            none = np.full(len(values), np.nan)
-            names += [name] * len(values)
-            at.append(axis.knots)
-            length.append(none if is_angle(name) else values)
-            angle.append(values if is_angle(name) else none)
-    columns: dict[str, Values] = {
-        "error": np.array(names),
-        "position": np.concatenate(at),
-        "value": np.concatenate(length),
-        "turn": np.concatenate(angle),
-    }
-    return Table(columns, {"position": "mm", "value": "mm", "turn": "rad"})
-
-
 def _seen(job: _Measurement, truth: Truth, flow: Flow, rng: np.random.Generator) -> tuple[Array, Model]:
     """Return points measured by a randomly turned tracker, with its noise, (3, n), and the model."""
     turn = rotation_from_euler(rng.normal() * 0.05, rng.normal() * 0.05, rng.uniform(-np.pi, np.pi))
@@ -141,7 +122,7 @@ def _points(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[
     columns |= _written(flow)
     if names != [""]:
         columns["tool"] = np.array(names)[flow.tool]
-    return Table(columns, {**dict.fromkeys(("x", "y", "z", "mx", "my", "mz"), "mm"), "t": "s"}), model
+    return Table(columns, dict.fromkeys(("x", "y", "z", "mx", "my", "mz"), "mm") | _CONDITIONS), model
 
 
 def _written(flow: Flow) -> dict[str, Array]:
@@ -161,12 +142,25 @@ def _stops(job: _Measurement, machine: Machine, rng: np.random.Generator) -> Flo
         position[:, : corners.shape[1]] = corners
         position = position[:, rng.permutation(count)]
         tool = rng.integers(len(names), size=count)
-    came = map(last_sides, np.diff(position, axis=1, prepend=position[:, :1] - 1))
-    given: dict[str, Array] = {"t": np.arange(float(position.shape[1])) * job.simulation.interval}
-    given |= zip(SIDES, came, strict=True)
+    given = _clock(job, position.shape[1])
     if table is not None:
-        given |= table.conditions(*given)
+        given |= table.conditions("t", *SIDES)
+    given = given | _sides(position, given["t"]) | given
     return Flow(position, tool, given | since_turns(position, given))
+
+
+def _clock(job: _Measurement, count: int) -> dict[str, Array]:
+    """Return the times of successive readings, and their temperatures if it gets warmer."""
+    number, warming = np.arange(float(count)), job.simulation.warming
+    warm = {"temp": _FIRST_TEMPERATURE + warming * number / max(count - 1, 1)} if warming else {}
+    return {"t": number * job.simulation.interval} | warm
+
+
+def _sides(position: Array, time: Array) -> dict[str, Array]:
+    """Return the sides from which the axes come to positions (3, n), in the order of time; to the first from below."""
+    order = np.argsort(time, kind="stable")
+    moves = np.diff(position[:, order], axis=1, prepend=position[:, order[:1]] - 1)
+    return {name: last_sides(own)[np.argsort(order)] for name, own in zip(SIDES, moves, strict=True)}
 
 
 def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
@@ -219,8 +213,9 @@ def _readings_of_stations(
     once, n = _stops(job, machine, rng), job.simulation.points
     names = [f"S{i + 1}" for i in range(_STATIONS)] if listed is None else listed.texts("station")
     order = np.tile(np.arange(n), len(names))
-    time: Array = np.arange(float(len(order))) * job.simulation.interval
-    flow = Flow(once.position[:, order], once.tool[order], {"t": time})
+    position, given = once.position[:, order], _clock(job, len(order))
+    given |= _sides(position, given["t"])
+    flow = Flow(position, once.tool[order], given | since_turns(position, given))
     return names, np.repeat(np.arange(len(names)), n), flow, np.array([f"P{i + 1:03d}" for i in range(n)])[order]
 
 
@@ -254,14 +249,15 @@ def _feeds(job: _Measurement, table: Table, path: Path) -> Array:
 
 
 def _lines(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
-    """Return lines along the axes in both directions and along three face diagonals, each randomly misaligned."""
-    lines = planned_lines(machine_of(job.settings), job.simulation.step)
+    """Return the lines of the job, or along the axes to and fro and three face diagonals, each randomly misaligned."""
+    table, machine = job.files.lines, machine_of(job.settings)
+    lines = planned_lines(machine, job.simulation.step) if table is None else lines_of(machine, table)
     along = lines.along
     block = line_block(lines.names)
     shifts = rng.normal(size=block.values.shape) * _MISALIGNED
-    time: Array = np.arange(float(len(lines.of))) * job.simulation.interval
-    given = {"t": time} | line_conditions(lines, along) | approach(lines)
-    flow = Flow(lines.position, np.zeros(len(lines.of), dtype=np.intp), given, {LINE: lines.of})
+    given = _clock(job, len(lines.of)) if table is None else table.conditions("t", "temp")
+    more = line_conditions(lines, along) | approach(lines)
+    flow = Flow(lines.position, np.zeros(len(lines.of), dtype=np.intp), given | more, {LINE: lines.of})
     readings, model = job.read(truth.model(line_chain(truth.machine), {LINE: block.with_values(shifts)}, flow))
     root = np.linalg.cholesky(np.moveaxis(laser_noise(job.settings).covariance(along[lines.of].T), -1, 0))
     readings = readings + np.einsum("nab,bn->an", root, rng.normal(size=readings.shape))
@@ -270,26 +266,15 @@ def _lines(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[T
         "axis": np.array(lines.axis)[lines.of],
         "position": lines.distance,
         **dict(zip(CHANNELS, readings, strict=True)),
-        "t": time,
+        **given,
     }
-    units = {"position": "mm", "t": "s", **dict.fromkeys(CHANNELS[:3], "mm"), **dict.fromkeys(CHANNELS[3:], "rad")}
+    if table is not None:
+        columns |= {axis: lines.position[i] for i, axis in enumerate(POSITION) if axis in table}
+    units = {
+        "position": "mm",
+        **dict.fromkeys(POSITION, "mm"),
+        **_CONDITIONS,
+        **dict.fromkeys(CHANNELS[:3], "mm"),
+        **dict.fromkeys(CHANNELS[3:], "rad"),
+    }
     return Table(columns, units), model
-
-
-def travelled(path: Path, feeds: Array, sampling: float) -> tuple[Index, Array, Array]:
-    """Return leg, distance along it and time at equal time steps, each (n,).
-
-    The machine accelerates to the feed and brakes on each leg, and rests at each vertex.
-    """
-    ramp = np.minimum(feeds / _ACCELERATION, np.sqrt(path.lengths / _ACCELERATION))
-    top = ramp * _ACCELERATION
-    moving = path.lengths / top + ramp
-    begins = np.cumsum(moving + _REST) - moving
-    time = np.arange(0.0, begins[-1] + moving[-1] + _REST, sampling)
-    leg = np.clip(np.searchsorted(begins, time, side="right") - 1, 0, len(begins) - 1)
-    since = np.clip(time - begins[leg], 0.0, moving[leg])
-    left = np.minimum(since, moving[leg] - since)
-    ramped = np.minimum(left, ramp[leg])
-    early = ramped**2 * _ACCELERATION / 2 + np.maximum(left - ramp[leg], 0.0) * top[leg]
-    along = np.where(since <= moving[leg] / 2, early, path.lengths[leg] - early)
-    return leg, along, time

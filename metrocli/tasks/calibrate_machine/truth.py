@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,19 +23,15 @@ from metrocli.instruments.machine import (
     is_angle,
     squareness_block,
 )
-from metrocli.tasks.calibrate_machine.problem import (
-    conditions,
-    error_blocks,
-    machine_of,
-    model_of,
-)
-from metrocli.tasks.calibrate_machine.settings import (
-    MachineSimulation,
-    Settings,
-)
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.problem import conditions, error_blocks, machine_of, model_of
+from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.tables import grown
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
 from metrocli.tasks.shared.part import Warm
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
 
 _COMPONENTS = {Quantity.ERROR_MOTION: 6, Quantity.LENGTH: 1}
 """Components of a reading by what it reads; all others have three"""
@@ -110,6 +107,27 @@ def warmed(truth: Truth, scales: Mapping[str, Warm], rng: np.random.Generator) -
             growth = scales[axis.letter].growth + rng.normal() * scales[axis.letter].std
             blocks[axis.block] = grown(axis, blocks[axis.block], growth)[0]
     return replace(truth, blocks=blocks)
+
+
+def true_errors(settings: Settings, truth: Truth) -> Table:
+    """Return the true error tables, interpolated at the knots of the job."""
+    names, at, length, angle = [], [], [], []
+    for axis, fine in zip(machine_of(settings).axes, truth.machine.axes, strict=True):
+        for k, name in enumerate(errors_of(axis.letter)):
+            table = fine.from_raw[k] @ truth.blocks[fine.block].values[:, k]
+            values = np.interp(axis.knots, fine.knots, table)
+            none = np.full(len(values), np.nan)
+            names += [name] * len(values)
+            at.append(axis.knots)
+            length.append(none if is_angle(name) else values)
+            angle.append(values if is_angle(name) else none)
+    columns: dict[str, Values] = {
+        "error": np.array(names),
+        "position": np.concatenate(at),
+        "value": np.concatenate(length),
+        "turn": np.concatenate(angle),
+    }
+    return Table(columns, {"position": "mm", "value": "mm", "turn": "rad"})
 
 
 def blocks_of(

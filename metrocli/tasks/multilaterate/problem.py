@@ -23,6 +23,7 @@ from metrocli.tasks.multilaterate.readings import Readings, join, matched
 from metrocli.tasks.multilaterate.settings import Settings
 from metrocli.tasks.shared.environment import Air, air_of, priors_of, unused
 from metrocli.tasks.shared.lengths import PathNoise, Scale, scale_priors, stop_priors, stops_of, with_noise
+from metrocli.tasks.shared.pairs import told_apart
 from metrocli.tasks.shared.tracer_places import places_of
 from metrocli.words import listed
 
@@ -156,15 +157,14 @@ def _of_each(names: tuple[str, ...], index: Index) -> tuple[str, ...]:
 
 def _observations(settings: Settings, readings: Readings, lengths: Table, air: Air | None) -> Observations:
     """Return the lengths, corrected for the air, with their points, tracers and conditions."""
+    keys = {"point": _of_each(readings.names, readings.point), "tracer": _of_each(readings.stations, readings.station)}
+    conditions = lengths.conditions("t", "temp")
     return Observations(
         readings.length[None] if air is None else (readings.length * air.towards)[None],
         np.array(settings.noise.constant),
         {t.POINT: readings.point, t.TRACER: readings.station},
-        keys={
-            "point": _of_each(readings.names, readings.point),
-            "tracer": _of_each(readings.stations, readings.station),
-        },
-        conditions=lengths.conditions("t", "temp"),
+        keys=told_apart(keys, readings.point * len(readings.stations) + readings.station, conditions.get("t")),
+        conditions=conditions,
         components=("length",),
         unit="mm",
     )

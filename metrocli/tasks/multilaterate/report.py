@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import TIME
 from metrocli.adjust.solution import Solution
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
@@ -25,6 +26,7 @@ from metrocli.tasks.multilaterate.solve import Solved, noise_of_tests
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
 from metrocli.tasks.shared.joint_covariance import factors
+from metrocli.tasks.shared.pairs import name_of
 from metrocli.tasks.shared.part import Part
 from metrocli.tasks.shared.statistics import (
     REMOVE,
@@ -213,15 +215,21 @@ def _rejected(solved: Solved) -> Table:
 
 
 def _suspects(solved: Solved) -> Table:
-    found = solved.suspects
+    found, keys = solved.suspects, solved.whole.lengths.observations.keys
+    times = [keys[TIME][one.rows[0]] if one.tracer else "" for one in found] if TIME in keys else []
     return Table(
         {
             "point": np.array([one.point for one in found], dtype=str),
             "tracer": np.array([one.tracer or "ambiguous" for one in found], dtype=str),
+            **({TIME: np.array(times, dtype=str)} if times else {}),
             "or": np.array([" ".join(one.others) for one in found], dtype=str),
             "w": np.array([one.test for one in found], dtype=float),
         }
     )
+
+
+def _or(others: Sequence[str]) -> str:
+    return f", or {' or '.join(others)}" if others else ""
 
 
 def _warnings(solved: Solved) -> list[str]:
@@ -229,14 +237,14 @@ def _warnings(solved: Solved) -> list[str]:
     lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures)]
     keys = solved.whole.lengths.observations.keys
     wrong = [
-        f"{keys['point'][one.row]}/{keys['tracer'][one.row]}"
+        f"{keys['point'][one.row]}/{name_of(keys, 'tracer', one.row)}"
         for one in solved.rejected
         if one.reason in (Reason.GROSS, Reason.OUTLIER)
     ]
     if wrong:
         lines.append(f"{len(wrong)} lengths are left out as wrong: {listed(wrong)} (table rejected)")
     told = [
-        f"{one.point}/{one.tracer} (w = {one.test:.1f}{', or ' + ' or '.join(one.others) if one.others else ''})"
+        f"{one.point}/{name_of(keys, 'tracer', one.rows[0])} (w = {one.test:.1f}{_or(one.others)})"
         for one in solved.suspects
         if one.tracer
     ]

@@ -30,6 +30,7 @@ from metrocli.tasks.multilaterate.blunders import (
 from metrocli.tasks.multilaterate.layout_faults import carries, explained
 from metrocli.tasks.multilaterate.problem import LENGTHS, Network
 from metrocli.tasks.shared.lengths import settled
+from metrocli.tasks.shared.pairs import name_of
 
 _EQUAL = 1e-4
 """Tests of a point that differ by less than this share are equal"""
@@ -255,7 +256,7 @@ def _suspects(group: Group, w: Array, units: Array, bound: float) -> tuple[Suspe
                 keys["point"][worst],
                 keys["tracer"][worst] if told else "",
                 float(tests.max()),
-                tuple(keys["tracer"][row] for row in rows[as_likely(tests**2)] if row != worst or not told),
+                tuple(name_of(keys, "tracer", row) for row in rows[as_likely(tests**2)] if row != worst or not told),
                 (worst,) if told else tuple(rows[alike].tolist()),
             )
         )

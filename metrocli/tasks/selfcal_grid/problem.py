@@ -22,7 +22,7 @@ from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid.effects import AXES
 from metrocli.tasks.selfcal_grid.readings import Readings, ball_name
-from metrocli.tasks.shared.pairs import repeated
+from metrocli.tasks.shared.pairs import repeated, told_apart
 from metrocli.words import suggestion
 
 _EXACT = 1e-2
@@ -174,7 +174,10 @@ def _conditions(readings: Readings, pitch: float) -> dict[str, Array]:
 
 def _keys(table: Table) -> dict[str, tuple[str, ...]]:
     names = ["view", *"ijk", *(["repeat"] if "repeat" in table else [])]
-    return {name: tuple(table.texts(name)) for name in names}
+    keys = {name: tuple(table.texts(name)) for name in names}
+    again: dict[object, int] = {}
+    same = np.array([again.setdefault(one, len(again)) for one in zip(*keys.values(), strict=True)])
+    return told_apart(keys, same, table.numbers("t") if "t" in table else None)
 
 
 def _start(readings: Readings, n: int, pitch: float) -> Array:

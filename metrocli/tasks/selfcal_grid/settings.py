@@ -31,7 +31,7 @@ VIEWS = Columns(
         Column("t", "time", required=False),
         Column("temp", "temperature", required=False),
     ),
-    ("view", "i", "j", "k", "repeat"),
+    ("view", "i", "j", "k", "repeat", "t"),
     "what the machine reads of each ball in each view",
     measured=("x", "y", "z"),
     alike=("i", "j", "k"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any
 
@@ -15,14 +16,30 @@ from metrocli.table import Table
 from metrocli.uncertainty.comparison import OWED, SHARED
 
 
+@dataclass(frozen=True)
+class Source:
+    """An input whose errors are unknowns `z = K e` of a block, e ~ N(0, I): e is the same for all that use it."""
+
+    block: str
+    turn: Array
+    """K (unknowns, errors), with `K K' = I`"""
+    digest: str
+    """Of its values and their covariance"""
+
+
 def owed(
-    solution: Solution, delivered: Sequence[str], change: Array, inputs: Mapping[str, Group]
+    solution: Solution,
+    delivered: Sequence[str],
+    change: Array,
+    inputs: Mapping[str, Group],
+    sources: Mapping[str, Source] | None = None,
 ) -> tuple[dict[str, Table], dict[str, Array]]:
     """Return the table of the inputs and, for each, the factor F of what it adds to the covariance of the estimates.
 
     `inputs` are correlated observations of parameters, by the name of their input. With the covariance Q of all
     unknowns, the derivatives J of such an observation and its covariance K = L L', `F = Q J' L^-T` and it adds `F F'`.
     So the estimates of two results share `F_1 F_2'`. `change` turns the delivered entries into the estimates (m, m).
+    For an input whose errors are unknowns, `F = Q_dz K`.
     """
     known = solution.covariance_or_raise()
     names, digests, factors = [], [], {}
@@ -40,6 +57,13 @@ def owed(
         factors[OWED + name] = change @ (factor * scale[:, None]) / np.sqrt(known.factor)
         names.append(name)
         digests.append(_digest(group))
+    for name, source in (sources or {}).items():
+        parts = [known.between(one, source.block)[at] for one, at in zip(delivered, free, strict=True)]
+        scale = np.concatenate([solution.by_step(one).ravel()[at] for one, at in zip(delivered, free, strict=True)])
+        moved = np.concatenate(parts) * scale[:, None] @ source.turn
+        factors[OWED + name] = change @ moved / np.sqrt(known.factor)
+        names.append(name)
+        digests.append(source.digest)
     table = Table({"input": np.array(names, dtype=str), "digest": np.array(digests, dtype=str)})
     return ({SHARED: table}, factors) if names else ({}, {})
 

@@ -1,8 +1,13 @@
-"""Lengths between two members, such as targets or balls, that stand in a list twice."""
+"""Rows of one meaning that stand in a list twice: lengths of the same ends, readings of the same point."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator
+from collections.abc import Hashable, Iterable, Iterator, Mapping
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import TIME, Index
 
 
 def repeated(
@@ -18,3 +23,15 @@ def repeated(
         before = first.setdefault((frozenset(pair), value), row)
         if before != row:
             yield row, before
+
+
+def told_apart(keys: Mapping[str, tuple[str, ...]], pair: Index, time: Array | None) -> dict[str, tuple[str, ...]]:
+    """Return the keys of readings, with their times where what they read (its number, (n,)) is read twice."""
+    if time is None or len(np.unique(pair)) == len(pair):
+        return dict(keys)
+    return {**keys, TIME: tuple(f"{one:.10g} s" for one in time.tolist())}
+
+
+def name_of(keys: Mapping[str, tuple[str, ...]], key: str, row: int) -> str:
+    """Return a key of a reading, with its time where the keys have that: `T2 (2000 s)`."""
+    return f"{keys[key][row]} ({keys[TIME][row]})" if TIME in keys else keys[key][row]

@@ -21,6 +21,7 @@ from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.align_part.spindle_poses import SpindlePoses
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.uncertainty.comparison import compare
 
 Array = npt.NDArray[np.float64]
 Metrocli = Callable[..., Any]
@@ -269,3 +270,73 @@ def test_simulated_readings_have_the_errors_of_the_machine(
     assert metrocli("align-part", job).code == 0
     wrong, covariance = off(tmp_path / "part.h5")
     assert wrong @ np.linalg.solve(covariance, wrong) < 22.5
+
+
+def test_two_parts_on_one_machine_share_the_errors_of_its_calibration(
+    tmp_path: Path, metrocli: Metrocli, machine: sim.Machine, result: Result
+) -> None:
+    """The same part measured twice: the machine's errors cancel in the difference, and are counted once."""
+    squares, apart = [], []
+    for pair in range(6):
+        folders = [tmp_path / f"{pair}{which}" for which in "ab"]
+        for number, folder in enumerate(folders):
+            folder.mkdir()
+            assert metrocli("align-part", written(folder, machine, result, 400 + 2 * pair + number)).code == 0
+        one, other = (hdf5.read(folder / "part.h5")[0] for folder in folders)
+        found = compare(one, other)
+        assert found.counted_once == ("machine",)
+        squares.append(found.chi2)
+        both = np.sqrt(np.diag(one.covariance)[:6] + np.diag(other.covariance)[:6])
+        std = {item.name: item.std for item in found.compared}
+        apart.append([std[name.name] for name in one.estimates[:6]] / both)
+    assert np.mean(squares) == pytest.approx(6, abs=3 * np.sqrt(12 / len(squares)))
+    assert np.min(apart) < 0.8 and np.max(apart) <= 1 + 1e-9
+    ran = metrocli("compare", tmp_path / "0a" / "part.h5", tmp_path / "0b" / "part.h5")
+    assert ran.code == 0 and "machine" in ran.out
+
+
+def test_another_calibration_is_not_shared(
+    tmp_path: Path, metrocli: Metrocli, machine: sim.Machine, result: Result
+) -> None:
+    found = []
+    for name, one in (("a", result), ("b", calibrated(machine, 41))):
+        (tmp_path / name).mkdir()
+        assert metrocli("align-part", written(tmp_path / name, machine, one, 42)).code == 0
+        found.append(hdf5.read(tmp_path / name / "part.h5")[0])
+    assert compare(*found).counted_once == ()
+
+
+def test_a_project_calibrates_the_machine_and_then_aligns_the_part(
+    tmp_path: Path, metrocli: Metrocli, machine: sim.Machine
+) -> None:
+    written(tmp_path, machine, None, 43)
+    csv.write(tmp_path / "points.csv", sim.points(machine, np.random.default_rng(44), 150, sim.THREE))
+    axes = zip("xyz", sim.LOW, sim.HIGH, machine.knots, strict=True)
+    ranges = ", ".join(f"{axis}: {{range: [{low} mm, {high} mm], knots: {knots}}}" for axis, low, high, knots in axes)
+    tools = ", ".join(f"{name}: [{', '.join(f'{x} mm' for x in tool)}]" for name, tool in sim.THREE.items())
+    (tmp_path / "machine.yaml").write_text(
+        "metrocli: 1\njob: calibrate-machine\nmethod: standstill\ninputs: {points: points.csv}\n"
+        f"machine: {{chain: wXbYZt, axes: {{{ranges}}}, tools: {{{tools}}}}}\n"
+        "noise: {beam: 1 um, lateral: {constant: 2 um, proportional: 3 um/m}}\noutput: machine.h5\n"
+    )
+    (tmp_path / "part.yaml").write_text(JOB % ", machine: machine.h5")
+    (tmp_path / "metrocli.yaml").write_text("project: chain\njobs: [part.yaml, machine.yaml]\n")
+    ran = metrocli("run", tmp_path)
+    assert ran.code == 0, ran.err
+    wrong, covariance = off(tmp_path / "part.h5")
+    assert wrong @ np.linalg.solve(covariance, wrong) < 22.5  # 0.1 % of chi-square with 6
+    told = metrocli("lineage", tmp_path / "part.h5").out
+    assert "machine.h5" in told and "points.csv" in told
+    # a machine that is calibrated from other points makes the part anew
+    csv.write(tmp_path / "points.csv", sim.points(machine, np.random.default_rng(45), 150, sim.THREE))
+    assert "part" in metrocli("status", tmp_path).out
+    assert metrocli("run", tmp_path).code == 0
+    again, _ = off(tmp_path / "part.h5")
+    assert not np.array_equal(again, wrong)
+    # a machine that is not fit for use stops the part
+    text = (tmp_path / "machine.yaml").read_text()
+    (tmp_path / "machine.yaml").write_text(
+        text.replace("beam: 1 um", "beam: 0.1 um").replace("2 um, prop", "0.2 um, prop")
+    )
+    ran = metrocli("run", tmp_path)
+    assert ran.code == 6 and "machine" in ran.err + ran.out

@@ -50,6 +50,6 @@ def test_growth_that_an_estimated_drift_absorbs_is_not_testable(tmp_path: Path, 
     job.write_text(f"{job.read_text()}effects: [{{name: part-drift}}]\n")
     found = diagnosed(job, metrocli, GROWTH)
     assert found["verdict"] == "clean"
-    (growth,) = (one for one in found["candidates"] if one["name"] == "spindle-growth")
+    growth = next(one for one in found["candidates"] if one["name"] == "spindle-growth" and one["by"] == "t")
     assert growth["status"] == "not-testable"
     assert "vz of part-drift" in growth["reason"]

@@ -75,6 +75,14 @@ def test_the_way_since_a_turn() -> None:
     assert since_turn(moves, np.ones(7)) is None
 
 
+def test_a_move_beyond_and_back_leaves_the_way_open_up_to_the_next_turn() -> None:
+    """One of eleven moves contradicts its side."""
+    moves = np.array([0.0, 3, -1, -2, 4, -1, -5, -3, -1, 2, 2, 1])
+    side = np.array([1.0, 1, -1, -1, 1, 1, -1, -1, -1, 1, 1, 1])
+    expected = [np.inf, np.inf, 1.0, 3.0, 4.0, np.inf, 5.0, 8.0, 9.0, 2.0, 4.0, 5.0]
+    assert since_turn(moves, side).tolist() == expected  # type: ignore[union-attr]
+
+
 def test_the_way_since_a_turn_on_a_path() -> None:
     path = Path.of(np.array([[0.0, 0, 0], [30, 40, 0], [30, 0, 0], [0, 0, 0]]), np.zeros(4, dtype=int))
     found = path.since_turns(np.array([0, 1, 1, 2]), np.array([10.0, 5.0, 40.0, 12.0]))

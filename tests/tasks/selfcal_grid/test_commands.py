@@ -331,3 +331,20 @@ def test_without_noise_the_published_sequence_is_right_but_for_second_order() ->
     table = selfcal_grid.compare(selfcal_grid.TASK.job(one.settings(), one.read(np.random.default_rng(0), noise=0.0)))
     assert table.numbers("rms_machine_error")[0] > 8e-3
     assert table.numbers("rms_difference")[1] < 5e-5
+
+
+def test_a_ball_that_is_read_again_later_is_a_reading_of_its_own(tmp_path: Path, metrocli: Metrocli) -> None:
+    """As `diagnose --next` proposes it: the same view and ball, at another time."""
+    metrocli("init", tmp_path / "cube", "--sample", "ball-cube")
+    views = tmp_path / "cube" / "data" / "views.csv"
+    text = views.read_text()
+    row = next(line for line in text.splitlines() if line.startswith("2,")).split(",")
+    views.write_text(text + ",".join([*row[:-1], "99000"]) + "\n")
+    job = tmp_path / "cube" / "jobs" / "views.yaml"
+    assert metrocli("selfcal-grid", job, "--set", "require={}").code == 0
+    table = hdf5.read(tmp_path / "cube" / "results" / "views.h5")[0].tables["residuals"]
+    rows = list(zip(*(table.texts(name) for name in ("view", "i", "j", "k", "time", "component")), strict=True))
+    assert len(set(rows)) == len(rows)
+    assert (*row[:4], "99000 s", "x") in rows
+    views.write_text(text + ",".join(row) + "\n")
+    assert "a second row" in metrocli("check", job).err

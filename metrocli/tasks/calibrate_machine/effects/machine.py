@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Space
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.motions import (
     AXES,
@@ -19,6 +20,7 @@ from metrocli.effects.links.motions import (
     ThermalGrowth,
 )
 from metrocli.effects.links.reversals import AngularReversal, Hysteresis, StraightnessReversal
+from metrocli.effects.links.shifts import Shift
 from metrocli.instruments.machine_path import SINCE, SPEED
 from metrocli.units import parse_quantity
 
@@ -176,6 +178,21 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         usual="1 to 60 um/h",
         reveal="a second reflector, fixed on the table: its readings change with the tracker, not with the machine",
         source="ISO 230-3:2020, environmental temperature variation error",
+    ),
+    Effect(
+        "repeatability",
+        "the carrier does not return to the same place: its positions at stops scatter more than declared",
+        tuple(size(name, "length", "10 um") for name in ("dx", "dy", "dz")),
+        lambda block, where: Shift(block, Quantity.POINT_IN_MACHINE),
+        where=("stop",),
+        not_first=("stop",),
+        throughout=True,
+        noise="repeatability",
+        of_all="the carrier does not return to the same place: its positions at stops scatter more than declared",
+        confused_with=("moved-point",),
+        usual="0.5 to 10 um",
+        reveal="several readings at each stop, such as stations that read at once",
+        source="ISO 230-2:2014, repeatability of positioning R",
     ),
     Effect(
         "load-sag",

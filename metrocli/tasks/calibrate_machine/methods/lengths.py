@@ -32,6 +32,7 @@ from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.environment import air_of, priors_of, unused
 from metrocli.tasks.shared.known_places import sigmas
 from metrocli.tasks.shared.lengths import PathNoise, scale_priors, stop_priors, stops_of
+from metrocli.tasks.shared.pairs import told_apart
 from metrocli.tasks.shared.tracer_places import Seen, places_of
 from metrocli.words import nearest
 
@@ -59,8 +60,10 @@ def lengths(settings: Settings, table: Table, stations: Table | None = None) -> 
     station_block = _stations(settings, seen)
     unknowns: dict[str, Block] = {**blocks, t.TRACER: station_block}
     index = machine.index(position) | {TOOL: tool, t.TRACER: seen.tracer, t.POINT: np.asarray(point, dtype=np.intp)}
+    index[t.STOP] = stops
     if stop_block is not None:
-        unknowns[t.STOP], index[t.STOP] = stop_block, stops
+        unknowns[t.STOP] = stop_block
+    keys = {"point": tuple(names.tolist()), "station": tuple(table.texts("station"))}
     air = air_of(settings.environment, table, "station")
     if air is not None:
         unknowns[t.AIR], given[t.AIR] = air.block, air.ratio
@@ -68,7 +71,7 @@ def lengths(settings: Settings, table: Table, stations: Table | None = None) -> 
         seen.length[None] if air is None else (seen.length * air.towards)[None],
         np.array(noise.constant),
         index,
-        keys={"point": tuple(names.tolist()), "station": tuple(table.texts("station"))},
+        keys=told_apart(keys, point * len(seen.tracers) + seen.tracer, given.get("t")),
         conditions=given | {t.ALONE: (stops == 0).astype(float)},
         components=("length",),
         unit="mm",
@@ -78,7 +81,7 @@ def lengths(settings: Settings, table: Table, stations: Table | None = None) -> 
     others = (*_known(settings, seen, unknowns, noise), *priors_of(air))
     tools = list(settings.tools)
     return Problem(
-        model_of(unknowns, readings, others, points.tolist()),
+        model_of(unknowns, readings, others, points.tolist(), _names(stops, names, given.get("t"))),
         machine,
         np.ones(len(table)),
         tuple(tools[i] for i in np.unique(tool)),
@@ -98,6 +101,15 @@ def _known(settings: Settings, seen: Seen, unknowns: Mapping[str, Block], noise:
         *scale_priors(settings.scale, stations),
         *stop_priors(unknowns.get(t.STOP), noise.repeatability),
     )
+
+
+def _names(stops: Index, points: np.typing.NDArray[np.str_], time: Array | None) -> list[str]:
+    """Return the names of the stops of several lengths, by point and time; the first stands for all other stops."""
+    found = [t.NO_STOP]
+    if time is not None:
+        first = np.unique(stops, return_index=True)[1][int((stops == 0).any()) :]
+        found += [f"{points[row]} at {time[row]:g} s" for row in first]
+    return found
 
 
 def _visits(position: Array, tool: Index, point: Index) -> Index:
