@@ -183,9 +183,12 @@ def _tracers(solution: Solution) -> Table:
 def _residuals(solved: Solved) -> Table:
     """Return /residuals, with minimal detectable error and external reliability of each length."""
     observations, found = solved.group.observations, solved.residuals
+    blocks = {"point": t.POINT, "tracer": t.TRACER}  # whose names become a column faster than those of the readings
     columns: dict[str, Values] = {
-        name: np.array(solved.solution.blocks[block].members)[observations.index[block]]
-        for name, block in (("point", t.POINT), ("tracer", t.TRACER))
+        name: np.array(solved.solution.blocks[blocks[name]].members)[observations.index[blocks[name]]]
+        if name in blocks
+        else np.array(values)
+        for name, values in observations.keys.items()
     }
     columns |= {
         "reading": observations.readings[0],
