@@ -19,7 +19,7 @@ from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.shared.environment import blocks_of
 from metrocli.tasks.shared.part import Warm
 from metrocli.tasks.shared.statistics import REMOVE, REPEATS, beyond_bound, noise_warnings
-from metrocli.tasks.shared.uncontrolled import AIR, AIR_WORDS, Hidden, table_of
+from metrocli.tasks.shared.uncontrolled import AIR, AIR_WORDS, ASSUMED, ASSUMED_CONTROL, Hidden, table_of
 from metrocli.words import listed
 
 WEAK = 10.0
@@ -127,6 +127,8 @@ def _hidden(solved: Solved, tables: Tables, scales: Mapping[str, Warm]) -> Itera
             AIR * diagonal,
             "temperature and pressure of the air; a calibrated length",
         )
+    else:
+        yield Hidden(ASSUMED, AIR_WORDS, AIR * diagonal, ASSUMED_CONTROL)
     if sum(scale.std > 0 for scale in scales.values()) < len(machine.axes):
         yield Hidden(
             "temperature of the machine (positioning errors)",

@@ -12,6 +12,7 @@ from metrocli.errors import NotConvergedError
 from metrocli.table import Table
 from metrocli.tasks.fit_part.fit import MOST, most_of_many
 from metrocli.tasks.fit_part.solve import Solved, fitted_part
+from metrocli.tasks.shared.part import taken_as_exact
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
 _STEEL = units.parse_quantity("11.5 ppm", "ratio")
@@ -31,14 +32,14 @@ def _rows(solved: Solved) -> Iterator[Hidden]:
         SCALE * per_scale,
         "scale bars that are calibrated, and test lengths beside them",
     )
-    if part is None or not part.std:
-        growth = abs(part.expansion.value) if part is not None else _STEEL
+    if part is None:
         yield Hidden(
             "temperature of the raw part at its measurement (overstock of opposite surfaces)",
-            f"1 K of a part that grows by {units.sized(growth, 'ratio')}",
-            growth * per_scale,
-            "`part:` with the temperature, the expansion and their `std`",
+            "1 K of steel (11.5 um/m)",
+            _STEEL * per_scale,
+            "`part:` with temperature and expansion; the overstock holds at the temperature of the measurement",
         )
+    yield from taken_as_exact(part, per_scale, "overstock of opposite surfaces")
 
 
 def by_scale(solved: Solved) -> float:
