@@ -64,11 +64,21 @@ class Misfit:
     """Median residual, relative to ten declared standard deviations"""
     places: float
     """Distance of places from where the files list them, relative to what is plausible"""
+    spread: float = 0.0
+    """Root mean square residual, in declared standard deviations"""
 
     @property
     def worst(self) -> float:
         """The larger of both."""
         return max(self.residuals, self.places)
+
+    def spoilt_alike(self, other: Misfit, shrinks: float) -> bool:
+        """Whether another reading of the files leaves a wrong reading as wrong as it was.
+
+        A few wrong readings bend a whole adjustment. A factor that makes the lengths lighter beside the angles takes
+        them out of it, and the median falls with it, but not the root mean square.
+        """
+        return self.residuals >= 1 and other.spread * _BETTER > self.spread * shrinks
 
     def ratio(self, other: Misfit, shrinks: float = 1.0) -> float:
         """Return how many times larger its square is than that of another reading of the same files.
@@ -102,10 +112,11 @@ def without_mistakes(inputs: Inputs, adjust: Adjust, others: Others = no_others)
     raised.
     """
     failure: Exception | None = None
-    job, before = None, float("inf")
+    job, misfits, before = None, Misfit(np.inf, np.inf, np.inf), np.inf
     try:
         job = adjust(inputs)
-        before = strangeness(job)
+        misfits = misfit_of(job)
+        before = misfits.worst
     except FAILURES as error:
         failure = error
     if job is not None and before <= 1:
@@ -114,7 +125,9 @@ def without_mistakes(inputs: Inputs, adjust: Adjust, others: Others = no_others)
     tried = [
         (misfit.worst, mistake, other)
         for mistake, misfit, other in _tried(_readings_of(inputs, adjust, others))
-        if misfit.worst <= 1 and misfit.worst * _BETTER <= before * mistake.shrinks
+        if misfit.worst <= 1
+        and misfit.worst * _BETTER <= before * mistake.shrinks
+        and not misfits.spoilt_alike(misfit, mistake.shrinks)
     ]
     if tried:
         alike = _as_good(tried)
@@ -171,8 +184,10 @@ def strangeness(job: AdjustedJob) -> float:
 
 def misfit_of(job: AdjustedJob) -> Misfit:
     """Return how far the residuals and the places of an adjusted job are from the plausible."""
-    medians = [float(np.median(np.abs(_whitened(group, job)))) for group in job.model.readings]
-    return Misfit(max(medians, default=0.0) / _ABSURD, job.astray)
+    found = [_whitened(group, job) for group in job.model.readings]
+    medians = [float(np.median(np.abs(one))) for one in found]
+    spreads = [float(np.sqrt(np.mean(one**2))) for one in found]
+    return Misfit(max(medians, default=0.0) / _ABSURD, job.astray, max(spreads, default=0.0))
 
 
 def _whitened(group: Group, job: AdjustedJob) -> np.typing.NDArray[np.float64]:
@@ -236,7 +251,13 @@ def misread(
         if _explains(misfit, job)
     ]
     if before is not None:
-        found = [one for one in found if before.ratio(one[2], one[1].shrinks) >= _FAR_BETTER and one[0] <= 1]
+        found = [
+            one
+            for one in found
+            if before.ratio(one[2], one[1].shrinks) >= _FAR_BETTER
+            and one[0] <= 1
+            and not before.spoilt_alike(one[2], one[1].shrinks)
+        ]
     if not found:
         return None
     (_, first, fits), *alike = _as_good(found)

@@ -169,17 +169,21 @@ def settled(problem: P, adjusted: Callable[[P], Solution], name: str) -> tuple[P
         try:
             solution = adjusted(problem)
         except UndeterminedError as error:
-            raise _hidden_by(better, solution) from error
+            raise _hidden_by(better, solution, name) from error
     return problem, solution
 
 
-def _hidden_by(noise: PathNoise, before: Solution) -> UndeterminedError:
+def _hidden_by(noise: PathNoise, before: Solution, name: str) -> UndeterminedError:
     """Return the error of a model that does not fit, so that the repeatability grows until nothing is determined."""
     misfit = float(np.sqrt(before.cost / max(before.dof, 1)))
+    group = next(one for one in before.groups if one.name == name)
+    worst = int(np.abs(group.residuals(before.blocks)[0]).argmax())
+    of = " ".join(f"{key} {names[worst]}" for key, names in group.observations.keys.items())
     return UndeterminedError(
         f"the model does not fit the lengths: their residuals are {misfit:.0f} times the noise that starts the "
         f"estimate of the repeatability, and with the {noise.repeatability:.2g} mm that follow from them they do not "
-        "determine the unknowns\n  check the names, the units and the signs of the files and settings",
+        f"determine the unknowns\n  the largest residual is that of {of}\n"
+        "  check it, and the names, the units and the signs of the files and settings",
         misfit,
     )
 
