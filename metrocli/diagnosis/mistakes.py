@@ -73,10 +73,9 @@ class Misfit:
         return max(self.residuals, self.places)
 
     def spoilt_alike(self, other: Misfit, shrinks: float) -> bool:
-        """Whether another reading of the files leaves a wrong reading as wrong as it was.
+        """Whether another reading of the files only takes a few wrong readings out of the fit, so that the median falls.
 
-        A few wrong readings bend a whole adjustment. A factor that makes the lengths lighter beside the angles takes
-        them out of it, and the median falls with it, but not the root mean square.
+        Lengths that become lighter beside angles do that. The root mean square does not fall with it.
         """
         return self.residuals >= 1 and other.spread * _BETTER > self.spread * shrinks
 
@@ -98,6 +97,11 @@ class Mistaken:
     before: float
     """`strangeness` of the job with the mistake, inf if it failed"""
     after: float
+
+
+ELSEWHERE = Mistake(
+    "lists of places", "places lie farther from those that the files list than is plausible", "the rows in their order"
+)
 
 
 def no_others(fits: bool) -> tuple[()]:
@@ -135,7 +139,8 @@ def without_mistakes(inputs: Inputs, adjust: Adjust, others: Others = no_others)
         return best, Mistaken(tuple(mistake for _, mistake, _ in alike), best, before, after)
     if job is None:
         raise failure or RuntimeError("a job that gave nothing")
-    return job, None
+    # readings that fit places which no list has: no unit and no axis mends that
+    return job, Mistaken((ELSEWHERE,), job, before, before) if misfits.residuals < 1 < misfits.places else None
 
 
 def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:

@@ -143,7 +143,18 @@ def _sound(file: JobFile, job: Job[Any, Any]) -> Result:
         raise refusal from failure
     if failure is not None:
         raise failure
-    return result
+    return _with_other_setting(_elsewhere(result), task, job, fits=False)
+
+
+def _elsewhere(result: Result) -> Result:
+    """Return a result that is doubtful where its places are not those that its files list."""
+    if result.astray <= 1:
+        return result
+    told = (
+        f"its places lie {result.astray:.1f} times as far from those that its files list as is plausible: a list is "
+        "wrong, such as rows in another order, and no other unit or axis mends it"
+    )
+    return replace(result, doubts=(*result.doubts, told))
 
 
 def _with_other_setting(result: Result, task: Task[Any, Any], job: Job[Any, Any], fits: bool) -> Result:

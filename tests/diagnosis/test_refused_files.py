@@ -125,3 +125,16 @@ def test_an_overload_marker_is_no_wrong_unit(tmp_path: Path, metrocli: Callable[
     assert " in um" not in ran.err
     told = metrocli("diagnose", job, "--json")
     assert '"verdict": "mistaken"' not in told.out
+
+
+def test_a_list_in_another_order_makes_the_result_doubtful(tmp_path: Path, metrocli: Callable[..., object]) -> None:
+    """Probing points in the reverse order: lengths fit, and each correction is that of another point."""
+    assert metrocli("init", tmp_path / "gear", "--sample", "gear-m3d3").code == 0
+    file, job = tmp_path / "gear/data/probing.csv", tmp_path / "gear/jobs/tip3.yaml"
+    head, *rows = [line.split(",") for line in file.read_text().splitlines() if not line.startswith("#")]
+    reverse = [[*row[:2], *other[2:]] for row, other in zip(rows, rows[::-1], strict=True)]
+    file.write_text("\n".join(map(",".join, [head, *reverse])) + "\n")
+    ran = metrocli("multilaterate", job)
+    assert ran.code == 6, (ran.out, ran.err)
+    assert "rows in another order" in ran.out + ran.err
+    assert '"verdict": "mistaken"' in metrocli("diagnose", job, "--json").out

@@ -122,7 +122,8 @@ def _mistake(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"A {what} of this job is wrong{alike}:"
         yield from (f"  {one}" for one in mistakes[:_SHOWN])
         yield f"write: {mistakes[0].write}" + (", if it is the first" if mistakes[1:] else "")
-        yield "All that follows is for the corrected job."
+        mended = diagnosis.mistaken.after < diagnosis.mistaken.before
+        yield f"All that follows is for the {'corrected job' if mended else 'job as it stands'}."
 
 
 def _wrong(outliers: tuple[Outlier, ...]) -> Iterator[str]:
