@@ -41,7 +41,7 @@ _MOST_ROWS = 20_000
 _STEPS = 24
 """Steps that one try may take, its starts included; a job that is read rightly takes 12 to 15"""
 _OTHER_FITS = 2.0
-"""Another setting is told if it makes the squared residuals so many times smaller"""
+"""Another setting is reported if it makes the squared residuals so many times smaller"""
 _MOST_FITTING = 5_000
 """Other settings of a job that fits are tried up to so many readings"""
 _BY_CHANCE = 1e-4
@@ -53,7 +53,7 @@ FAILURES = (UndeterminedError, NotConvergedError, InputError)
 Adjust = Callable[[Inputs], AdjustedJob]
 T = TypeVar("T")
 Others = Callable[[bool], Iterable[tuple[Mistake, Callable[[], AdjustedJob]]]]
-"""Returns what may be wrong in the settings, each with what adjusts the job without it; told whether the job fits"""
+"""Takes whether the job fits; returns what may be wrong in its settings, each with what adjusts the job without it"""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Misfit:
         return max(self.residuals, self.places)
 
     def spoilt_alike(self, other: Misfit, shrinks: float) -> bool:
-        """Whether another reading of the files only takes a few wrong readings out of the fit, so that the median falls.
+        """Whether another reading of the files only takes wrong readings out of the fit, so that the median falls.
 
         Lengths that become lighter beside angles do that. The root mean square does not fall with it.
         """

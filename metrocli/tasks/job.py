@@ -60,7 +60,7 @@ class Task(Generic[S, F]):
     """Function for each question of a result, by name; it receives the values as typed on the command line"""
 
     other_settings: Callable[[Job[S, F], bool], Iterable[tuple[Mistake, Job[S, F]]]] | None = None
-    """What may be wrong in the settings, each with the job that is right then; told whether the readings fit"""
+    """What may be wrong in the settings, each with the job that is right then; takes whether the readings fit"""
 
     def job(self, settings: S, *contents: Any, effects: Sequence[Wanted] = (), **named: Any) -> Job[S, F]:
         """Return a job from settings and the contents of its files, given in the order of `files` or by name."""

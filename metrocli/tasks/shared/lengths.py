@@ -180,10 +180,10 @@ def _hidden_by(noise: PathNoise, before: Solution, name: str) -> UndeterminedErr
     worst = int(np.abs(group.residuals(before.blocks)[0]).argmax())
     of = " ".join(f"{key} {names[worst]}" for key, names in group.observations.keys.items())
     return UndeterminedError(
-        f"the model does not fit the lengths: their residuals are {misfit:.0f} times the noise that starts the "
-        f"estimate of the repeatability, and with the {noise.repeatability:.2g} mm that follow from them they do not "
-        f"determine the unknowns\n  the largest residual is that of {of}\n"
-        "  check it, and the names, the units and the signs of the files and settings",
+        f"the model does not fit the lengths: their residuals are {misfit:.0f} times the declared noise.\n"
+        f"  With the repeatability of {noise.repeatability:.2g} mm that follows they do not determine the unknowns.\n"
+        f"  The largest residual is that of {of}.\n"
+        "  Check it, and the names, the units and the signs of the files and settings",
         misfit,
     )
 
