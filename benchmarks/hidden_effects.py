@@ -7,10 +7,12 @@ found with 80 % power. `six-dof` are lines of a laser along a machine, `calibrat
     python -m benchmarks hidden_effects [KIND ...] [COUNT | FIRST-LAST] [SCENARIO]
 
     python -m benchmarks hidden_effects multilaterate 0-2519 "an effect of 1x"
+    python -m benchmarks hidden_effects align-part 40000-40439 "nothing*"
 """
 
 from __future__ import annotations
 
+import fnmatch
 import re
 import sys
 from collections.abc import Iterable
@@ -47,7 +49,7 @@ def main(arguments: list[str]) -> int:
         elif argument not in KINDS:
             only = argument
     for kind in kinds:
-        if only and only not in KINDS[kind].scenarios:
+        if only and not fnmatch.filter(KINDS[kind].scenarios, only):
             print(f"no scenario '{only}' of {kind}; there are: {', '.join(dict.fromkeys(KINDS[kind].scenarios))}")
             return 2
     met = True

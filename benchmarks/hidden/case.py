@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from fnmatch import fnmatch
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.findings import Diagnosis
@@ -68,7 +69,7 @@ class Campaign:
     """CPU seconds that one diagnosis may take"""
 
     def cases(self, numbers: Iterable[int], only: str = "", small: bool = False) -> Iterator[Case]:
-        """Yield cases by their numbers, of one scenario or, without a name, of all."""
+        """Yield cases by their numbers, of scenarios by name or pattern (`nothing*`) or, without a name, of all."""
         for number in numbers:
-            if only in ("", self.scenarios[number % len(self.scenarios)]):
+            if fnmatch(self.scenarios[number % len(self.scenarios)], only or "*"):
                 yield self.case(number, small)

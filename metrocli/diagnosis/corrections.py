@@ -46,14 +46,14 @@ def corrections(inputs: Inputs) -> Iterator[tuple[Mistake, Inputs]]:
         if isinstance(table, Table):
             for words, write, factor, changed in _of_table(table):
                 sort = "units" if abs(factor) != 1.0 else "handed" if words in _HANDED else words
-                columns = sum(changed.columns[name] is not table.columns[name] for name in table)
+                columns = sum(changed.columns[name] is not table.columns[name] for name in table if not _known(name))
                 mistake = Mistake(key, words, write, min(abs(factor), 1.0), table.file, sort, columns)
                 yield mistake, {**inputs, key: changed}
 
 
 def _of_table(table: Table) -> Iterator[tuple[str, str, float, Table]]:
     """Yield what may be wrong, what to write instead, the factor of the numbers, and the corrected table."""
-    lengths = [name for name, unit in table.units.items() if unit == "mm" and not name.startswith("sigma")]
+    lengths = [name for name, unit in table.units.items() if unit == "mm" and not _known(name)]
     places = [name for name in lengths if name in _AXES]
     others = [name for name in lengths if name not in _AXES]
     for names in [*([places, others] if places and others else []), lengths]:
@@ -89,7 +89,7 @@ def _units_of_lengths(table: Table, names: Sequence[str]) -> Iterator[tuple[str,
             )
             words = f"{in_a_row(_headings(table, names))} {'are' if names[1:] else 'is'} {what}"
             write = f"the numbers of {in_a_row(_headings(table, names))} times {factor:.10g}"
-        yield words, write, factor, _scaled(table, names, factor)
+        yield words, write, factor, _no_looser(_scaled(table, names, factor), factor)
 
 
 def _units_of_angles(table: Table, names: Sequence[str]) -> Iterator[tuple[str, str, float, Table]]:
@@ -154,6 +154,20 @@ def _scaled(table: Table, names: Sequence[str], factor: float) -> Table:
     columns: dict[str, Values] = {**table.columns}
     columns |= {name: table.numbers(name) * factor for name in names}
     return replace(table, columns=columns)
+
+
+def _no_looser(table: Table, factor: float) -> Table:
+    """Return a table whose lengths were scaled, with its standard deviations no larger in relation to them.
+
+    Places that shrink beside their standard deviation yield to the readings, whatever is wrong with these.
+    """
+    known = [name for name, unit in table.units.items() if unit == "mm" and _known(name)]
+    return _scaled(table, known, min(factor, 1.0))
+
+
+def _known(name: str) -> bool:
+    """Whether a column states how well others are known."""
+    return name.startswith("sigma")
 
 
 def _swapped(table: Table, one: str, other: str) -> Table:

@@ -1,19 +1,21 @@
-"""Mistakes in the files of a job: a wrong unit, swapped, mirrored or turned axes.
+"""Mistakes in the files and settings of a job: a wrong unit, swapped, mirrored or turned axes, another chain.
 
 Each correction is tried by an adjustment with it. They are tried only if a job fails, or if its result is beyond
-anything that an effect causes (decision 019). `diagnose` continues with the corrected job; a task refuses the file
-(decision 058).
+anything that an effect causes (decision 019); other settings also where no declared noise shows a bad fit (decision
+134). `diagnose` continues with the corrected job; a task refuses the file (decision 058).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
 
 from metrocli.adjust.allowance import allowance
+from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.corrections import Inputs, Mistake, corrections
@@ -38,10 +40,20 @@ _MOST_ROWS = 20_000
 """Jobs with more rows are not tried by a task, since each try is an adjustment"""
 _STEPS = 24
 """Steps that one try may take, its starts included; a job that is read rightly takes 12 to 15"""
+_OTHER_FITS = 2.0
+"""Another setting is reported if it makes the squared residuals so many times smaller"""
+_MOST_FITTING = 5_000
+"""Other settings of a job that fits are tried up to so many readings"""
+_BY_CHANCE = 1e-4
+"""Level of the F test that they are smaller by chance"""
+_LARGER_NOISE = 2.0
+"""Root mean square of the residuals in declared standard deviations, up to which they fit"""
 FAILURES = (UndeterminedError, NotConvergedError, InputError)
 
 Adjust = Callable[[Inputs], AdjustedJob]
 T = TypeVar("T")
+Others = Callable[[bool], Iterable[tuple[Mistake, Callable[[], AdjustedJob]]]]
+"""Takes whether the job fits; returns what may be wrong in its settings, each with what adjusts the job without it"""
 
 
 @dataclass(frozen=True)
@@ -52,11 +64,20 @@ class Misfit:
     """Median residual, relative to ten declared standard deviations"""
     places: float
     """Distance of places from where the files list them, relative to what is plausible"""
+    spread: float = 0.0
+    """Root mean square residual, in declared standard deviations"""
 
     @property
     def worst(self) -> float:
         """The larger of both."""
         return max(self.residuals, self.places)
+
+    def spoilt_alike(self, other: Misfit, shrinks: float) -> bool:
+        """Whether another reading of the files only takes wrong readings out of the fit, so that the median falls.
+
+        Lengths that become lighter beside angles do that. The root mean square does not fall with it.
+        """
+        return self.residuals >= 1 and other.spread * _BETTER > self.spread * shrinks
 
     def ratio(self, other: Misfit, shrinks: float = 1.0) -> float:
         """Return how many times larger its square is than that of another reading of the same files.
@@ -78,25 +99,39 @@ class Mistaken:
     after: float
 
 
-def without_mistakes(inputs: Inputs, adjust: Adjust) -> tuple[AdjustedJob, Mistaken | None]:
-    """Return the adjusted job, and the mistake in a file without which it was adjusted, if there is one.
+ELSEWHERE = Mistake(
+    "lists of places", "places lie farther from those that the files list than is plausible", "the rows in their order"
+)
+
+
+def no_others(fits: bool) -> tuple[()]:
+    """Return no other settings."""
+    return ()
+
+
+def without_mistakes(inputs: Inputs, adjust: Adjust, others: Others = no_others) -> tuple[AdjustedJob, Mistaken | None]:
+    """Return the adjusted job, and the mistake without which it was adjusted, if there is one.
 
     Corrections are tried if the job fails or is absurd. If none explains that, the exception of the job as it is is
     raised.
     """
     failure: Exception | None = None
-    job, before = None, float("inf")
+    job, misfits, before = None, Misfit(np.inf, np.inf, np.inf), np.inf
     try:
         job = adjust(inputs)
-        before = strangeness(job)
+        misfits = misfit_of(job)
+        before = misfits.worst
     except FAILURES as error:
         failure = error
     if job is not None and before <= 1:
-        return job, None
+        better = with_other_setting(job, others)
+        return (job, None) if better is None else (better.job, better)
     tried = [
         (misfit.worst, mistake, other)
-        for mistake, misfit, other in _tried(inputs, adjust)
-        if misfit.worst <= 1 and misfit.worst * _BETTER <= before * mistake.shrinks
+        for mistake, misfit, other in _tried(_readings_of(inputs, adjust, others))
+        if misfit.worst <= 1
+        and misfit.worst * _BETTER <= before * mistake.shrinks
+        and not misfits.spoilt_alike(misfit, mistake.shrinks)
     ]
     if tried:
         alike = _as_good(tried)
@@ -104,7 +139,44 @@ def without_mistakes(inputs: Inputs, adjust: Adjust) -> tuple[AdjustedJob, Mista
         return best, Mistaken(tuple(mistake for _, mistake, _ in alike), best, before, after)
     if job is None:
         raise failure or RuntimeError("a job that gave nothing")
-    return job, None
+    # readings that fit places which no list has: no unit and no axis mends that
+    return job, Mistaken((ELSEWHERE,), job, before, before) if misfits.residuals < 1 < misfits.places else None
+
+
+def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
+    """Return the setting with which the readings of an adjusted job fit best, if they fit far better than with its own.
+
+    Residuals of all are in the median standard deviations of the job. A common factor of these, as of a noise that
+    follows the residuals, does not matter.
+    """
+    from scipy.special import fdtrc
+
+    readings = job.model.readings
+    size = {group.name: np.median(group.observations.deviations, axis=1) for group in readings}
+    before, dof = _mean_square(job, size), _redundant(job)
+    fits = before <= _LARGER_NOISE**2
+    if sum(group.observations.count for group in readings) > (_MOST_FITTING if fits else _MOST_ROWS):
+        return None
+    tried = [(_mean_square(other, size), mistake, other) for mistake, _, other in _tried(others(fits))]
+    if not tried:
+        return None
+    after, mistake, other = min(tried, key=lambda one: one[0])
+    ratio = before / max(after, 1e-12)
+    if ratio < _OTHER_FITS or fdtrc(dof, dof, ratio) > _BY_CHANCE:
+        return None
+    return Mistaken((mistake,), other, float(np.sqrt(before)), float(np.sqrt(after)))
+
+
+def _mean_square(job: AdjustedJob, size: Mapping[str, Array]) -> float:
+    """Return the mean square of the residuals of a job, each over the size of its component."""
+    rows = [group.residuals(job.model.blocks) / size[group.name][:, None] for group in job.model.readings]
+    return float(np.mean(np.concatenate([one.ravel() for one in rows]) ** 2))
+
+
+def _redundant(job: AdjustedJob) -> int:
+    """Return the number of rows beyond the unknowns, at least 1."""
+    rows = sum(group.residuals(job.model.blocks).size for group in job.model.groups)
+    return max(rows - sum(int(block.free.sum()) for block in job.model.blocks.values()), 1)
 
 
 def strangeness(job: AdjustedJob) -> float:
@@ -117,15 +189,26 @@ def strangeness(job: AdjustedJob) -> float:
 
 def misfit_of(job: AdjustedJob) -> Misfit:
     """Return how far the residuals and the places of an adjusted job are from the plausible."""
-    medians = [float(np.median(np.abs(_whitened(group, job)))) for group in job.model.readings]
-    return Misfit(max(medians, default=0.0) / _ABSURD, job.astray)
+    found = [_whitened(group, job) for group in job.model.readings]
+    medians = [float(np.median(np.abs(one))) for one in found]
+    spreads = [float(np.sqrt(np.mean(one**2))) for one in found]
+    return Misfit(max(medians, default=0.0) / _ABSURD, job.astray, max(spreads, default=0.0))
 
 
 def _whitened(group: Group, job: AdjustedJob) -> np.typing.NDArray[np.float64]:
     return np.asarray(group.observations.whitened(group.residuals(job.model.blocks)))
 
 
-def _tried(inputs: Inputs, adjust: Adjust) -> Iterator[tuple[Mistake, Misfit, AdjustedJob]]:
+def _readings_of(inputs: Inputs, adjust: Adjust, others: Others) -> Iterator[tuple[Mistake, Callable[[], AdjustedJob]]]:
+    """Yield each possible mistake in the files and then in the settings, with what adjusts the job without it."""
+    for mistake, changed in corrections(inputs):
+        yield mistake, partial(adjust, changed)
+    yield from others(False)
+
+
+def _tried(
+    readings: Iterable[tuple[Mistake, Callable[[], AdjustedJob]]],
+) -> Iterator[tuple[Mistake, Misfit, AdjustedJob]]:
     """Yield the corrections with which the job can be adjusted.
 
     After one that leaves no more than noise, only the same sort of correction is tried, also of the other files.
@@ -133,12 +216,12 @@ def _tried(inputs: Inputs, adjust: Adjust) -> Iterator[tuple[Mistake, Misfit, Ad
     Each try is an adjustment.
     """
     settled = ""
-    for mistake, changed in corrections(inputs):
+    for mistake, adjusted in readings:
         if settled not in ("", mistake.sort):
             continue
         try:
             with allowance(_STEPS):
-                job = adjust(changed)
+                job = adjusted()
         except FAILURES:
             continue
         misfit = misfit_of(job)
@@ -151,7 +234,9 @@ def suspicious(sigma0: float, astray: float) -> bool:
     return sigma0 > _ABSURD or astray > _SUSPECT_PLACES
 
 
-def misread(inputs: Inputs, adjust: Adjust, failure: MetrocliError | None = None) -> InputError | None:
+def misread(
+    inputs: Inputs, adjust: Adjust, failure: MetrocliError | None = None, others: Others = no_others
+) -> InputError | None:
     """Return the refusal of a file that fits a thousand times better if it is read in another way, or None.
 
     `failure` is the error with which the job ended, if it did. Nothing is tried for errors that name a line or what to
@@ -166,14 +251,22 @@ def misread(inputs: Inputs, adjust: Adjust, failure: MetrocliError | None = None
         if before.residuals < 1 and before.places < _SUSPECT_PLACES:
             return None
     found = [
-        (misfit.worst, mistake, misfit) for mistake, misfit, job in _tried(inputs, adjust) if _explains(misfit, job)
+        (misfit.worst, mistake, misfit)
+        for mistake, misfit, job in _tried(_readings_of(inputs, adjust, others))
+        if _explains(misfit, job)
     ]
     if before is not None:
-        found = [one for one in found if before.ratio(one[2], one[1].shrinks) >= _FAR_BETTER and one[0] <= 1]
+        found = [
+            one
+            for one in found
+            if before.ratio(one[2], one[1].shrinks) >= _FAR_BETTER
+            and one[0] <= 1
+            and not before.spoilt_alike(one[2], one[1].shrinks)
+        ]
     if not found:
         return None
-    (_, first, fits), *others = _as_good(found)
-    rest = [f"{one.file or one.input}: {one.words}" for _, one, _ in others]
+    (_, first, fits), *alike = _as_good(found)
+    rest = [f"{one.file or one.input}: {one.words}" for _, one, _ in alike]
     how = (
         f"read so, the job has a solution that fits, which it has not as it stands ({_first_line(failure)})"
         if before is None

@@ -6,6 +6,7 @@ import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from metrocli.diagnosis.job_entries import as_job, declares, proposed_noise, sca
 from metrocli.diagnosis.laws.definition import as_define, as_wanted
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.memory import as_fits
-from metrocli.diagnosis.mistakes import without_mistakes
+from metrocli.diagnosis.mistakes import Others, no_others, without_mistakes
 from metrocli.effects.acting import Variable
 from metrocli.effects.own import columns
 from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError, UsageError
@@ -66,7 +67,8 @@ def carry_out(
     adjust = _adjuster(job, more)
     progress = Named(job.file, progress)
     progress.doing("adjusting")
-    adjusted, mistaken = without_mistakes(counting(read_inputs(job), progress), adjust)
+    held = counting(read_inputs(job), progress)
+    adjusted, mistaken = without_mistakes(held, adjust, _others(job, held, adjust))
     diagnosis = diagnose(adjusted, progress, limit, attended, counted(ordered, progress))
     return replace(diagnosis, mistaken=mistaken)
 
@@ -86,7 +88,17 @@ def design_of(job: JobFile, progress: Progress = SILENT) -> tuple[AdjustedJob, D
     return adjusted, what_can_be_seen(adjusted)
 
 
-def _adjuster(job: JobFile, more: Sequence[Variable] = ()) -> Callable[[Mapping[str, object]], AdjustedJob]:
+def _others(job: JobFile, inputs: Mapping[str, object], adjust: Callable[..., AdjustedJob]) -> Others:
+    """Return the other settings of a job, each with what adjusts it."""
+    task = tasks.KINDS[job.kind].task()
+    wanted = task.other_settings
+    if wanted is None:
+        return no_others
+    held = task.job(job.settings, effects=job.effects, **inputs)
+    return lambda fits: [(wrong, partial(adjust, inputs, other.settings)) for wrong, other in wanted(held, fits)]
+
+
+def _adjuster(job: JobFile, more: Sequence[Variable] = ()) -> Callable[..., AdjustedJob]:
     """Return what adjusts a job; `more` are variables of laws beside those that its kind has everywhere."""
     task = tasks.KINDS[job.kind].task()
     adjusted = task.diagnosed
@@ -96,8 +108,8 @@ def _adjuster(job: JobFile, more: Sequence[Variable] = ()) -> Callable[[Mapping[
     declared, model = _declared(noise), _model(noise)
     places = columns.with_variables(task.places, more)
 
-    def adjust(inputs: Mapping[str, object]) -> AdjustedJob:
-        found = adjusted(task.job(job.settings, effects=job.effects, **inputs))
+    def adjust(inputs: Mapping[str, object], settings: object = job.settings) -> AdjustedJob:
+        found = adjusted(task.job(settings, effects=job.effects, **inputs))
         every = (*found.effects, *job.own.effects)
         return replace(found, declared=declared, noise_model=model, effects=every, places=places)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from metrocli import __version__, tasks
-from metrocli.doubt import doubts_of
+from metrocli.doubt import MOST, doubts_of
 from metrocli.effects.wanted import planted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError, UsageError
 from metrocli.formats.aside import refuse_unwritable
@@ -28,7 +28,7 @@ from metrocli.record import Record, Verdict
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
-from metrocli.tasks.job import Job
+from metrocli.tasks.job import Job, Task
 from metrocli.uncertainty.workers import Workers
 
 HERE = Workers()
@@ -124,19 +124,51 @@ def _sound(file: JobFile, job: Job[Any, Any]) -> Result:
     try:
         result = task.run(job)
         sigma0 = result.statistics.get("sigma0", 0.0)
-        if task.diagnosed is None or not isinstance(sigma0, float) or not suspicious(sigma0, result.astray):
+        if task.diagnosed is None or not isinstance(sigma0, float):
             return result
+        if not suspicious(sigma0, result.astray):
+            return _with_other_setting(result, task, job, sigma0 <= MOST)
     except MetrocliError as error:
         if task.diagnosed is None:
             raise
         failure = error
     adjusted = task.diagnosed
-    refusal = misread(vars(job.files), lambda inputs: adjusted(replace(job, files=task.files(**inputs))), failure)
+    refusal = misread(
+        vars(job.files),
+        lambda inputs: adjusted(replace(job, files=task.files(**inputs))),
+        failure,
+        lambda fits: task.others(job, fits),
+    )
     if refusal is not None:
         raise refusal from failure
     if failure is not None:
         raise failure
-    return result
+    return _with_other_setting(_elsewhere(result), task, job, fits=False)
+
+
+def _elsewhere(result: Result) -> Result:
+    """Return a result that is doubtful where its places are not those that its files list."""
+    if result.astray <= 1:
+        return result
+    told = (
+        f"its places lie {result.astray:.1f} times as far from those that its files list as is plausible: a list is "
+        "wrong, such as rows in another order, and no other unit or axis mends it"
+    )
+    return replace(result, doubts=(*result.doubts, told))
+
+
+def _with_other_setting(result: Result, task: Task[Any, Any], job: Job[Any, Any], fits: bool) -> Result:
+    """Return a result that is doubtful where the readings fit far better with another setting of its job."""
+    from metrocli.diagnosis.mistakes import with_other_setting
+
+    if task.diagnosed is None or not task.others(job, fits):
+        return result
+    found = with_other_setting(task.diagnosed(job), lambda fits: task.others(job, fits))
+    if found is None:
+        return result
+    (wrong,), better = found.mistakes, (found.before / found.after) ** 2
+    told = f"{wrong}: read so, the squared residuals are {better:.2g} times smaller; write {wrong.write}"
+    return replace(result, doubts=(*result.doubts, told))
 
 
 def content(file: JobFile, absent: Collection[str] = ()) -> Job[Any, Any]:

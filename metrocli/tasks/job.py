@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 if TYPE_CHECKING:
     from metrocli.diagnosis.adjusted_job import AdjustedJob
+    from metrocli.diagnosis.corrections import Mistake
     from metrocli.effects.acting import Acting
     from metrocli.effects.effect import Effect
     from metrocli.effects.wanted import Wanted
@@ -57,6 +59,16 @@ class Task(Generic[S, F]):
     result_answers: Mapping[str, Callable[[Result, Sequence[str]], tuple[Estimate, ...]]] = field(default_factory=dict)
     """Function for each question of a result, by name; it receives the values as typed on the command line"""
 
+    other_settings: Callable[[Job[S, F], bool], Iterable[tuple[Mistake, Job[S, F]]]] | None = None
+    """What may be wrong in the settings, each with the job that is right then; takes whether the readings fit"""
+
     def job(self, settings: S, *contents: Any, effects: Sequence[Wanted] = (), **named: Any) -> Job[S, F]:
         """Return a job from settings and the contents of its files, given in the order of `files` or by name."""
         return Job(settings, self.files(*contents, **named), effects)
+
+    def others(self, job: Job[S, F], fits: bool) -> list[tuple[Mistake, Callable[[], AdjustedJob]]]:
+        """Return what may be wrong in the settings of a job, each with what adjusts the job without it."""
+        adjusted = self.diagnosed
+        if adjusted is None or self.other_settings is None:
+            return []
+        return [(mistake, partial(adjusted, other)) for mistake, other in self.other_settings(job, fits)]

@@ -110,3 +110,31 @@ def test_poses_in_metres_under_millimetres_are_refused(
     assert "data/table.csv: error: " in ran.err
     assert "x_um, y_um and z_um are in mm" in ran.err
     assert "distance_mm is in um" in ran.err, "readings that are all of one unit: nothing distinguishes which is wrong"
+
+
+def test_an_overload_marker_is_no_wrong_unit(tmp_path: Path, metrocli: Callable[..., object]) -> None:
+    """One of four distances is beyond all: all lengths a thousand times smaller would only take it out of the fit."""
+    assert metrocli("init", tmp_path / "unit", "--sample", "xm60-launch-unit").code == 0
+    file, job = tmp_path / "unit/data/table.csv", tmp_path / "unit/jobs/table.yaml"
+    head, *rows = [line.split(",") for line in file.read_text().splitlines() if not line.startswith("#")]
+    rows[0][head.index("distance_mm")] = "9999.999"
+    file.write_text("\n".join(map(",".join, [head, *rows])) + "\n")
+    ran = metrocli("locate-launch-unit", job)
+    assert ran.code == 6, (ran.out, ran.err)
+    assert "distance of A1" in ran.err
+    assert " in um" not in ran.err
+    told = metrocli("diagnose", job, "--json")
+    assert '"verdict": "mistaken"' not in told.out
+
+
+def test_a_list_in_another_order_makes_the_result_doubtful(tmp_path: Path, metrocli: Callable[..., object]) -> None:
+    """Probing points in the reverse order: lengths fit, and each correction is that of another point."""
+    assert metrocli("init", tmp_path / "gear", "--sample", "gear-m3d3").code == 0
+    file, job = tmp_path / "gear/data/probing.csv", tmp_path / "gear/jobs/tip3.yaml"
+    head, *rows = [line.split(",") for line in file.read_text().splitlines() if not line.startswith("#")]
+    reverse = [[*row[:2], *other[2:]] for row, other in zip(rows, rows[::-1], strict=True)]
+    file.write_text("\n".join(map(",".join, [head, *reverse])) + "\n")
+    ran = metrocli("multilaterate", job)
+    assert ran.code == 6, (ran.out, ran.err)
+    assert "rows in another order" in ran.out + ran.err
+    assert '"verdict": "mistaken"' in metrocli("diagnose", job, "--json").out

@@ -10,12 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 from simulated import machine as sim
+from simulated.castings import casting, nominal
 from simulated.grid import grid
+from tasks.fit_part.test_uncertainty import file_of, solved_of
 from tasks.shared.images import small_jobs
 
 from metrocli.formats import hdf5
 from metrocli.result import Result
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.fit_part import report as fit_report
 from metrocli.tasks.selfcal_grid import task as selfcal_grid
 
 Metrocli = Callable[..., Any]
@@ -136,3 +139,18 @@ def test_a_wrong_vector_of_the_only_tool_is_not_controlled() -> None:
     )
     assert after.statistics["chi2"] == pytest.approx(before.statistics["chi2"], rel=0.01)
     assert 0 < hidden(before, "only tool") < 0.1 * 1e-3  # angles of the machine are below 1 mrad
+
+
+@pytest.mark.parametrize(("aim", "minimum"), [("even", 0.5), ("even", 2.3), ("least-motion", 0.5), ("most", 0.5)])
+def test_the_scale_of_a_raw_part_is_not_controlled(tmp_path: Path, aim: str, minimum: float) -> None:
+    (tmp_path / "part.yaml").write_text(nominal())
+    one, part = casting(48), file_of(tmp_path)
+    middle, stock = one.points.mean(axis=0), []
+    for scale in (1.0, 1 + 1e-5):
+        solved = solved_of(replace(one, points=middle + (one.points - middle) * scale), part, aim, minimum)
+        stock.append(fit_report.report(solved).tables)
+    moved = stock[1]["overstock"].numbers("overstock") - stock[0]["overstock"].numbers("overstock")
+    used = stock[0]["overstock"].numbers("used") > 0
+    listed = stock[0]["not_controlled"]
+    (size,) = listed.numbers("hides")[["common scale" in effect for effect in listed.texts("effect")]]
+    assert float(np.abs(moved[used]).max()) == pytest.approx(float(size), rel=0.02)

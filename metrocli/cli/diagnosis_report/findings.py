@@ -119,10 +119,12 @@ def _mistake(diagnosis: Diagnosis) -> Iterator[str]:
     if diagnosis.mistaken is not None:
         mistakes = diagnosis.mistaken.mistakes
         alike = " in one of these ways, which the readings do not distinguish" if mistakes[1:] else ""
-        yield f"A file of this job is wrong{alike}:"
+        what = "file" if mistakes[0].file else "file or setting"
+        yield f"A {what} of this job is wrong{alike}:"
         yield from (f"  {one}" for one in mistakes[:_SHOWN])
         yield f"write: {mistakes[0].write}" + (", if it is the first" if mistakes[1:] else "")
-        yield "All that follows is for the corrected job."
+        mended = diagnosis.mistaken.after < diagnosis.mistaken.before
+        yield f"All that follows is for the {'corrected job' if mended else 'job as it stands'}."
 
 
 def _wrong(outliers: tuple[Outlier, ...]) -> Iterator[str]:

@@ -22,6 +22,7 @@ from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.coverage import coverage
 from metrocli.tasks.calibrate_camera.length_errors import LengthErrors, length_errors
 from metrocli.tasks.calibrate_camera.lens_conventions import conventions_table, form_covariance, photogrammetric_form
+from metrocli.tasks.calibrate_camera.nearness import too_near
 from metrocli.tasks.calibrate_camera.principal_point import PrincipalPoint, principal_point
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.settings import Camera, Settings
@@ -266,11 +267,12 @@ def _warnings(solved: _Calibration, views: Table) -> list[str]:
 def _doubts(solved: _Calibration) -> list[str]:
     """Return why the camera must not be used.
 
-    Its principal point is held far from where the readings see it, or the lens model maps two directions to one pixel
-    among the readings.
+    Its principal point is held far from where the readings see it, its targets are nearer than its focal length, or the
+    lens model maps two directions to one pixel among the readings.
     """
     centre = solved.centre.doubts() if solved.centre is not None else []
-    return centre + [text for text, among in _folds(solved) if among]
+    near = too_near(solved.problem, solved.adjusted, solved.settings.pixel_size)
+    return [*centre, *near, *(text for text, among in _folds(solved) if among)]
 
 
 def _folds(solved: _Calibration) -> Iterator[tuple[str, bool]]:

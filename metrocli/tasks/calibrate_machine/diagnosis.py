@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Space
-from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.adjust.solution import Solution
@@ -17,9 +16,9 @@ from metrocli.effects.effect import ELAPSED, WARMING, Effect
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.geometry import poses
-from metrocli.instruments.machine import POSITION, TOOL
+from metrocli.instruments.machine import POSITION, TOOL, Machine
 from metrocli.instruments.six_dof import LINE
-from metrocli.instruments.tracer import TRACER, beams
+from metrocli.instruments.tracer import TRACER, beams, reach_of_machine
 from metrocli.instruments.tracker import TRACKER
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.effects import OF_LENGTHS, OF_LINES, OF_MACHINES
@@ -48,7 +47,7 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         KIND.name,
         model,
         _effects_on(model),
-        tuple(_covariates(model, group)),
+        tuple(_covariates(model, group, problem.machine)),
         ("tracer",) if TRACER in model.blocks else (),
         {group.name: _parts(group)},
         Delivered("error tables", first, (0, 1, 2), "um", "length", tuple(others), tables),
@@ -96,7 +95,7 @@ def _variations(model: Model, readings: Observations) -> Iterator[tuple[str, Obs
             )
 
 
-def _covariates(model: Model, group: Group) -> Iterator[Covariate]:
+def _covariates(model: Model, group: Group, machine: Machine) -> Iterator[Covariate]:
     """Yield the variables on which an unknown effect may depend: time, place, and distance and azimuth of the beam."""
     conditions, name = group.observations.conditions, group.name
     if ELAPSED in conditions:
@@ -109,7 +108,7 @@ def _covariates(model: Model, group: Group) -> Iterator[Covariate]:
     if WARMING in conditions:
         yield Covariate("temp_degC", {name: conditions[WARMING]}, 6)
     if TRACER in model.blocks:
-        beam = beams(Chain(group.chain.links[:2]), model.blocks, group.observations)
+        beam = beams(reach_of_machine(machine), model.blocks, group.observations)
         length = np.linalg.norm(beam, axis=0)
         yield Covariate("length_mm", {name: length}, 5)
         yield Covariate("beam azimuth", {name: np.arctan2(beam[1], beam[0])}, 4, angle=True)

@@ -139,7 +139,8 @@ def _left_out(targets: Array, rare: Array, places: Sequence[Index]) -> Iterator[
         yield f"at most half of the runs in one direction have the target at {_in_mm(rare)}"
     for number, at in enumerate(places, 1):
         if (at < 0).any():
-            yield f"run {number} lacks the target {_in_mm(targets[at < 0])}"
+            lacked = targets[at < 0]
+            yield f"run {number} lacks the target{'s' * (len(lacked) > 1)} {_in_mm(lacked)}"
 
 
 def _in_mm(targets: Array) -> str:

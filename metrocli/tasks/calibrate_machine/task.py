@@ -16,6 +16,7 @@ from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import on_the_fly
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
+from metrocli.tasks.calibrate_machine.other_settings import other_settings
 from metrocli.tasks.calibrate_machine.plans.planned import plan_of_path
 from metrocli.tasks.calibrate_machine.plans.stations import plan_of_stations
 from metrocli.tasks.calibrate_machine.plans.stops import plan_of_lines, plan_of_points
@@ -89,4 +90,14 @@ def plan(job: Job[Settings, Files]) -> Plan:
     return replace(planned, warnings=(*planned.warnings, _WITHOUT)) if job.effects else planned
 
 
-TASK = Task(Files, run, check, plan=plan, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS, places=PLACES)
+TASK = Task(
+    Files,
+    run,
+    check,
+    plan=plan,
+    simulate=simulate,
+    diagnosed=diagnosed,
+    other_settings=other_settings,
+    effects=EFFECTS,
+    places=PLACES,
+)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -17,8 +17,9 @@ from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, Setti
 from metrocli.tasks.calibrate_machine.solve import Solved
 from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.shared.environment import blocks_of
+from metrocli.tasks.shared.part import Warm
 from metrocli.tasks.shared.statistics import REMOVE, REPEATS, beyond_bound, noise_warnings
-from metrocli.tasks.shared.uncontrolled import AIR, AIR_WORDS, Hidden, table_of
+from metrocli.tasks.shared.uncontrolled import AIR, AIR_WORDS, ASSUMED, ASSUMED_CONTROL, Hidden, table_of
 from metrocli.words import listed
 
 WEAK = 10.0
@@ -107,15 +108,16 @@ def _ratio(identified: Identifiability) -> str:
     return f"{identified.ratio:.1f}" if math.isfinite(identified.ratio) else units.NOT_DETERMINED
 
 
-def uncontrolled(solved: Solved, tables: Tables, scales: Collection[str] = ()) -> Table:
+def uncontrolled(solved: Solved, tables: Tables, scales: Mapping[str, Warm]) -> Table:
     """Return the settings and causes that the tables absorb, and the error in the volume from a plausible size.
 
-    The uncertainty of a stated air, and that of the scales of axes whose temperature is stated, is in the tables.
+    The uncertainty of a stated air is in the tables, and so is that of the scales of axes whose temperature is stated
+    with its standard uncertainty.
     """
     return table_of(_hidden(solved, tables, scales))
 
 
-def _hidden(solved: Solved, tables: Tables, scales: Collection[str]) -> Iterator[Hidden]:
+def _hidden(solved: Solved, tables: Tables, scales: Mapping[str, Warm]) -> Iterator[Hidden]:
     machine = tables.machine
     diagonal = float(np.linalg.norm(np.asarray(machine.high) - np.asarray(machine.low)))
     if not blocks_of(solved.solution):
@@ -125,12 +127,15 @@ def _hidden(solved: Solved, tables: Tables, scales: Collection[str]) -> Iterator
             AIR * diagonal,
             "temperature and pressure of the air; a calibrated length",
         )
-    if len(scales) < len(machine.axes):
+    else:
+        yield Hidden(ASSUMED, AIR_WORDS, AIR * diagonal, ASSUMED_CONTROL)
+    if sum(scale.std > 0 for scale in scales.values()) < len(machine.axes):
         yield Hidden(
             "temperature of the machine (positioning errors)",
             "1 K of steel (11.5 um/m)",
             _STEEL * diagonal,
-            "temperature of the scales (`scale:` at each axis); the tables hold at the temperature of the measurement",
+            "temperature of the scales with its `std` (`scale:` at each axis); without `scale:` the tables hold at the "
+            "temperature of the measurement",
         )
     tool = solved.solution.blocks[TOOL]
     if len(tool.members) < 2 and not tool.free.any():

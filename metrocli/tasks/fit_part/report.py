@@ -16,7 +16,9 @@ from metrocli.tasks.fit_part.monte_carlo import Check
 from metrocli.tasks.fit_part.sentences import notes, warnings
 from metrocli.tasks.fit_part.solve import Solved
 from metrocli.tasks.fit_part.uncertainty import of_result
+from metrocli.tasks.fit_part.uncontrolled import uncontrolled
 from metrocli.tasks.shared.statistics import Statistics
+from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -37,12 +39,14 @@ def report(solved: Solved, check: Check | None = None) -> Result:
     surfaces = _surfaces(solved, overstock, _std_of_means(solved))
     holding = _holding(solved)
     targets, arrays = _targets(solved)
+    hidden = uncontrolled(solved)
     tables = {
         "overstock": overstock,
         "surfaces": surfaces,
         "holding": holding,
         "rejected": _rejected(solved, names),
         "targets": targets,
+        TABLE: hidden,
         **({"monte_carlo": check.table} if check is not None else {}),
     }
     shown = [ShownTable("surfaces")] + ([ShownTable("rejected")] if len(tables["rejected"]) else [])
@@ -59,7 +63,7 @@ def report(solved: Solved, check: Check | None = None) -> Result:
         arrays={**arrays, "rotation": poses.rotation_of(poses.inverse(fit.into))},
         warnings=(*solved.warnings, *warnings(solved, surfaces, tables["rejected"])),
         shown=tuple(shown),
-        notes=(*notes(solved, holding), *(check.notes if check is not None else ())),
+        notes=(*notes(solved, holding), *(check.notes if check is not None else ()), *in_words(hidden)),
     )
 
 

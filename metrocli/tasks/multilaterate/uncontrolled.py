@@ -11,15 +11,19 @@ from metrocli.adjust.solution import Solution
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.problem import DISTANCES, Network
-from metrocli.tasks.shared.uncontrolled import AIR, AIR_WORDS, Hidden, table_of
+from metrocli.tasks.shared.part import Part, taken_as_exact
+from metrocli.tasks.shared.uncontrolled import AIR, AIR_WORDS, ASSUMED, ASSUMED_CONTROL, Hidden, table_of
 
 
-def uncontrolled(network: Network) -> Table:
+def uncontrolled(network: Network, part: Part | None = None) -> Table:
     """Return effects that the points absorb, the error of the points from each, and what would control it.
 
     The error in `hides` is that of the plausible cause in `assumed`, and is proportional to it.
     """
-    return table_of(_rows(network) if network.unknown[network.seen > 0].any() else ())
+    seen = network.nominal[network.seen > 0]
+    extent = float(np.linalg.norm(np.ptp(seen, axis=0))) if len(seen) else 0.0
+    rows = _rows(network, extent) if network.unknown[network.seen > 0].any() else ()
+    return table_of((*rows, *taken_as_exact(part, extent, "points at 20 degC")))
 
 
 def scale_warnings(network: Network, solution: Solution) -> Iterator[str]:
@@ -42,9 +46,7 @@ def scale_warnings(network: Network, solution: Solution) -> Iterator[str]:
         )
 
 
-def _rows(network: Network) -> Iterator[Hidden]:
-    seen = network.nominal[network.seen > 0]
-    extent = float(np.linalg.norm(np.ptp(seen, axis=0)))
+def _rows(network: Network, extent: float) -> Iterator[Hidden]:
     growth, moved = units.parse_quantity("1.15 ppm", "ratio"), units.parse_quantity("2 um", "length")
     counted = network.air is not None and network.air.std > 0
     if not _scaled(network) and not counted:
@@ -52,6 +54,8 @@ def _rows(network: Network) -> Iterator[Hidden]:
             "a known length (inputs: distances), or two points known by sigma_mm; temperature and pressure of the air"
         )
         yield Hidden("common error of the refractive index", AIR_WORDS, AIR * extent, control)
+    elif counted and not _scaled(network):
+        yield Hidden(ASSUMED, AIR_WORDS, AIR * extent, ASSUMED_CONTROL)
     yield Hidden(
         "common drift of tracers or part",
         "2 um over the measurement",

@@ -13,6 +13,7 @@ from metrocli.adjust.model.groups import Group, prior, prior_of_members
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Solution, residuals_of
 from metrocli.effects.model import Model
+from metrocli.errors import UndeterminedError
 from metrocli.instruments import tracer as t
 from metrocli.settings import Choice, Either, Quantity, setting
 from metrocli.tasks.shared.structured_noise import model_setting
@@ -152,16 +153,39 @@ P = TypeVar("P", bound=Noisy)
 
 
 def settled(problem: P, adjusted: Callable[[P], Solution], name: str) -> tuple[P, Solution]:
-    """Return the solution, and the problem with a repeatability that is estimated; `name` is the group of lengths."""
+    """Return the solution, and the problem with a repeatability that is estimated; `name` is the group of lengths.
+
+    Raises UndeterminedError where only a repeatability as large as the residuals hides the unknowns.
+    """
+    solution = adjusted(problem)
     for _ in range(_ROUNDS):
-        solution, noise = adjusted(problem), problem.noise
+        noise = problem.noise
         if noise is None or noise.std is None or not solution.outcome.good:
             break
         better = noise.renewed(solution, name)
         problem = problem.with_noise(better, solution.blocks)
         if better.near(noise):
             break
+        try:
+            solution = adjusted(problem)
+        except UndeterminedError as error:
+            raise _hidden_by(better, solution, name) from error
     return problem, solution
+
+
+def _hidden_by(noise: PathNoise, before: Solution, name: str) -> UndeterminedError:
+    """Return the error of a model that does not fit, so that the repeatability grows until nothing is determined."""
+    misfit = float(np.sqrt(before.cost / max(before.dof, 1)))
+    group = next(one for one in before.groups if one.name == name)
+    worst = int(np.abs(group.residuals(before.blocks)[0]).argmax())
+    of = " ".join(f"{key} {names[worst]}" for key, names in group.observations.keys.items())
+    return UndeterminedError(
+        f"the model does not fit the lengths: their residuals are {misfit:.0f} times the declared noise.\n"
+        f"  With the repeatability of {noise.repeatability:.2g} mm that follows they do not determine the unknowns.\n"
+        f"  The largest residual is that of {of}.\n"
+        "  Check it, and the names, the units and the signs of the files and settings",
+        misfit,
+    )
 
 
 def stops_of(point: Index, time: Array | None) -> Index:

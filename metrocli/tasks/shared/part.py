@@ -11,14 +11,15 @@ from metrocli import units
 from metrocli.adjust.model.blocks import Array
 from metrocli.result import Result
 from metrocli.settings import Known, Limits, Uncertain, setting
+from metrocli.tasks.shared.uncontrolled import Hidden
 from metrocli.uncertainty.predicted import Places
 
 FIGURES = ("growth", "growth_std")
 """Statistics of a result whose points or targets are at 20 degC"""
 REFERENCE = 20.0
 """Temperature at which sizes are stated [degC]"""
-_SOLIDS = Limits(-1e-3, 1e-3, "what solids expand by: write e.g. 11.5e-6 1/K")
-"""Coefficients of expansion of solids [1/K]; soft polymers have up to 3e-4"""
+_SOLIDS = Limits(-1e-5, 1e-3, "what solids expand by: write e.g. 11.5e-6 1/K")
+"""Coefficients of expansion of solids [1/K]: soft polymers have up to 3e-4, zirconium tungstate -9e-6"""
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,21 @@ class Warm:
     def shrinkage(self) -> float:
         """Factor of sizes at the measurement that gives those at 20 degC, `1 / (1 + growth)`."""
         return 1 / (1 + self.growth)
+
+
+def taken_as_exact(body: Warm | None, extent: float, what: str) -> Iterator[Hidden]:
+    """Yield what the temperature of a body hides that a job gives without its standard uncertainty.
+
+    extent is the error [mm] by a relative growth of 1, of `what`.
+    """
+    if body is not None and not body.std:
+        growth = abs(body.expansion.value)
+        yield Hidden(
+            f"temperature of the part, stated without `std` ({what})",
+            f"1 K of a part that grows by {units.sized(growth, 'ratio')}",
+            growth * extent,
+            "`part:` with the `std` of temperature and expansion",
+        )
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,8 @@ TABLE = "not_controlled"
 SCALE, SCALE_WORDS = units.parse_quantity("10 ppm", "ratio"), "10 um/m"
 """Scale error of a machine or of a list of places that is assumed: about 1 K of steel"""
 AIR, AIR_WORDS = units.parse_quantity("0.96 ppm", "ratio"), "1 K of air temperature (0.96 um/m)"
+ASSUMED = "air that the instrument assumes (`environment: assumed`), common to all lengths"
+ASSUMED_CONTROL = "the settings of the instrument, or a known length; the uncertainty of the true air is in the result"
 
 
 @dataclass(frozen=True)

@@ -402,3 +402,6 @@ def test_lengths_are_made_again_with_the_sides_of_their_file(folder: Path, metro
     found = json.loads(metrocli("calibrate-machine", job, "--json").out)["estimates"]
     for name, true in {"hysteresis.x.width": 0.02, "backlash.x.width": 0.0}.items():
         assert abs(found[name]["value"] - true) < 4 * found[name]["std"] < 0.02
+    told = metrocli("diagnose", job, "--json")
+    assert told.code == 0, told.err
+    assert json.loads(told.out)["verdict"] == "clean"

@@ -67,6 +67,9 @@ def test_positioning_is_that_of_a_scale_at_20_degc() -> None:
     assert hidden in cold.tables["not_controlled"].texts("effect")
     whole = run(with_scale(job, x=GLASS, y=GLASS, z=GLASS))
     assert hidden not in whole.tables["not_controlled"].texts("effect")
+    exact = {axis: replace(GLASS, temperature=replace(GLASS.temperature, std=0.0)) for axis in "xyz"}
+    exact = {axis: replace(one, expansion=replace(one.expansion, std=0.0)) for axis, one in exact.items()}
+    assert hidden in run(with_scale(job, **exact)).tables["not_controlled"].texts("effect")
     # the predicted error of the tool follows
     before, after = (result.tables["volume"] for result in (warm, cold))
     for axis, grown in (("x", GROWN), ("y", GROWN), ("z", 0.0)):

@@ -109,6 +109,25 @@ def test_weather_of_1_ppm_gives_1_ppm_whatever_the_number_of_tracers(tracers: in
     assert "common error of the refractive index" not in hidden.texts(next(iter(hidden)))
 
 
+def test_the_air_that_instruments_assume_is_not_controlled() -> None:
+    """It has no uncertainty: 1 K off moves the points as far as stated, and no residual shows it."""
+    net = network(20, 5, noise=0.0)
+    air = environment(std=ONE_PPM)
+    right, wrong = (
+        run(net, net.lengths(), replace(air, assumed=Assumed(20.0 + off, 1013.25, 0.0))) for off in (0.0, 1.0)
+    )
+    assert wrong.statistics["sigma0"] == pytest.approx(0.0, abs=1e-6)
+    changed = abs(size(places(wrong.tables["points"])) / size(places(right.tables["points"])) - 1)
+    hidden = right.tables["not_controlled"]
+    assumed = [
+        i for i, effect in enumerate(hidden.texts("effect")) if effect.startswith("air that the instrument assumes")
+    ]
+    extent = np.linalg.norm(np.ptp(net.nominal, axis=0))
+    assert hidden.numbers("hides")[assumed] / extent == pytest.approx(
+        [changed], rel=0.05
+    )  # dry air; 0.96 um/m is moist
+
+
 def test_parts_of_the_weather_and_the_wavelength_add_in_quadrature() -> None:
     net = network(20, 5)
     given = replace(environment(std=3 * ONE_PPM), wavelength=Known(633e-6, 4 * PPM * 633e-6))

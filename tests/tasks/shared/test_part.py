@@ -78,3 +78,29 @@ def test_an_expansion_that_no_solid_has_is_refused(tmp_path: Path, metrocli: Cal
     assert "part.temperature: 22 has no unit" in wrong
     job.write_text(job.read_text().replace("22,", "22 degC,").replace("11.5 1/K", "-1e-6 1/K"))
     assert "part" not in metrocli("check", job).err.replace("part of", "")
+
+
+def test_a_temperature_without_its_uncertainty_is_not_controlled() -> None:
+    """1 K off moves the points as far as stated; with `std` it is in their uncertainty instead."""
+    exact = Part(Known(22.1), Known(11.5e-6))
+    warm, warmer = run(exact), run(replace(exact, temperature=Known(23.1)))
+
+    def hides(result: Result) -> list[float]:
+        table = result.tables["not_controlled"]
+        rows = zip(table.texts("effect"), table.numbers("hides"), strict=True)
+        return [size for effect, size in rows if "stated without `std`" in effect]
+
+    before, after = (places(one.tables["points"]) for one in (warm, warmer))
+    ends = [float(np.linalg.norm(np.ptp(one, axis=0))) for one in (before, after)]
+    assert hides(warm) == pytest.approx([ends[0] - ends[1]], rel=0.02)
+    assert not hides(run(STEEL))
+
+
+def test_a_coefficient_of_expansion_with_the_wrong_sign_is_refused(
+    tmp_path: Path, metrocli: Callable[..., Any]
+) -> None:
+    assert metrocli("init", tmp_path / "gear", "--sample", "gear-m3d3").code == 0
+    part = "part={temperature: 22 degC, expansion: -11.5e-6 1/K}"
+    ran = metrocli("multilaterate", tmp_path / "gear/jobs/tip3.yaml", "--set", part)
+    assert ran.code == 3, (ran.out, ran.err)
+    assert "outside what solids expand by" in ran.err

@@ -1,0 +1,73 @@
+"""Other settings with which the readings of a machine may fit: its chain, and its tool vectors.
+
+Every order of the axes fits some tables to the readings, and a repeatability or a noise that follows the residuals
+takes what these tables leave. So neither shows that the order is wrong.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import permutations
+
+from metrocli.diagnosis.corrections import Mistake
+from metrocli.instruments.machine import AXES, axis_order
+from metrocli.tasks.calibrate_machine.files import Files
+from metrocli.tasks.calibrate_machine.settings import MachineSettings, Settings
+from metrocli.tasks.job import Job
+from metrocli.tasks.shared.lengths import ESTIMATED
+from metrocli.tasks.shared.structured_noise import DECLARED
+from metrocli.units.people import format_quantity
+
+_VAGUE = 1.0
+"""Standard uncertainty of tool vectors that are not as listed [mm]"""
+_Other = tuple[Mistake, MachineSettings]
+
+
+def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+    """Yield what may be wrong in the settings, with the job that is right then; nothing if a declared noise fits."""
+    noise = job.settings.noise
+    if fits and noise.model == DECLARED and noise.repeatability != ESTIMATED:
+        return
+    listed = job.settings.machine
+    turned = () if fits else _turned(listed)
+    for mistake, machine in (*_chains(listed), *_other_tools(listed), *turned):
+        yield mistake, replace(job, settings=replace(job.settings, machine=machine))
+
+
+def _chains(machine: MachineSettings) -> Iterator[_Other]:
+    """Yield the other orders of the axes, with the bed at its place."""
+    present = axis_order(machine.chain)
+    for order in permutations(present):
+        if order != present:
+            chain = _in_order(machine.chain, order)
+            mistake = Mistake("machine.chain", f"the order of the axes is {chain}", f"chain: {chain}")
+            yield mistake, replace(machine, chain=chain)
+
+
+def _in_order(chain: str, order: Sequence[int]) -> str:
+    letters = iter(AXES[axis] for axis in order)
+    return re.sub("[XYZ]", lambda _: next(letters), chain)
+
+
+def _other_tools(machine: MachineSettings) -> Iterator[_Other]:
+    """Yield tool vectors that the readings determine; they do not control a single one."""
+    if len(machine.tools or {}) > 1 and machine.tool_uncertainty < _VAGUE:
+        told = format_quantity(_VAGUE, "mm")
+        words = f"the readings see other tool vectors than those listed, as `tool_uncertainty: {told}` shows"
+        mistake = Mistake("machine.tools", words, "the tool vectors as measured")
+        yield mistake, replace(machine, tool_uncertainty=_VAGUE)
+
+
+def _turned(machine: MachineSettings) -> Iterator[_Other]:
+    """Yield each tool vector of several with a component of the other sign."""
+    tools = machine.tools or {}
+    for name, vector in tools.items() if len(tools) > 1 else ():
+        for at in (at for at, size in enumerate(vector) if size):
+            turned = tuple(-one if k == at else one for k, one in enumerate(vector))
+            axis = "xyz"[at]
+            mistake = Mistake(
+                "machine.tools", f"{axis} of {name} has the wrong sign", f"{axis} of {name} with the other sign"
+            )
+            yield mistake, replace(machine, tools={**tools, name: turned})

@@ -1,0 +1,108 @@
+"""A wrong chain or tool vector, which a repeatability that follows the residuals hides, is told and refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from simulated import machine as sim
+from simulated import machine_lengths as lengths
+
+from metrocli.diagnosis.mistakes import with_other_setting
+from metrocli.formats import csv, hdf5
+from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.settings import Settings
+
+Metrocli = Callable[..., Any]
+JOB = """metrocli: 1
+job: calibrate-machine
+method: lengths
+machine:
+  chain: wXbYZt
+  axes: {x: {range: [0 mm, 600 mm], knots: 5}, y: {range: [-260 mm, 260 mm], knots: 5}, z: {range: [-500 mm, 0 mm], knots: 5}}
+  tools: {T1: [0 mm, 0 mm, 120 mm], T2: [110 mm, 20 mm, 150 mm], T3: [-30 mm, 100 mm, 210 mm]}
+inputs: {lengths: lengths.csv}
+noise: {constant: 0.3 um, proportional: 0.1 um/m, repeatability: estimated}
+output: result.h5
+"""
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Path:
+    """Lengths to three tools of a machine that returns to 1 um, drawn by plain formulas."""
+    rng = np.random.default_rng(133)
+    table = lengths.measured(sim.random_machine(rng), rng, 150, sim.THREE, repeatability=1e-3)
+    csv.write(tmp_path / "lengths.csv", replace(table, file=""))
+    (tmp_path / "job.yaml").write_text(JOB)
+    return tmp_path / "job.yaml"
+
+
+def doubts(job: Path) -> str:
+    return " ".join(hdf5.read(job.parent / "result.h5")[1].doubts)
+
+
+def test_right_settings_are_not_doubted(job: Path, metrocli: Metrocli) -> None:
+    assert metrocli("calibrate-machine", job).code == 0
+    assert not doubts(job)
+
+
+WRONG = {
+    "machine.chain=wYbXZt": "the order of the axes is wXbYZt",
+    "machine.tools.T2=[110 mm, 20 mm, 150.03 mm]": "the readings see other tool vectors than those listed",
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_wrong_setting_makes_the_result_doubtful(wrong: str, job: Path, metrocli: Metrocli) -> None:
+    """Chi-square is as expected in all of these: the repeatability is larger instead."""
+    ran = metrocli("calibrate-machine", job, "--set", wrong)
+    assert ran.code == 6, (ran.out, ran.err)
+    assert WRONG[wrong] in doubts(job)
+    assert hdf5.read(job.parent / "result.h5")[0].statistics["sigma0"] == pytest.approx(1, abs=0.01)
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_diagnose_calls_a_wrong_setting_a_mistake(wrong: str, job: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("diagnose", job, "--set", wrong, "--json")
+    found = json.loads(ran.out)
+    assert found["verdict"] == "mistaken", found["verdict"]
+    assert WRONG[wrong] in json.dumps(found["mistake"])
+    assert not found["effects"], "what is left is noise once the setting is right"
+
+
+def test_a_tool_with_the_wrong_sign_is_refused(job: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("calibrate-machine", job, "--set", "machine.tools.T2=[-110 mm, 20 mm, 150 mm]")
+    assert ran.code == 3, (ran.out, ran.err)
+    assert "x of T2 has the wrong sign" in ran.err
+
+
+def test_a_model_that_does_not_fit_is_not_called_undetermined(job: Path, metrocli: Metrocli) -> None:
+    """A repeatability as large as the residuals leaves nothing determined; the cause is what the message states."""
+    ran = metrocli("calibrate-machine", job, "--set", "machine.tools.T2=[110 mm, 20 mm, 152 mm]")
+    assert ran.code == 3, (ran.out, ran.err)
+    assert "the model does not fit the lengths" in ran.err
+    assert "cannot determine" not in ran.err
+    assert "other tool vectors than those listed" in ran.err
+
+
+def test_an_estimated_noise_does_not_hide_the_chain() -> None:
+    rng = np.random.default_rng(134)
+    table = sim.points(sim.random_machine(rng), rng, 200, sim.THREE)
+    settings = sim.settings(tools=sim.THREE)
+    settings = replace(settings, noise=replace(settings.noise, model="estimated"))
+
+    def found(settings: Settings) -> str:
+        job = calibrate_machine.TASK.job(settings, points=table)
+        told = with_other_setting(
+            calibrate_machine.diagnosed(job), lambda fits: calibrate_machine.TASK.others(job, fits)
+        )
+        return str(told.mistakes[0]) if told else ""
+
+    assert not found(settings)
+    other = replace(settings, machine=replace(settings.machine, chain="wZbXYt"))
+    assert found(other) == "machine.chain: the order of the axes is wXbYZt"
