@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
+from metrocli.diagnosis.alike import separations
 from metrocli.diagnosis.cross_validation import Gain, cross_validated
-from metrocli.diagnosis.detectability import Design, design, separations
+from metrocli.diagnosis.detectability import Design, design
 from metrocli.diagnosis.extended_fit import (
     extended_fit,
     readings_kept,
@@ -144,13 +145,16 @@ def _diagnosed(
     explained = fitted.with_columns(law.columns) if law else fitted
     # what a process explains is structure, and is in the tests: only the white part beside it is noise
     noise = noise_of(searched.selection.fitted() if searched.processes else explained)
+    findings = tuple(_findings(job, searched, zip(names, gains, shifts, strict=False), tests, noise.ratio))
+    # of many readings their tables are large, and nothing below needs them
+    del tests, fitted, explained, library
     progress.doing("computing what the measurement could not detect")
     diagnosis = Diagnosis(
         job=job,
         noise=noise,
         noisier_units=searched.units,
         outliers=wrong_readings(searched.selection),
-        findings=tuple(_findings(job, searched, zip(names, gains, shifts, strict=False), tests, noise.ratio)),
+        findings=findings,
         left=structure,
         before=before,
         after=level,

@@ -15,7 +15,8 @@ import pytest
 from benchmarks.hidden import lengths
 from benchmarks.hidden.lengths import Measurement
 from metrocli.cli.diagnosis_report import findings as diagnosis_report
-from metrocli.diagnosis.detectability import Design, Pair
+from metrocli.diagnosis.alike import Pair
+from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.noise import Noise
 

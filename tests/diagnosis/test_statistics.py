@@ -28,9 +28,10 @@ from metrocli.diagnosis.linear.distributions import chi_interval, log_family, lo
 from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.recomputed_terms import polynomials
 from metrocli.diagnosis.linear.score_tests import ScoreTests, quadratic
 from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.linear.smooth_terms import polynomials, visible_directions
+from metrocli.diagnosis.linear.smooth_terms import visible_directions
 from metrocli.diagnosis.noise import noisier_units
 from metrocli.diagnosis.residual_structure import pure_error
 from metrocli.diagnosis.selection.confidence_set import determined
@@ -262,8 +263,8 @@ def test_in_noise_the_levels_are_what_they_say() -> None:
 
 def test_a_smooth_function_of_three_values_has_two_directions() -> None:
     system = field().system
-    values = np.repeat([0.0, 1.0, 2.0], -(-system.rows // 3))[: system.rows]
-    ((shown, _),) = visible_directions(system, np.arange(system.rows), [polynomials(values[None], 5)])
+    values = np.repeat([-1.0, 0.0, 1.0], -(-system.rows // 3))[: system.rows]
+    ((shown, _),) = visible_directions(system, np.arange(system.rows), [polynomials(values[None], 5).T])
     assert int((np.linalg.norm(shown, axis=0) > 0).sum()) <= 2
 
 

@@ -231,13 +231,22 @@ def orthonormalised(columns: Array, least: float) -> tuple[Array, Array]:
     """
     bound, turn = least**2, np.eye(columns.shape[1])
     for _ in range(2):
-        values, vectors = np.linalg.eigh(columns.T @ columns)
-        kept = values > bound
-        step = vectors[:, kept] / np.sqrt(values[kept])
+        step, even = whitening(columns.T @ columns, bound)
         columns, turn, bound = columns @ step, turn @ step, 0.0
-        if not kept.any() or values[kept][0] > _EVEN * values[-1]:
+        if even:
             break
     return columns, turn
+
+
+def whitening(gram: Array, bound: float) -> tuple[Array, bool]:
+    """Return the turn (q, k) that makes columns of a Gram matrix orthonormal, and whether one such step is enough.
+
+    It leaves out directions whose squares are not above `bound`.
+    """
+    values, vectors = np.linalg.eigh(gram)
+    kept = values > bound
+    step = vectors[:, kept] / np.sqrt(values[kept])
+    return step, not kept.any() or bool(values[kept][0] > _EVEN * values[-1])
 
 
 def nothing_fitted(system: System) -> FittedColumns:

@@ -27,10 +27,10 @@ from metrocli.diagnosis.linear.quadratics import quadratic, quadratic_of
 
 _MOST_RANKED = 10_000
 """Readings that are tested as outliers, those with the largest gains"""
-_MOST_REMEMBERED = 10_000_000
+_MOST_REMEMBERED = 4_000_000
 """Numbers of visible columns that are kept, so that they are not projected again for each question"""
 _ROUNDING = 1e-9
-"""Relative difference of levels (ln) that is rounding: a jump at two times without a reading between is one jump"""
+"""Relative difference of levels (ln) that is rounding: a jump at two times without a reading between is one"""
 
 
 @dataclass(frozen=True)
@@ -128,9 +128,11 @@ class ScoreTests:
         )
 
     @cached_property
-    def shared_products(self) -> tuple[Array, ...]:
-        """Products of each family's columns with the shared columns of the basis, (alternatives, parameters, k)."""
-        return tuple(family.columns.products(self.system.basis.shared) for family in self.families)
+    def basic_products(self) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """Products of each family's columns with the shared columns, (alternatives, q, k), and with the residual."""
+        both = self.system.basis.shared, self.system.residual[:, None]
+        shared, right = (tuple(one.columns.products(values) for one in self.families) for values in both)
+        return shared, tuple(one[:, :, 0] for one in right)
 
     def scores(self, fitted: FittedColumns) -> list[Score]:
         """Return the tests of all families beside the fitted columns."""
