@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
-from metrocli.diagnosis.alike import separations
 from metrocli.diagnosis.cross_validation import Gain, cross_validated
 from metrocli.diagnosis.detectability import Design, design
 from metrocli.diagnosis.extended_fit import (
@@ -34,6 +33,7 @@ from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import noise_as_likely, noise_of
+from metrocli.diagnosis.power.alike import separations
 from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.residual_structure import (
     REPEATS,

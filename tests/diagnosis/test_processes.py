@@ -11,9 +11,9 @@ from benchmarks.hidden.rest import _shown, _together, of_each
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.linear.knots import around_circle, between_knots
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.random_columns import with_random_columns
+from metrocli.diagnosis.linear.smooth.knots import around_circle, between_knots
 from metrocli.diagnosis.verdict import as_data
 from metrocli.tasks import KINDS
 

@@ -18,7 +18,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.column_parts import ColumnPart, Own, Part, Step, Steps, kept_of
-from metrocli.diagnosis.linear.recomputed_terms import Terms
+from metrocli.diagnosis.linear.smooth.recomputed_terms import Terms
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix

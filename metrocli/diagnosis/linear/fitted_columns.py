@@ -14,14 +14,13 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.projection import VISIBLE, System
+from metrocli.diagnosis.linear.quadratics import whitening
 
 if TYPE_CHECKING:
     from metrocli.diagnosis.linear.columns import Columns
 
 Key = tuple[int, int]
 """Number of a family and of its alternatives"""
-_EVEN = 0.01
-"""Eigenvalue of a Gram matrix, relative to the largest, above which its eigenvectors need no second step"""
 PRIOR = 2.0
 """Weight of the declared noise in degrees of freedom: it matters with few readings, not with many"""
 
@@ -236,17 +235,6 @@ def orthonormalised(columns: Array, least: float) -> tuple[Array, Array]:
         if even:
             break
     return columns, turn
-
-
-def whitening(gram: Array, bound: float) -> tuple[Array, bool]:
-    """Return the turn (q, k) that makes columns of a Gram matrix orthonormal, and whether one such step is enough.
-
-    It leaves out directions whose squares are not above `bound`.
-    """
-    values, vectors = np.linalg.eigh(gram)
-    kept = values > bound
-    step = vectors[:, kept] / np.sqrt(values[kept])
-    return step, not kept.any() or bool(values[kept][0] > _EVEN * values[-1])
 
 
 def nothing_fitted(system: System) -> FittedColumns:

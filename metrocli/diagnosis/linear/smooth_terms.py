@@ -19,7 +19,7 @@ from metrocli.diagnosis.linear.column_parts import Own
 from metrocli.diagnosis.linear.columns import gathered, side_by_side
 from metrocli.diagnosis.linear.fitted_columns import orthonormal
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.recomputed_terms import SmoothFunctions, Terms, number_of_polynomials
+from metrocli.diagnosis.linear.smooth.recomputed_terms import SmoothFunctions, Terms, number_of_polynomials
 from metrocli.effects.effect import Effect, Parameter
 
 _FEWEST_STEPS = 6

@@ -17,9 +17,9 @@ from metrocli.diagnosis.linear.fitted_columns import (
     Left,
     nothing_fitted,
     orthonormalised,
-    whitening,
 )
 from metrocli.diagnosis.linear.projection import VISIBLE
+from metrocli.diagnosis.linear.quadratics import whitening
 from metrocli.diagnosis.linear.score_tests import Remembered, ScoreTests
 
 
@@ -29,8 +29,8 @@ def without_rows(test_set: ScoreTests, out: Index) -> tuple[ScoreTests, FittedCo
     The rows left out hold all readings of the local members that they use, so the local unknowns of the other rows do
     not change. The shared columns of the rest are made orthonormal anew, and their part is taken from all other
     columns. Rows keep their numbers; those left out are zero. The effective numbers of tests stay those of the whole
-    measurement. Products need the rows left out only: the Gram matrix of columns G is
-    `G'G + C'C - H - (C - D)' T T' (C - D)`, the product with the residual r is `G'r - F - (C - D)' T T' s`. C are the
+    measurement. Products need the rows left out only. The Gram matrix of columns G is
+    `G'G + C'C - H - (C - D)' T T' (C - D)`. The product with the residual r is `G'r - F - (C - D)' T T' s`. C are the
     products of the shared columns with G, D those of their rows left out, F those of G with r there. H is the Gram
     matrix of the rows left out without their local columns, s the product of the other rows of the shared columns with
     r. T makes the shared columns of the rest orthonormal.

@@ -8,9 +8,10 @@ import pytest
 from benchmarks.hidden import lengths
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.extended_fit import score_tests_of_job
-from metrocli.diagnosis.linear import recomputed_terms, smooth_terms
+from metrocli.diagnosis.linear import smooth_terms
 from metrocli.diagnosis.linear.column_parts import Part
-from metrocli.diagnosis.linear.recomputed_terms import SmoothFunctions, Terms, polynomials
+from metrocli.diagnosis.linear.smooth import recomputed_terms
+from metrocli.diagnosis.linear.smooth.recomputed_terms import SmoothFunctions, Terms, polynomials
 
 
 def terms(rng: np.random.Generator, angle: bool, gaps: bool) -> Terms:

@@ -8,20 +8,17 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.average_power import size_separated
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
-
-if TYPE_CHECKING:
-    from metrocli.diagnosis.detectability import Candidate
+from metrocli.diagnosis.power.average_power import size_separated
 
 _ALIKE = 0.9
 """Correlation above which two candidates are reported as alike"""
@@ -37,6 +34,23 @@ _MOST_NUMBERS = 4_000_000
 """Numbers of visible columns that are held at once to compare candidates"""
 _SEPARATED = 0.95
 """Probability with which the right one of two names is chosen, over all directions of its parameters"""
+
+
+class Candidate(Protocol):
+    """One cause at one place."""
+
+    @property
+    def family(self) -> int: ...
+    @property
+    def number(self) -> int: ...
+    @property
+    def testable(self) -> bool: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def dimension(self) -> str: ...
 
 
 @dataclass(frozen=True)

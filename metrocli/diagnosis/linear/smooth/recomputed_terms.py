@@ -18,7 +18,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.column_parts import Part
-from metrocli.diagnosis.linear.fitted_columns import whitening
+from metrocli.diagnosis.linear.quadratics import whitening
 
 _AT_ONCE = 8192
 """Readings whose terms are computed at once; a processor's cache holds these"""
