@@ -7,7 +7,8 @@ the processes that the diagnosis knows.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from scipy.special import ndtr, ndtri
 
 from benchmarks.hidden import images, lengths, machine
 from benchmarks.hidden.case import Case, Hidden
-from benchmarks.hidden.scenes import board_scene
+from benchmarks.hidden.scenes import board_scene, sight
 
 Array = npt.NDArray[np.float64]
 SIZES = (0.3, 1.0)
@@ -78,39 +79,88 @@ def of_lengths(rng: np.random.Generator, turn: int, size: Size) -> Case | None:
 
 
 def _power(m: lengths.Measurement, change: Array, covariance: Array, size: Size) -> float:
-    """Return the power of a test of the effect alone, whose level shows the least size in 80 % of the cases."""
+    """Return the power of a test of the effect alone in a network."""
     white, known = (lengths.size_beside(m, change, one) for one in (np.zeros_like(covariance), covariance))
+    return _power_of(white, known, size)
+
+
+def _power_of(white: float, known: float, size: Size) -> float:
+    """Return the power of a test of the effect alone, whose level shows the least size in 80 % of the cases.
+
+    `white` and `known` are what shows of the effect, in standard deviations, beside white noise and beside the rest.
+    """
     least = (known if size.beside_rest else white) / size.times
     return float(ndtr(known - (least - float(ndtri(_EVEN)))))
 
 
+def _shown(taken: Array, change: Array, covariance: Array) -> tuple[float, float]:
+    """Return what shows of a whitened change (rows,) that columns (rows, k) do not absorb, beside white noise and rest.
+
+    It is the norm of what is left of `L^-1 d` beside `L^-1 J`, with `L L' = I + covariance`.
+    """
+    found = []
+    for one in (np.zeros_like(covariance), covariance):
+        lower = np.linalg.cholesky(np.eye(len(one)) + one)
+        basis, _ = np.linalg.qr(np.linalg.solve(lower, taken))
+        own = np.linalg.solve(lower, change)
+        found.append(float(np.linalg.norm(own - basis @ (basis.T @ own))))
+    return found[0], found[1]
+
+
+def _together(several: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Return independent errors (n,) of several components side by side, (n, d), and their covariance (n d, n d)."""
+    n, d = len(several[0][0]), len(several)
+    covariance = np.zeros((n, d, n, d))
+    for component, (_, own) in enumerate(several):
+        covariance[:, component, :, component] = own
+    return np.stack([off for off, _ in several], axis=1), covariance.reshape(n * d, n * d)
+
+
 def of_images(rng: np.random.Generator, turn: int, size: Size) -> Case | None:
-    """Return images of a board that each have a smooth error over the image."""
+    """Return images of a board that each have a smooth error over the image, with an effect of a size."""
     known = [name for name, plant in images.PLANTS["calibrate-camera"].items() if "board" in plant.rigs]
     wanted = [known[turn % len(known)]] if size.times else []
     plants = [images.PLANTS["calibrate-camera"][name] for name in wanted]
-    read, hidden = images.read(images.without(board_scene(rng, 12, (9, 7)), plants, wanted), rng), list[Hidden]()
+    plain = images.read(images.without(board_scene(rng, 12, (9, 7)), plants, wanted), rng)
+    read, hidden, power, begun = plain, list[Hidden](), None, deepcopy(rng)
     for name in wanted:
-        made = images.planted(read, rng, name, size.times)
+        made = images.planted(plain, rng, name, size.times)
         if made is None:
             return None
-        read = made[0]
-        hidden.append(made[1])
-    off = [of_each(rng, read.uv, read.scene.view)[0] * read.scene.noise for _ in range(2)]
-    return Case(str(size), replace(read, uv=read.uv + np.stack(off, axis=1)).adjusted, tuple(hidden))
+        read, hidden = made[0], [made[1]]
+    noise = plain.scene.noise
+    off, covariance = _together([of_each(rng, read.uv, read.scene.view) for _ in range(2)])
+    for name in wanted:
+        taken = sight(plain.scene).taken
+        white, beside = _shown(taken, ((read.uv - plain.uv) / noise).ravel(), covariance)
+        if size.beside_rest:
+            made = images.planted(plain, begun, name, size.times * white / beside)
+            assert made is not None
+            read, hidden = made[0], [made[1]]
+            white, beside = _shown(taken, ((read.uv - plain.uv) / noise).ravel(), covariance)
+        power = _power_of(white, beside, size)
+    return Case(str(size), replace(read, uv=read.uv + off * noise).adjusted, tuple(hidden), power=power)
 
 
 def of_machine(rng: np.random.Generator, turn: int, size: Size) -> Case | None:
-    """Return points of a machine with a smooth error in time of each component of the tracker's readings."""
-    m, hidden = machine.measurement(rng, machine.SIZE), list[Hidden]()
-    known = list(machine.PARAMETERS)
+    """Return points of a machine with a smooth error in time of each component, with an effect of a size."""
+    plain = machine.measurement(rng, machine.SIZE)
+    m, hidden, power, begun = plain, list[Hidden](), None, deepcopy(rng)
+    name = list(machine.PARAMETERS)[turn % len(machine.PARAMETERS)]
     if size.times:
-        m, one = machine.planted(m, rng, known[turn % len(known)], size.times)
-        hidden.append(one)
+        m, one = machine.planted(plain, rng, name, size.times)
+        hidden = [one]
     every = np.zeros(len(m.t), dtype=np.intp)
-    off = np.stack([of_each(rng, m.t[:, None], every)[0] for _ in range(3)], axis=1)
+    off, covariance = _together([of_each(rng, m.t[:, None], every) for _ in range(3)])
+    if size.times:
+        white, beside = _shown(plain.absorbed, plain.whitened(m.read - plain.read), covariance)
+        if size.beside_rest:
+            m, one = machine.planted(plain, begun, name, size.times * white / beside)
+            hidden = [one]
+            white, beside = _shown(plain.absorbed, plain.whitened(m.read - plain.read), covariance)
+        power = _power_of(white, beside, size)
     read = replace(m, read=m.read + np.linalg.solve(m.white, off[:, :, None])[:, :, 0])
-    return Case(str(size), read.adjusted, tuple(hidden))
+    return Case(str(size), read.adjusted, tuple(hidden), power=power)
 
 
 @dataclass(frozen=True)
@@ -133,9 +183,9 @@ class Rest:
         return found
 
 
-_WHITE = (Size(0.0), Size(2.0), Size(4.0))
+_SIZES = (Size(0.0), Size(2.0), Size(4.0), Size(2.0, beside_rest=True))
 KINDS = {
-    "multilaterate": Rest(of_lengths, (*_WHITE, Size(2.0, beside_rest=True))),
-    "calibrate-camera": Rest(of_images, _WHITE),
-    "calibrate-machine": Rest(of_machine, _WHITE),
+    "multilaterate": Rest(of_lengths, _SIZES),
+    "calibrate-camera": Rest(of_images, _SIZES),
+    "calibrate-machine": Rest(of_machine, _SIZES),
 }

@@ -131,8 +131,7 @@ def without(test_set: ScoreTests, out: Index) -> tuple[ScoreTests, FittedColumns
     Rows that hold only some readings of a local member are taken out by unknowns of their own.
     """
     if _by_members(test_set.system.basis, out):
-        fewer = without_rows(test_set, out)
-        return fewer, nothing_fitted(fewer.system)
+        return without_rows(test_set, out)
     return test_set, fitted_without(test_set, out)
 
 

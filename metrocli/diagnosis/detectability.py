@@ -5,7 +5,6 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -13,16 +12,16 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.average_power import ScatterCandidate, scatter_candidates, size_found, size_separated
 from metrocli.diagnosis.hidden_change import POWER, HiddenChange, forms_for, hidden_by_readings, hidden_change
 from metrocli.diagnosis.linear.candidates import Alternative, NotTested
 from metrocli.diagnosis.linear.distributions import noncentrality, single_level
-from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.quadratics import ranks_of, roots
 from metrocli.diagnosis.linear.scans import thinned
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
+from metrocli.diagnosis.power.alike import Pair, pairs_of
+from metrocli.diagnosis.power.average_power import ScatterCandidate, scatter_candidates, size_found
 from metrocli.diagnosis.selection.thresholds import FIRST, WRONG_READING
 from metrocli.effects.effect import Effect
 
@@ -30,21 +29,9 @@ _POWER = 0.8
 """Probability with which an effect of the least detectable size is found"""
 _FORMS = 60
 """Largest number of forms of an effect (values of its scan) over which the power is averaged"""
-_ALIKE = 0.9
-"""Correlation above which two candidates are reported as alike"""
-_SAME = 0.999
-"""Correlation above which two candidates cannot be distinguished at all"""
-_DEPENDENT = 1e-8
-"""Eigenvalue of the Gram matrix of unit columns below which a direction depends on the others"""
-_OFFERED = 2
-"""Largest number of further measurements that are reported"""
-_HELPS = 0.98
-"""Correlation above which a further measurement does not help enough to be reported"""
 _NAMED_ABSORBERS = 3
 _PART = 0.1
 """Fraction of the largest absorbed change below which an unknown is not named among those that absorb"""
-_SEPARATED = 0.95
-"""Probability with which the right one of two names is chosen, over all directions of its parameters"""
 
 
 @dataclass(frozen=True)
@@ -97,24 +84,6 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Pair:
-    """Two candidates with similar signatures."""
-
-    one: str
-    other: str
-    correlation: float
-    separable: float
-    """Size of the first from which it is distinguished from the other in 95 of 100 cases"""
-    unit: str
-    dimension: str
-
-    @property
-    def alias(self) -> bool:
-        """Whether no measurement of this design can distinguish them."""
-        return self.correlation > _SAME
-
-
-@dataclass(frozen=True)
 class WrongReading:
     """What error of a single reading is detected."""
 
@@ -149,7 +118,7 @@ def design(job: AdjustedJob, test_set: ScoreTests, not_tested: Sequence[NotTeste
     """Return what a measurement can detect, for a noise in units of the declared one."""
     candidates = tuple(_candidate(job, test_set, *spot, noise) for spot in _spots(test_set))
     readings = tuple(_wrong_reading(job, test_set, e, noise) for e in job.effects if e.of_one_reading)
-    pairs, scatters = tuple(_pairs(test_set, candidates, noise)), scatter_candidates(job, test_set, noise)
+    pairs, scatters = tuple(pairs_of(test_set, candidates, noise)), scatter_candidates(job, test_set, noise)
     return Design(candidates, tuple(not_tested), pairs, readings, scatters)
 
 
@@ -244,56 +213,3 @@ def _absorbers(system: System, full: Array) -> tuple[str, ...]:
     most = max(taken.values(), default=0.0)
     ranked = sorted(taken, key=lambda words: -taken[words])
     return tuple(words for words in ranked[:_NAMED_ABSORBERS] if taken[words] > _PART * most)
-
-
-def _pairs(test_set: ScoreTests, candidates: Sequence[Candidate], noise: float) -> Iterable[Pair]:
-    """Yield the pairs of testable candidates of different causes or places that correlate by more than 0.9."""
-    testable = [one for one in candidates if one.testable]
-    ends = np.cumsum([0, *(test_set.families[one.family].columns.parameters for one in testable)])
-    whole = np.empty((test_set.system.rows, int(ends[-1])))
-    own = [slice(int(first), int(last)) for first, last in itertools.pairwise(ends)]
-    for one, its in zip(testable, own, strict=True):
-        whole[:, its] = test_set.visible(one.family, one.number)
-    gram = whole.T @ whole
-    turns = [_unit(gram[its, its]) for its in own]
-    for i, one in enumerate(testable):
-        for j in range(i):
-            imitated = turns[j].T @ gram[own[j], own[i]]
-            product = imitated @ turns[i]
-            # the largest singular value cannot exceed the root of the sum of squares, so most pairs need no SVD
-            apart = one.alternative.spot != testable[j].alternative.spot and (product**2).sum() > _ALIKE**2
-            rho = float(np.linalg.norm(product, 2)) if apart else 0.0
-            if rho > _ALIKE:
-                size = noise * size_separated(gram[own[i], own[i]], imitated, _SEPARATED)
-                yield Pair(one.name, testable[j].name, min(rho, 1.0), size, one.unit, one.dimension)
-
-
-def _unit(gram: Array) -> Array:
-    """Return the turn (q, k) that makes columns of a Gram matrix (q, q) orthonormal, without those that depend."""
-    norms = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    values, vectors = np.linalg.eigh(gram / np.outer(norms, norms))
-    kept = values > _DEPENDENT
-    return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) / norms[:, None])
-
-
-def separations(job: AdjustedJob, one: Alternative, other: Alternative) -> list[str]:
-    """Return, in words, what to measure to distinguish two names: the first offers that bring their cosine below 0.9.
-
-    If none does, the offer with the lowest cosine; if the job has no offers, the advice of the effects themselves.
-    """
-    found = []
-    for words, model in job.offers(job.model):
-        system = linearised(model)
-        columns = [system.seen(signature(model, system, a.effect, a.instance, dict(a.scanned))) for a in (one, other)]
-        turns = [_unit(its.T @ its) for its in columns]
-        cosines = turns[0].T @ (columns[0].T @ columns[1]) @ turns[1]
-        found.append((float(np.linalg.norm(cosines, 2)), words))
-        if sum(rho < _ALIKE for rho, _ in found) == _OFFERED:
-            break
-    enough = [f"{words} (their correlation falls to {rho:.2f})" for rho, words in found if rho < _ALIKE]
-    if enough:
-        return enough
-    helping = [
-        f"{words} (their correlation falls to {rho:.2f} only)" for rho, words in sorted(found)[:1] if rho < _HELPS
-    ]
-    return helping + [words for words in dict.fromkeys([one.effect.reveal, other.effect.reveal]) if words]

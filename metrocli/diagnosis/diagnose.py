@@ -13,7 +13,7 @@ import numpy as np
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
 from metrocli.diagnosis.cross_validation import Gain, cross_validated
-from metrocli.diagnosis.detectability import Design, design, separations
+from metrocli.diagnosis.detectability import Design, design
 from metrocli.diagnosis.extended_fit import (
     extended_fit,
     readings_kept,
@@ -33,6 +33,7 @@ from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import noise_as_likely, noise_of
+from metrocli.diagnosis.power.alike import separations
 from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.residual_structure import (
     REPEATS,
@@ -144,13 +145,16 @@ def _diagnosed(
     explained = fitted.with_columns(law.columns) if law else fitted
     # what a process explains is structure, and is in the tests: only the white part beside it is noise
     noise = noise_of(searched.selection.fitted() if searched.processes else explained)
+    findings = tuple(_findings(job, searched, zip(names, gains, shifts, strict=False), tests, noise.ratio))
+    # of many readings their tables are large, and nothing below needs them
+    del tests, fitted, explained, library
     progress.doing("computing what the measurement could not detect")
     diagnosis = Diagnosis(
         job=job,
         noise=noise,
         noisier_units=searched.units,
         outliers=wrong_readings(searched.selection),
-        findings=tuple(_findings(job, searched, zip(names, gains, shifts, strict=False), tests, noise.ratio)),
+        findings=findings,
         left=structure,
         before=before,
         after=level,

@@ -218,11 +218,15 @@ def _at_member(job: AdjustedJob, change: float, member: int) -> HiddenChange:
     """Return a change with the name of its member."""
     if change == 0:
         return HiddenChange(0.0)
-    return HiddenChange(change, members_of(job)[member])
+    return HiddenChange(change, _name_of(job, member))
 
 
-def members_of(job: AdjustedJob) -> list[str]:
-    """Return the names of all delivered members, with that of their block where there are several: axis Y -260."""
+def _name_of(job: AdjustedJob, number: int) -> str:
+    """Return the name of a delivered member, with that of its block where there are several: axis Y -260."""
     blocks = job.delivered.blocks
-    label = "{0} {1}" if len(blocks) > 1 else "{1}"
-    return [label.format(block, name) for block in blocks for name in job.model.blocks[block].members]
+    for block in blocks:
+        members = job.model.blocks[block].members
+        if number < len(members):
+            return f"{block} {members[number]}" if len(blocks) > 1 else members[number]
+        number -= len(members)
+    raise IndexError(number)

@@ -16,8 +16,8 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
-from metrocli.diagnosis.linear.knots import around_circle, between_knots
 from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.smooth.knots import around_circle, between_knots
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix

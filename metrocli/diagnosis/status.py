@@ -8,10 +8,10 @@ from typing import Any, Literal
 
 from metrocli import units
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.average_power import ScatterCandidate
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
 from metrocli.diagnosis.hidden_change import POWER, HiddenChange
 from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.power.average_power import ScatterCandidate
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.effects.effect import Effect
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from metrocli.diagnosis.average_power import size_separated
+from metrocli.diagnosis.power.average_power import size_separated
 
 
 @pytest.mark.parametrize("parameters", [1, 2, 3])

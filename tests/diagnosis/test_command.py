@@ -15,9 +15,10 @@ import pytest
 from benchmarks.hidden import lengths
 from benchmarks.hidden.lengths import Measurement
 from metrocli.cli.diagnosis_report import findings as diagnosis_report
-from metrocli.diagnosis.detectability import Design, Pair
+from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.noise import Noise
+from metrocli.diagnosis.power.alike import Pair
 
 JOB = """metrocli: 1
 job: multilaterate

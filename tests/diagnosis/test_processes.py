@@ -7,13 +7,13 @@ import pytest
 
 from benchmarks.hidden import launch, lengths
 from benchmarks.hidden.foreign import planted
-from benchmarks.hidden.rest import of_each
+from benchmarks.hidden.rest import _shown, _together, of_each
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.linear.knots import around_circle, between_knots
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.random_columns import with_random_columns
+from metrocli.diagnosis.linear.smooth.knots import around_circle, between_knots
 from metrocli.diagnosis.verdict import as_data
 from metrocli.tasks import KINDS
 
@@ -146,3 +146,16 @@ def test_views_that_are_measured_one_after_the_other_each_have_all_knots() -> No
     np.add.at(functions, (np.arange(40)[:, None], numbers), values)
     np.testing.assert_allclose(functions[:20], functions[20:], atol=1e-12)
     assert (functions[:20].max(axis=0) > 0.5).all() and distances.max() == 1.0
+
+
+def test_what_shows_beside_a_known_covariance_is_that_of_weighted_least_squares() -> None:
+    rng = np.random.default_rng(2)
+    errors, covariance = _together([of_each(rng, rng.random((9, 1)), np.arange(9) // 5) for _ in range(2)])
+    assert errors.shape == (9, 2)
+    assert not covariance.reshape(9, 2, 9, 2)[:, 0, :, 1].any()
+    taken, change = rng.normal(size=(18, 3)), rng.normal(size=18)
+    weight = np.linalg.inv(np.eye(18) + covariance)
+    left = weight - weight @ taken @ np.linalg.solve(taken.T @ weight @ taken, taken.T @ weight)
+    white, beside = _shown(taken, change, covariance)
+    assert beside == pytest.approx(float(np.sqrt(change @ left @ change)))
+    assert white == pytest.approx(float(np.linalg.norm(change - taken @ np.linalg.lstsq(taken, change, rcond=None)[0])))

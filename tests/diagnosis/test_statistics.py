@@ -17,7 +17,6 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.average_power import size_found
 from metrocli.diagnosis.cross_validation import fitted_without, held_out_errors
 from metrocli.diagnosis.detectability import design
 from metrocli.diagnosis.diagnose import diagnose
@@ -30,8 +29,10 @@ from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests, quadratic
 from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.linear.smooth_terms import polynomials, visible_directions
+from metrocli.diagnosis.linear.smooth.recomputed_terms import polynomials
+from metrocli.diagnosis.linear.smooth_terms import visible_directions
 from metrocli.diagnosis.noise import noisier_units
+from metrocli.diagnosis.power.average_power import size_found
 from metrocli.diagnosis.residual_structure import pure_error
 from metrocli.diagnosis.selection.confidence_set import determined
 from metrocli.diagnosis.selection.search import search
@@ -262,8 +263,8 @@ def test_in_noise_the_levels_are_what_they_say() -> None:
 
 def test_a_smooth_function_of_three_values_has_two_directions() -> None:
     system = field().system
-    values = np.repeat([0.0, 1.0, 2.0], -(-system.rows // 3))[: system.rows]
-    ((shown, _),) = visible_directions(system, np.arange(system.rows), [polynomials(values[None], 5)])
+    values = np.repeat([-1.0, 0.0, 1.0], -(-system.rows // 3))[: system.rows]
+    ((shown, _),) = visible_directions(system, np.arange(system.rows), [polynomials(values[None], 5).T])
     assert int((np.linalg.norm(shown, axis=0) > 0).sum()) <= 2
 
 

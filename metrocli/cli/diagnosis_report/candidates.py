@@ -8,9 +8,9 @@ from metrocli import units
 from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis import status
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.average_power import ScatterCandidate
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
 from metrocli.diagnosis.hidden_change import HiddenChange
+from metrocli.diagnosis.power.average_power import ScatterCandidate
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.effects.effect import Parameter
 from metrocli.words import listed

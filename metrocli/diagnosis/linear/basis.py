@@ -9,25 +9,23 @@ Method: docs/algorithms/selection-and-levels.md (projection).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.datum import Frame
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.adjust.schur.layout import Layout
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
 _FEW = 0.1
 """Share of the rows with a value below which these rows are gathered"""
-_AT_ONCE = 100_000
+_AT_ONCE = 25_000
 """Rows that are combined, or whose errors are followed to the unknowns, at once"""
 
 
@@ -79,8 +77,10 @@ class Basis:
 
     def squares(self, rows: Index | Mask | slice = slice(None)) -> Array:
         """Return the sum of squares of each row, the share of a reading that the unknowns absorb."""
-        local, shared = self.local[rows], self.shared[rows]
-        return np.asarray(np.einsum("rk,rk->r", local, local) + np.einsum("rk,rk->r", shared, shared))
+        own = np.arange(len(self.local))[rows]
+        some = (own[start : start + _AT_ONCE] for start in range(0, max(len(own), 1), _AT_ONCE))
+        parts = ((self.local[one], self.shared[one]) for one in some)
+        return np.concatenate([sum(np.einsum("rk,rk->r", one, one) for one in both) for both in parts])
 
     def grams(self, values: Array) -> Array:
         """Return `g' b b' g` of columns (rows, k, q), k at a time, (k, q, q): the squares that the unknowns absorb."""
@@ -96,8 +96,18 @@ class Basis:
 
     def gram_of(self, columns: csr_matrix) -> Array:
         """Return `g' b b' g` of sparse columns (rows, k), (k, k): the products that the unknowns absorb."""
-        local, shared = columns.T @ self._sparse, columns.T @ self.shared
-        return np.asarray((local @ local.T).toarray() + shared @ shared.T)
+        shared = columns.T @ self.shared
+        found = shared @ shared.T
+        for rows in self._of_whole_members():
+            local = columns[rows].T @ self.at(rows)._sparse
+            found += (local @ local.T).toarray()
+        return np.asarray(found)
+
+    def _of_whole_members(self) -> Iterator[Index]:
+        """Yield all rows, those of some whole members at once."""
+        order = np.argsort(self.member, kind="stable")
+        begins = np.searchsorted(self.member[order], self.member[order[::_AT_ONCE]])
+        yield from (np.sort(order[a:b]) for a, b in pairwise([*np.unique(begins), len(order)]))
 
     def growth_of_grams(self, rows: Index, values: Array, stretches: Iterable[slice]) -> Iterator[Array]:
         """Yield by how much `g' b b' g` (q, q) grows with each stretch of rows that a column g has more.
@@ -179,8 +189,7 @@ class Basis:
 
     def holds_whole_members(self, rows: Index) -> bool:
         """Whether some rows contain all rows of each local member that they use."""
-        there = np.bincount(self.member[rows] + 1, minlength=self.members + 1)
-        whole = np.bincount(self.member + 1, minlength=self.members + 1)
+        there, whole = (np.bincount(one + 1, minlength=self.members + 1) for one in (self.member[rows], self.member))
         return bool(((there == 0) | (there == whole))[1:].all())
 
 
@@ -283,17 +292,3 @@ def rows_with_values(columns: Array) -> Index:
 
 def _flat(values: Array) -> Array:
     return values.reshape(len(values), math.prod(values.shape[1:]))
-
-
-def datum_of(frame: Frame | None, layout: Layout, blocks: Mapping[str, Block]) -> tuple[Array, Array]:
-    """Return movements (unknowns, m) and conditions (m, unknowns) of a frame, in the numbers of a whole layout."""
-    count = 0 if frame is None else frame.reduced.shape[1]
-    movements, conditions = np.zeros((layout.width, count)), np.zeros((layout.width, count))
-    if frame is not None:
-        for name in layout.columns.keys() & frame.moves.keys():
-            numbers = layout.columns[name]
-            moved = frame.moves[name].at(blocks[name].values, np.arange(len(numbers)))
-            movements[numbers[numbers >= 0]] = moved[numbers >= 0]
-        numbers = layout.columns[frame.datum.block]
-        conditions[numbers[numbers >= 0]] = frame.constraint(np.arange(len(numbers)))[numbers >= 0]
-    return movements, conditions.T

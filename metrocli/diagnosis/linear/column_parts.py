@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -22,6 +23,39 @@ _SMALL = 100_000
 """Number of products up to which all are held to sum them, which then is faster than stretch by stretch"""
 
 
+class ColumnPart(Protocol):
+    """Columns of some alternatives of a family, at the rows that these change."""
+
+    @property
+    def rows(self) -> Index:
+        """The rows that they change, (r,)."""
+
+    @property
+    def numbers(self) -> Index:
+        """Numbers of the alternatives in their family, (alternatives,)."""
+
+    def products(self, visible: Array, at: Index | slice = ...) -> Array:
+        """Return the products of some alternatives with visible vectors (rows, m), (alternatives, parameters, m)."""
+
+    def dense(self, at: Index | slice = ...) -> Array:
+        """Return the columns of some alternatives at the rows, (r, alternatives, parameters)."""
+
+    def norms(self, kept: Mask | None) -> Array:
+        """Return the norm of each column at the kept rows, (alternatives, parameters)."""
+
+    def grams(self, basis: Basis, kept: Mask | None) -> Array:
+        """Return `g' M g` of each alternative with zeros at rows that are not kept (r,), M without a basis."""
+
+    def cut(self, there: Mask) -> ColumnPart:
+        """Return the part at some of its rows (r,)."""
+
+    def numbered(self, rows: Index, numbers: Index) -> ColumnPart:
+        """Return the part with other numbers of its rows and its alternatives."""
+
+    def turned(self, turn: Array) -> ColumnPart:
+        """Return the columns times a matrix for each alternative of the family, (all, parameters, parameters)."""
+
+
 @dataclass(frozen=True)
 class Own:
     """The columns of one alternative at the rows that they change."""
@@ -30,6 +64,11 @@ class Own:
     """(r,)"""
     values: Array
     """(r, parameters)"""
+
+    @property
+    def parameters(self) -> int:
+        """Number of columns."""
+        return int(self.values.shape[1])
 
     @classmethod
     def of(cls, full: Array, own: Mask) -> Own:
@@ -62,6 +101,11 @@ class Step:
     course: Course
     begin: int
     """The first row of the course on which it acts"""
+
+    @property
+    def parameters(self) -> int:
+        """Number of columns."""
+        return int(self.course.values.shape[1])
 
     @property
     def rows(self) -> Index:
@@ -120,6 +164,10 @@ class Part:
     def numbered(self, rows: Index, numbers: Index) -> Part:
         """Return the part with other numbers of its rows and its alternatives."""
         return Part(rows, self.values, numbers)
+
+    def turned(self, turn: Array) -> Part:
+        """Return the columns times a matrix for each alternative of the family, (all, parameters, parameters)."""
+        return Part(self.rows, np.einsum("rak,akj->raj", self.values, turn[self.numbers]), self.numbers)
 
 
 @dataclass(frozen=True)
@@ -198,6 +246,10 @@ class Steps:
     def numbered(self, rows: Index, numbers: Index) -> Steps:
         """Return the part with other numbers of its rows and its alternatives."""
         return Steps(Course(rows, self.course.values), self.begins, numbers)
+
+    def turned(self, turn: Array) -> Part:
+        """Return the columns times a matrix for each alternative of the family, (all, parameters, parameters)."""
+        return Part(self.rows, self.dense(), self.numbers).turned(turn)
 
 
 def kept_of(values: Array, kept: Mask | None) -> Array:

@@ -17,7 +17,8 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.linear.basis import Basis
-from metrocli.diagnosis.linear.column_parts import Own, Part, Step, Steps, kept_of
+from metrocli.diagnosis.linear.column_parts import ColumnPart, Own, Part, Step, Steps, kept_of
+from metrocli.diagnosis.linear.smooth.recomputed_terms import Terms
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
@@ -37,10 +38,10 @@ class Stacked:
     """Transposed columns of the small parts, (alternatives*parameters, rows up to the last that they change)"""
     numbers: Index
     """Numbers of their alternatives"""
-    others: tuple[Part | Steps, ...]
+    others: tuple[ColumnPart, ...]
 
     @classmethod
-    def of(cls, parts: Sequence[Part | Steps]) -> Stacked:
+    def of(cls, parts: Sequence[ColumnPart]) -> Stacked:
         """Return the parts, apart by their size."""
         from scipy.sparse import csc_matrix
 
@@ -71,7 +72,7 @@ class Columns:
     """Number of alternatives"""
     parameters: int
     """Number of columns of each"""
-    parts: tuple[Part | Steps, ...]
+    parts: tuple[ColumnPart, ...]
     kept: Mask | None = None
     """The rows at which they are not zero (rows,), None for all; shared by the folds without a copy of the values"""
     stacked: list[Stacked] = field(default_factory=list, compare=False, repr=False)
@@ -113,7 +114,7 @@ class Columns:
             part_of[part.numbers], place[part.numbers] = number, np.arange(len(part.numbers))
         return part_of, place
 
-    def _among(self, chosen: Sequence[int]) -> Iterator[tuple[Part | Steps, Mask, Index]]:
+    def _among(self, chosen: Sequence[int]) -> Iterator[tuple[ColumnPart, Mask, Index]]:
         """Yield the parts that hold some of the alternatives: which of `chosen` these are, and their place in it."""
         numbers = np.asarray(chosen, dtype=np.intp)
         part_of, place = (held[numbers] for held in self._held)
@@ -153,10 +154,7 @@ class Columns:
 
     def turned(self, turn: Array) -> Columns:
         """Return the columns of each alternative times a matrix of its own, (alternatives, parameters, parameters)."""
-        parts = (
-            Part(part.rows, np.einsum("rak,akj->raj", part.dense(), turn[part.numbers]), part.numbers)
-            for part in self.parts
-        )
+        parts = (part.turned(turn) for part in self.parts)
         return replace(self, parts=tuple(parts), stacked=[])
 
     def of_rows(self, rows: Mask) -> Columns:
@@ -166,7 +164,7 @@ class Columns:
         parts = tuple(part.numbered(new[part.rows], part.numbers) for part in cut.parts)
         return replace(cut, parts=parts, stacked=[])
 
-    def _kept_of(self, part: Part | Steps) -> Mask | None:
+    def _kept_of(self, part: ColumnPart) -> Mask | None:
         return None if self.kept is None else self.kept[part.rows]
 
     def followed_by(self, values: Array) -> Columns:
@@ -176,7 +174,7 @@ class Columns:
         return replace(self, count=self.count + 1, parts=(*self.parts, part), stacked=[])
 
 
-def gathered(items: Iterable[tuple[object, Own | Step]]) -> Columns:
+def gathered(items: Iterable[tuple[object, Own | Step | Terms]]) -> Columns:
     """Return the columns of alternatives, each with a label.
 
     Alternatives of equal labels, such as the periods of a wave in one tracer, share a part with the rows of all of
@@ -184,14 +182,16 @@ def gathered(items: Iterable[tuple[object, Own | Step]]) -> Columns:
     """
     by_label: dict[object, list[tuple[int, Own]]] = {}
     by_course: dict[int, list[tuple[int, Step]]] = {}
+    parts: list[ColumnPart] = []
     count = 0
     for number, (label, one) in enumerate(items):
-        if isinstance(one, Step):
+        if isinstance(one, Terms):
+            parts.append(replace(one, numbers=np.array([number])))
+        elif isinstance(one, Step):
             by_course.setdefault(id(one.course), []).append((number, one))
         else:
             by_label.setdefault(label, []).append((number, one))
-        count, parameters = number + 1, one.values.shape[1]
-    parts: list[Part | Steps] = []
+        count, parameters = number + 1, one.parameters
     for steps in by_course.values():
         begins, numbers = np.array([[one.begin, number] for number, one in steps]).T
         parts.append(Steps(steps[0][1].course, begins, numbers))
@@ -216,7 +216,7 @@ def side_by_side(several: Sequence[Array]) -> Array:
 
 def joined(several: Sequence[Columns]) -> Columns:
     """Return the columns of several families of as many parameters, none of them cut, one after the other."""
-    parts: list[Part | Steps] = []
+    parts: list[ColumnPart] = []
     count = 0
     for one in several:
         parts += [part.numbered(part.rows, part.numbers + count) for part in one.parts]

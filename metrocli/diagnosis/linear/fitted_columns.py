@@ -14,14 +14,13 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.projection import VISIBLE, System
+from metrocli.diagnosis.linear.quadratics import whitening
 
 if TYPE_CHECKING:
     from metrocli.diagnosis.linear.columns import Columns
 
 Key = tuple[int, int]
 """Number of a family and of its alternatives"""
-_EVEN = 0.01
-"""Eigenvalue of a Gram matrix, relative to the largest, above which its eigenvectors need no second step"""
 PRIOR = 2.0
 """Weight of the declared noise in degrees of freedom: it matters with few readings, not with many"""
 
@@ -231,11 +230,9 @@ def orthonormalised(columns: Array, least: float) -> tuple[Array, Array]:
     """
     bound, turn = least**2, np.eye(columns.shape[1])
     for _ in range(2):
-        values, vectors = np.linalg.eigh(columns.T @ columns)
-        kept = values > bound
-        step = vectors[:, kept] / np.sqrt(values[kept])
+        step, even = whitening(columns.T @ columns, bound)
         columns, turn, bound = columns @ step, turn @ step, 0.0
-        if not kept.any() or values[kept][0] > _EVEN * values[-1]:
+        if even:
             break
     return columns, turn
 

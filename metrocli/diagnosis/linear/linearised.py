@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metrocli.adjust.datum import open_frame
+from metrocli.adjust.datum import Frame, open_frame
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Linear
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout, single_touch, without_elimination
-from metrocli.diagnosis.linear.basis import Basis, Solver, datum_of
+from metrocli.diagnosis.linear.basis import Basis, Solver
 from metrocli.diagnosis.linear.fitted_columns import orthonormalised
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS, System, by_rows, scatter
 from metrocli.effects.model import Model
@@ -179,7 +179,7 @@ def _factored(model: Model, local: Local, layout: Layout, whole: Layout, rows: _
     places = np.zeros((0, 0), dtype=np.intp)
     if local.block is not None:
         places = np.where(local.members[:, None], whole.columns[local.block.name], -1)
-    datum = datum_of(frame, whole, model.blocks)
+    datum = _datum_of(frame, whole, model.blocks)
     nothing = np.zeros((whole.width, 0))
     solver = Solver(inverses, by_member, shared, (places, numbers), whole.width, *datum, nothing)
     norms = np.zeros(whole.width)
@@ -227,3 +227,17 @@ def _orthonormal(columns: Array, rank: int) -> tuple[Array, Array]:
 
 def _unscaled(gram: Array, sizes: Array) -> Array:
     return gram * sizes * sizes[:, None]
+
+
+def _datum_of(frame: Frame | None, layout: Layout, blocks: Mapping[str, Block]) -> tuple[Array, Array]:
+    """Return movements (unknowns, m) and conditions (m, unknowns) of a frame, in the numbers of a whole layout."""
+    count = 0 if frame is None else frame.reduced.shape[1]
+    movements, conditions = np.zeros((layout.width, count)), np.zeros((layout.width, count))
+    if frame is not None:
+        for name in layout.columns.keys() & frame.moves.keys():
+            numbers = layout.columns[name]
+            moved = frame.moves[name].at(blocks[name].values, np.arange(len(numbers)))
+            movements[numbers[numbers >= 0]] = moved[numbers >= 0]
+        numbers = layout.columns[frame.datum.block]
+        conditions[numbers[numbers >= 0]] = frame.constraint(np.arange(len(numbers)))[numbers >= 0]
+    return movements, conditions.T

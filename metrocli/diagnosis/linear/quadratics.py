@@ -10,6 +10,8 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.projection import FLAT, VISIBLE
 
+_EVEN = 0.01
+"""Eigenvalue of a Gram matrix, relative to the largest, above which its eigenvectors need no second step"""
 _NOTHING = 1e-150
 """Size below which a column is 0: its square is"""
 
@@ -53,3 +55,14 @@ def quadratic_of(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]
     root = roots(gram, scale)
     along = np.swapaxes(root, 1, 2) @ right
     return (along**2).sum(axis=(1, 2)), ranks_of(root)
+
+
+def whitening(gram: Array, bound: float) -> tuple[Array, bool]:
+    """Return the turn (q, k) that makes columns of a Gram matrix orthonormal, and whether one such step is enough.
+
+    It leaves out directions whose squares are not above `bound`.
+    """
+    values, vectors = np.linalg.eigh(gram)
+    kept = values > bound
+    step = vectors[:, kept] / np.sqrt(values[kept])
+    return step, not kept.any() or bool(values[kept][0] > _EVEN * values[-1])

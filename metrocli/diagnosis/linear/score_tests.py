@@ -27,10 +27,10 @@ from metrocli.diagnosis.linear.quadratics import quadratic, quadratic_of
 
 _MOST_RANKED = 10_000
 """Readings that are tested as outliers, those with the largest gains"""
-_MOST_REMEMBERED = 10_000_000
-"""Numbers of visible columns that are kept, so that they are not projected again for each question"""
+_MOST_REMEMBERED = 4_000_000
+"""Numbers of visible columns that are kept"""
 _ROUNDING = 1e-9
-"""Relative difference of levels (ln) that is rounding: a jump at two times without a reading between is one jump"""
+"""Relative difference of levels (ln) that is rounding: a jump at two times without a reading between is one"""
 
 
 @dataclass(frozen=True)
@@ -53,10 +53,7 @@ class Score:
 
 @dataclass
 class Remembered:
-    """Visible columns of candidates, and effects that lie in smooth terms, as far as they were computed.
-
-    It is empty where tests travel to another processor.
-    """
+    """Visible columns of candidates, and effects in smooth terms, as far as known; empty on another processor."""
 
     lying_in: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict)
     visible: dict[tuple[int, int], Array] = field(default_factory=dict)
@@ -130,9 +127,11 @@ class ScoreTests:
         )
 
     @cached_property
-    def shared_products(self) -> tuple[Array, ...]:
-        """Products of each family's columns with the shared columns of the basis, (alternatives, parameters, k)."""
-        return tuple(family.columns.products(self.system.basis.shared) for family in self.families)
+    def basic_products(self) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """Products of each family's columns with the shared columns, (alternatives, q, k), and with the residual."""
+        shared, right = self.system.basis.shared, self.system.residual[:, None]
+        of_right = tuple(one.columns.products(right)[:, :, 0] for one in self.families)
+        return tuple(one.columns.products(shared) for one in self.families), of_right
 
     def scores(self, fitted: FittedColumns) -> list[Score]:
         """Return the tests of all families beside the fitted columns."""

@@ -6,9 +6,7 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from itertools import product
-from math import comb
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +19,7 @@ from metrocli.diagnosis.linear.column_parts import Own
 from metrocli.diagnosis.linear.columns import gathered, side_by_side
 from metrocli.diagnosis.linear.fitted_columns import orthonormal
 from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.smooth.recomputed_terms import SmoothFunctions, Terms, number_of_polynomials
 from metrocli.effects.effect import Effect, Parameter
 
 _FEWEST_STEPS = 6
@@ -34,8 +33,10 @@ _MOST_OF_UNITS, _LEAST_DEGREE = 2000, 2
 """Most terms of one covariate for all units together, and the degree that is kept in any case"""
 _FEWEST_FOR = 4
 """Least number of readings per term for which a unit gets its own terms"""
-_Shown = tuple[Alternative, Index, Array, Array]
-"""An alternative, the rows that it changes (r,), its visible directions there (r, k) and their visible squares (k,)"""
+_MANY = 80_000
+"""Rows of a function from which its columns are not held"""
+_Shown = tuple[Alternative, Own | Terms, Array]
+"""An alternative, its visible directions (r, k) at the rows that it changes, and their visible squares (k,)"""
 
 
 def smooth_families(job: AdjustedJob, system: System) -> list[Family]:
@@ -44,8 +45,9 @@ def smooth_families(job: AdjustedJob, system: System) -> list[Family]:
     A unit is for example a tracer or an image. Covariates that vary periodically also give sines, with a scan over
     their periods. Covariates that are terms themselves give these terms.
     """
+    readings = [_Readings.of(job, system, group) for group in job.model.readings]
     apart = [covariate for covariate in job.covariates if not covariate.together]
-    smooth = [family for covariate in apart for family in _of(job, system, covariate)]
+    smooth = [family for covariate in apart for family in _of(job, system, covariate, readings)]
     smooth += [_together(job, system, covariate) for covariate in job.covariates if covariate.together]
     waves = [family for one in job.covariates if one.periodic for family in _waves(job, system, one)]
     return smooth + waves
@@ -63,33 +65,53 @@ def columns_of_smooth(job: AdjustedJob) -> int:
     return found * max(len(group.observations.components) for group in job.model.readings)
 
 
-def _of(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Family]:
-    found: list[_Shown] = []
-    for group in job.model.readings:
-        values = covariate.values.get(group.name)
-        if values is None:
-            continue
-        weights = _weights(system, group)
-        for where, mask in _parts(job, group):
-            if not mask.any():
-                continue
-            degree = _degree(job, group, covariate) if where else covariate.degree
-            terms = (harmonics if covariate.angle else polynomials)(np.atleast_2d(values)[:, mask], degree)
-            if mask.sum() < _FEWEST_FOR * terms.shape[1]:
-                continue
-            rows, full = _components(system, group, weights, np.flatnonzero(mask), terms)
-            found.append((_alternative(covariate, where), rows, *visible_directions(system, rows, [full])[0]))
+@dataclass(frozen=True)
+class _Readings:
+    """The readings of a group."""
+
+    group: Group
+    weights: Array
+    """By how much a function in each component changes each row of a reading, (n, d, components)"""
+    parts: tuple[tuple[tuple[str, ...], Index], ...]
+    """All readings, then those of each unit with the name of its place"""
+
+    @classmethod
+    def of(cls, job: AdjustedJob, system: System, group: Group) -> _Readings:
+        return cls(group, _weights(system, group), tuple(_parts(job, group)))
+
+
+def _of(job: AdjustedJob, system: System, covariate: Covariate, readings: Sequence[_Readings]) -> Iterator[Family]:
     by_size: dict[int, list[_Shown]] = {}
-    for item in found:
-        by_size.setdefault(item[2].shape[1], []).append(item)
+    for one in readings:
+        if one.group.name not in covariate.values:
+            continue
+        values = np.atleast_2d(covariate.values[one.group.name])
+        functions = SmoothFunctions.of(values, covariate.degree, covariate.angle)
+        for where, chosen in one.parts:
+            degree = _degree(job, one.group, covariate) if where else covariate.degree
+            terms = Terms.of(system.first[one.group.name], chosen, one.weights, functions.between(chosen, degree))
+            if len(chosen) >= _FEWEST_FOR * terms.functions.count:
+                shown = (_alternative(covariate, where), *_visible(system, terms))
+                by_size.setdefault(terms.parameters, []).append(shown)
     for items in by_size.values():
         yield _family(f"smooth in {covariate.name}", items, covariate)
 
 
+def _visible(system: System, terms: Terms) -> tuple[Own | Terms, Array]:
+    """Return the visible directions of terms, those of many readings to be computed anew, with their squares (k,)."""
+    rows = terms.rows
+    if len(rows) < _MANY:
+        directions, squares = visible_directions(system, rows, [terms.dense()[:, 0]])[0]
+        return Own(rows, directions), squares
+    basis = terms.orthonormal(_RANK)
+    turn, squares = _shown(basis.grams(system.basis, None))
+    return basis.turned(turn), squares[0]
+
+
 def _family(name: str, items: Sequence[_Shown], covariate: Covariate) -> Family:
     """Return the family of some smooth functions."""
-    alternatives, rows, directions, squares = zip(*items, strict=True)
-    columns = gathered((one.tobytes(), Own(one, own)) for one, own in zip(rows, directions, strict=True))
+    alternatives, directions, squares = zip(*items, strict=True)
+    columns = gathered((one.rows.tobytes(), one) for one in directions)
     raw = np.ones((columns.count, columns.parameters))
     gram = np.eye(columns.parameters) * np.stack(squares)[:, None, :]
     return Family(name, alternatives, columns, raw, gram, covariate.name)
@@ -106,7 +128,7 @@ def _degree(job: AdjustedJob, group: Group, covariate: Covariate) -> int:
 
 
 def _terms(coordinates: int, degree: int, angle: bool) -> int:
-    return 2 * degree if angle else comb(coordinates + degree, degree) - 1
+    return 2 * degree if angle else number_of_polynomials(coordinates, degree)
 
 
 def visible_directions(system: System, rows: Index, several: Sequence[Array]) -> list[tuple[Array, Array]]:
@@ -122,12 +144,14 @@ def visible_directions(system: System, rows: Index, several: Sequence[Array]) ->
         lost = columns.shape[1] - basis.shape[1]
         bases.append(np.pad(basis, ((0, 0), (0, lost))) if lost else basis)
     visible = np.stack([basis.T @ basis for basis in bases]) - system.basis.at(rows).grams(side_by_side(bases))
+    return [(basis @ turn, squares) for basis, turn, squares in zip(bases, *_shown(visible), strict=True)]
+
+
+def _shown(visible: Array) -> tuple[Array, Array]:
+    """Return the turns (n, k, k) to directions that show, by the Gram matrices (n, k, k), and their squares (n, k)."""
     values, vectors = np.linalg.eigh(visible)
     shows = values[:, ::-1] > _SHOWS**2
-    return [
-        (basis @ (turn[:, ::-1] * one), squares[::-1] * one)
-        for basis, turn, squares, one in zip(bases, vectors, values, shows, strict=True)
-    ]
+    return vectors[:, :, ::-1] * shows[:, None, :], values[:, ::-1] * shows
 
 
 def beside_columns(family: Family, columns: Array) -> Family:
@@ -152,7 +176,8 @@ def _together(job: AdjustedJob, system: System, covariate: Covariate) -> Family:
         rows = system.first[group.name] + np.arange(group.observations.count)
         full[rows] = np.atleast_2d(covariate.values[group.name]).T / system.scale[rows, None]
     rows = np.arange(system.rows)
-    item = (_alternative(covariate, ()), rows, *visible_directions(system, rows, [full])[0])
+    directions, squares = visible_directions(system, rows, [full])[0]
+    item = (_alternative(covariate, ()), Own(rows, directions), squares)
     return _family(f"moving with {covariate.name}", [item], covariate)
 
 
@@ -178,20 +203,21 @@ def _waves(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[F
                 names.append(_alternative(covariate, (component, f"{periods:g} periods")))
                 waves.append(full[:, 2 * i : 2 * i + 2])
         shown = visible_directions(system, rows, waves)
-        items = [(name, rows, *one) for name, one in zip(names, shown, strict=True)]
+        items = [(name, Own(rows, one), squares) for name, (one, squares) in zip(names, shown, strict=True)]
         yield _family(f"waves in {covariate.name}", items, covariate)
 
 
-def _parts(job: AdjustedJob, group: Group) -> Iterator[tuple[tuple[str, ...], Array]]:
-    """Yield the mask of all readings, then that of each unit, with the name of the place."""
-    count = group.observations.count
-    yield (), np.ones(count, dtype=bool)
+def _parts(job: AdjustedJob, group: Group) -> Iterator[tuple[tuple[str, ...], Index]]:
+    """Yield all readings, then those of each unit that has any, with the name of the place."""
+    yield (), np.arange(group.observations.count)
     for key in job.units:
         place = job.model.places[key]
         index = group.observations.index.get(place.index)
         if index is not None:
             for number, name in enumerate(place.names):
-                yield (name,), index == number
+                chosen = np.flatnonzero(index == number)
+                if len(chosen):
+                    yield (name,), chosen
 
 
 def _weights(system: System, group: Group) -> Array:
@@ -213,22 +239,6 @@ def _components(system: System, group: Group, weights: Array, chosen: Index, ter
     rows = (system.first[group.name] + d * chosen[:, None] + np.arange(d)).ravel()
     full = weights[chosen][:, :, :, None] * terms[:, None, None, :]
     return rows, full.reshape(len(rows), -1)
-
-
-def polynomials(values: Array, degree: int) -> Array:
-    """Return products of Legendre polynomials of coordinates (k, n), of total degree 1 to `degree`, (n, terms)."""
-    low, high = values.min(axis=1, keepdims=True), values.max(axis=1, keepdims=True)
-    unit = 2 * (values - low) / np.where(high > low, high - low, 1.0) - 1
-    single = [np.polynomial.legendre.legvander(x, degree) for x in unit]
-    powers = [p for p in product(range(degree + 1), repeat=len(single)) if 0 < sum(p) <= degree]
-    powers.sort(key=lambda p: (sum(p), p[::-1]))
-    return np.stack([np.prod([v[:, i] for v, i in zip(single, p, strict=True)], axis=0) for p in powers], axis=1)
-
-
-def harmonics(values: Array, degree: int) -> Array:
-    """Return cos k a and sin k a of an angle (1, n) for k = 1 to `degree`, (n, terms)."""
-    orders = np.arange(1, degree + 1)[:, None] * values
-    return np.concatenate([np.cos(orders), np.sin(orders)]).T
 
 
 def _alternative(covariate: Covariate, where: tuple[str, ...]) -> Alternative:

@@ -82,11 +82,16 @@ def test_rows_left_out_are_as_if_they_had_unknowns_of_their_own() -> None:
     m = lengths.measurement(np.random.default_rng(44), 14)
     tests, _ = score_tests_of_job(m.adjusted(), {}, np.random.default_rng(1))
     out = np.flatnonzero(np.isin(m.point, [2, 5, 11]))
-    fewer = without_rows(tests, out)
+    fewer, start = without_rows(tests, out)
     unit = np.zeros((tests.system.rows, len(out)))
     unit[out, np.arange(len(out))] = 1.0
     freed = nothing_fitted(tests.system).with_columns(tests.system.seen(unit))
     left = nothing_fitted(fewer.system)
+    # the products that are known from the start are those of the columns
+    for number in range(len(tests.families)):
+        known, made = fewer.left(number, start), fewer.left(number, left)
+        assert np.allclose(known.right, made.right, atol=1e-9 * tests.families[number].raw.max())
+        assert np.allclose(known.gram, made.gram)
     assert np.allclose(left.residual, freed.residual, atol=1e-9)
     assert fewer.system.dof == round(freed.dof - 2)
     for number in range(len(tests.families)):

@@ -1,0 +1,1 @@
+"""The sizes that tests find, and the candidates that they cannot tell apart."""

@@ -1,0 +1,144 @@
+"""Candidates whose visible signatures are alike, and what to measure to distinguish two of them.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.linearised import linearised
+from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.diagnosis.linear.signatures import signature
+from metrocli.diagnosis.power.average_power import size_separated
+
+_ALIKE = 0.9
+"""Correlation above which two candidates are reported as alike"""
+_SAME = 0.999
+"""Correlation above which two candidates cannot be distinguished at all"""
+_DEPENDENT = 1e-8
+"""Eigenvalue of the Gram matrix of unit columns below which a direction depends on the others"""
+_OFFERED = 2
+"""Largest number of further measurements that are reported"""
+_HELPS = 0.98
+"""Correlation above which a further measurement does not help enough to be reported"""
+_MOST_NUMBERS = 4_000_000
+"""Numbers of visible columns that are held at once to compare candidates"""
+_SEPARATED = 0.95
+"""Probability with which the right one of two names is chosen, over all directions of its parameters"""
+
+
+class Candidate(Protocol):
+    """One form of a cause at one place."""
+
+    @property
+    def alternative(self) -> Alternative: ...
+    @property
+    def family(self) -> int: ...
+    @property
+    def number(self) -> int: ...
+    @property
+    def testable(self) -> bool: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def dimension(self) -> str: ...
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two candidates with similar signatures."""
+
+    one: str
+    other: str
+    correlation: float
+    separable: float
+    """Size of the first from which it is distinguished from the other in 95 of 100 cases"""
+    unit: str
+    dimension: str
+
+    @property
+    def alias(self) -> bool:
+        """Whether no measurement of this design can distinguish them."""
+        return self.correlation > _SAME
+
+
+def pairs_of(test_set: ScoreTests, candidates: Sequence[Candidate], noise: float) -> Iterable[Pair]:
+    """Yield the pairs of testable candidates of different causes or places that correlate by more than 0.9."""
+    testable = [one for one in candidates if one.testable]
+    ends = np.cumsum([0, *(test_set.families[one.family].columns.parameters for one in testable)])
+    own = [slice(int(first), int(last)) for first, last in itertools.pairwise(ends)]
+    gram = _visible_products(test_set, testable, own)
+    turns = [_unit(gram[its, its]) for its in own]
+    for i, one in enumerate(testable):
+        for j in range(i):
+            imitated = turns[j].T @ gram[own[j], own[i]]
+            product = imitated @ turns[i]
+            # the largest singular value cannot exceed the root of the sum of squares, so most pairs need no SVD
+            apart = one.alternative.spot != testable[j].alternative.spot and (product**2).sum() > _ALIKE**2
+            rho = float(np.linalg.norm(product, 2)) if apart else 0.0
+            if rho > _ALIKE:
+                size = noise * size_separated(gram[own[i], own[i]], imitated, _SEPARATED)
+                yield Pair(one.name, testable[j].name, min(rho, 1.0), size, one.unit, one.dimension)
+
+
+def _visible_products(test_set: ScoreTests, candidates: Sequence[Candidate], own: Sequence[slice]) -> Array:
+    """Return the products of the visible columns of candidates, each at its own place, some of them at once."""
+    gram = np.empty((own[-1].stop,) * 2) if own else np.empty((0, 0))
+    together = max(_MOST_NUMBERS // test_set.system.rows, 1)
+    by_family: dict[int, list[int]] = {}
+    for at, one in enumerate(candidates):
+        by_family.setdefault(one.family, []).append(at)
+    for _, some in itertools.groupby(range(len(candidates)), lambda at: own[at].start // together):
+        chosen = list(some)
+        its = slice(own[chosen[0]].start, own[chosen[-1]].stop)
+        visible = [test_set.all_visible(candidates[at].family, [candidates[at].number])[:, 0] for at in chosen]
+        columns = np.concatenate(visible, axis=1)
+        for family, members in by_family.items():
+            numbers = [candidates[at].number for at in members]
+            for at, products in zip(members, test_set.families[family].columns.products(columns, numbers), strict=True):
+                gram[own[at], its] = products
+    # a column that is not visible is a rounding error where it is not projected
+    gram[np.diag(gram) == 0] = 0.0
+    return gram
+
+
+def _unit(gram: Array) -> Array:
+    """Return the turn (q, k) that makes columns of a Gram matrix (q, q) orthonormal, without those that depend."""
+    norms = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(norms, norms))
+    kept = values > _DEPENDENT
+    return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) / norms[:, None])
+
+
+def separations(job: AdjustedJob, one: Alternative, other: Alternative) -> list[str]:
+    """Return, in words, what to measure to distinguish two names: the first offers that bring their cosine below 0.9.
+
+    If none does, the offer with the lowest cosine; if the job has no offers, the advice of the effects themselves.
+    """
+    found = []
+    for words, model in job.offers(job.model):
+        system = linearised(model)
+        columns = [system.seen(signature(model, system, a.effect, a.instance, dict(a.scanned))) for a in (one, other)]
+        turns = [_unit(its.T @ its) for its in columns]
+        cosines = turns[0].T @ (columns[0].T @ columns[1]) @ turns[1]
+        found.append((float(np.linalg.norm(cosines, 2)), words))
+        if sum(rho < _ALIKE for rho, _ in found) == _OFFERED:
+            break
+    enough = [f"{words} (their correlation falls to {rho:.2f})" for rho, words in found if rho < _ALIKE]
+    if enough:
+        return enough
+    helping = [
+        f"{words} (their correlation falls to {rho:.2f} only)" for rho, words in sorted(found)[:1] if rho < _HELPS
+    ]
+    return helping + [words for words in dict.fromkeys([one.effect.reveal, other.effect.reveal]) if words]
