@@ -7,12 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.cluster_robust import ESTIMATED, FEWEST, STRUCTURED
+from metrocli.adjust.cluster_robust import ESTIMATED, FEWEST, FROM_RESIDUALS, STRUCTURED
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.nodes import Node
 from metrocli.units import parse_quantity
+
+MODEL = "model"
+"""Key beside the declared parts of a noise"""
 
 
 def declares(noise: Node | None, one: Scatter) -> bool:
@@ -61,3 +64,23 @@ def as_job(name: NamedEffect) -> Mapping[str, str]:
 
 def _written(value: float, unit: str) -> str:
     return f"{value:.10g} {unit}" if unit not in ("", "1") else f"{value:.10g}"
+
+
+def declared_noise(node: Node | None) -> str:
+    """Return the declared parts of a noise in words, without its model."""
+    if node is None:
+        return ""
+    if node.kind == "scalar":
+        return node.text
+    return ", ".join(filter(None, (_declared_part(key.text, one) for key, one in node.entries if key.text != MODEL)))
+
+
+def _declared_part(key: str, node: Node) -> str:
+    """Return a part of the noise in words; one that follows the residuals has its name: repeatability estimated."""
+    return f"{key} {node.text}" if node.kind == "scalar" and node.text == ESTIMATED else declared_noise(node)
+
+
+def model_of(node: Node | None) -> str:
+    """Return `estimated` or `structured` if the job has it, alone or beside declared parts; else ''."""
+    found = node.get(MODEL) if node is not None and node.kind == "mapping" else node
+    return found.text if found is not None and found.text in FROM_RESIDUALS else ""

@@ -12,12 +12,20 @@ from pathlib import Path
 from typing import Any
 
 from metrocli import tasks
-from metrocli.adjust.cluster_robust import ESTIMATED, FROM_RESIDUALS
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Ordered
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import LIMIT, Attended, diagnose, no_interrupt, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.job_entries import as_job, declares, proposed_noise, scatter_as_job, with_declared
+from metrocli.diagnosis.job_entries import (
+    MODEL,
+    as_job,
+    declared_noise,
+    declares,
+    model_of,
+    proposed_noise,
+    scatter_as_job,
+    with_declared,
+)
 from metrocli.diagnosis.laws.definition import as_define, as_wanted
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.memory import as_fits
@@ -36,8 +44,6 @@ from metrocli.project.runner import content, counting, simulate
 from metrocli.record import InputFile
 from metrocli.simulation import SimulationOptions
 
-_MODEL = "model"
-"""Key beside the declared parts of a noise"""
 _NAMED = " with the effects that metrocli diagnose named"
 _SHARED = " with the noise that metrocli diagnose proposes"
 """Ends of the first line of an extended job, by which it is recognised before it is overwritten"""
@@ -105,7 +111,7 @@ def _adjuster(job: JobFile, more: Sequence[Variable] = ()) -> Callable[..., Adju
     if adjusted is None:
         raise UsageError(f"{job.kind} jobs cannot be diagnosed")
     noise = job.root.get("noise")
-    declared, model = _declared(noise), _model(noise)
+    declared, model = declared_noise(noise), model_of(noise)
     places = columns.with_variables(task.places, more)
 
     def adjust(inputs: Mapping[str, object], settings: object = job.settings) -> AdjustedJob:
@@ -116,19 +122,6 @@ def _adjuster(job: JobFile, more: Sequence[Variable] = ()) -> Callable[..., Adju
     return adjust
 
 
-def _declared(node: Node | None) -> str:
-    if node is None:
-        return ""
-    if node.kind == "scalar":
-        return node.text
-    return ", ".join(filter(None, (_declared_part(key.text, one) for key, one in node.entries if key.text != _MODEL)))
-
-
-def _declared_part(key: str, node: Node) -> str:
-    """Return a part of the noise in words; one that follows the residuals has its name: repeatability estimated."""
-    return f"{key} {node.text}" if node.kind == "scalar" and node.text == ESTIMATED else _declared(node)
-
-
 def identity(job_text: str, inputs: Sequence[InputFile]) -> dict[str, str]:
     """Return the digest of a job as used, and that of its inputs, by which a diagnosis and a result are matched."""
     files = "\n".join(sorted(f"{item.sha256} {item.path}" for item in inputs))
@@ -137,12 +130,6 @@ def identity(job_text: str, inputs: Sequence[InputFile]) -> dict[str, str]:
 
 def _whole_digest(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
-
-
-def _model(node: Node | None) -> str:
-    """Return `estimated` or `structured` if the job has it, alone or beside declared parts; else ''."""
-    found = node.get(_MODEL) if node is not None and node.kind == "mapping" else node
-    return found.text if found is not None and found.text in FROM_RESIDUALS else ""
 
 
 @dataclass(frozen=True)
@@ -273,8 +260,8 @@ def _with_model(job: JobFile, declared: Node, model: str) -> Node:
     """Return the noise of a job with a model: beside its declared parts, else in their place."""
     if declared.kind != "mapping":
         return _key(job, model)
-    parts = tuple((key, value) for key, value in declared.entries if key.text != _MODEL)
-    return replace(declared, entries=(*parts, (_key(job, _MODEL), _key(job, model))))
+    parts = tuple((key, value) for key, value in declared.entries if key.text != MODEL)
+    return replace(declared, entries=(*parts, (_key(job, MODEL), _key(job, model))))
 
 
 def _path(path: Path, folder: Path) -> str:
