@@ -77,13 +77,13 @@ def test_the_check_of_a_file_names_what_only_data_know(
 
 
 def test_a_definition_for_another_kind_lacks_no_column(hall: Path, metrocli: Metrocli) -> None:
-    """Lengths have an azimuth in multilaterate, not in calibrate-machine."""
+    """Lengths have a side of approach in calibrate-machine, not in multilaterate."""
     shared = hall.parent.parent / "lab-effects.yaml"
-    shared.write_text(shared.read_text().replace("a*load", "a*azimuth").replace("um/kN", "um"))
+    shared.write_text(shared.read_text().replace("a*load", "a*from_x").replace("um/kN", "um"))
     found = json.loads(metrocli("effects", "--from", shared, "--json").out)["kinds"]
     own = {kind: [one["name"] for one in every["effects"] if one["own"]] for kind, every in found.items()}
-    assert own["multilaterate"] == ["load-error", "zero-error"]
-    assert own["calibrate-machine"] == []
+    assert own["calibrate-machine"] == ["load-error", "zero-error"]
+    assert own["multilaterate"] == ["zero-error"]
 
 
 def test_sizes_without_a_dimension_are_told_in_the_unit_of_their_definition(hall: Path, metrocli: Metrocli) -> None:
