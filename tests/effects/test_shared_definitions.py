@@ -76,6 +76,24 @@ def test_the_check_of_a_file_names_what_only_data_know(
     assert [one["name"] for one in own if one["own"]] == ["load-error", "zero-error"]
 
 
+def test_a_column_named_as_a_constant_refuses_no_job_that_leaves_the_effect_out(hall: Path, metrocli: Metrocli) -> None:
+    folder = hall.parent.parent
+    wave = (
+        "- {name: belt, acts_on: length, adds: a*cos(2*pi*t/(60*s1)), parameters: {a: {unit: um, plausible: 5 um}}}\n"
+    )
+    wave = wave.replace("(60*s1)", "p").replace("}}}", "}}, scan: {p: {from: 60 s, to: 600 s, steps: 9}}}")
+    (folder / "lab-effects.yaml").write_text(f"define:\n{wave}")
+    head, *rows = [one for one in (folder / "data/lengths.csv").read_text().splitlines() if not one.startswith("#")]
+    cells = [f"{row},{number % 5}" for number, row in enumerate(rows)]
+    (folder / "data/lengths.csv").write_text("\n".join([f"{head},pi", *cells]) + "\n")
+    assert metrocli("check", hall).code == 0
+    reason = not_tested(metrocli, hall)["belt"]
+    assert reason.startswith("'pi' is 3.14159, and a column of the data has this name (row 1 of lengths.csv:"), reason
+    hall.write_text(f"{hall.read_text()}effects: [{{name: belt, p: 120 s}}]\n")
+    ran = metrocli("check", hall)
+    assert ran.code == 3 and "write the heading 'pi' as my_pi" in ran.err
+
+
 def test_a_definition_for_another_kind_lacks_no_column(hall: Path, metrocli: Metrocli) -> None:
     """Lengths have a side of approach in calibrate-machine, not in multilaterate."""
     shared = hall.parent.parent / "lab-effects.yaml"
