@@ -115,3 +115,12 @@ def test_sizes_without_a_dimension_are_told_in_the_unit_of_their_definition(hall
     assert re.fullmatch(r"excluded above \S+ um/kN; larger than 30 um/kN is not plausible", reason), reason
     (line,) = [one for one in metrocli("diagnose", hall).out.splitlines() if one.startswith("load-error")]
     assert re.search(r"excluded above \S+ um/kN", line), line
+    hall.write_text(f"{hall.read_text()}effects: [{{name: load-error}}]\n")
+    ran = json.loads(metrocli("multilaterate", hall, "--force", "--json").out)
+    page = hall.parent / "page.html"
+    assert metrocli("report", ran["result"], "--out", page).code == 0
+    size = ran["estimates"]["load-error.a"]["value"]  # in s2 kg-1: 1 um/kN = 1e-9 s2/kg
+    (shown, unit) = re.findall(
+        r"load-error\.a</td><td[^>]*>([^<]*)</td><td[^>]*>[^<]*</td><td>([^<]*)<", page.read_text()
+    )[0]
+    assert unit == "µm/kN" and float(shown) == pytest.approx(size / 1e-9, abs=0.06)
