@@ -130,3 +130,9 @@ def test_a_stop_off_its_place_is_planted_and_estimated(folder: Path, metrocli: M
     for name, planted in (("dx", 0.03), ("dy", -0.02), ("dz", 0.01)):
         size = found[f"repeatability.P005 at 20 s.{name}"]
         assert abs(size["value"] - planted) < 4 * size["std"] < 0.02
+
+
+def test_a_scatter_that_no_simulation_draws_is_refused_with_what_to_write(folder: Path, metrocli: Metrocli) -> None:
+    (folder / "job.yaml").write_text(LENGTHS)
+    ran = metrocli("simulate", folder / "job.yaml", "--out", folder / "new", "--effect", "repeatability:std=3um")
+    assert ran.code == 3 and "draws no sizes from `std`" in ran.err and "--set noise.repeatability=" in ran.err
