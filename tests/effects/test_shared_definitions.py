@@ -124,3 +124,13 @@ def test_sizes_without_a_dimension_are_told_in_the_unit_of_their_definition(hall
         r"load-error\.a</td><td[^>]*>([^<]*)</td><td[^>]*>[^<]*</td><td>([^<]*)<", page.read_text()
     )[0]
     assert unit == "µm/kN" and float(shown) == pytest.approx(size / 1e-9, abs=0.06)
+
+
+def test_a_definition_for_places_that_a_measurement_lacks_is_not_tested(metrocli: Metrocli, tmp_path: Path) -> None:
+    """Points of a tracker have no tracers of lengths."""
+    metrocli("init", tmp_path / "otf", "--sample", "otf-tracker")
+    job = tmp_path / "otf" / "jobs" / "feed-2500.yaml"
+    job.write_text(f"{job.read_text()}define:\n{LOAD.replace('a*load', 'a').replace('um/kN', 'um')}")
+    reasons = not_tested(metrocli, job)
+    assert reasons["zero-error"] == "this measurement has no tracer"
+    assert reasons["load-error"] == "has no influence on the readings"
