@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -156,6 +157,8 @@ def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> i
     """Print the steps of the loop until a job is clean."""
     from metrocli.cli import summary
     from metrocli.cli.diagnosis_report.loop import loop_data, of_loop
+    from metrocli.cli.shell.signals import first_interrupt
+    from metrocli.project.diagnosed import carry_out
     from metrocli.project.job import Wishes, load
     from metrocli.project.own_effects import alike_for
     from metrocli.project.until_clean import until_clean
@@ -165,7 +168,8 @@ def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> i
     console = Console(wanted["quiet"] or as_json, wanted["verbose"])
     limit = _seconds(wanted["limit"])
     with ordered_on(wanted["scheduler"], alike_for([(job.kind, job.own.packages)])) as ordered:
-        loop = until_clean(job, wanted["most"], console, limit, force, ordered)
+        once = partial(carry_out, progress=console, limit=limit, attended=first_interrupt, ordered=ordered)
+        loop = until_clean(job, once, wanted["most"], console, force)
     if as_json:
         echo(summary.as_json(loop_data(loop)))
     console.print(of_loop(loop))

@@ -13,6 +13,7 @@ from metrocli.cli.columns import columns_text, table_text
 from metrocli.cli.console import echo
 from metrocli.plan import Plan
 from metrocli.record import Record
+from metrocli.report.stated_units import compound_unit, stated
 from metrocli.result import SCALE, Estimate, Result, ShownTable
 from metrocli.table import Table
 
@@ -25,16 +26,10 @@ def result_text(result: Result, record: Record, path: Path) -> str:
     parts += _doubt_lines(record)
     parts += filter(None, [_statistics_line(result.statistics)])
     parts += map(str, record.verdicts)
-    parts += ["", estimates_text(result.estimates, _written(result, record))] if result.estimates else []
+    parts += ["", estimates_text(result.estimates, stated(result, record))] if result.estimates else []
     parts += ["", *result.notes] if result.notes and result.notes[0] else result.notes
     parts += [_shown(result.tables, shown) for shown in result.shown if shown.name in result.tables]
     return "\n".join([*parts, f"result: {path}"])
-
-
-def _written(result: Result, record: Record) -> str:
-    """Return the text of the job and the definitions of effects of one's own: where the user states units."""
-    defined = (table.texts("define") for name, table in result.tables.items() if name.endswith("/definition"))
-    return "\n".join([record.job_text, *(text for texts in defined for text in texts)])
 
 
 def _status_line(result: Result, record: Record) -> str:
@@ -88,22 +83,11 @@ def _unit(group: Sequence[Estimate], job_text: str) -> tuple[float, str]:
     about_one = dimension == SCALE
     dimension = "ratio" if about_one else dimension
     if not dimension:
-        return _compound_unit(group[0], job_text)
+        return compound_unit(group[0], job_text)
     symbol = units.written_unit(job_text, dimension, group[0].name.rpartition(".")[2])
     stds = [one.std for one in group if 0 < one.std < math.inf]
     symbol = symbol or units.readable(min(stds, default=abs(group[0].value)), dimension)[1]
     return (1.0, unit) if symbol in ("", "1") else (units.find_unit(symbol, dimension).inside(1.0), symbol)
-
-
-def _compound_unit(estimate: Estimate, job_text: str) -> tuple[float, str]:
-    """Return the size and symbol of the unit of an effect of one's own that no dimension has, such as arcsec/m."""
-    known = {units.internal_unit(name) for name in units.DIMENSIONS}
-    if estimate.unit in known or "/" in estimate.unit or units.is_inch(estimate.unit):
-        return 1.0, estimate.unit
-    from metrocli.expressions.dimensions import written
-
-    found = written(job_text, estimate.unit, estimate.name.rpartition(".")[2])
-    return (1.0, estimate.unit) if found is None else (found.factor, found.text)
 
 
 def _estimate_row(estimate: Estimate, size: float, unit: str) -> list[str]:

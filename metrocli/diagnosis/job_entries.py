@@ -11,6 +11,7 @@ from metrocli.adjust.cluster_robust import ESTIMATED, FEWEST, FROM_RESIDUALS, ST
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
+from metrocli.effects.effect import Parameter
 from metrocli.nodes import Node
 from metrocli.units import parse_quantity
 
@@ -31,7 +32,7 @@ def with_declared(noise: Node, one: Scatter) -> Node:
     """Return the noise of a job with a scatter beside what it declares, `sqrt(declared^2 + std^2)`."""
     effect, known = one.found.effect, noise.get(one.found.effect.noise)
     before = parse_quantity(known.text, effect.parameters[0].dimension) if known is not None else 0.0
-    text = _written(float(f"{np.hypot(before, one.found.std):.3g}"), effect.parameters[0].unit)
+    text = _size(effect.parameters[0], float(np.hypot(before, one.found.std)))
     plain = replace(noise, kind="scalar", entries=(), items=())
     kept = tuple(entry for entry in noise.entries if entry[0].text != effect.noise)
     return replace(noise, entries=(*kept, (replace(plain, text=effect.noise), replace(plain, text=text))))
@@ -40,7 +41,7 @@ def with_declared(noise: Node, one: Scatter) -> Node:
 def scatter_as_job(one: Scatter) -> Mapping[str, str]:
     """Return the entry of an effect at all places of a kind in a job."""
     effect = one.found.effect
-    return {"name": effect.name, "std": _written(float(f"{one.found.std:.3g}"), effect.parameters[0].unit)}
+    return {"name": effect.name, "std": _size(effect.parameters[0], one.found.std)}
 
 
 def proposed_noise(diagnosis: Diagnosis) -> str:
@@ -60,6 +61,12 @@ def as_job(name: NamedEffect) -> Mapping[str, str]:
         found["by"] = effect.by
     numbers = {key: _written(value, known[key].unit) for key, value in name.known.items() if not known[key].place}
     return found | dict(alternative.named) | numbers
+
+
+def _size(parameter: Parameter, size: float) -> str:
+    """Return a size in the unit that suits it, as the report has it."""
+    value, unit = parameter.readable(size) if parameter.dimension else (size, parameter.unit)
+    return _written(float(f"{value:.3g}"), unit)
 
 
 def _written(value: float, unit: str) -> str:

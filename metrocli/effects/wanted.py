@@ -152,13 +152,22 @@ def planted(wanted: Iterable[Wanted]) -> tuple[Wanted, ...]:
     """
     missing = [(one, [p.name for p in one.forms[0].parameters if p.name not in one.values]) for one in wanted]
     faults = [
-        one.node.fault(f"{one.name}: {', '.join(names)} missing", "a simulation needs a value for every parameter")
+        one.node.fault(f"{one.name}: {', '.join(names)} missing", _to_plant(one))
         for one, names in missing
         if names and one.node.line is None
     ]
     if faults:
         raise InputError(faults)
     return tuple(one for one, names in missing if not names)
+
+
+def _to_plant(wanted: Wanted) -> str:
+    """Return what to write so that a simulation contains an effect."""
+    effect = wanted.forms[0]
+    if not wanted.std:
+        return "a simulation needs a value for every parameter"
+    drawn = f"; a scatter at every {effect.keys[0]} is `--set noise.{effect.noise}=...`" if effect.noise else ""
+    return f"a simulation draws no sizes from `std`: name one {effect.keys[0]}, and a value for every parameter{drawn}"
 
 
 def schema(table: Sequence[Effect]) -> Schema:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
 
-from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.cross_validation import Gain
-from metrocli.diagnosis.diagnose import LIMIT
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.laws.definition import written
 from metrocli.progress import SILENT, Progress
@@ -32,6 +30,7 @@ class End(StrEnum):
     NOTHING_GAINED = "nothing that could be added predicts held-out readings better"
     MOST = "the largest number of extensions is reached"
     MISTAKEN = "a file of the job is wrong"
+    INTERRUPTED = "interrupted"
 
 
 @dataclass(frozen=True)
@@ -59,28 +58,31 @@ class Loop:
     last: Diagnosis
     extensions: tuple[Extension, ...]
     end: End
+    found: tuple[str, ...] = ()
+    """What an interrupted diagnosis had found and would have added"""
 
 
 def until_clean(
     job: JobFile,
+    diagnose: Callable[[JobFile], Diagnosis] = carry_out,
     most: int = MOST,
     progress: Progress = SILENT,
-    limit: float = LIMIT,
     force: bool = False,
-    ordered: Ordered = map,
 ) -> Loop:
     """Extend a job by what is found in it, as long as held-out readings show a gain; all jobs and results are written.
 
+    `diagnose` carries out a diagnosis; one that is interrupted is the last.
     Extended jobs are `NAME.step1.yaml`, `NAME.step2.yaml`, ... beside the job, their results beside its output. Raises
     InputError if a file there is no extended job or was edited, unless forced.
     """
     current, extensions = job, list[Extension]()
-    first = last = carry_out(job, progress, limit, ordered=ordered)
+    first = last = diagnose(job)
     while True:
         gained = _gaining(last)
         end = _end(last, gained, len(extensions) == most)
         if end is not None:
-            return Loop(first, last, tuple(extensions), end)
+            found = tuple(name for name, *_ in _parts(gained)) if end is End.INTERRUPTED else ()
+            return Loop(first, last, tuple(extensions), end, found)
         number = len(extensions) + 1
         path = job.file.with_name(f"{job.file.stem}.step{number}.yaml")
         result = job.output.with_name(f"{job.output.stem}.step{number}.h5")
@@ -93,11 +95,13 @@ def until_clean(
             return Loop(first, last, tuple(extensions), End.NOTHING_GAINED)
         current = load(path, Wishes(accept_doubtful=job.accept_doubtful))
         extensions.append(_extension(path, runner.carry_out(current, force, progress), gained))
-        last = carry_out(current, progress, limit, ordered=ordered)
+        last = diagnose(current)
 
 
 def _end(last: Diagnosis, gained: Diagnosis, spent: bool) -> End | None:
     """Return why the loop ends after a diagnosis, or None if it goes on with what is gained."""
+    if last.interrupted:
+        return End.INTERRUPTED
     if last.verdict is Verdict.MISTAKEN:
         return End.MISTAKEN
     if last.verdict is Verdict.CLEAN:

@@ -16,6 +16,7 @@ from metrocli.plots.readings import residuals_of
 from metrocli.record import DONE, DOUBTFUL
 from metrocli.report.content import Content
 from metrocli.report.html import Html, code
+from metrocli.report.stated_units import compound_unit
 from metrocli.result import SCALE, Estimate, K, Result
 from metrocli.words import listed
 
@@ -25,10 +26,11 @@ _EQUAL = 1e-4
 """Readings whose |w| differ by this share are checked by the same readings: any of them may be the wrong one"""
 
 
-def row_of(result: Result, estimate: Estimate) -> tuple[str, str, str, str]:
+def row_of(result: Result, estimate: Estimate, text: str = "") -> tuple[str, str, str, str]:
     """Return name, value, U and unit of an estimate: U to two digits, the value to the same decimals.
 
-    Angles share the unit that suits the largest of them.
+    Angles share the unit that suits the largest of them. A unit that no dimension has is the one in the text of the
+    job and its definitions.
     """
     spread, _ = result.expanded(estimate)
     size, unit = 1.0, "" if estimate.unit == "1" else estimate.unit
@@ -37,6 +39,8 @@ def row_of(result: Result, estimate: Estimate) -> tuple[str, str, str, str]:
         size = units.find_unit(unit, estimate.dimension).inside(1.0)
     elif estimate.unit == "rad":
         size, unit = units.column_unit(max(abs(one.value) for one in result.estimates if one.unit == "rad"), "rad")
+    elif unit and not estimate.dimension:
+        size, unit = compound_unit(estimate, text)
     value, uncertainty = units.rounded(estimate.value / size, spread / size)
     return estimate.name, value, "" if value == uncertainty == units.NOT_DETERMINED else uncertainty, micro(unit)
 

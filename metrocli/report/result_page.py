@@ -12,6 +12,7 @@ from metrocli.report.findings import next_step, row_of, verdict, worst
 from metrocli.report.html import EMPTY, Html, joined, listed, marked, table, tag
 from metrocli.report.look import page
 from metrocli.report.pictures import shown
+from metrocli.report.stated_units import stated
 from metrocli.result import Estimate, Result
 from metrocli.words import listed as listed_words
 
@@ -64,8 +65,9 @@ def _estimates(content: Content) -> Html:
         return EMPTY
     estimates = sorted(result.estimates, key=lambda one: not _of_effect(result, one))
     factors = [f"{result.expanded(one)[1]:.3g}" for one in estimates]
+    text = stated(result, content.record)
     head: tuple[str, ...] = ("estimate", "value", f"U (k = {factors[0]})", "unit")
-    rows: list[tuple[str, ...]] = [row_of(result, one) for one in estimates]
+    rows: list[tuple[str, ...]] = [row_of(result, one, text) for one in estimates]
     if len(set(factors)) > 1:
         head = ("estimate", "value", "U", "unit", "k")
         rows = [(*row, k) for row, k in zip(rows, factors, strict=True)]

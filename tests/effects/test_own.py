@@ -371,6 +371,23 @@ def test_the_command_lists_own_effects_of_the_project(
     assert "board-wave" in capsys.readouterr().out
 
 
+def test_the_command_lists_each_effect_once_and_where_own_ones_have_sizes_of_their_own(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(["effects", "--json"]) == 0
+    for name, kind in json.loads(capsys.readouterr().out)["kinds"].items():
+        forms = [(one["name"], one["by"]) for one in kind["effects"]]
+        assert len(set(forms)) == len(forms), name
+        assert run(["effects", name]) == 0
+        text = capsys.readouterr().out
+        effects, places = text.split("own effects act on")
+        rows = effects.splitlines()
+        assert len(set(rows) - {""}) == len([row for row in rows if row])
+        for place in kind["places"]:
+            (row,) = [one for one in places.splitlines() if one.startswith(f"{place['acts_on']} ")]
+            assert " ".join(place["where"]) in row
+
+
 def test_a_fault_in_the_file_of_a_job_has_its_place(shop: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (shop / "lab.yaml").write_text(LAB.replace("a*T*", "a*T*T*"))
     assert run(["check", str(shop / "job.yaml")]) == 3

@@ -76,14 +76,32 @@ def test_the_check_of_a_file_names_what_only_data_know(
     assert [one["name"] for one in own if one["own"]] == ["load-error", "zero-error"]
 
 
+def test_a_column_named_as_a_constant_refuses_no_job_that_leaves_the_effect_out(hall: Path, metrocli: Metrocli) -> None:
+    folder = hall.parent.parent
+    wave = (
+        "- {name: belt, acts_on: length, adds: a*cos(2*pi*t/(60*s1)), parameters: {a: {unit: um, plausible: 5 um}}}\n"
+    )
+    wave = wave.replace("(60*s1)", "p").replace("}}}", "}}, scan: {p: {from: 60 s, to: 600 s, steps: 9}}}")
+    (folder / "lab-effects.yaml").write_text(f"define:\n{wave}")
+    head, *rows = [one for one in (folder / "data/lengths.csv").read_text().splitlines() if not one.startswith("#")]
+    cells = [f"{row},{number % 5}" for number, row in enumerate(rows)]
+    (folder / "data/lengths.csv").write_text("\n".join([f"{head},pi", *cells]) + "\n")
+    assert metrocli("check", hall).code == 0
+    reason = not_tested(metrocli, hall)["belt"]
+    assert reason.startswith("'pi' is 3.14159, and a column of the data has this name (row 1 of lengths.csv:"), reason
+    hall.write_text(f"{hall.read_text()}effects: [{{name: belt, p: 120 s}}]\n")
+    ran = metrocli("check", hall)
+    assert ran.code == 3 and "write the heading 'pi' as my_pi" in ran.err
+
+
 def test_a_definition_for_another_kind_lacks_no_column(hall: Path, metrocli: Metrocli) -> None:
-    """Lengths have an azimuth in multilaterate, not in calibrate-machine."""
+    """Lengths have a side of approach in calibrate-machine, not in multilaterate."""
     shared = hall.parent.parent / "lab-effects.yaml"
-    shared.write_text(shared.read_text().replace("a*load", "a*azimuth").replace("um/kN", "um"))
+    shared.write_text(shared.read_text().replace("a*load", "a*from_x").replace("um/kN", "um"))
     found = json.loads(metrocli("effects", "--from", shared, "--json").out)["kinds"]
     own = {kind: [one["name"] for one in every["effects"] if one["own"]] for kind, every in found.items()}
-    assert own["multilaterate"] == ["load-error", "zero-error"]
-    assert own["calibrate-machine"] == []
+    assert own["calibrate-machine"] == ["load-error", "zero-error"]
+    assert own["multilaterate"] == ["zero-error"]
 
 
 def test_sizes_without_a_dimension_are_told_in_the_unit_of_their_definition(hall: Path, metrocli: Metrocli) -> None:
@@ -97,3 +115,22 @@ def test_sizes_without_a_dimension_are_told_in_the_unit_of_their_definition(hall
     assert re.fullmatch(r"excluded above \S+ um/kN; larger than 30 um/kN is not plausible", reason), reason
     (line,) = [one for one in metrocli("diagnose", hall).out.splitlines() if one.startswith("load-error")]
     assert re.search(r"excluded above \S+ um/kN", line), line
+    hall.write_text(f"{hall.read_text()}effects: [{{name: load-error}}]\n")
+    ran = json.loads(metrocli("multilaterate", hall, "--force", "--json").out)
+    page = hall.parent / "page.html"
+    assert metrocli("report", ran["result"], "--out", page).code == 0
+    size = ran["estimates"]["load-error.a"]["value"]  # in s2 kg-1: 1 um/kN = 1e-9 s2/kg
+    (shown, unit) = re.findall(
+        r"load-error\.a</td><td[^>]*>([^<]*)</td><td[^>]*>[^<]*</td><td>([^<]*)<", page.read_text()
+    )[0]
+    assert unit == "µm/kN" and float(shown) == pytest.approx(size / 1e-9, abs=0.06)
+
+
+def test_a_definition_for_places_that_a_measurement_lacks_is_not_tested(metrocli: Metrocli, tmp_path: Path) -> None:
+    """Points of a tracker have no tracers of lengths."""
+    metrocli("init", tmp_path / "otf", "--sample", "otf-tracker")
+    job = tmp_path / "otf" / "jobs" / "feed-2500.yaml"
+    job.write_text(f"{job.read_text()}define:\n{LOAD.replace('a*load', 'a').replace('um/kN', 'um')}")
+    reasons = not_tested(metrocli, job)
+    assert reasons["zero-error"] == "this measurement has no tracer"
+    assert reasons["load-error"] == "has no influence on the readings"

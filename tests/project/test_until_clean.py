@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 import pytest
@@ -58,3 +60,30 @@ def test_a_law_with_which_the_job_cannot_be_adjusted_ends_it(
 def test_with_a_limit_of_extensions_it_ends_there(hall: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["diagnose", str(hall / "jobs" / "hall.yaml"), "--until-clean", "--most", "0"]) == 2
     assert "--most" in capsys.readouterr().err
+
+
+def test_an_interrupted_search_ends_it_with_the_steps_so_far(
+    hall: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first search for laws ends; the one after the first step is interrupted as it begins."""
+    (hall / "metrocli.yaml").write_text("project: hall\njobs: [jobs/hall.yaml]\n")
+    step = hall / "jobs" / "hall.step1.yaml"
+
+    def attended(heeded: Callable[[], None]) -> AbstractContextManager[None]:
+        if step.is_file():
+            heeded()
+        return nullcontext()
+
+    monkeypatch.setattr("metrocli.cli.shell.signals.first_interrupt", attended)
+    lengths = hall / "data" / "lengths.csv"
+    head, *rows = [one for one in lengths.read_text().splitlines() if not one.startswith("#")]
+    cells = [row.split(",") for row in rows]
+    for number, cell in enumerate(cells):
+        load = number // 5 * 7 % 11 * 0.2
+        cell[2] = f"{float(cell[2]) + 0.004 * load**2 * (cell[1] == 'LT3'):.6f}"
+        cell.append(f"{load:g}")
+    lengths.write_text("\n".join([f"{head},load_kN", *map(",".join, cells)]) + "\n")
+    assert run(["diagnose", str(hall / "jobs" / "hall.yaml"), "--until-clean"]) == 0
+    told = capsys.readouterr().out
+    assert "so far (interrupted)" in told.splitlines()[0] and "ended: interrupted" in told
+    assert "law a1*load**2 LT3" in told

@@ -19,7 +19,8 @@ def of_loop(loop: Loop) -> str:
     rows = [_row(number, one, loop.first) for number, one in enumerate(loop.extensions, 1)]
     table = "\n".join(text_table(_HEAD, rows)) if rows else ""
     jobs = "\n".join(f"  {one.job} -> {one.done.path}" for one in loop.extensions)
-    return "\n\n".join(filter(None, (f"verdict: {headline(loop.last)}", table, jobs, f"ended: {loop.end}")))
+    found = f"; found so far, and not added: {', '.join(loop.found)}" if loop.found else ""
+    return "\n\n".join(filter(None, (f"verdict: {headline(loop.last)}", table, jobs, f"ended: {loop.end}{found}")))
 
 
 def _row(number: int, one: Extension, first: Diagnosis) -> tuple[str, ...]:

@@ -98,10 +98,14 @@ def _in_data(found: dict[str, tuple[Kind, list[Effect]]]) -> list[str]:
 
 
 def _data(kind: Kind, own: Sequence[Effect]) -> dict[str, Any]:
-    task = kind.task()
+    found = [_effect(one, False) for one in kind.task().effects]
     return {
-        "effects": [*(_effect(one, False) for one in task.effects), *(_effect(one, True) for one in own)],
-        "places": [_place(one) for one in task.places],
+        # an effect that acts in one of several frames, as the job has it, is one entry
+        "effects": [
+            *(one for number, one in enumerate(found) if one not in found[:number]),
+            *(_effect(one, True) for one in own),
+        ],
+        "places": [_place(one) for one in kind.task().places],
     }
 
 
@@ -136,20 +140,20 @@ def _text(kind: Kind, own: Sequence[Effect]) -> str:
 
     task = kind.task()
     rows = [["effect", "where", "parameters", ""]]
-    rows += [[*_row(one), ""] for one in task.effects] + [[*_row(one), "own"] for one in own]
-    places = [["own effects act on", "components", "variables"]]
+    rows += [[*one, ""] for one in dict.fromkeys(map(_row, task.effects))] + [[*_row(one), "own"] for one in own]
+    places = [["own effects act on", "where", "components", "variables"]]
     places += [_place_row(one) for one in task.places]
     return f"{kind.name}\n\n{columns_text(rows)}\n\n{columns_text(places)}"
 
 
 def _place_row(acting: Acting) -> list[str]:
     variables = ", ".join(_with_unit(*pair) for pair in acting.all_units().items())
-    return [acting.name, " ".join(acting.components) or acting.units[0], variables]
+    return [acting.name, " ".join(acting.where), " ".join(acting.components) or acting.units[0], variables]
 
 
-def _row(effect: Effect) -> list[str]:
+def _row(effect: Effect) -> tuple[str, str, str]:
     where = " ".join([*effect.keys, *([f"by {effect.by}"] if effect.by else [])])
-    return [effect.name, where, ", ".join(_with_unit(one.name, one.unit) for one in effect.all_parameters)]
+    return effect.name, where, ", ".join(_with_unit(one.name, one.unit) for one in effect.all_parameters)
 
 
 def _with_unit(name: str, unit: str) -> str:

@@ -220,7 +220,7 @@ def _at(job: AdjustedJob, system: System, acting: Acting) -> tuple[Array, dict[s
         whole[rows] = whitened * factor[:, None]
         local = Local(job.model.blocks, observations, frozenset())
         for name, one in known.items():
-            there = all(need in observations.conditions for need in one.needs)
+            there = observations.conditions.keys() >= set(one.needs) and job.model.blocks.keys() >= set(one.blocks)
             if name in own or name.startswith("beam_") or not there:
                 partly |= {name} if one.of_data else set()
                 continue

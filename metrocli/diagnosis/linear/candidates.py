@@ -169,6 +169,8 @@ def _joined(parts: Sequence[Family]) -> Family:
 def _untestable(model: Model, effect: Effect) -> list[NotTested]:
     """Return the reasons why an effect cannot be modelled: one if it is the same everywhere, else place by place."""
     places = [dict(zip(effect.keys, place, strict=True)) for place in _places(model, effect)]
+    if not places and effect.definition:
+        return [NotTested(effect, f"this measurement has no {effect.keys[0]}")]
     found = [NotTested(effect, lacking(model, effect, at), at) for at in places if not can_act(model, effect, at)]
     if len(found) == len(places) and len({one.reason for one in found}) == 1:
         return [NotTested(effect, found[0].reason)]

@@ -36,6 +36,9 @@ _CERTAIN = 1000.0
 _EVEN = 1e-6
 """Weight of ln(1 + lambda) beside the power, which decides where powers are equal"""
 
+_EVERYWHERE = "it is sought at all places at once, and these readings show it"
+_SINGLE = "it spoils one reading, and every reading is tested for it"
+
 
 @dataclass(frozen=True)
 class Aim:
@@ -117,15 +120,28 @@ def revealing(job: AdjustedJob, design: Design, wanted: str, count: int) -> Next
 
     Raises UsageError if the job has no such candidate.
     """
+    known: dict[str, Alternative] = {}
+    for one in design.candidates:
+        known.setdefault(_label(one.alternative), one.alternative)  # of several forms of a cause the usual one is first
     name, _, place = wanted.partition(":")
-    # of several forms of a cause the first one, which is the usual one
-    known = {_label(one.alternative): one.alternative for one in reversed(design.candidates)}
-    found = next((one for label, one in known.items() if label in (wanted, f"{name}:{place.partition('=')[2]}")), None)
+    label = f"{name}:{place.partition('=')[2]}"
+    found = known.get(wanted) or known.get(label)
     if found is None:
         hint = suggestion(wanted, list(known)) if known else "this job has no candidates"
-        raise UsageError(f"--reveal: there is no effect '{wanted}' that this measurement could have; {hint}")
+        reason = next(_reasons(design, name, place.rpartition("=")[2]), "")
+        said = f"is no candidate here: {reason}" if reason else f"is no effect that this measurement could have; {hint}"
+        raise UsageError(f"--reveal: '{wanted}' {said}")
     proposed = proposals(job)
     return _chosen([_of_candidate(job, found, proposed, Known())] if proposed else [], proposed, count)
+
+
+def _reasons(design: Design, name: str, place: str) -> Iterator[str]:
+    """Yield why an effect is no candidate at a place, or at all places, though the kind has it."""
+    missing = [one for one in design.not_tested if one.effect.name == name]
+    yield from (one.reason for one in missing if not (place and one.where) or place in one.where.values())
+    scatters = [one for one in design.scatters if one.effect.name == name]
+    yield from (_EVERYWHERE if one.testable else one.reason for one in scatters)
+    yield from (_SINGLE for one in design.readings if one.effect.name == name)
 
 
 def _label(alternative: Alternative) -> str:

@@ -13,7 +13,7 @@ from metrocli.effects.acting import Acting, Variable
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.own import OwnTerms
 from metrocli.effects.own.definition import Definition, Given, Scan, text_of
-from metrocli.effects.own.names import constants_of_data, near_name, not_free
+from metrocli.effects.own.names import constants_of_data, lacking, near_name, not_free
 from metrocli.effects.own.parameters import components, of_unit, shape, values_tried
 from metrocli.effects.own.trials import Trial, is_wave, without_value
 from metrocli.errors import Fault
@@ -22,7 +22,7 @@ from metrocli.expressions.dimensions import Compound, base_unit, compound, descr
 from metrocli.expressions.expression import NAME, ExpressionError
 from metrocli.nodes import Node
 from metrocli.settings import BAD, Section
-from metrocli.words import in_a_row, suggestion
+from metrocli.words import suggestion
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _SAMPLE = {"axis": "x", "pair": "xy"}
@@ -66,6 +66,7 @@ class _Reader:
     faults: list[Fault] = field(default_factory=list)
     unknown: dict[str, str] = field(default_factory=dict)
     """Variables that no column explains, each with what may be meant or an empty text"""
+    unclear: list[ExpressionError] = field(default_factory=list)
 
     def effect(self) -> Effect | None:
         """Return the entry of the table, or None if the definition has a fault."""
@@ -99,9 +100,8 @@ class _Reader:
             source=self.given.source,
             definition=text_of(self.node),
         )
-        if self.unknown:
-            names = [f"{name} ({hint})" if hint else name for name, hint in self.unknown.items()]
-            return replace(plain, lacks=f"needs a column {in_a_row(names)}")
+        if self.unknown or self.unclear:
+            return replace(plain, lacks=lacking(self.unknown, self.unclear))
         self._units(acting, used)
         if self.faults:
             return None
@@ -198,7 +198,8 @@ class _Reader:
         used: dict[str, Variable] = {}
         named: set[str] = set()
         for model in self.given.adds.values():
-            self.faults += [model.fault(error) for error in constants_of_data(model.node.text, refused)]
+            self.unclear += (unclear := [*constants_of_data(model.node.text, refused)])
+            self.faults += [model.fault(error) for error in unclear if self.required]
             for part in model.expression.parts:
                 if part.operation != NAME:
                     continue

@@ -6,7 +6,7 @@ import re
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 
 from metrocli.expressions.expression import CONSTANTS, FUNCTIONS, ExpressionError
-from metrocli.words import nearest
+from metrocli.words import in_a_row, nearest
 
 WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _KEYS = ("name", "by", "std")
@@ -45,3 +45,10 @@ def near_name(name: str, known: Iterable[str]) -> str:
     """Return the question whether the nearest known name is meant; empty if none is near."""
     near = nearest(name, known)
     return f"did you mean '{near}'?" if near else ""
+
+
+def lacking(unknown: Mapping[str, str], unclear: Iterable[ExpressionError]) -> str:
+    """Return why the data do not have an effect: constants that are columns too, and unknown names with their hints."""
+    names = [f"{name} ({hint})" if hint else name for name, hint in unknown.items()]
+    found = dict.fromkeys(f"{one.message} ({one.hint})" for one in unclear)
+    return "; ".join([*found, *([f"needs a column {in_a_row(names)}"] if names else [])])

@@ -145,6 +145,8 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     files = {"observations.csv": table}
     if network:
         files["true_points.csv"] = listed_places("point", known.names, known.points)
+    elif job.files.targets is None:
+        files["targets.csv"] = listed_places("target", known.names, known.points)
     return Simulation(files, true | values, drawn)
 
 

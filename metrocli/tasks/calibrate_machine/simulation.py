@@ -24,12 +24,13 @@ from metrocli.instruments.machine import (
 )
 from metrocli.instruments.machine_path import SINCE, Path, last_sides, travelled
 from metrocli.instruments.six_dof import CHANNELS, LINE, line_block, line_chain
-from metrocli.instruments.tracer import AIR, POINT, TRACER, beams, reach_of_machine, tracer_block
+from metrocli.instruments.tracer import AIR, POINT, STOP, TRACER, beams, reach_of_machine, tracer_block
 from metrocli.instruments.tracer import chain as length_chain
 from metrocli.instruments.tracker import TRACKER, point_chain, tracker_block
 from metrocli.simulation import Simulation
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.files import Files
+from metrocli.tasks.calibrate_machine.methods.lengths import stop_names, visits
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import path_of
 from metrocli.tasks.calibrate_machine.methods.six_dof import (
     approach,
@@ -52,7 +53,7 @@ from metrocli.tasks.calibrate_machine.truth import Flow, Truth, true_errors, tru
 from metrocli.tasks.calibrate_machine.volume import grid_of
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.environment import air_of
-from metrocli.tasks.shared.lengths import PathNoise
+from metrocli.tasks.shared.lengths import PathNoise, shared_at_stops, stops_of
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -166,7 +167,7 @@ def _sides(position: Array, time: Array) -> dict[str, Array]:
 def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
     """Return the lengths of a job's file made again, or those of all points read from one station after the other.
 
-    Each length is its own stop; the reading of a station is zero at its first point.
+    Lengths to a point at one time share a stop; the reading of a station is zero at its first point.
     """
     names, station, flow, points = _readings_of_stations(job, truth.machine, rng)
     places = station_places(truth.machine, job.files.stations, len(names))
@@ -178,7 +179,13 @@ def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple
     columns: dict[str, Values] = {"point": points, "station": np.array(names)[station], **_written(flow)}
     air, blocks = air_of(job.settings.environment, Table(columns), "station"), {TRACER: block}
     members, point = np.unique(points, return_inverse=True)
-    flow = replace(flow, index={TRACER: station, POINT: point}, points=tuple(members.tolist()))
+    stops = stops_of(visits(flow.position, flow.tool, point), flow.conditions.get("t"))
+    flow = replace(
+        flow,
+        index={TRACER: station, POINT: point, STOP: stops},
+        points=tuple(members.tolist()),
+        stops=tuple(stop_names(stops, points, flow.conditions.get("t"))),
+    )
     if air is not None:
         flow = replace(flow, conditions={**flow.conditions, AIR: air.ratio})
         blocks[AIR] = air.block.with_values(rng.normal(size=(1, 1)) * air.std)
@@ -186,7 +193,9 @@ def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple
     read, model = job.read(truth.model(chain, blocks, flow))
     path = read[0]
     beam = beams(reach_of_machine(truth.machine), model.blocks, model.groups[0].observations) / path
-    deviation = (beam * rng.normal(size=beam.shape)).sum(axis=0) * returns
+    missed = rng.normal(size=beam.shape) * returns
+    missed = shared_at_stops(missed.T, stops, returns, rng).T if returns else missed
+    deviation = (beam * missed).sum(axis=0)
     sigma = np.sqrt(noise.constant**2 + (noise.proportional * path) ** 2)
     first = np.array([int(np.argmax(station == i)) for i in range(len(names))])
     length = path + deviation + rng.normal(size=len(path)) * sigma - path[first][station]

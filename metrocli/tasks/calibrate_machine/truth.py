@@ -60,7 +60,9 @@ class Truth:
         observations = Observations(
             sizes, np.ones(1), index, conditions=conditions(flow.position) | dict(flow.conditions)
         )
-        return model_of({**self.blocks, **more}, Group("readings", chain, observations), points=flow.points)
+        return model_of(
+            {**self.blocks, **more}, Group("readings", chain, observations), points=flow.points, stops=flow.stops
+        )
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,8 @@ class Flow:
     index: Mapping[str, Index] = field(default_factory=dict)
     points: tuple[str, ...] = ()
     """Names of the points, if effects may act on one of them"""
+    stops: tuple[str, ...] = ()
+    """Names of the stops of several lengths"""
 
 
 def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.Generator) -> Truth:

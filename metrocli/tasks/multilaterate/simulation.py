@@ -24,7 +24,7 @@ from metrocli.tasks.multilaterate.readings import matched
 from metrocli.tasks.multilaterate.settings import LengthSimulation, Settings
 from metrocli.tasks.shared.environment import Air, air_of
 from metrocli.tasks.shared.known_places import listed_places
-from metrocli.tasks.shared.lengths import LengthNoise, PathNoise, stops_of
+from metrocli.tasks.shared.lengths import LengthNoise, PathNoise, shared_at_stops, stops_of
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -88,8 +88,7 @@ def _returns(
     stops = stops_of(point, observations.conditions.get("t"))
     beam = points[point] - places[tracer]
     own = rng.normal(0.0, size.repeatability, beam.shape)
-    shared = rng.normal(0.0, size.repeatability, (int(stops.max(initial=0)) + 1, 3))[stops]
-    deviation = np.where((stops == 0)[:, None], own, shared)
+    deviation = shared_at_stops(own, stops, size.repeatability, rng)
     return np.asarray((beam * deviation).sum(axis=1) / np.linalg.norm(beam, axis=1))
 
 

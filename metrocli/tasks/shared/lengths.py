@@ -200,6 +200,12 @@ def stops_of(point: Index, time: Array | None) -> Index:
     return np.asarray(number[stop.ravel()], dtype=np.intp)
 
 
+def shared_at_stops(own: Array, stops: Index, repeatability: float, rng: np.random.Generator) -> Array:
+    """Return the deviations of the carrier, (n, 3): one draw for all lengths of a stop, `own` for others."""
+    shared = rng.normal(0.0, repeatability, (int(stops.max(initial=0)) + 1, 3))[stops]
+    return np.where((stops == 0)[:, None], own, shared)
+
+
 def stop_priors(block: Block | None, repeatability: float) -> list[Group]:
     """Return the prior of the deviations of stops: zero with the repeatability in each coordinate."""
     if block is None:

@@ -18,7 +18,7 @@ from benchmarks.hidden import lengths, machine
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.candidates import Alternative, NotTested
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.next_readings.choice import Next, next_readings, revealing
@@ -272,8 +272,23 @@ def test_readings_that_reveal_an_effect_raise_the_power_to_find_it() -> None:
     assert (aim.why, len(following.readings)) == ("shows reseated-reflector", 5)
     assert aim.before < 0.02
     assert aim.after > 0.99
-    with pytest.raises(UsageError, match="there is no effect 'tracer-drift:T9'"):
+    with pytest.raises(UsageError, match="'tracer-drift:T9' is no effect that"):
         revealing(diagnosis.job, diagnosis.design, "tracer-drift:T9", 5)
+
+
+def test_an_effect_that_the_readings_cannot_have_is_refused_with_the_reason() -> None:
+    diagnosis, _ = found()
+    (drift,) = [one for one in diagnosis.job.effects if one.name == "tracer-drift"]
+    known = [one.name for one in diagnosis.design.candidates]
+    with pytest.raises(UsageError) as unknown:
+        revealing(diagnosis.job, diagnosis.design, "nonsense", 5)
+    named = unknown.value.args[0].partition("allowed: ")[2].split(", ")
+    assert named[0].partition(":")[0] == known[0].partition(" ")[0]
+    timeless = replace(diagnosis.design, candidates=(), not_tested=(NotTested(drift, "no t_s"),))
+    with pytest.raises(UsageError, match=r"'tracer-drift:T1' is no candidate here: no t_s"):
+        revealing(diagnosis.job, timeless, "tracer-drift:T1", 5)
+    with pytest.raises(UsageError, match=r"'moved-point:P1' is no candidate here: it spoils one reading"):
+        revealing(diagnosis.job, diagnosis.design, "moved-point:P1", 5)
 
 
 def test_json_of_next(tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,6 +15,7 @@ from benchmarks.hidden import machine, stops
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.diagnosis.status import candidates
+from metrocli.units import parse_quantity
 
 Metrocli = Callable[..., Any]
 
@@ -76,7 +77,9 @@ def test_the_job_declares_what_was_found(tmp_path: Path, metrocli: Metrocli) -> 
     assert [one["status"] for one in data["candidates"] if one["name"] == "repeatability"] == ["named"]
     extended = yaml.safe_load(Path(data["extended_job"]).read_text())
     assert "effects" not in extended
-    value = float(extended["noise"]["repeatability"].removesuffix(" mm"))
+    declared = extended["noise"]["repeatability"]
+    assert declared.endswith(" um")
+    value = parse_quantity(declared, "length")
     assert value == pytest.approx(np.hypot(0.0005, effect["parameters"]["std"]["value"]), rel=0.01)
     again = json.loads(metrocli("diagnose", data["extended_job"], "--json").out)
     assert (again["verdict"], again["effects"]) == ("clean", [])

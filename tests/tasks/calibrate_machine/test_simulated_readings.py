@@ -100,3 +100,39 @@ def test_sides_follow_the_times_of_a_list_not_its_rows(folder: Path, metrocli: M
     for axis in "xyz":
         places, side = numbers(columns, f"{axis}_mm")[travel], numbers(columns, f"from_{axis}")[travel]
         assert np.array_equal(np.sign(np.diff(places)), side[1:])
+
+
+def at_once(folder: Path, metrocli: Metrocli) -> None:
+    """The file of the job: four stations that read each of 80 points at once."""
+    first = simulated(folder, f"{LENGTHS.replace('points: 30', 'points: 80')}", metrocli, "lengths.csv")
+    first["t_s"] = [f"{4 * int(name[1:])}" for name in first["point"]]
+    rows = [",".join(row) for row in zip(*first.values(), strict=True)]
+    (folder / "lengths.csv").write_text("\n".join([",".join(first), *rows]) + "\n")
+
+
+def test_lengths_of_one_stop_share_its_deviation(folder: Path, metrocli: Metrocli) -> None:
+    """Stops that scatter ten times as much as the lengths leave no more misfit than lengths that do not."""
+    at_once(folder, metrocli)
+    text = LENGTHS.replace("0.2 um/m}", "0.2 um/m, repeatability: 3 um}")
+    simulated(folder, text, metrocli, "lengths.csv")
+    (folder / "job.yaml").write_text(text.replace("lengths.csv", "new/lengths.csv"))
+    found = json.loads(metrocli("calibrate-machine", folder / "job.yaml", "--force", "--json").out)["statistics"]
+    assert 0.8 < found["sigma0"] < 1.2, found["sigma0"]
+
+
+def test_a_stop_off_its_place_is_planted_and_estimated(folder: Path, metrocli: Metrocli) -> None:
+    at_once(folder, metrocli)
+    where = "stop=P005 at 20 s"
+    simulated(folder, LENGTHS, metrocli, "lengths.csv", f"repeatability:{where},dx=30um,dy=-20um,dz=10um")
+    job = LENGTHS.replace("lengths.csv", "new/lengths.csv")
+    (folder / "job.yaml").write_text(f"{job}effects: [{{name: repeatability, stop: P005 at 20 s}}]\n")
+    found = json.loads(metrocli("calibrate-machine", folder / "job.yaml", "--force", "--json").out)["estimates"]
+    for name, planted in (("dx", 0.03), ("dy", -0.02), ("dz", 0.01)):
+        size = found[f"repeatability.P005 at 20 s.{name}"]
+        assert abs(size["value"] - planted) < 4 * size["std"] < 0.02
+
+
+def test_a_scatter_that_no_simulation_draws_is_refused_with_what_to_write(folder: Path, metrocli: Metrocli) -> None:
+    (folder / "job.yaml").write_text(LENGTHS)
+    ran = metrocli("simulate", folder / "job.yaml", "--out", folder / "new", "--effect", "repeatability:std=3um")
+    assert ran.code == 3 and "draws no sizes from `std`" in ran.err and "--set noise.repeatability=" in ran.err

@@ -20,6 +20,7 @@ from metrocli.effects.acting import (
     point,
     seen_from,
 )
+from metrocli.tasks.shared.length_places import AT, BEAM, length
 
 _PLACES = ("axis", "pair")
 _OF_PLACE: Mapping[str, OfPlace] = {"axis": commanded, "pair": of_pair}
@@ -35,7 +36,10 @@ PLACES = (
         _PLACES,
         _OF_PLACE,
     ),
-    replace(point("point-in-machine", Quantity.POINT_IN_MACHINE, _PLACES, *_APPROACH), of_place=_OF_PLACE),
+    replace(
+        point("point-in-machine", Quantity.POINT_IN_MACHINE, (*_PLACES, *AT), *BEAM, *_APPROACH), of_place=_OF_PLACE
+    ),
+    length(*_APPROACH),
     point("point-in-tracker", Quantity.POINT_IN_TRACKER, (), *seen_from(), *_APPROACH),
     point("coordinates", Quantity.POINT_IN_TRACKER, (), *seen_from(), *_APPROACH),
     Acting("across-leg", Quantity.ACROSS_LEG, MM[:2], ("first", "second"), (*TIMED[:1], *PLACE)),

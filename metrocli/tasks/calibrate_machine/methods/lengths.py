@@ -55,7 +55,7 @@ def lengths(settings: Settings, table: Table, stations: Table | None = None) -> 
     points, point = np.unique(names, return_inverse=True)
     given = conditions(position, table)
     noise = PathNoise.of(settings.noise.of_lengths)
-    stops = stops_of(_visits(position, tool, point), given.get("t"))
+    stops = stops_of(visits(position, tool, point), given.get("t"))
     stop_block = t.stop_block(stops if noise.repeatability else np.zeros_like(stops))
     station_block = _stations(settings, seen)
     unknowns: dict[str, Block] = {**blocks, t.TRACER: station_block}
@@ -81,7 +81,7 @@ def lengths(settings: Settings, table: Table, stations: Table | None = None) -> 
     others = (*_known(settings, seen, unknowns, noise), *priors_of(air))
     tools = list(settings.tools)
     return Problem(
-        model_of(unknowns, readings, others, points.tolist(), _names(stops, names, given.get("t"))),
+        model_of(unknowns, readings, others, points.tolist(), stop_names(stops, names, given.get("t"))),
         machine,
         np.ones(len(table)),
         tuple(tools[i] for i in np.unique(tool)),
@@ -103,7 +103,7 @@ def _known(settings: Settings, seen: Seen, unknowns: Mapping[str, Block], noise:
     )
 
 
-def _names(stops: Index, points: np.typing.NDArray[np.str_], time: Array | None) -> list[str]:
+def stop_names(stops: Index, points: np.typing.NDArray[np.str_], time: Array | None) -> list[str]:
     """Return the names of the stops of several lengths, by point and time; the first stands for all other stops."""
     found = [t.NO_STOP]
     if time is not None:
@@ -112,7 +112,7 @@ def _names(stops: Index, points: np.typing.NDArray[np.str_], time: Array | None)
     return found
 
 
-def _visits(position: Array, tool: Index, point: Index) -> Index:
+def visits(position: Array, tool: Index, point: Index) -> Index:
     """Return a number for each commanded place with its tool and point, (n,)."""
     return np.unique(np.vstack([position, tool, point]), axis=1, return_inverse=True)[1].ravel()
 
