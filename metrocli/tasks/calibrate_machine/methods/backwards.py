@@ -18,7 +18,7 @@ from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without
 from metrocli.tasks.shared.tracer_places import Seen
 
 _NEARER = 0.25
-"""Median distance of mirrored stations from their list, as a share of that of unmirrored ones, that tells them apart"""
+"""The median distance of stations from their list has to fall below this share of itself when they are mirrored"""
 
 
 def refuse_backwards(found: Array, seen: Seen) -> None:
