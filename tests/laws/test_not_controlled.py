@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from simulated import machine as sim
+from simulated import machine_lengths as lengths
 from simulated.castings import casting, nominal
 from simulated.grid import grid
 from tasks.fit_part.test_uncertainty import file_of, solved_of
@@ -154,3 +155,41 @@ def test_the_scale_of_a_raw_part_is_not_controlled(tmp_path: Path, aim: str, min
     listed = stock[0]["not_controlled"]
     (size,) = listed.numbers("hides")[["common scale" in effect for effect in listed.texts("effect")]]
     assert float(np.abs(moved[used]).max()) == pytest.approx(float(size), rel=0.02)
+
+
+def without_rigid_motion(vectors: lengths.Array, places: lengths.Array) -> lengths.Array:
+    """Return vectors (n, 3) without the shift and small turn that fit them best, solved as one system."""
+    turned = np.stack([np.cross(axis, places - places.mean(axis=0)).ravel() for axis in np.eye(3)])
+    design = np.concatenate([np.tile(np.eye(3), len(places)), turned]).T
+    found, *_ = np.linalg.lstsq(design, vectors.ravel())
+    return vectors - (design @ found).reshape(-1, 3)
+
+
+def test_the_sense_of_an_axis_is_not_controlled_by_lengths_with_one_tool() -> None:
+    """Each axis counts backwards in turn; the largest change of the error in the volume is the stated one."""
+    rng = np.random.default_rng(3009)
+    table = lengths.measured(sim.random_machine(rng), rng, 200, sim.ONE)
+    settings = lengths.settings(tools=sim.ONE)
+    results = [calibrate_machine.run(calibrate_machine.TASK.job(settings, lengths=table))]
+    for number, axis in enumerate("xyz"):
+        backwards = sim.LOW[number] + sim.HIGH[number] - table.numbers(axis)
+        other = replace(table, columns={**table.columns, axis: backwards})
+        results.append(calibrate_machine.run(calibrate_machine.TASK.job(settings, lengths=other)))
+    before, *after = (one.tables["volume"] for one in results)
+    places, error = (before.stacked(names) for names in (("x", "y", "z"), ("ex", "ey", "ez")))
+    changes = [without_rigid_motion(one.stacked(("ex", "ey", "ez")) - error, places) for one in after]
+    assert [one.statistics["chi2"] for one in results] == pytest.approx([results[0].statistics["chi2"]] * 4, rel=1e-3)
+    largest = max(float(np.linalg.norm(change, axis=1).max()) for change in changes)
+    assert hidden(results[0], "sense of X, Y, Z") == pytest.approx(largest, rel=0.01)
+
+
+def test_tools_or_listed_stations_control_the_sense_of_an_axis() -> None:
+    rng = np.random.default_rng(3010)
+    table = lengths.measured(sim.random_machine(rng), rng, 200, lengths.TWO)
+    job = calibrate_machine.TASK.job(lengths.settings(), lengths=table)
+    assert "sense of Y:" in " ".join(calibrate_machine.run(job).tables["not_controlled"].texts("effect"))
+    listed = replace(job.settings.inputs, stations=sim.NOWHERE)
+    job = calibrate_machine.TASK.job(
+        replace(job.settings, inputs=listed), lengths=table, stations=lengths.listed(lengths.STATIONS[:4])
+    )
+    assert "sense of" not in " ".join(calibrate_machine.run(job).tables["not_controlled"].texts("effect"))

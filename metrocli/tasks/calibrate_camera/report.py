@@ -20,6 +20,7 @@ from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.coverage import coverage
+from metrocli.tasks.calibrate_camera.held_values import held_doubts
 from metrocli.tasks.calibrate_camera.length_errors import LengthErrors, length_errors
 from metrocli.tasks.calibrate_camera.lens_conventions import conventions_table, form_covariance, photogrammetric_form
 from metrocli.tasks.calibrate_camera.nearness import too_near
@@ -267,12 +268,13 @@ def _warnings(solved: _Calibration, views: Table) -> list[str]:
 def _doubts(solved: _Calibration) -> list[str]:
     """Return why the camera must not be used.
 
-    Its principal point is held far from where the readings see it, its targets are nearer than its focal length, or the
-    lens model maps two directions to one pixel among the readings.
+    It holds its principal point far from where the readings see it, or other values that they contradict. Or its
+    targets are nearer than its focal length, or the lens model maps two directions to one pixel among the readings.
     """
     centre = solved.centre.doubts() if solved.centre is not None else []
     near = too_near(solved.problem, solved.adjusted, solved.settings.pixel_size)
-    return [*centre, *near, *(text for text, among in _folds(solved) if among)]
+    held = held_doubts(solved.problem, solved.settings, solved.adjusted)
+    return [*centre, *held, *near, *(text for text, among in _folds(solved) if among)]
 
 
 def _folds(solved: _Calibration) -> Iterator[tuple[str, bool]]:

@@ -43,7 +43,7 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
     tables = tables_of(solved.problem.machine, solution, settings.scales)
     identified = solved.identified
     effect_tables, effect_arrays = effect_results(added, solution)
-    hidden = uncontrolled(solved, tables, settings.scales)
+    hidden = uncontrolled(solved, tables, settings)
     volume = volume_tables(tables, identified, settings.volume, solved.problem.tools_used)
     tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
     found = (*_estimates(solution), *effect_estimates(added, solution))

@@ -13,6 +13,7 @@ from metrocli.instruments.tracer import TRACER
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.layout import line_of, stations_lie
+from metrocli.tasks.calibrate_machine.methods.backwards import unseen_senses
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, Settings
 from metrocli.tasks.calibrate_machine.solve import Solved
 from metrocli.tasks.calibrate_machine.tables import Tables
@@ -108,13 +109,25 @@ def _ratio(identified: Identifiability) -> str:
     return f"{identified.ratio:.1f}" if math.isfinite(identified.ratio) else units.NOT_DETERMINED
 
 
-def uncontrolled(solved: Solved, tables: Tables, scales: Mapping[str, Warm]) -> Table:
+def uncontrolled(solved: Solved, tables: Tables, settings: Settings) -> Table:
     """Return the settings and causes that the tables absorb, and the error in the volume from a plausible size.
 
     The uncertainty of a stated air is in the tables, and so is that of the scales of axes whose temperature is stated
     with its standard uncertainty.
     """
-    return table_of(_hidden(solved, tables, scales))
+    return table_of((*_hidden(solved, tables, settings.scales), *_senses(tables, settings)))
+
+
+def _senses(tables: Tables, settings: Settings) -> Iterator[Hidden]:
+    """Yield the axes that may count backwards."""
+    axes = unseen_senses(tables, settings)
+    if axes:
+        yield Hidden(
+            f"sense of {listed(tuple(axes))}: an axis that counts backwards mirrors the stations as well (all tables)",
+            "one of these axes mirrored",
+            max(axes.values()),
+            "rough places of the stations (`inputs: stations`), or a tool with another offset along each of these axes",
+        )
 
 
 def _hidden(solved: Solved, tables: Tables, scales: Mapping[str, Warm]) -> Iterator[Hidden]:

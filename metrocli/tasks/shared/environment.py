@@ -165,9 +165,18 @@ def air_of(environment: Environment | None, table: Table, by: str = "") -> Air |
 
 
 def unused(environment: Environment | None, table: Table) -> tuple[str, ...]:
-    """Return a warning of columns of the weather that a job without `environment:` does not use."""
+    """Return a warning of weather that a job gives in vain: columns without `environment:`, or entries beside a column.
+
+    The standard uncertainty of such an entry is used.
+    """
+    if environment is not None:
+        return tuple(
+            f"environment: the value of {name} is not used, since {table.file} has the column {_HEADINGS[name]}"
+            for name, column in _COLUMNS.items()
+            if column in table and not np.isnan(getattr(environment, name).value)
+        )
     columns = [_HEADINGS[name] for name in ("pressure", "humidity") if name in table]
-    if environment is not None or not columns:
+    if not columns:
         return ()
     return (f"{table.file}: {' and '.join(columns)}: only used with `environment:`",)
 

@@ -227,6 +227,19 @@ def test_one_station_is_refused_and_the_cure_is_named() -> None:
         run(lengths.settings(), table)
 
 
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_rough_places_of_stations_show_an_axis_that_counts_backwards(axis: str) -> None:
+    rng = np.random.default_rng(3011)
+    table = lengths.measured(sim.random_machine(rng), rng, 100, sim.ONE)
+    rough = lengths.listed(lengths.STATIONS[:4] + rng.uniform(-60, 60, (4, 3)))
+    rough = replace(rough, columns={**rough.columns, "sigma": np.full(4, np.nan)})
+    run(lengths.settings(tools=sim.ONE), table, rough)
+    ends = dict(zip("xyz", sim.LOW + sim.HIGH, strict=True))
+    backwards = replace(table, columns={**table.columns, axis: ends[axis] - table.numbers(axis)})
+    with pytest.raises(InputError, match=f"{axis.upper()} counts the other way"):
+        run(lengths.settings(tools=sim.ONE), backwards, rough)
+
+
 def test_stations_and_tools_on_a_line_or_in_a_plane_are_named() -> None:
     assert stations_lie(lengths.STATIONS) == ""
     assert stations_lie(lengths.STATIONS * [1, 1, 0]) == "the 5 stations lie in one plane"

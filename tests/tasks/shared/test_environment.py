@@ -188,6 +188,17 @@ def test_distances_of_a_launch_unit_are_corrected(method: str) -> None:
     assert more == pytest.approx(5 * PPM * 4000, rel=2e-3)
 
 
+def test_an_entry_beside_its_column_is_said_to_be_unused() -> None:
+    net = network(30, 5)
+    lengths = in_air(net, 1.0)
+    warm = replace(lengths, columns={**lengths.columns, "temp": np.full(len(lengths), 21.0)})
+    said = [line for line in run(net, warm, environment(25.0)).warnings if "environment: the value of" in line]
+    assert said == [f"environment: the value of temperature is not used, since {warm.file} has the column temp_degC"]
+    only_std = replace(environment(), temperature=Known(float("nan"), 0.1))
+    for table, air in ((warm, only_std), (lengths, environment(25.0))):
+        assert "is not used, since" not in " ".join(run(net, table, air).warnings)
+
+
 def test_air_without_a_distance_is_warned_of() -> None:
     job = replace(launch.settings(), environment=environment(5.0, 1000.0))
     result = locate_launch_unit.run(locate_launch_unit.TASK.job(job, launch.anywhere(8, 3).table()))

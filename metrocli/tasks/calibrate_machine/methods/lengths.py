@@ -17,6 +17,7 @@ from metrocli.errors import InputError
 from metrocli.instruments import tracer as t
 from metrocli.instruments.machine import TOOL
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.methods.backwards import refuse_backwards
 from metrocli.tasks.calibrate_machine.problem import (
     Problem,
     commanded,
@@ -58,6 +59,7 @@ def lengths(settings: Settings, table: Table, stations: Table | None = None) -> 
     stops = stops_of(visits(position, tool, point), given.get("t"))
     stop_block = t.stop_block(stops if noise.repeatability else np.zeros_like(stops))
     station_block = _stations(settings, seen)
+    refuse_backwards(station_block.values[:, :3], seen)
     unknowns: dict[str, Block] = {**blocks, t.TRACER: station_block}
     index = machine.index(position) | {TOOL: tool, t.TRACER: seen.tracer, t.POINT: np.asarray(point, dtype=np.intp)}
     index[t.STOP] = stops
