@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from metrocli.diagnosis.cross_validation import Gain
+from metrocli.diagnosis.extended_fit import result_change
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.laws.definition import written
 from metrocli.progress import SILENT, Progress
@@ -47,7 +48,7 @@ class Extension:
     after: float
     """Held-out error without and with them, in the internal unit of the readings"""
     shift: float | None
-    """Largest change of the delivered result by one of the effects; None if only a law was added"""
+    """Largest change of the delivered result by one of the effects, or by all that was added if a law is among it"""
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,9 @@ def until_clean(
             return Loop(first, last, tuple(extensions), End.NOTHING_GAINED)
         current = load(path, Wishes(accept_doubtful=job.accept_doubtful))
         extensions.append(_extension(path, runner.carry_out(current, force, progress), gained))
-        last = diagnose(current)
+        before, last = last, diagnose(current)
+        if gained.laws:
+            extensions[-1] = replace(extensions[-1], shift=_moved(before, last))
 
 
 def _end(last: Diagnosis, gained: Diagnosis, spent: bool) -> End | None:
@@ -131,6 +134,14 @@ def _extension(path: Path, done: Done, gained: Diagnosis) -> Extension:
     before, after = max(gain.before for gain in gains), min(gain.after for gain in gains)
     shifts = [one.shift for one in gained.findings] + [one.shift for one in gained.scatters]
     return Extension(path, done, names, max(levels), before, after, max(shifts, default=None))
+
+
+def _moved(before: Diagnosis, after: Diagnosis) -> float | None:
+    """Return the largest change of the delivered result between two diagnoses; None if they are of other members."""
+    old, new = before.job, after.job
+    names = old.delivered.blocks
+    same = all(old.model.blocks[name].members == new.model.blocks[name].members for name in names)
+    return result_change(old, new) if same else None
 
 
 def _parts(gained: Diagnosis) -> Iterator[tuple[str, float, Gain]]:

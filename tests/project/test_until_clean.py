@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from metrocli.cli.commands import run
@@ -44,6 +45,12 @@ def test_without_the_cause_a_law_makes_it_clean(hall: Path, capsys: pytest.Captu
     assert len(added) == 1 and added[0].startswith("law ") and added[0].endswith("LT5") and "azimuth" in added[0]
     job = Path(found["steps"][0]["job"]).read_text()
     assert "cause: unknown" in job and "law-1" in job
+    assert run(["multilaterate", str(hall / "jobs" / "hall.yaml"), "--quiet", "--output", str(hall / "before.h5")]) == 0
+    results = (hall / "before.h5", Path(found["steps"][0]["result"]))
+    before, after = (hdf5.read(path)[0].tables["points"].stacked("xyz") for path in results)
+    shift = found["steps"][0]["result_shift"]
+    assert shift["unit"] == "um"
+    assert shift["value"] == pytest.approx(1e3 * np.linalg.norm(after - before, axis=1).max(), rel=1e-3)
 
 
 def test_a_law_with_which_the_job_cannot_be_adjusted_ends_it(
