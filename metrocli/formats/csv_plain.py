@@ -48,8 +48,10 @@ class PlainCells(Sequence[Sequence[str]]):
     def __getitem__(self, column: int | slice) -> list[str] | list[list[str]]:
         if isinstance(column, slice):
             return [self[k] for k in range(*column.indices(len(self)))]
-        listed: list[str] = self.texts(column).tolist()
-        return listed
+        # one by one: an array would give each cell the place of the longest, however long that is
+        text, start = self.letters.tobytes().decode("ascii"), self.start[column]
+        ends = zip(start.tolist(), (start + self.length[column]).tolist(), strict=True)
+        return [text[first:end] for first, end in ends]
 
     def texts(self, column: int) -> npt.NDArray[np.str_]:
         """Return the texts of a column, (rows,)."""

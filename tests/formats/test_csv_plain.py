@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,18 @@ def test_the_unusual_is_left_to_the_other_reader(line: str) -> None:
 def test_a_cell_too_many_and_one_too_few_do_not_make_up_for_each_other() -> None:
     assert plain_cells("1,2,3\n4\n", ",", 2) is None
     assert plain_cells("1,2,3\n4,\n5", ",", 2) is None
+
+
+def test_an_absurd_cell_takes_no_memory_for_the_other_rows(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.csv", more=f"{'P' * 1_000_000},T9,1.0\nP_7,T9,{'1' * 1_000_000}\n")
+    tracemalloc.start()
+    with pytest.raises(InputError) as error:
+        csv.read(path, COLUMNS)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    n = len(ROWS)
+    assert [(fault.line, fault.column) for fault in error.value.faults] == [(n + 2, 1), (n + 3, 8)]
+    assert peak < 50e6
 
 
 def test_faults_of_plain_files_have_their_place(tmp_path: Path) -> None:

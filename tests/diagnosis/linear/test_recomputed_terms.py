@@ -37,6 +37,7 @@ def test_products_and_grams_are_those_of_the_columns(angle: bool, gaps: bool, mo
     cut = own.cut(there)
     np.testing.assert_array_equal(cut.rows, own.rows[there])
     np.testing.assert_allclose(cut.values, held.values[there])
+    assert own.cut(np.zeros(len(own.rows), dtype=bool)).values.shape == (0, *held.values.shape[1:])
     unit = own.orthonormal(1e-9).dense()[:, 0]
     np.testing.assert_allclose(unit.T @ unit, np.eye(unit.shape[1]), atol=1e-9)
     np.testing.assert_allclose(unit @ (unit.T @ held.values[:, 0]), held.values[:, 0], atol=1e-8)

@@ -21,7 +21,7 @@ def test_a_wrong_length_moves_its_point_as_stated(
     job = network(tmp_path / "network", 12, tracers)
     text = job.read_text() + datum
     job.write_text(text)
-    if datum:  # three points hold the frame: the first exactly, the others in what is left
+    if datum:  # three points that are known exactly hold the frame
         points = (job.parent / "points.csv").read_text().splitlines()
         held = [f"{line},{0.0 if k < 3 else ''}" for k, line in enumerate(points[1:])]
         (job.parent / "points.csv").write_text("\n".join([points[0] + ",sigma_mm", *held]) + "\n")

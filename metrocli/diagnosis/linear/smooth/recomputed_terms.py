@@ -103,7 +103,7 @@ class Terms:
 
     def dense(self, at: Index | slice = slice(None)) -> Array:
         """Return the columns of some alternatives at the rows, (r, alternatives, parameters)."""
-        parts = []
+        parts = [np.empty((0, self.parameters))]
         for some, terms in self._portions():
             whitened = self.weights[some][:, :, :, None] * terms.T[:, None, None, :]
             parts.append(whitened.reshape(-1, len(self.turn)) @ self.turn)
