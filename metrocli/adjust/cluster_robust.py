@@ -14,7 +14,7 @@ import numpy as np
 from metrocli.adjust.cluster_rows import numbers_of, rows_of, rows_without_members
 from metrocli.adjust.cluster_sample import Sample
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.covariance import Covariance, shapes_of
 from metrocli.adjust.schur.layout import Layout, without_elimination
 from metrocli.adjust.schur.member_covariance import MemberCovariance
@@ -93,6 +93,8 @@ class Clusters:
     """Whether errors are shared by the readings of an unknown that only one cluster uses, as by those of a pose"""
     free: bool = False
     """Whether the datum depends on unknowns that only one cluster uses"""
+    first: tuple[str, ...] = ()
+    """Blocks whose variances have a factor of their own, such as the lens; if none, what all clusters use"""
 
 
 def cluster_robust(solution: Solution, clusters: Clusters) -> ClusterRobust:
@@ -105,13 +107,15 @@ def cluster_robust(solution: Solution, clusters: Clusters) -> ClusterRobust:
     rows = rows_without_members(solution, clusters.of)
     if rows is not None:
         layout, white = solution.covariance_or_raise().layout, _without_datum(solution)
-        sample = Sample.of(white, rows, clusters.grows)
+        sample = Sample.of(white, rows, rows.common, clusters.grows)
         found = replace(solution, covariance=_of_members(solution, white, sample))
         return ClusterRobust(found, solution, sample, layout)
     layout = without_elimination(solution.blocks)
     must_be_few(layout.width)
     rows = rows_of(solution, clusters.of, clusters.free)
-    sample = Sample.of(_joint(solution, layout)[np.ix_(rows.shared, rows.shared)], rows, clusters.grows)
+    first = _of_blocks(layout, clusters.first) if clusters.first else rows.common
+    white = _joint(solution, layout)[np.ix_(rows.shared, rows.shared)]
+    sample = Sample.of(white, rows, first, clusters.grows)
     matrix = sample.covariance()
     covariance = Covariance(layout, shapes_of(solution.blocks), matrix, MemberCovariance((0, 0), (), (), matrix))
     return ClusterRobust(replace(solution, covariance=covariance), solution, sample, layout)
@@ -155,6 +159,14 @@ def _joint(solution: Solution, layout: Layout) -> Array:
     return np.concatenate(
         [np.concatenate([known.between(a, b)[np.ix_(i, j)] for b, j in free.items()], axis=1) for a, i in free.items()]
     )
+
+
+def _of_blocks(layout: Layout, names: Sequence[str]) -> Mask:
+    """Return which unknowns are those of some blocks, (unknowns,)."""
+    found = np.zeros(layout.width, dtype=bool)
+    for name in names:
+        found[columns_of(layout, name)] = True
+    return found
 
 
 def columns_of(layout: Layout, name: str) -> Index:

@@ -13,6 +13,7 @@ import numpy as np
 from metrocli.adjust.cluster_rows import Rows
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.singular_values import thin_svd
 
 _UNDETERMINED = 1e-9
 """Share of a direction that the other clusters determine, below which it is left out: its residuals are rounding"""
@@ -53,7 +54,7 @@ class Spread:
     @classmethod
     def of(cls, rows: Array, residual: Array) -> Spread:
         """Return a cluster from its rows and residuals."""
-        u, sizes, vt = np.linalg.svd(rows, full_matrices=False)
+        u, sizes, vt = thin_svd(rows)
         kept = 1 - sizes**2 > _UNDETERMINED
         alone, u, sizes, vt = vt[~kept].T, u[:, kept], sizes[kept], vt[kept]
         return cls(vt.T, sizes, vt.T @ (sizes / np.sqrt(1 - sizes**2) * (u.T @ residual)), alone)
@@ -82,7 +83,7 @@ class Sample:
     root: Array
     """L with `L L'` the covariance of the shared unknowns for independent errors, (shared, coordinates)"""
     parts: tuple[slice, ...]
-    """Coordinates of the unknowns that all clusters use (the lens), then the further ones of the others (points)"""
+    """Coordinates of the first unknowns (the lens), then the further ones of the others (points)"""
     clusters: tuple[Spread, ...]
     own: tuple[Own, ...]
     prior: Array
@@ -91,13 +92,14 @@ class Sample:
     """Whether the errors of what only one cluster determines grow as those of the shared unknowns do"""
 
     @classmethod
-    def of(cls, white: Array, rows: Rows, grows: bool = True) -> Sample:
+    def of(cls, white: Array, rows: Rows, first: Mask, grows: bool = True) -> Sample:
         """Return the sample of an adjustment; `white` is the covariance of its shared unknowns for independent errors.
 
-        `grows` is whether what only one cluster determines has the factor of the others.
+        `first` (unknowns,) are those whose variances have a factor of their own; `grows` is whether what only one
+        cluster determines has the factor of the others.
         """
         shared = rows.shared
-        root, parts = _root(white, rows.common[shared])
+        root, parts = _root(white, first[shared])
         numbers = np.cumsum(shared) - 1
         clusters, own = [], []
         for one in rows.of_clusters:
@@ -248,15 +250,15 @@ class Sample:
         return 2 * mean**2 / np.maximum(factor**2 * variance, _TINY), trace**2 / norms
 
 
-def _root(white: Array, common: Mask) -> tuple[Array, tuple[slice, ...]]:
+def _root(white: Array, first: Mask) -> tuple[Array, tuple[slice, ...]]:
     """Return L, (shared, coordinates), with `L L'` the covariance of the shared unknowns for independent errors.
 
-    The first coordinates are those of the unknowns that are common to all clusters (mask over the shared ones); the
+    The first coordinates are those of the first unknowns (mask over the shared ones); the
     further ones are what the others have besides. Return the slices of both, without empty ones.
     """
     std = np.sqrt(np.diag(white))
     rest, roots, parts, place = white / std[:, None] / std, [], [], 0
-    for rows in (np.flatnonzero(common), np.flatnonzero(~common)):
+    for rows in (np.flatnonzero(first), np.flatnonzero(~first)):
         values, vectors = np.linalg.eigh(rest[np.ix_(rows, rows)])
         kept = values > _RANK * len(white)
         root = rest[:, rows] @ vectors[:, kept] / np.sqrt(values[kept])

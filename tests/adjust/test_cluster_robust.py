@@ -29,10 +29,10 @@ def bent(problem: problems.Problem, size: float = 0.5) -> problems.Problem:
     return problems.Problem(problem.blocks, (moved, *problem.groups[1:]), problem.datum)
 
 
-def robust(problem: problems.Problem) -> ClusterRobust:
+def robust(problem: problems.Problem, *first: str) -> ClusterRobust:
     solution = adjust(problem.blocks.values(), problem.groups, problem.datum)
     group = problem.groups[0]
-    return cluster_robust(solution, Clusters({group.name: group.observations.index[camera.VIEW]}))
+    return cluster_robust(solution, Clusters({group.name: group.observations.index[camera.VIEW]}, first=first))
 
 
 @dataclass
@@ -41,6 +41,7 @@ class Plain:
 
     found: ClusterRobust
     problem: problems.Problem
+    first: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         whole = dense.at_solution(self.found.white.blocks, self.problem.groups)
@@ -63,10 +64,11 @@ class Plain:
             weight[:, rows] = q @ j[rows].T @ root
             weights.append(weight[self.shared])
             changes.append(weights[-1] @ residual)
-        # unknowns that all images use come first
-        order = np.argsort(used[self.shared] < len(images), kind="stable")
+        # unknowns that all images use come first, or those of some blocks
+        ahead = np.array([name in self.first for name, *_ in whole.places]) if self.first else used == len(images)
+        order = np.argsort(~ahead[self.shared], kind="stable")
         self.lower = np.linalg.cholesky(joint[np.ix_(order, order)])[np.argsort(order)]
-        first = int((used[self.shared] == len(images)).sum())
+        first = int(ahead[self.shared].sum())
         self.parts = [part for part in (np.arange(first), np.arange(first, len(joint))) if len(part)]
         z = np.linalg.solve(self.lower, np.array(changes).T).T
         free = np.eye(len(hat)) - hat
@@ -106,20 +108,22 @@ def seen_in_part() -> problems.Problem:
     return problems.Problem(problem.blocks, (part, *problem.groups[1:]), problem.datum)
 
 
-CASES: dict[str, Callable[[], problems.Problem]] = {
-    "poses eliminated": lambda: bent(problems.board_camera()),
-    "targets eliminated": lambda: bent(problems.with_control()),
-    "targets in some images": lambda: bent(seen_in_part()),
-    "with scale bars": lambda: bent(problems.with_scale_bars()),
-    "white": problems.board_camera,
+CASES: dict[str, tuple[Callable[[], problems.Problem], tuple[str, ...]]] = {
+    "poses eliminated": (lambda: bent(problems.board_camera()), ()),
+    "targets eliminated": (lambda: bent(problems.with_control()), ()),
+    "lens apart from targets in all images": (lambda: bent(problems.with_control()), (camera.LENS,)),
+    "targets in some images": (lambda: bent(seen_in_part()), ()),
+    "with scale bars": (lambda: bent(problems.with_scale_bars()), ()),
+    "white": (problems.board_camera, ()),
 }
 
 
 @pytest.fixture(scope="module", params=CASES)
 def both(request: pytest.FixtureRequest) -> tuple[ClusterRobust, Plain]:
-    problem = CASES[request.param]()
-    found = robust(problem)
-    return found, Plain(found, problem)
+    made, first = CASES[request.param]
+    problem = made()
+    found = robust(problem, *first)
+    return found, Plain(found, problem, first)
 
 
 def of_shared(found: ClusterRobust, plain: Plain) -> Array:
@@ -148,6 +152,13 @@ def test_the_lens_has_its_own_factor_where_images_show_other_targets() -> None:
     found = robust(bent(seen_in_part())).sample
     assert [part.stop - part.start for part in found.parts] == [7, 3 * (len(problems.CUBE) - 4)]
     assert len(robust(bent(problems.board_camera())).sample.parts) == 1
+
+
+def test_the_lens_has_its_own_factor_where_all_images_show_all_targets() -> None:
+    problem = bent(problems.with_control())
+    assert len(robust(problem).sample.parts) == 1
+    lens = robust(problem, camera.LENS).sample.parts[0]
+    assert lens.stop - lens.start == 7
 
 
 def test_poses_take_over_what_the_shared_unknowns_have() -> None:

@@ -15,6 +15,7 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Linear
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout, single_touch, without_elimination
+from metrocli.adjust.singular_values import thin_svd
 from metrocli.diagnosis.linear.basis import Basis, Solver
 from metrocli.diagnosis.linear.fitted_columns import orthonormalised
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS, System, by_rows, scatter
@@ -220,7 +221,7 @@ def _orthonormal(columns: Array, rank: int) -> tuple[Array, Array]:
     """Return an orthonormal basis (rows, rank) of columns (rows, q), and the turn (q, rank) that gives it."""
     unit, turn = orthonormalised(columns, _WELL)
     if turn.shape[1] != rank:
-        u, s, vt = np.linalg.svd(columns, full_matrices=False)
+        u, s, vt = thin_svd(columns)
         unit, turn = u[:, :rank], vt[:rank].T / s[:rank]
     return unit, turn
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, rows, unit_noise, unknowns_of
 from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.singular_values import thin_svd
 from metrocli.errors import UndeterminedError
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, TOOL, Machine, errors_of
 from metrocli.instruments.tracer import AIR, STOP, TRACER
@@ -132,7 +133,7 @@ def _refuse_harmful(opened: _Open, grids: Sequence[Array], cure: str) -> None:
     if opened.directions.shape[1] == 0:
         return
     moved = np.concatenate([opened.moved(grid) for grid in grids])
-    _, sizes, mix = np.linalg.svd(moved, full_matrices=False)
+    _, sizes, mix = thin_svd(moved)
     count = int((sizes / np.sqrt(len(moved)) > _HARMLESS).sum())
     if count == 0:
         return
@@ -237,7 +238,7 @@ def _status(
 def _partners(name: str, opened: _Open, status: Mapping[str, Determination]) -> tuple[str, ...]:
     """Return the errors that are combined with an error in the open directions."""
     at = opened.rows_of(name)
-    _, sizes, mix = np.linalg.svd(opened.directions[at], full_matrices=False)
+    _, sizes, mix = thin_svd(opened.directions[at])
     moving = opened.directions @ mix[sizes > _TOUCHED].T
     shares = opened.shares(moving)
     return tuple(other for other, share in shares.items() if other != name and share > _TOUCHED)

@@ -44,6 +44,21 @@ def test_intervals_contain_the_truth_where_white_noise_does_not() -> None:
     assert np.mean(found["estimated"]) < 0.87
 
 
+def test_a_board_that_is_estimated_too_does_not_vouch_for_the_lens() -> None:
+    """Its many coordinates are better known than what the images share of the lens: they have a factor of their own."""
+    rng, dof, inside = np.random.default_rng(83), [], list[bool]()
+    for _ in range(8):
+        job = halves.simulated(rng, 8, 1.0)
+        for targets in ("listed", "estimate"):
+            result = calibrate_camera.run(
+                replace(job, settings=replace(job.settings, noise="structured", targets=targets))
+            )
+            dof.append(halves.dof_of(result, "f"))
+        inside += halves.inside(result)
+    assert max(dof) < 4 * 8
+    assert np.mean(inside) > 0.93
+
+
 @pytest.fixture
 def measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[int, float], None]:
     """Write the job of a board with a smooth error in each image."""

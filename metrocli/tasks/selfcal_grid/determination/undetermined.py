@@ -16,6 +16,7 @@ import numpy as np
 from metrocli.adjust.coupled_fields import Design, in_datum
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
+from metrocli.adjust.singular_values import thin_svd
 from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.selfcal_grid.determination.patterns import patterns
 from metrocli.tasks.selfcal_grid.problem import Problem
@@ -179,7 +180,7 @@ def _machine_fields(problem: Problem, design: Design) -> tuple[Array, Array]:
     """Return an orthonormal basis of the open machine errors, (3 sites, k), and the same as fields (sites, 3, k)."""
     columns = design.partition.columns[bg.MACHINE]
     null = np.where((columns >= 0)[:, :, None], design.null[np.maximum(columns, 0)], 0.0).reshape(columns.size, -1)
-    left, sizes, _ = np.linalg.svd(null, full_matrices=False)
+    left, sizes, _ = thin_svd(null)
     basis = left[:, sizes > 1e-9 * sizes.max(initial=1e-300)]
     return basis, basis.reshape(*columns.shape, -1)
 
@@ -193,7 +194,7 @@ def _families(problem: Problem, basis: Array, fields: Array, extra: int) -> Iter
         values, vectors = np.linalg.eigh((inside + inside.T) / 2)
         found = vectors[:, values > 1 - _ONE]
         fresh = found - named @ (named.T @ found)
-        new, sizes, _ = np.linalg.svd(fresh, full_matrices=False)
+        new, sizes, _ = thin_svd(fresh)
         new = new[:, sizes > 1e-4]
         if new.shape[1]:
             named = np.concatenate([named, new], axis=1)
@@ -207,7 +208,7 @@ def _loose_mountings(problem: Problem, design: Design) -> Iterator[Family]:
     """Yield the views whose mounting is open and moves neither field, such as a view of one ball or of one row."""
     null, places = _evened(problem, design), design.partition.columns[bg.VIEW]
     fields = np.setdiff1d(np.arange(len(null)), places)
-    _, sizes, mix = np.linalg.svd(null[fields], full_matrices=False)
+    _, sizes, mix = thin_svd(null[fields])
     alone = null @ mix[sizes < _NEGLIGIBLE].T
     for view, at in zip(problem.views, places, strict=True):
         count = int(np.linalg.matrix_rank(alone[at[at >= 0]], tol=_NEGLIGIBLE)) if alone.size else 0
@@ -220,7 +221,7 @@ def _within(basis: Array, fields: Array) -> Array:
     inside = basis.T @ fields
     lengths = np.linalg.norm(fields, axis=0)
     inside = inside[:, lengths > 0] / lengths[lengths > 0]
-    left, sizes, _ = np.linalg.svd(inside, full_matrices=False)
+    left, sizes, _ = thin_svd(inside)
     return left[:, sizes > 1e-6]
 
 

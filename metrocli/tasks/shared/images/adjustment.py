@@ -90,7 +90,9 @@ class Adjusted:
 
         `delivered` are the blocks of the estimates. Raises as `cluster_robust` does.
         """
-        clusters = Clusters({self.group.name: self.group.observations.index["view"]}, "images")
+        # a list of targets that is estimated too, and seen in all images, is not part of the lens
+        first = tuple(name for name in delivered if len(self.solution.blocks[name].members) == 1)
+        clusters = Clusters({self.group.name: self.group.observations.index["view"]}, "images", first=first)
         found, solution = structured(self.solution, clusters, delivered)
         return replace(self, solution=solution, structured=found)
 
