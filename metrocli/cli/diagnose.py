@@ -14,6 +14,7 @@ from metrocli.cli.console import Console, echo
 
 if TYPE_CHECKING:
     from metrocli.diagnosis.findings import Diagnosis
+    from metrocli.project.diagnosed import Extended
     from metrocli.project.job import JobFile, Wishes
 
 CLEAN = "clean"
@@ -103,7 +104,7 @@ def _once(
         diagnosis = diagnosed.carry_out(loaded, console, limit, first_interrupt, ordered)
     extended = _extended(loaded, diagnosis, output, force)
     proposed = None if following is None else next_readings(diagnosis, following)
-    data = _data(loaded, diagnosis, extended)
+    data = _data(loaded, diagnosis, None if extended is None else extended.path)
     if as_json:
         echo(summary.as_json(data | (as_data(proposed) if proposed else {})))
     console.print(findings.of_diagnosis(diagnosis, extended))
@@ -114,19 +115,18 @@ def _once(
     return 0 if _is_met(wanted["require"], diagnosis) else NOT_MET
 
 
-def _extended(job: JobFile, diagnosis: Diagnosis, output: Path | None, force: bool) -> Path | None:
+def _extended(job: JobFile, diagnosis: Diagnosis, output: Path | None, force: bool) -> Extended | None:
     """Write the extended job, where effects were named; what prevents it is an error if a file was asked for."""
     from metrocli.errors import InputError
     from metrocli.project import diagnosed
 
     try:
-        written = diagnosed.write_extended(job, diagnosis, output, force)
+        return diagnosed.write_extended(job, diagnosis, output, force)
     except InputError as error:
         if output is not None:
             raise
         echo(f"warning: no extended job was written: {error}", err=True)
         return None
-    return None if written is None else written.path
 
 
 def _data(job: JobFile, diagnosis: Diagnosis, extended: Path | None) -> dict[str, Any]:

@@ -138,7 +138,7 @@ class Extended:
 
     path: Path
     law: Law | None
-    """The law in it; None if the job cannot be adjusted with one"""
+    """The law in it; None without laws with which the job can be adjusted"""
 
 
 def write_extended(
@@ -148,27 +148,35 @@ def write_extended(
 
     `result` is the output of that job, by default `NAME.extended.h5` beside the output of this one.
 
-    If structure is left that no effect explains, the chosen law stands in it with `cause: unknown`, unless the job
-    cannot be adjusted with it, and its noise is structured, where the kind has that. Returns None if nothing changes.
+    If structure is left that no effect explains, the chosen law stands in it with `cause: unknown`, and its noise is
+    structured, where the kind has that. Where the job cannot be adjusted with that law, the next simpler one with which
+    it can stands in it, or none. Returns None if nothing changes.
     Raises InputError if the file there is no extended job or was edited since it was written, unless forced. Parameters
     that the readings do not determine separately are 0. In another folder, the relative paths of the inputs are changed
     to lead to the same files.
     """
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
-    law, place = diagnosis.law, (path, result)
     others = bool(diagnosis.findings or diagnosis.scatters or proposed_noise(diagnosis))
-    if not others and law is None:
+    if not others and diagnosis.law is None:
         return None
     if not force:
         _refuse_foreign(path)
-    _write(job, diagnosis, law, place)
-    if law is not None and not _adjusts(path):
-        if not others:
-            path.unlink()
-            return None
-        law = None
-        _write(job, diagnosis, law, place)
-    return Extended(path, law)
+    for law in _from_the_chosen(diagnosis):
+        _write(job, diagnosis, law, (path, result))
+        if _adjusts(path):
+            return Extended(path, law)
+    if not others:
+        path.unlink(missing_ok=True)
+        return None
+    _write(job, diagnosis, None, (path, result))
+    return Extended(path, None)
+
+
+def _from_the_chosen(diagnosis: Diagnosis) -> Sequence[Law]:
+    """Return the chosen law and the simpler ones, from the longest on."""
+    chosen = diagnosis.law
+    simpler = [] if chosen is None else [law for law in diagnosis.laws if len(law.terms) < len(chosen.terms)]
+    return [*([] if chosen is None else [chosen]), *sorted(simpler, key=lambda law: len(law.terms), reverse=True)]
 
 
 def _adjusts(path: Path) -> bool:

@@ -87,10 +87,11 @@ def until_clean(
         number = len(extensions) + 1
         path = job.file.with_name(f"{job.file.stem}.step{number}.yaml")
         result = job.output.with_name(f"{job.output.stem}.step{number}.h5")
-        extended = write_extended(current, gained, path, force, result)
-        if extended is None or extended.law is None:
-            # the job cannot be adjusted with the law
-            gained = replace(gained, laws=())
+        simpler = tuple(one for one in last.laws if one.gain.shown) if gained.laws else ()
+        extended = write_extended(current, replace(gained, laws=simpler), path, force, result)
+        # the laws with which the job cannot be adjusted are none
+        law = None if extended is None else extended.law
+        gained = replace(gained, laws=() if law is None else (law,))
         if not _adds(gained):
             path.unlink(missing_ok=True)
             return Loop(first, last, tuple(extensions), End.NOTHING_GAINED)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
@@ -19,9 +18,11 @@ from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.extended_fit import Size
 from metrocli.diagnosis.findings import Diagnosis, Finding
 from metrocli.diagnosis.job_entries import proposed_noise
+from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.noise import DECLARED_SIGMA
 from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.wrong_readings import Outlier
+from metrocli.project.diagnosed import Extended
 from metrocli.words import listed
 
 _SHOWN = 6
@@ -32,8 +33,8 @@ _LEAST_REDUCTION = 0.005
 _HEAD = ("effect", "size (± u)", "chance", "or instead", "held-out error", "log score (± std)", "changes result by")
 
 
-def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
-    """Return the report of a diagnosis."""
+def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None) -> str:
+    """Return the report of a diagnosis; `extended` is the extended job that was written."""
     job, findings = diagnosis.job, diagnosis.findings
     parts = [[f"verdict: {headline(diagnosis)}"]]
     if diagnosis.mistaken is not None:
@@ -46,7 +47,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
         parts.append(list(_wrong(diagnosis.outliers)))
     parts.append([*_structure(diagnosis), *_processes(diagnosis), *noise_lines(diagnosis)])
     if diagnosis.laws:
-        parts.append(list(law_lines(diagnosis)))
+        parts.append(list(law_lines(diagnosis, None if extended is None else extended.law)))
     parts += [list(_about_scatter(one)) for one in diagnosis.scatters]
     parts += [list(_about(finding)) for finding in findings[:_DESCRIBED]]
     if diagnosis.separate_by:
@@ -62,7 +63,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
             ["The job cannot be adjusted with the named effects; their sizes are one-step (linear) estimates."]
         )
     if extended is not None:
-        parts.append([f"next: run {extended}, {_extension(diagnosis)}"])
+        parts.append([f"next: run {extended.path}, {_extension(diagnosis, extended.law)}"])
     scattered = [one.found.effect.name for one in diagnosis.scatters]
     parts.append(candidate_lines(job, diagnosis.design, [one.effect for one in findings], scattered))
     return "\n\n".join("\n".join(lines) for lines in parts)
@@ -76,10 +77,10 @@ def _of_part(part: Part) -> str:
     )
 
 
-def _extension(diagnosis: Diagnosis) -> str:
-    """Return what an extended job has that the job has not."""
+def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
+    """Return what an extended job with a law, or without, has that the job has not."""
     added = ["the named effects"] if diagnosis.findings or diagnosis.scatters else []
-    added += ["the law"] if diagnosis.law is not None else []
+    added += ["the law"] if law is not None else []
     if not added:
         return "the job with `noise: structured`: its uncertainties include the structure left"
     shared = " and with `noise: structured`" if proposed_noise(diagnosis) else ""

@@ -13,8 +13,11 @@ from metrocli.diagnosis.laws.search import Law
 _HEAD = ("", "law", "acts on", "explains", "chance", "held-out error", "log score (± std)")
 
 
-def law_lines(diagnosis: Diagnosis) -> Iterator[str]:
-    """Yield the table of laws, the simplest first, and the sizes of the chosen one."""
+def law_lines(diagnosis: Diagnosis, extended: Law | None) -> Iterator[str]:
+    """Yield the table of laws, the simplest first, and the sizes of the chosen one.
+
+    `extended` is the law in the extended job.
+    """
     yield from text_table(_HEAD, [_row(law) for law in diagnosis.laws])
     law = diagnosis.law
     if law is None:
@@ -27,7 +30,18 @@ def law_lines(diagnosis: Diagnosis) -> Iterator[str]:
     near = [f"{one} (correlation {cosine:.2f})" for one, cosine in law.near]
     if near:
         yield f"It is nearly {' or '.join(near)}: perhaps that cause with another variable or at another place."
-    yield "A law is no cause: what acts like this at this place is to be found. The extended job contains it."
+    yield f"A law is no cause: what acts like this at this place is to be found.{_where(law, extended)}"
+
+
+def _where(law: Law, extended: Law | None) -> str:
+    """Return whether the extended job contains the chosen law, in words."""
+    if extended is law:
+        return " The extended job contains it."
+    if extended is None:
+        return " No extended job contains it."
+    number = len(extended.terms)
+    simpler = f"law of {number} term{'s' if number > 1 else ''}"
+    return f" The job cannot be adjusted with it: the extended job contains the {simpler}."
 
 
 def _row(law: Law) -> tuple[str, ...]:
