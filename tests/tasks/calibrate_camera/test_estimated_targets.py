@@ -14,11 +14,13 @@ import pytest
 from places import SHARED
 
 from benchmarks.coverage import TRUE_LENS, Array, board, camera_settings
+from metrocli.errors import UndeterminedError
 from metrocli.result import Result
 from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
-from metrocli.tasks.calibrate_camera.settings import Settings
+from metrocli.tasks.calibrate_camera.settings import Files, Settings
+from metrocli.tasks.job import Job
 
 Metrocli = Callable[..., Any]
 SB = SHARED / "data" / "opencv-chessboards" / "left_SB"
@@ -136,6 +138,22 @@ def test_a_target_in_one_image_is_left_out_with_its_name() -> None:
     result = calibrate_camera.run(calibrate_camera.TASK.job(settings, observations=rest, targets=board()))
     assert any("seen in one image only" in line and "T7" in line for line in result.warnings)
     assert "T7" not in result.tables["points"].texts("point")
+
+
+@pytest.mark.parametrize("rig", ["board", "network"])
+def test_one_image_places_no_target(rig: str) -> None:
+    with pytest.raises(UndeterminedError, match="one image only shows each of them"):
+        calibrate_camera.run(of_images(1, rig))
+
+
+def of_images(count: int, rig: str) -> Job[Settings, Files]:
+    settings = replace(camera_settings("board", images=12), targets="estimate", rig=rig)
+    seen = calibrate_camera.simulate(calibrate_camera.TASK.job(settings, targets=board()), SimulationOptions(3))
+    table = seen.files["observations.csv"]
+    images = np.array(table.texts("image"))
+    kept = np.isin(images, np.unique(images)[:count])
+    few = Table({name: values[kept] for name, values in table.columns.items()}, table.units)
+    return calibrate_camera.TASK.job(settings, observations=few, targets=board())
 
 
 def test_rig_cmm_refuses_it(folder: Path, metrocli: Metrocli) -> None:

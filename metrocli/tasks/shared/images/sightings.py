@@ -129,11 +129,19 @@ def _shown_size(pattern: Pattern, images: ImageSet, lost: Sequence[str]) -> str:
 
 
 def placed(sighted: Sighted, least: Index) -> Sighted:
-    """Return the sightings of targets that at least `least` (targets,) images show; a warning names the others."""
+    """Return the sightings of targets that at least `least` (targets,) images show; a warning names the others.
+
+    Raises UndeterminedError if no target is left.
+    """
     seen = np.bincount(sighted.target, minlength=len(least))
     lost = [name for name, n, needed in zip(sighted.targets.names, seen, least, strict=True) if 0 < n < needed]
     if not lost:
         return sighted
+    if not (seen >= least)[sighted.target].any():
+        raise UndeterminedError(
+            f"all {len(lost)} targets that are seen have unknown coordinates, and one image only shows each of them\n"
+            "  what would determine them: the same targets in two images or more from different directions"
+        )
     line = f"left out: {len(lost)} targets are seen in one image only, which does not place them: {listed(lost)}"
     observations = sighted.observations.selected((seen >= least)[sighted.target])
     return replace(sighted, observations=observations, warnings=(*sighted.warnings, line))
