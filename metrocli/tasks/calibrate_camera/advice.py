@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 
 from metrocli.adjust.outcome import Outcome
@@ -11,19 +13,35 @@ from metrocli.instruments import camera
 from metrocli.instruments.camera_start import plane_frame
 from metrocli.instruments.conventions import projection_range
 from metrocli.instruments.lens import RATIONAL
+from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import Problem
 
 _PARALLEL = np.radians(3.0)
+_SHOWN = 4
+"""Most targets whose rejected readings are counted in a message"""
 
 
-def explained(problem: Problem, solution: Solution) -> str:
-    """Return the message of an undetermined calibration: which parameters, why, and what would determine them."""
+def explained(problem: Problem, solution: Solution, rejected: Table) -> str:
+    """Return the message of an undetermined calibration: which parameters, why, and what would determine them.
+
+    `rejected` are the readings that were left out as outliers before.
+    """
     lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
     lines += [f"  undetermined: {_in_words(str(combination))}" for combination in solution.undetermined[:3]]
     if len(solution.undetermined) > 3:
         lines.append(f"  and {len(solution.undetermined) - 3} more combinations")
     noticed = [f"  noticed: {line}" for line in problem.sighted.warnings[:8]]
-    return "\n".join([*lines, *_advice(problem, solution), *noticed])
+    return "\n".join([*lines, *_advice(problem, solution), *_left_out(rejected), *noticed])
+
+
+def _left_out(rejected: Table) -> list[str]:
+    """Return how many readings were left out as outliers, and of which targets the most; nothing if there are none."""
+    if not len(rejected):
+        return []
+    of = ", ".join(f"{number} of {name}" for name, number in Counter(rejected.texts("target")).most_common(_SHOWN))
+    return [
+        f"  noticed: {len(rejected)} readings were left out as outliers, the most {of}; `outliers: report` keeps them"
+    ]
 
 
 def _in_words(text: str) -> str:

@@ -106,7 +106,7 @@ def solved(settings: Settings, problem: Problem) -> Adjusted:
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW or ran_out(problem, solution):
-        raise UndeterminedError(explained(problem, solution), solution.misfit)
+        raise UndeterminedError(explained(problem, solution, adjusted.rejected), solution.misfit)
     must_converge(solution)
     return adjusted
 

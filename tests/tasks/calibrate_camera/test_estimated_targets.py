@@ -146,6 +146,21 @@ def test_one_image_places_no_target(rig: str) -> None:
         calibrate_camera.run(of_images(1, rig))
 
 
+def test_outliers_that_were_the_only_readings_of_a_target_are_named_as_the_reason() -> None:
+    job = of_images(6, "board")
+    table = job.files.observations
+    assert table is not None
+    u, names, images = table.numbers("u").copy(), np.array(table.texts("target")), np.array(table.texts("image"))
+    wrong = (names == "T7") & (images != images[0])
+    u[wrong] += np.random.default_rng(4).uniform(20, 60, wrong.sum())
+    spoiled = replace(table, columns={**table.columns, "u": u})
+    job = replace(
+        job, files=replace(job.files, observations=spoiled), settings=replace(job.settings, outliers="remove")
+    )
+    with pytest.raises(UndeterminedError, match=r"(?s)of T7.*readings were left out as outliers.*of T7"):
+        calibrate_camera.run(job)
+
+
 def of_images(count: int, rig: str) -> Job[Settings, Files]:
     settings = replace(camera_settings("board", images=12), targets="estimate", rig=rig)
     seen = calibrate_camera.simulate(calibrate_camera.TASK.job(settings, targets=board()), SimulationOptions(3))
