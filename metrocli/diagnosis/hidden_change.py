@@ -166,9 +166,8 @@ def _without_moves(job: AdjustedJob, alternatives: Sequence[Alternative], scale:
 
 
 def _is_rounding(system: System, shift: Array, scale: Array) -> Array:
-    typical = float(np.median(system.scale[system.measured]))
     size = np.sqrt(np.einsum("mckq,mckq->kq", shift, shift))
-    return np.asarray(size < _NOTHING * typical * scale)
+    return np.asarray(size < _NOTHING * system.typical_scale * scale)
 
 
 def _largest(squares: Array, bounds: Array, least: float = 0.0) -> tuple[float, int]:

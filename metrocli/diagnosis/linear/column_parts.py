@@ -15,7 +15,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.diagnosis.linear.basis import Basis, rows_with_values
+from metrocli.diagnosis.linear.basis import Basis, rows_with_values, without_gathering
 
 _AT_ONCE = 256
 """Columns whose coordinates are computed at once"""
@@ -129,12 +129,14 @@ class Part:
     numbers: Index
     """Numbers of the alternatives in their family, (alternatives,)"""
 
+    @cached_property
+    def _place(self) -> Index | slice:
+        return without_gathering(self.rows)
+
     def products(self, visible: Array, at: Index | slice = slice(None)) -> Array:
         """Return the products of some alternatives with visible vectors (rows, m), (alternatives, parameters, m)."""
         chosen = self.values[:, at]
-        # rows are in ascending order, so as many as there are need no gathering
-        own = visible if len(self.rows) == len(visible) else visible.take(self.rows, axis=0)
-        found = chosen.reshape(len(self.rows), -1).T @ own
+        found = chosen.reshape(len(self.rows), -1).T @ visible[self._place]
         return np.asarray(found.reshape(*chosen.shape[1:], visible.shape[1]))
 
     def dense(self, at: Index | slice = slice(None)) -> Array:

@@ -58,6 +58,8 @@ class Known:
     families: dict[Key, Left] = field(default_factory=dict)
     readings: Array | None = None
     """Gram matrices of the readings' unit errors, (readings, d, d)"""
+    gains: tuple[Array, Array] | None = None
+    """Reduction of the sum of squares by an error of each reading, and the rank of that error, (readings,) each"""
 
 
 @dataclass(frozen=True)
@@ -173,19 +175,28 @@ class FittedParts:
             self.products[key] = np.concatenate([known, new], axis=2)
         return self.products[key]
 
-    def with_part(self, columns: Array) -> FittedParts:
-        """Return the fit with one more part (rows, q); directions not visible beside the others are ignored."""
+    def with_part(self, columns: Array, products: Mapping[Key, Array] | None = None) -> FittedParts:
+        """Return the fit with one more part (rows, q); directions not visible beside the others are ignored.
+
+        `products` are those of candidates with its columns, as far as known, (alternatives, parameters, q).
+        """
         basis = self.basis if self.parts else np.zeros((len(columns), 0))
-        unit = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        own = self.start.beside(unit)
+        norms = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        own = self.start.beside(columns / norms)
         inside = basis.T @ own
         left = self.start.beside(own - basis @ inside)
         left = left - basis @ (basis.T @ left)
-        new = orthonormal(left, VISIBLE)
+        new, turn = orthonormalised(left, VISIBLE)
         grown = [np.pad(part, ((0, new.shape[1]), (0, 0))) for part in self.parts]
         part = np.concatenate([inside, new.T @ left])
         before = (self.products, np.eye(basis.shape[1])) if self.products else self.before
-        return FittedParts(self.start, np.concatenate([basis, new], axis=1), (*grown, part), before)
+        found = FittedParts(self.start, np.concatenate([basis, new], axis=1), (*grown, part), before)
+        if products and not self.start.width:
+            known = self.products if self.parts else {key: one[:, :, :0] for key, one in products.items()}
+            for key in products.keys() & known.keys():
+                added = (products[key] / norms - known[key] @ inside) @ turn
+                found.products[key] = np.concatenate([known[key], added], axis=2)
+        return found
 
     def without(self, numbers: Collection[int]) -> FittedColumns:
         """Return the model without some parts."""

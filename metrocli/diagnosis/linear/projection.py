@@ -20,7 +20,8 @@ from metrocli.adjust.model.chain import Link, through
 from metrocli.adjust.model.groups import Group, Linear
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout
-from metrocli.diagnosis.linear.basis import Basis, Solver
+from metrocli.diagnosis.linear.basis import Basis
+from metrocli.diagnosis.linear.solver import Solver
 from metrocli.effects.model import Model
 
 VISIBLE = 1e-6
@@ -66,7 +67,7 @@ class System:
     @cached_property
     def dof(self) -> int:
         """Degrees of freedom, the trace of M."""
-        return round(self.rows - self.idle - float(self.basis.squares().sum()))
+        return round(self.rows - self.idle - self.basis.trace)
 
     @cached_property
     def measured(self) -> Mask:
@@ -75,6 +76,11 @@ class System:
         for group in self.model.readings:
             mask[self.first[group.name] : self.first[group.name] + group.observations.readings.size] = True
         return mask
+
+    @cached_property
+    def typical_scale(self) -> float:
+        """The median standard deviation of the rows that are readings."""
+        return float(np.median(self.scale[self.measured]))
 
     def rows_of(self, group: Group) -> Mask:
         """Return the rows of a group."""

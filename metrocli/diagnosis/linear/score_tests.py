@@ -9,7 +9,7 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -21,7 +21,7 @@ from metrocli.diagnosis.adjusted_job import Budget
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.columns import INSIDE, lies_in
 from metrocli.diagnosis.linear.distributions import log_family, log_levels
-from metrocli.diagnosis.linear.fitted_columns import FittedColumns, Left, orthonormal
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns, Key, Left, orthonormal
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 from metrocli.diagnosis.linear.quadratics import quadratic, quadratic_of
 
@@ -57,6 +57,8 @@ class Remembered:
 
     lying_in: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict)
     visible: dict[tuple[int, int], Array] = field(default_factory=dict)
+    products: dict[tuple[int, int], Mapping[Key, Array]] = field(default_factory=dict)
+    """Products of all candidates with the visible columns of some, (alternatives, q, p)"""
 
     def columns(self, key: tuple[int, int], computed: Callable[[], Array]) -> Array:
         """Return visible columns, computed if they are not remembered; the oldest are forgotten for new ones."""
@@ -192,9 +194,11 @@ class ScoreTests:
 
     def gains_of_readings(self, fitted: FittedColumns) -> tuple[Array, Array]:
         """Return the reduction of the sum of squares by an error of each reading, and the rank of that error."""
-        rows = self.places
-        right = np.where(rows >= 0, fitted.residual[rows], 0.0)
-        return quadratic(self._left_of_readings(fitted), right, np.ones(rows.shape))
+        known, rows = fitted.known, self.places
+        if known.gains is None:
+            right = np.where(rows >= 0, fitted.residual[rows], 0.0)
+            known.gains = quadratic(self._left_of_readings(fitted), right, np.ones(rows.shape))
+        return known.gains
 
     def _left_of_readings(self, fitted: FittedColumns) -> Array:
         """Return the Gram matrices of the readings' unit errors without the fitted columns, (readings, d, d)."""
