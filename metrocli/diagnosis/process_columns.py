@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -100,10 +100,12 @@ def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> F
 
 def _gram(terms: Array, numbers: Index, count: int) -> Array:
     """Return the products of columns that have the values `terms` (rows, m) at their numbers (rows, m)."""
-    found = np.zeros(count * count)
-    for i, j in product(range(terms.shape[1]), repeat=2):
-        found += np.bincount(numbers[:, i] * count + numbers[:, j], terms[:, i] * terms[:, j], count * count)
-    return found.reshape(count, count)
+    diagonal, upper = np.zeros((2, count * count))
+    for i, j in combinations_with_replacement(range(terms.shape[1]), 2):
+        found = np.bincount(numbers[:, i] * count + numbers[:, j], terms[:, i] * terms[:, j], count * count)
+        (diagonal if i == j else upper)[:] += found
+    above = upper.reshape(count, count)
+    return diagonal.reshape(count, count) + above + above.T
 
 
 def _typical(job: AdjustedJob, unit: str) -> float:

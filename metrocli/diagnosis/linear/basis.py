@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise, product
+from itertools import combinations_with_replacement, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -181,9 +181,10 @@ class Basis:
         own = rows & (self.member >= 0)
         values, member = self.local[own], self.member[own]
         local = np.empty((self.members, q, q))
-        for i, j in product(range(q), repeat=2):
-            local[:, i, j] = np.bincount(member, values[:, i] * values[:, j], self.members)
-        return GramOfRows(local, self._sparse[rows].T @ self.shared[rows], self.shared[rows].T @ self.shared[rows])
+        for i, j in combinations_with_replacement(range(q), 2):
+            local[:, i, j] = local[:, j, i] = np.bincount(member, values[:, i] * values[:, j], self.members)
+        shared = self.shared[rows]
+        return GramOfRows(local, self._sparse[rows].T @ shared, shared.T @ shared)
 
     def squares_of_gram(self, rows: Mask) -> tuple[float, float]:
         """Return trace and sum of squares of the Gram matrix of some rows (mask)."""
@@ -192,6 +193,12 @@ class Basis:
             # the products of few rows with each other have the same trace and squares
             among = self.products(own, own)
             return float(np.trace(among)), float((among**2).sum())
+        if np.bincount(self.member[own] + 1, minlength=2)[1:].max() <= 1:
+            # one row for each member: the columns of members that they use are orthogonal
+            shared = self.shared[own].T @ self.shared[own]
+            of_local, of_shared = ((one[own] ** 2).sum(axis=1) for one in (self.local, self.shared))
+            squares = of_local @ (of_local + 2 * of_shared) + (shared**2).sum()
+            return float(of_local.sum() + np.trace(shared)), float(squares)
         gram = self.part(rows)
         return gram.trace, gram.product(gram)
 

@@ -5,7 +5,7 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 from metrocli.diagnosis.linear.quadratics import whitening
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 Key = tuple[int, int]
 """Number of a family and of its alternatives"""
+_MOST_REMEMBERED = 4_000_000
+"""Numbers of visible columns that are kept"""
 PRIOR = 2.0
 """Weight of the declared noise in degrees of freedom: it matters with few readings, not with many"""
 
@@ -60,6 +63,28 @@ class Known:
     """Gram matrices of the readings' unit errors, (readings, d, d)"""
     gains: tuple[Array, Array] | None = None
     """Reduction of the sum of squares by an error of each reading, and the rank of that error, (readings,) each"""
+
+
+@dataclass
+class Remembered:
+    """Visible columns of candidates, and effects in smooth terms, as far as known; empty on another processor."""
+
+    lying_in: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict)
+    visible: dict[tuple[int, int], Array] = field(default_factory=dict)
+    products: dict[tuple[int, int], Mapping[Key, Array]] = field(default_factory=dict)
+    """Products of all candidates with the visible columns of some, (alternatives, q, p)"""
+
+    def columns(self, key: tuple[int, int], computed: Callable[[], Array]) -> Array:
+        """Return visible columns, computed if they are not remembered; the oldest are forgotten for new ones."""
+        found = self.visible.pop(key, None)
+        found = computed() if found is None else found
+        self.visible[key] = found
+        while sum(one.size for one in self.visible.values()) > _MOST_REMEMBERED and len(self.visible) > 1:
+            del self.visible[next(iter(self.visible))]
+        return found
+
+    def __reduce__(self) -> tuple[type[Remembered], tuple[()]]:
+        return Remembered, ()
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,13 @@ from metrocli.diagnosis.linear.fitted_columns import (
     FittedParts,
     Key,
     Left,
+    Remembered,
     nothing_fitted,
     orthonormalised,
 )
 from metrocli.diagnosis.linear.projection import VISIBLE
 from metrocli.diagnosis.linear.quadratics import whitening
-from metrocli.diagnosis.linear.score_tests import Remembered, ScoreTests
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 
 
 @dataclass(frozen=True)
@@ -47,10 +48,10 @@ def carried(test_set: ScoreTests, fit: FittedParts, members: Iterable[tuple[int,
     for number, (family, alternative) in members:
         visible = test_set.visible(family, alternative)
         turn = fit.parts[number] * np.maximum(np.linalg.norm(visible, axis=0), 1e-300)
-        shared = test_set.basic_products[0][family][alternative].T
+        shared = test_set.along_shared[family][alternative].T
         products = [
             fit.along((i, own.columns.count), own.columns) @ turn + along @ shared
-            for i, (own, along) in enumerate(zip(test_set.families, test_set.basic_products[0], strict=True))
+            for i, (own, along) in enumerate(zip(test_set.families, test_set.along_shared, strict=True))
         ]
         norms = test_set.families[family].raw[alternative]
         found.append(Carried((family, alternative), visible + basis.shared @ shared, shared, products, norms))
@@ -105,7 +106,8 @@ def without_rows(test_set: ScoreTests, out: Index, members: Sequence[Carried] = 
         return replace(family, columns=family.columns.only(kept), gram=gram), still, beside
 
     by_family = [[one.products[i] for one in members] for i in range(len(test_set.families))]
-    families, known, beside = zip(*map(cut, test_set.families, *test_set.basic_products, by_family), strict=True)
+    products = test_set.families, test_set.along_shared, test_set.along_residual, by_family
+    families, known, beside = zip(*map(cut, *products), strict=True)
     remembered = Remembered()
     for number, one in enumerate(members):
         visible = np.where(kept[:, None], one.columns, 0.0) - shared @ inside[number]

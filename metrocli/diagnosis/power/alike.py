@@ -102,8 +102,8 @@ def _visible_products(test_set: ScoreTests, candidates: Sequence[Candidate], own
     for _, some in itertools.groupby(range(len(candidates)), lambda at: own[at].start // together):
         chosen = list(some)
         its = slice(own[chosen[0]].start, own[chosen[-1]].stop)
-        visible = [test_set.all_visible(candidates[at].family, [candidates[at].number])[:, 0] for at in chosen]
-        columns = np.concatenate(visible, axis=1)
+        whole = [test_set.whole(candidates[at].family, candidates[at].number) for at in chosen]
+        columns = test_set.system.seen(np.concatenate(whole, axis=1))
         for family, members in by_family.items():
             numbers = [candidates[at].number for at in members]
             for at, products in zip(members, test_set.families[family].columns.products(columns, numbers), strict=True):

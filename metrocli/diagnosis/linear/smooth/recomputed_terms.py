@@ -98,7 +98,9 @@ class Terms:
         n, d, _ = self.weights.shape
         own = visible[self.first : self.first + n * d].reshape(n, d, visible.shape[1])
         for some, terms in self._portions():
-            found += terms @ np.einsum("ndc,ndm->cnm", self.weights[some], own[some])
+            values, weights = own[some], self.weights[some]
+            for component, part in enumerate(found):
+                part += terms @ (weights[:, :, component, None] * values).sum(axis=1)
         return np.asarray((self.turn.T @ found.reshape(len(self.turn), -1))[None][at])
 
     def dense(self, at: Index | slice = slice(None)) -> Array:
