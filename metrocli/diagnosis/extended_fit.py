@@ -177,8 +177,9 @@ def result_changes(
 
 
 def _without_names(job: AdjustedJob, kept: Mapping[str, Mask]) -> AdjustedJob | None:
-    """Return the job adjusted to the kept readings; it is adjusted to all."""
-    return job if all(mask.all() for mask in kept.values()) else _refitted(job, job.model, kept)
+    """Return the job adjusted to the kept readings: it is, unless it has others too or is a part of a larger one."""
+    own = job.part is None and all(mask.all() for mask in kept.values())
+    return job if own else _refitted(job, job.model, kept)
 
 
 def relinearised(job: AdjustedJob, names: Sequence[NamedEffect], adjusted: AdjustedJob) -> AdjustedJob:
