@@ -79,13 +79,14 @@ def cross_validated(
     numbers = sorted({int(fold) for fold in rows[~spared]} - {-1})
     # each part has the same time for its search, so that all are treated alike
     seconds = limit / (rows.max() + 1)
-    groups = (*([name] for name in names), names)
+    groups = (*([name] for name in names), *([names] if len(names) > 1 else ()))
     parts = enumerate((one.family, one.number) for one in selection.chosen)
     named = {(one.family, one.number) for one in selection.named}
     members = carried(test_set, selection.fit, ((part, key) for part, key in parts if key in named))
     found = [*ordered(_Folds(test_set, rows, spared, groups, members, seconds), numbers)]
     job.budget.ended |= any(ended for _, ended in found)
-    return [gain_of(pairs) for pairs in zip(*(pairs for pairs, _ in found), strict=True)]
+    gains = [gain_of(pairs) for pairs in zip(*(pairs for pairs, _ in found), strict=True)]
+    return gains if len(names) > 1 else [*gains, *gains]
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
 from metrocli.diagnosis.cross_validation import Gain, cross_validated
 from metrocli.diagnosis.detectability import Design, design
 from metrocli.diagnosis.extended_fit import (
-    extended_fit,
     readings_kept,
     result_changes,
     score_tests_after,
@@ -23,6 +22,7 @@ from metrocli.diagnosis.extended_fit import (
     sizes,
 )
 from metrocli.diagnosis.findings import Diagnosis, Finding
+from metrocli.diagnosis.fit_of_names import FitOfNames
 from metrocli.diagnosis.laws.imitations import without_imitations
 from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.scatter_beside import explains_scatter, without_scatter
@@ -123,7 +123,7 @@ def _diagnosed(
     progress.doing("cross-validating: predicting parts of the readings from the others", left)
     gains = cross_validated(searched.job, searched.selection, names, left, ordered) if names else []
     kept = readings_kept(searched.selection)
-    fit = extended_fit(job, names, kept) if names else None
+    fit = (searched.of_names.or_of if searched.of_names else FitOfNames.of)(job, names, kept).fit
     shifts = result_changes(job, names, fit, kept)
     tests, fitted = score_tests_after(fit, white, names, searched.units, np.random.default_rng(SEED))
     structure, level = remaining_structure(white, names, tests, fitted)

@@ -84,6 +84,11 @@ class Basis:
         parts = ((self.local[one], self.shared[one]) for one in some)
         return np.concatenate([sum(np.einsum("rk,rk->r", one, one) for one in both) for both in parts])
 
+    @cached_property
+    def gram_of_shared(self) -> Array:
+        """The products of the shared columns with each other, (k, k)."""
+        return self.shared.T @ self.shared
+
     @property
     def trace(self) -> float:
         """The sum of squares of all rows: the number of directions that the unknowns absorb."""

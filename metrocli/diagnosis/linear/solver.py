@@ -6,12 +6,13 @@ Method: docs/algorithms/selection-and-levels.md (projection).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
-from metrocli.diagnosis.linear.basis import Basis, flat_columns, members_of_equal_size
+from metrocli.diagnosis.linear.basis import Basis, flat_columns, members_of_equal_size, without_gathering
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,12 @@ class Solver:
     random: Array
     """Change of all unknowns by the coordinates after the shared ones, those of sizes that scatter, (unknowns, r)"""
 
+    @cached_property
+    def _free(self) -> tuple[Index, Index | slice]:
+        """Numbers of the local unknowns that are free among all, and their places among those of all members."""
+        free = np.flatnonzero(self.places[0].ravel() >= 0)
+        return self.places[0].ravel()[free], without_gathering(free)
+
     def change(self, coordinates: Array) -> Array:
         """Return the change of all unknowns (unknowns, ...) for coordinates (columns, ...)."""
         flat = flat_columns(coordinates)
@@ -45,8 +52,8 @@ class Solver:
         if members:
             own = flat[: members * q].reshape(members, q, flat.shape[1])
             own = np.matmul(self.inverses, own - np.tensordot(self.coupling, shared, 1))
-            free = self.places[0] >= 0
-            found[self.places[0][free]] = own[free]
+            numbers, free = self._free
+            found[numbers] = own.reshape(-1, flat.shape[1])[free]
         if self.movements.shape[1]:
             found -= self.movements @ (self.conditions @ found)
         if self.random.shape[1]:

@@ -82,7 +82,7 @@ def without_rows(test_set: ScoreTests, out: Index, members: Sequence[Carried] = 
     several = [gone.shared, system.residual[out, None], *(one.columns[out] for one in members)]
     lost, ends = np.concatenate(several, axis=1), np.cumsum([one.shape[1] for one in several])[:-1]
     # directions that only the rows left out show are no longer there; of many readings one table of them is made
-    turn, even = whitening(system.basis.shared.T @ system.basis.shared - gone.shared.T @ gone.shared, VISIBLE**2)
+    turn, even = whitening(system.basis.gram_of_shared - gone.gram_of_shared, VISIBLE**2)
     shared = system.basis.shared @ turn
     shared[out] = 0.0
     if not even:
