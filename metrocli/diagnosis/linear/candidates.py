@@ -268,7 +268,7 @@ def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[
         return
     for scanned, (full, block, chosen) in scanned_columns(job.model, system, effect, places):
         for place, names, own in of_places(job.model, block, chosen, places):
-            changed = Own.of(full, own)
+            changed = Own.of(full, own, system.same_rows)
             if len(changed.rows) >= job.fewest:
                 named = _scanned_places(job.model, effect, scanned)
                 yield _Columns(Alternative(effect, place, tuple(scanned.items()), names, named), changed)

@@ -6,7 +6,7 @@ Method: docs/algorithms/selection-and-levels.md (projection).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -71,11 +71,14 @@ class Own:
         return int(self.values.shape[1])
 
     @classmethod
-    def of(cls, full: Array, own: Mask) -> Own:
-        """Return some of the columns (rows, k), chosen by a mask (k,), at the rows where any of them is not zero."""
+    def of(cls, full: Array, own: Mask, held: Callable[[Index], Index] = lambda rows: rows) -> Own:
+        """Return some of the columns (rows, k), chosen by a mask (k,), at the rows where any of them is not zero.
+
+        `held` gives the same rows as they are held already.
+        """
         columns = full[:, own]
         rows = rows_with_values(columns)
-        return cls(rows, columns[rows])
+        return cls(held(rows), columns[rows])
 
 
 @dataclass(frozen=True)

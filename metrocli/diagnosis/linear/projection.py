@@ -58,6 +58,8 @@ class System:
     """Number of rows that are left out; they are zero everywhere"""
     runs: dict[str, Run] = field(default_factory=dict, compare=False, repr=False)
     """Cache of the values along the chains, by group"""
+    sets_of_rows: list[Index] = field(default_factory=list, compare=False, repr=False)
+    """The sets of rows that candidates change: those of a tracer are the same for many"""
 
     @property
     def rows(self) -> int:
@@ -162,6 +164,13 @@ class System:
                 inside *= 0.0 if index is None else index == place.names.index(name)
             found |= self.spread(group, inside) > 0
         return found
+
+    def same_rows(self, rows: Index) -> Index:
+        """Return the set of rows that equals some rows, which is held once."""
+        found = next((one for one in self.sets_of_rows if np.array_equal(one, rows)), None)
+        if found is None:
+            self.sets_of_rows.append(rows)
+        return rows if found is None else found
 
     def run(self, group: Group) -> Run:
         """Return the values and derivatives along the chain of a group."""
