@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _FEW = 0.1
 """Share of the rows with a value below which these rows are gathered"""
 _LOOKED_AT = 1000
-"""Rows by which it is told how many have a value"""
+"""Rows that are looked at to estimate how many have a value"""
 _AT_ONCE = 25_000
 """Rows that are combined at once"""
 
@@ -269,7 +269,7 @@ def rows_with_values(columns: Array) -> Index:
 
 
 def _has_few(columns: Array) -> bool:
-    """Return whether few rows of some columns (rows, k) have a value, as some of them tell."""
+    """Return whether few rows of some columns (rows, k) have a value, by some of them."""
     some = columns[:: max(len(columns) // _LOOKED_AT, 1)]
     return bool(some.any(axis=1).sum() < _FEW * len(some))
 
