@@ -18,7 +18,7 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.score_tests import ScoreTests
-from metrocli.diagnosis.linear.without_rows import without_rows
+from metrocli.diagnosis.linear.without_rows import Carried, carried, without_rows
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.diagnosis.selection.search import search
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
@@ -79,10 +79,14 @@ def cross_validated(
     numbers = sorted({int(fold) for fold in rows[~spared]} - {-1})
     # each part has the same time for its search, so that all are treated alike
     seconds = limit / (rows.max() + 1)
-    groups = (*([name] for name in names), names)
-    found = [*ordered(_Folds(test_set, rows, spared, groups, seconds), numbers)]
+    groups = (*([name] for name in names), *([names] if len(names) > 1 else ()))
+    parts = enumerate((one.family, one.number) for one in selection.chosen)
+    named = {(one.family, one.number) for one in selection.named}
+    members = carried(test_set, selection.fit, ((part, key) for part, key in parts if key in named))
+    found = [*ordered(_Folds(test_set, rows, spared, groups, members, seconds), numbers)]
     job.budget.ended |= any(ended for _, ended in found)
-    return [gain_of(pairs) for pairs in zip(*(pairs for pairs, _ in found), strict=True)]
+    gains = [gain_of(pairs) for pairs in zip(*(pairs for pairs, _ in found), strict=True)]
+    return gains if len(names) > 1 else [*gains, *gains]
 
 
 @dataclass(frozen=True)
@@ -95,13 +99,15 @@ class _Folds:
     spared: Mask
     """Rows that are not predicted, since their readings are wrong"""
     groups: Sequence[Sequence[NamedEffect]]
+    members: Sequence[Carried]
+    """The named effects"""
     seconds: float
     """Time for the search without a fold [s of CPU time]"""
 
     def __call__(self, fold: int) -> tuple[list[tuple[Held, Held]], bool]:
         """Return the predictions of a fold without and with each group, and whether its time was spent."""
         budget, out = Budget(self.seconds), self.rows == fold
-        trained = _trained(self.test_set, np.flatnonzero(out), budget)
+        trained = _trained(self.test_set, np.flatnonzero(out), self.members, budget)
         start = fitted_without(self.test_set, np.flatnonzero(out & self.spared))
         held = np.flatnonzero(out & ~self.spared)
         return [_compared(self.test_set, start, trained, group, held) for group in self.groups], budget.ended
@@ -119,19 +125,20 @@ def gain_of_model(
     return gain_of([(held_out_errors(*before, out), held_out_errors(*after, out)) for out in folds if out.size])
 
 
-def _trained(test_set: ScoreTests, out: Index, budget: Budget) -> Selection:
+def _trained(test_set: ScoreTests, out: Index, members: Sequence[Carried], budget: Budget) -> Selection:
     """Return the selection without some rows, within a time for its search."""
-    fewer, start = without(test_set, out)
+    fewer, start = without(test_set, out, members)
     return search(replace(fewer, budget=budget), start)
 
 
-def without(test_set: ScoreTests, out: Index) -> tuple[ScoreTests, FittedColumns]:
+def without(test_set: ScoreTests, out: Index, members: Sequence[Carried] = ()) -> tuple[ScoreTests, FittedColumns]:
     """Return the tests without some rows, and the fit from which a selection without them starts.
 
-    Rows that hold only some readings of a local member are taken out by unknowns of their own.
+    `members` are effects that it may need. Rows that hold only some readings of a local member are taken out by
+    unknowns of their own.
     """
     if _by_members(test_set.system.basis, out):
-        return without_rows(test_set, out)
+        return without_rows(test_set, out, members)
     return test_set, fitted_without(test_set, out)
 
 

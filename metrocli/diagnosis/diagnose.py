@@ -15,7 +15,6 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
 from metrocli.diagnosis.cross_validation import Gain, cross_validated
 from metrocli.diagnosis.detectability import Design, design
 from metrocli.diagnosis.extended_fit import (
-    extended_fit,
     readings_kept,
     result_changes,
     score_tests_after,
@@ -23,6 +22,7 @@ from metrocli.diagnosis.extended_fit import (
     sizes,
 )
 from metrocli.diagnosis.findings import Diagnosis, Finding
+from metrocli.diagnosis.fit_of_names import FitOfNames
 from metrocli.diagnosis.laws.imitations import without_imitations
 from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.scatter_beside import explains_scatter, without_scatter
@@ -81,6 +81,15 @@ def diagnose(
     Raises UndeterminedError if the unknowns use up all readings, InputError if it needs more memory than there is.
     """
     job = replace(as_fits(job), budget=Budget(_OF_EFFECTS * limit))
+    found = _diagnosed_again_if_suspect(job, progress, limit, attended, ordered)
+    # what to measure needs systems of its own, of many readings large ones: those of the search are gone by now
+    return replace(found, separate_by=_separate(found.job, [one.effect for one in found.findings]))
+
+
+def _diagnosed_again_if_suspect(
+    job: AdjustedJob, progress: Progress, limit: float, attended: Attended, ordered: Ordered
+) -> Diagnosis:
+    """Return the diagnosis of a job, or that without a noise that stands for a law or an effect."""
 
     def diagnosed(job: AdjustedJob) -> tuple[Diagnosis, Searched]:
         return _diagnosed(job, progress, limit, attended, ordered)
@@ -123,7 +132,7 @@ def _diagnosed(
     progress.doing("cross-validating: predicting parts of the readings from the others", left)
     gains = cross_validated(searched.job, searched.selection, names, left, ordered) if names else []
     kept = readings_kept(searched.selection)
-    fit = extended_fit(job, names, kept) if names else None
+    fit = (searched.of_names.or_of if searched.of_names else FitOfNames.of)(job, names, kept).fit
     shifts = result_changes(job, names, fit, kept)
     tests, fitted = score_tests_after(fit, white, names, searched.units, np.random.default_rng(SEED))
     structure, level = remaining_structure(white, names, tests, fitted)
@@ -159,7 +168,7 @@ def _diagnosed(
         before=before,
         after=level,
         design=design(searched.job, searched.tests, searched.not_tested, noise.ratio),
-        separate_by=_separate(job, names),
+        separate_by=(),
         adjusts=fit is not None or not names,
         together=gains[-1] if len(names) > 1 else None,
         repeats=repeats,
@@ -240,9 +249,5 @@ def _linear_change(job: AdjustedJob, system: System, name: NamedEffect) -> float
 
 def _separate(job: AdjustedJob, names: Sequence[NamedEffect]) -> tuple[str, ...]:
     """Return, in words, what to measure to distinguish the named effects from their best rivals."""
-    found: dict[str, None] = {}
-    for name in names:
-        for rival in name.rivals[:2]:
-            for words in separations(job, name.alternative, rival.alternative):
-                found[words] = None
-    return tuple(found)
+    pairs = [(name.alternative, rival.alternative) for name in names for rival in name.rivals[:2]]
+    return tuple(dict.fromkeys(words for found in separations(job, pairs) for words in found)) if pairs else ()

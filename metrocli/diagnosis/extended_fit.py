@@ -171,9 +171,15 @@ def result_changes(
     found: list[float | None] = []
     for name in names:
         others = [other for other in names if other is not name]
-        without = extended_fit(job, others, kept) if others else _refitted(job, job.model, kept)
+        without = extended_fit(job, others, kept) if others else _without_names(job, kept)
         found.append(None if without is None else result_change(without, fit))
     return found
+
+
+def _without_names(job: AdjustedJob, kept: Mapping[str, Mask]) -> AdjustedJob | None:
+    """Return the job adjusted to the kept readings: it is, unless it has others too or is a part of a larger one."""
+    own = job.part is None and all(mask.all() for mask in kept.values())
+    return job if own else _refitted(job, job.model, kept)
 
 
 def relinearised(job: AdjustedJob, names: Sequence[NamedEffect], adjusted: AdjustedJob) -> AdjustedJob:

@@ -20,8 +20,8 @@ _WEIGHTS = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 
 """Weights of what the readings show against what is usual, of which the one with the lowest bound is taken"""
 POWER = 0.95
 """Probability with which an effect is found that changes the result by more"""
-_AT_ONCE = 500_000
-"""Numbers of the columns of alternatives that are held at once; a processor's cache holds as many"""
+_AT_ONCE, _FEWEST_AT_ONCE = 500_000, 6
+"""Numbers of the columns of alternatives that are held at once, as many as a cache holds, and the fewest columns"""
 _MOST_OF_FORMS, _FEWEST_FORMS = 1_000_000, 8
 """Unknowns times columns of the forms (values of a scan) of an effect, and how many forms are looked at in any case"""
 _MOST_NUMBERS = 4_000_000
@@ -57,7 +57,7 @@ def hidden_change(
     readings hardly show end there. The change of member m is `S_m theta`. Its largest length under both conditions is
     at most the spectral norm of `S_m B^(-1/2)`, with `B = w A/(lambda s^2) + (1 - w) C` and any w (Lagrange).
     """
-    step = max(_AT_ONCE // (system.rows * gram.shape[1]), 1)
+    step = max(_AT_ONCE // (system.rows * gram.shape[1]), _FEWEST_AT_ONCE // gram.shape[1], 1)
     best = 0.0, 0
     for start in range(0, len(chosen), step):
         some = slice(start, start + step)
@@ -166,9 +166,8 @@ def _without_moves(job: AdjustedJob, alternatives: Sequence[Alternative], scale:
 
 
 def _is_rounding(system: System, shift: Array, scale: Array) -> Array:
-    typical = float(np.median(system.scale[system.measured]))
     size = np.sqrt(np.einsum("mckq,mckq->kq", shift, shift))
-    return np.asarray(size < _NOTHING * typical * scale)
+    return np.asarray(size < _NOTHING * system.typical_scale * scale)
 
 
 def _largest(squares: Array, bounds: Array, least: float = 0.0) -> tuple[float, int]:

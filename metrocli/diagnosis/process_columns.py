@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +17,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.smooth.knots import around_circle, between_knots
+from metrocli.diagnosis.linear.smooth.knots import Numbers, around_circle, between_knots
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
@@ -54,9 +54,10 @@ class Functions:
 
 def process_bases(job: AdjustedJob, system: System) -> Iterator[Functions]:
     """Yield the functions of each covariate, independent in the units of each kind, and one for all readings."""
-    for covariate in job.covariates:
-        if covariate.together or not all(group.name in covariate.values for group in job.model.readings):
-            continue
+    named = [group.name for group in job.model.readings]
+    alone = [one for one in job.covariates if not one.together and all(name in one.values for name in named)]
+    # those of several coordinates need the most memory while they are made: nothing else is held yet
+    for covariate in sorted(alone, key=lambda one: -len(np.atleast_2d(one.values[named[0]]))):
         for by in (*job.units, ""):
             basis = _basis(job, system, covariate, by)
             if basis is not None:
@@ -79,7 +80,7 @@ def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> F
     functions, distances = around_circle(several, count) if covariate.angle else between_knots(several, labels, count)
     count = len(distances)
     each = functions[0][0].shape[1]
-    terms, numbers = np.zeros((system.rows, each)), np.zeros((system.rows, each), dtype=np.intp)
+    terms, numbers = np.zeros((system.rows, each)), np.zeros((system.rows, each), dtype=np.int32)
     place, of_copies = 0, list[str]()
     for group, (values, knots), label in zip(groups, functions, labels, strict=True):
         components = len(group.observations.readings)
@@ -87,23 +88,27 @@ def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> F
             first = system.first[group.name]
             rows = slice(first + component, first + components * len(values), components)
             # in units of the declared noise, so that lengths and angles can share a variance
-            terms[rows] = values * (deviations / system.scale[rows])[:, None]
-            numbers[rows] = place + label[:, None] * count + knots
+            np.multiply(values, (deviations / system.scale[rows])[:, None], out=terms[rows])
+            np.add((place + label * count).astype(np.int32)[:, None], knots, out=numbers[rows])
             place += units * count
             of_copies += [group.observations.unit] * units
-    ends = np.arange(0, terms.size + 1, each)
+    # of many readings these are large
+    del functions, values, knots
+    ends = np.arange(0, terms.size + 1, each, dtype=np.int32)
     columns = csr_matrix((terms.ravel(), numbers.ravel(), ends), shape=(system.rows, copies * count))
     gram = _gram(terms, numbers, copies * count) - system.basis.gram_of(columns)
     sigmas = {unit: _typical(job, unit) for unit in of_copies}
     return Functions(covariate.name, by, distances, tuple(of_copies), sigmas, columns, gram)
 
 
-def _gram(terms: Array, numbers: Index, count: int) -> Array:
+def _gram(terms: Array, numbers: Numbers, count: int) -> Array:
     """Return the products of columns that have the values `terms` (rows, m) at their numbers (rows, m)."""
-    found = np.zeros(count * count)
-    for i, j in product(range(terms.shape[1]), repeat=2):
-        found += np.bincount(numbers[:, i] * count + numbers[:, j], terms[:, i] * terms[:, j], count * count)
-    return found.reshape(count, count)
+    diagonal, upper = np.zeros((2, count * count))
+    for i, j in combinations_with_replacement(range(terms.shape[1]), 2):
+        found = np.bincount(numbers[:, i] * count + numbers[:, j], terms[:, i] * terms[:, j], count * count)
+        (diagonal if i == j else upper)[:] += found
+    above = upper.reshape(count, count)
+    return diagonal.reshape(count, count) + above + above.T
 
 
 def _typical(job: AdjustedJob, unit: str) -> float:

@@ -15,7 +15,6 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain, gain_of_model
 from metrocli.diagnosis.extended_fit import (
     adjusted_with_all,
-    extended_fit,
     is_linear,
     readings_kept,
     relinearised,
@@ -24,6 +23,7 @@ from metrocli.diagnosis.extended_fit import (
     weights_of,
     with_scatter,
 )
+from metrocli.diagnosis.fit_of_names import FitOfNames
 from metrocli.diagnosis.linear.candidates import Alternative, NotTested
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import READING
@@ -84,6 +84,8 @@ class Searched:
     """Smooth random errors that belong to the noise beside which the selection holds"""
     plain: Selection | None = None
     """The same effects beside white noise, with what else explains the readings there; None without a process"""
+    of_names: FitOfNames | None = None
+    """The job adjusted with the effects that were named beside white noise"""
 
     @property
     def beside_white_noise(self) -> Selection:
@@ -157,10 +159,11 @@ def _search_beside_white_noise(job: AdjustedJob, progress: Progress) -> Searched
             break
         progress.doing("adjusting with what was found", job.budget.left())
         names = confidence_sets(selection)
-        fit = extended_fit(job, names, readings_kept(selection))
+        fit = FitOfNames.of(job, names, readings_kept(selection)).fit
         point = replace(point, patient=True) if fit is None else relinearised(job, names, fit)
     names = confidence_sets(selection)
-    fit = extended_fit(job, names, readings_kept(selection)) if names else None
+    of_names = FitOfNames.of(job, names, readings_kept(selection))
+    found, fit = replace(found, of_names=of_names), of_names.fit
     if fit is None:
         return replace(found, job=point, selection=selection)
     if is_linear(selection, fit):
@@ -171,7 +174,7 @@ def _search_beside_white_noise(job: AdjustedJob, progress: Progress) -> Searched
     weights = weights_of(job, found.units)
     tests, not_tested = score_tests_of_job(point, weights, np.random.default_rng(SEED), earlier)
     selection = refined_scans(point, continued(transferred(selection, tests), STRUCTURED))
-    return Searched(point, tests, not_tested, found.units, selection)
+    return replace(found, job=point, tests=tests, not_tested=not_tested, selection=selection)
 
 
 def with_scatters(

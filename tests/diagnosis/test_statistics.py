@@ -120,10 +120,10 @@ def test_a_score_is_the_fall_of_the_sum_of_squares() -> None:
 def test_scores_given_a_column_are_those_of_both_together() -> None:
     chosen = field()
     number = next(i for i, f in enumerate(chosen.families) if f.name == "dead-path-drift")
-    columns = chosen.all_visible(number, range(2))
+    columns = [chosen.visible(number, at) for at in range(2)]
     start = nothing_fitted(chosen.system)
-    given = start.with_columns(columns[:, 0])
-    both = start.with_columns(np.concatenate([columns[:, 0], columns[:, 1]], axis=1))
+    given = start.with_columns(columns[0])
+    both = start.with_columns(np.concatenate(columns, axis=1))
     assert np.isclose(chosen.score(number, given).gain[1], given.squares - both.squares, rtol=1e-6)
     assert chosen.score(number, given).rank[0] == 0
 

@@ -17,9 +17,9 @@ from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.columns import Columns
 from metrocli.diagnosis.linear.counted_tests import score_tests_of
 from metrocli.diagnosis.linear.distributions import log_tail
-from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns, Remembered, nothing_fitted
 from metrocli.diagnosis.linear.quadratics import grams_of, quadratic
-from metrocli.diagnosis.linear.score_tests import Remembered, ScoreTests
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.effects.effect import Effect, Parameter
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise, product
+from itertools import combinations_with_replacement, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,8 +25,10 @@ if TYPE_CHECKING:
 
 _FEW = 0.1
 """Share of the rows with a value below which these rows are gathered"""
+_LOOKED_AT = 1000
+"""Rows that are looked at to estimate how many have a value"""
 _AT_ONCE = 25_000
-"""Rows that are combined, or whose errors are followed to the unknowns, at once"""
+"""Rows that are combined at once"""
 
 
 @dataclass(frozen=True)
@@ -54,16 +56,16 @@ class Basis:
 
     def coordinates(self, values: Array) -> Array:
         """Return `b' values`, (columns, ...), of values (rows, ...)."""
-        flat, sparse, shared = _flat(values), self._sparse, self.shared
-        there = rows_with_values(flat)
-        if len(there) < _FEW * len(flat):
+        flat, sparse, shared = flat_columns(values), self._sparse, self.shared
+        if _has_few(flat):
+            there = rows_with_values(flat)
             flat, sparse, shared = flat[there], sparse[there], shared[there]
         found = np.concatenate([sparse.T @ flat, shared.T @ flat])
         return np.asarray(found.reshape(len(found), *values.shape[1:]))
 
     def combined(self, coordinates: Array) -> Array:
         """Return `b coordinates`, (rows, ...)."""
-        flat = _flat(coordinates)
+        flat = flat_columns(coordinates)
         count = self._sparse.shape[1]
         found = self._sparse @ flat[:count] + self.shared @ flat[count:]
         return np.asarray(found.reshape(len(found), *coordinates.shape[1:]))
@@ -81,6 +83,16 @@ class Basis:
         some = (own[start : start + _AT_ONCE] for start in range(0, max(len(own), 1), _AT_ONCE))
         parts = ((self.local[one], self.shared[one]) for one in some)
         return np.concatenate([sum(np.einsum("rk,rk->r", one, one) for one in both) for both in parts])
+
+    @cached_property
+    def gram_of_shared(self) -> Array:
+        """The products of the shared columns with each other, (k, k)."""
+        return self.shared.T @ self.shared
+
+    @property
+    def trace(self) -> float:
+        """The sum of squares of all rows: the number of directions that the unknowns absorb."""
+        return float(np.vdot(self.local, self.local) + np.vdot(self.shared, self.shared))
 
     def grams(self, values: Array) -> Array:
         """Return `g' b b' g` of columns (rows, k, q), k at a time, (k, q, q): the squares that the unknowns absorb."""
@@ -140,11 +152,12 @@ class Basis:
         """Return some rows of the basis, with the columns of the members that they use."""
         if len(rows) == len(self.local):
             return self
-        member, used = self.member[rows], np.zeros(self.members + 1, dtype=bool)
+        some = without_gathering(rows)
+        member, used = self.member[some], np.zeros(self.members + 1, dtype=bool)
         used[member] = True
         # rows without a member have the number -1, that of the last entry
         number = np.append(np.cumsum(used[:-1]) - 1, -1)
-        return Basis(self.local[rows], number[member], int(used[:-1].sum()), self.shared[rows])
+        return Basis(self.local[some], number[member], int(used[:-1].sum()), self.shared[some])
 
     def products(self, rows: Index, others: Index) -> Array:
         """Return the products of rows (..., a) with other rows (..., b), (..., a, b); a row of number -1 is zero."""
@@ -173,9 +186,10 @@ class Basis:
         own = rows & (self.member >= 0)
         values, member = self.local[own], self.member[own]
         local = np.empty((self.members, q, q))
-        for i, j in product(range(q), repeat=2):
-            local[:, i, j] = np.bincount(member, values[:, i] * values[:, j], self.members)
-        return GramOfRows(local, self._sparse[rows].T @ self.shared[rows], self.shared[rows].T @ self.shared[rows])
+        for i, j in combinations_with_replacement(range(q), 2):
+            local[:, i, j] = local[:, j, i] = np.bincount(member, values[:, i] * values[:, j], self.members)
+        shared = self.shared[rows]
+        return GramOfRows(local, self._sparse[rows].T @ shared, shared.T @ shared)
 
     def squares_of_gram(self, rows: Mask) -> tuple[float, float]:
         """Return trace and sum of squares of the Gram matrix of some rows (mask)."""
@@ -184,6 +198,12 @@ class Basis:
             # the products of few rows with each other have the same trace and squares
             among = self.products(own, own)
             return float(np.trace(among)), float((among**2).sum())
+        if np.bincount(self.member[own] + 1, minlength=2)[1:].max() <= 1:
+            # one row for each member: the columns of members that they use are orthogonal
+            shared = self.shared[own].T @ self.shared[own]
+            of_local, of_shared = ((one[own] ** 2).sum(axis=1) for one in (self.local, self.shared))
+            squares = of_local @ (of_local + 2 * of_shared) + (shared**2).sum()
+            return float(of_local.sum() + np.trace(shared)), float(squares)
         gram = self.part(rows)
         return gram.trace, gram.product(gram)
 
@@ -215,71 +235,29 @@ class GramOfRows:
         return float(np.einsum("mqq->", self.local) + np.trace(self.shared))
 
 
-@dataclass(frozen=True)
-class Solver:
-    """From coordinates in the basis to the change of the unknowns, in the datum of the model."""
+def members_of_equal_size(member: Index, members: int) -> Iterator[tuple[Index, Index]]:
+    """Yield members that have as many rows as each other (k,), and these rows (k, count), by the member of each row.
 
-    inverses: Array
-    """From coordinates of a member to its unknowns, (members, size, q)"""
-    coupling: Array
-    """`b' J` of the local columns with the shared unknowns, (members, q, shared unknowns)"""
-    shared: Array
-    """From coordinates to the shared unknowns, (shared unknowns, k)"""
-    places: tuple[Index, Index]
-    """Numbers of the local unknowns (members, size), -1 if fixed, and of the shared ones, among all"""
-    width: int
-    movements: Array
-    """Movements of a free network, (unknowns, m)"""
-    conditions: Array
-    """Conditions of the datum, (m, unknowns): `x - movements (conditions x)` fulfils it"""
-    random: Array
-    """Change of all unknowns by the coordinates after the shared ones, those of sizes that scatter, (unknowns, r)"""
+    Rows without a member, -1, are in none.
+    """
+    order = np.argsort(member, kind="stable")
+    order = order[member[order] >= 0]
+    counts = np.bincount(member[order], minlength=members)
+    starts = np.cumsum(counts) - counts
+    for count in np.unique(counts[counts > 0]).tolist():
+        chosen = np.flatnonzero(counts == count)
+        step = max(_AT_ONCE // count, 1)
+        for some in (chosen[start : start + step] for start in range(0, len(chosen), step)):
+            yield some, order[starts[some][:, None] + np.arange(count)]
 
-    def change(self, coordinates: Array) -> Array:
-        """Return the change of all unknowns (unknowns, ...) for coordinates (columns, ...)."""
-        flat = _flat(coordinates)
-        members, _, q = self.inverses.shape
-        fixed = members * q + self.shared.shape[1]
-        shared = self.shared @ flat[members * q : fixed]
-        found = np.zeros((self.width, flat.shape[1]))
-        found[self.places[1]] = shared
-        if members:
-            own = flat[: members * q].reshape(members, q, flat.shape[1])
-            own = np.matmul(self.inverses, own - np.tensordot(self.coupling, shared, 1))
-            free = self.places[0] >= 0
-            found[self.places[0][free]] = own[free]
-        if self.movements.shape[1]:
-            found -= self.movements @ (self.conditions @ found)
-        if self.random.shape[1]:
-            found += self.random @ flat[fixed:]
-        return found.reshape(len(found), *coordinates.shape[1:])
 
-    def own_change(self, basis: Basis, rows: Index) -> Array:
-        """Return the change of each row's own member by a unit error of that row, (rows, size); 0 without a member."""
-        parts = (rows[start : start + _AT_ONCE] for start in range(0, len(rows), _AT_ONCE))
-        return np.concatenate([self._own_change(basis, some) for some in parts])
-
-    def _own_change(self, basis: Basis, rows: Index) -> Array:
-        member = basis.member[rows]
-        shared = basis.shared[rows, : self.shared.shape[1]] @ self.shared.T
-        own = basis.local[rows] - np.einsum("nqg,ng->nq", self.coupling[member], shared)
-        found = np.einsum("nsq,nq->ns", self.inverses[member], own)
-        places = self.places[0][member]
-        free = (places >= 0) & (member >= 0)[:, None]
-        found = np.where(free, found, 0.0)
-        if self.movements.shape[1]:
-            every = np.matmul(self.inverses, -self.coupling)
-            held = np.where(self.places[0] >= 0, 1.0, 0.0)
-            conditions = self.conditions[:, np.maximum(self.places[0], 0)] * held
-            by_shared = self.conditions[:, self.places[1]] + np.einsum("cms,msg->cg", conditions, every)
-            # the own member's part of the conditions is that of its local columns
-            by_local = np.einsum("cns,nsq,nq->nc", conditions[:, member], self.inverses[member], basis.local[rows])
-            amounts = shared @ by_shared.T + np.where((member >= 0)[:, None], by_local, 0.0)
-            found -= np.where(free, np.einsum("nsc,nc->ns", self.movements[np.maximum(places, 0)], amounts), 0.0)
-        if self.random.shape[1]:
-            scattered = basis.shared[rows, self.shared.shape[1] :]
-            found += np.where(free, np.einsum("nsr,nr->ns", self.random[np.maximum(places, 0)], scattered), 0.0)
-        return np.asarray(found)
+def without_gathering(rows: Index) -> Index | slice:
+    """Return rows in ascending order as a slice if they are evenly spaced: what is stored for them needs no copy."""
+    if len(rows) < 2:
+        return rows
+    first, last, step = int(rows[0]), int(rows[-1]), int(rows[1] - rows[0])
+    even = step > 0 and last - first == step * (len(rows) - 1) and bool((np.diff(rows) == step).all())
+    return slice(first, last + 1, step) if even else rows
 
 
 def rows_with_values(columns: Array) -> Index:
@@ -290,5 +268,12 @@ def rows_with_values(columns: Array) -> Index:
     return np.flatnonzero(there)
 
 
-def _flat(values: Array) -> Array:
+def _has_few(columns: Array) -> bool:
+    """Return whether few rows of some columns (rows, k) have a value, by some of them."""
+    some = columns[:: max(len(columns) // _LOOKED_AT, 1)]
+    return bool(some.any(axis=1).sum() < _FEW * len(some))
+
+
+def flat_columns(values: Array) -> Array:
+    """Return values (rows, ...) as columns, (rows, k)."""
     return values.reshape(len(values), math.prod(values.shape[1:]))

@@ -13,6 +13,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.linear.basis import rows_with_values
 from metrocli.diagnosis.linear.column_parts import Course, Own, Step
 from metrocli.diagnosis.linear.columns import Columns, gathered, joined
 from metrocli.diagnosis.linear.projection import VISIBLE, System
@@ -216,13 +217,14 @@ def _family(system: System, items: Sequence[_Columns]) -> Family:
     weak = visible & (shown < _SMALL).any(axis=1)
     changed, found = ~visible | weak, list(items)
     for number in np.flatnonzero(changed).tolist():
-        seen = np.zeros((system.rows, raw.shape[1]))
+        own = Own(np.zeros(0, dtype=np.intp), np.zeros((0, raw.shape[1])))
         if weak[number]:
             seen = system.seen(columns.whole([number], system.rows)[:, 0])
-        rows = np.flatnonzero(seen.any(axis=1))
-        found[number] = replace(found[number], own=Own(rows, seen[rows]))
-        gram[number] = seen.T @ seen
-        visible[number] = len(rows) > 0
+            rows = rows_with_values(seen)
+            own = Own(rows, seen[rows])
+        found[number] = replace(found[number], own=own)
+        gram[number] = own.values.T @ own.values
+        visible[number] = len(own.rows) > 0
     somewhere = {items[int(number)].alternative.instance for number in np.flatnonzero(visible)}
     kept = [i for i, item in enumerate(items) if visible[i] or item.alternative.instance not in somewhere]
     return Family(
@@ -266,7 +268,7 @@ def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[
         return
     for scanned, (full, block, chosen) in scanned_columns(job.model, system, effect, places):
         for place, names, own in of_places(job.model, block, chosen, places):
-            changed = Own.of(full, own)
+            changed = Own.of(full, own, system.same_rows)
             if len(changed.rows) >= job.fewest:
                 named = _scanned_places(job.model, effect, scanned)
                 yield _Columns(Alternative(effect, place, tuple(scanned.items()), names, named), changed)

@@ -6,7 +6,7 @@ Method: docs/algorithms/selection-and-levels.md (projection).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -15,7 +15,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.diagnosis.linear.basis import Basis, rows_with_values
+from metrocli.diagnosis.linear.basis import Basis, rows_with_values, without_gathering
 
 _AT_ONCE = 256
 """Columns whose coordinates are computed at once"""
@@ -71,11 +71,14 @@ class Own:
         return int(self.values.shape[1])
 
     @classmethod
-    def of(cls, full: Array, own: Mask) -> Own:
-        """Return some of the columns (rows, k), chosen by a mask (k,), at the rows where any of them is not zero."""
+    def of(cls, full: Array, own: Mask, held: Callable[[Index], Index] = lambda rows: rows) -> Own:
+        """Return some of the columns (rows, k), chosen by a mask (k,), at the rows where any of them is not zero.
+
+        `held` gives the same rows as they are held already.
+        """
         columns = full[:, own]
         rows = rows_with_values(columns)
-        return cls(rows, columns[rows])
+        return cls(held(rows), columns[rows])
 
 
 @dataclass(frozen=True)
@@ -129,12 +132,14 @@ class Part:
     numbers: Index
     """Numbers of the alternatives in their family, (alternatives,)"""
 
+    @cached_property
+    def _place(self) -> Index | slice:
+        return without_gathering(self.rows)
+
     def products(self, visible: Array, at: Index | slice = slice(None)) -> Array:
         """Return the products of some alternatives with visible vectors (rows, m), (alternatives, parameters, m)."""
         chosen = self.values[:, at]
-        # rows are in ascending order, so as many as there are need no gathering
-        own = visible if len(self.rows) == len(visible) else visible.take(self.rows, axis=0)
-        found = chosen.reshape(len(self.rows), -1).T @ own
+        found = chosen.reshape(len(self.rows), -1).T @ visible[self._place]
         return np.asarray(found.reshape(*chosen.shape[1:], visible.shape[1]))
 
     def dense(self, at: Index | slice = slice(None)) -> Array:

@@ -5,7 +5,7 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 from metrocli.diagnosis.linear.quadratics import whitening
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 Key = tuple[int, int]
 """Number of a family and of its alternatives"""
+_MOST_REMEMBERED = 4_000_000
+"""Numbers of visible columns that are kept"""
 PRIOR = 2.0
 """Weight of the declared noise in degrees of freedom: it matters with few readings, not with many"""
 
@@ -58,6 +61,30 @@ class Known:
     families: dict[Key, Left] = field(default_factory=dict)
     readings: Array | None = None
     """Gram matrices of the readings' unit errors, (readings, d, d)"""
+    gains: tuple[Array, Array] | None = None
+    """Reduction of the sum of squares by an error of each reading, and the rank of that error, (readings,) each"""
+
+
+@dataclass
+class Remembered:
+    """Visible columns of candidates, and effects in smooth terms, as far as known; empty on another processor."""
+
+    lying_in: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict)
+    visible: dict[tuple[int, int], Array] = field(default_factory=dict)
+    products: dict[tuple[int, int], Mapping[Key, Array]] = field(default_factory=dict)
+    """Products of all candidates with the visible columns of some, (alternatives, q, p)"""
+
+    def columns(self, key: tuple[int, int], computed: Callable[[], Array]) -> Array:
+        """Return visible columns, computed if they are not remembered; the oldest are forgotten for new ones."""
+        found = self.visible.pop(key, None)
+        found = computed() if found is None else found
+        self.visible[key] = found
+        while sum(one.size for one in self.visible.values()) > _MOST_REMEMBERED and len(self.visible) > 1:
+            del self.visible[next(iter(self.visible))]
+        return found
+
+    def __reduce__(self) -> tuple[type[Remembered], tuple[()]]:
+        return Remembered, ()
 
 
 @dataclass(frozen=True)
@@ -173,19 +200,28 @@ class FittedParts:
             self.products[key] = np.concatenate([known, new], axis=2)
         return self.products[key]
 
-    def with_part(self, columns: Array) -> FittedParts:
-        """Return the fit with one more part (rows, q); directions not visible beside the others are ignored."""
+    def with_part(self, columns: Array, products: Mapping[Key, Array] | None = None) -> FittedParts:
+        """Return the fit with one more part (rows, q); directions not visible beside the others are ignored.
+
+        `products` are those of candidates with its columns, as far as known, (alternatives, parameters, q).
+        """
         basis = self.basis if self.parts else np.zeros((len(columns), 0))
-        unit = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        own = self.start.beside(unit)
+        norms = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        own = self.start.beside(columns / norms)
         inside = basis.T @ own
         left = self.start.beside(own - basis @ inside)
         left = left - basis @ (basis.T @ left)
-        new = orthonormal(left, VISIBLE)
+        new, turn = orthonormalised(left, VISIBLE)
         grown = [np.pad(part, ((0, new.shape[1]), (0, 0))) for part in self.parts]
         part = np.concatenate([inside, new.T @ left])
         before = (self.products, np.eye(basis.shape[1])) if self.products else self.before
-        return FittedParts(self.start, np.concatenate([basis, new], axis=1), (*grown, part), before)
+        found = FittedParts(self.start, np.concatenate([basis, new], axis=1), (*grown, part), before)
+        if products and not self.start.width:
+            known = self.products if self.parts else {key: one[:, :, :0] for key, one in products.items()}
+            for key in products.keys() & known.keys():
+                added = (products[key] / norms - known[key] @ inside) @ turn
+                found.products[key] = np.concatenate([known[key], added], axis=2)
+        return found
 
     def without(self, numbers: Collection[int]) -> FittedColumns:
         """Return the model without some parts."""

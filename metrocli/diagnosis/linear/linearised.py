@@ -16,9 +16,10 @@ from metrocli.adjust.model.groups import Linear
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout, single_touch, without_elimination
 from metrocli.adjust.singular_values import thin_svd
-from metrocli.diagnosis.linear.basis import Basis, Solver
+from metrocli.diagnosis.linear.basis import Basis, members_of_equal_size
 from metrocli.diagnosis.linear.fitted_columns import orthonormalised
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS, System, by_rows, scatter
+from metrocli.diagnosis.linear.solver import Solver
 from metrocli.effects.model import Model
 from metrocli.errors import InputError
 
@@ -199,13 +200,7 @@ def _orthonormal_members(columns: Array, member: Index, members: int) -> tuple[A
     """
     rows, q = columns.shape
     basis, inverses = np.zeros((rows, q)), np.zeros((members, q, q))
-    order = np.argsort(member, kind="stable")
-    order = order[member[order] >= 0]
-    counts = np.bincount(member[order], minlength=members)
-    starts = np.cumsum(counts) - counts
-    for count in np.unique(counts[counts > 0]):
-        chosen = np.flatnonzero(counts == count)
-        at = order[starts[chosen][:, None] + np.arange(count)]
+    for chosen, at in members_of_equal_size(member, members):
         size = np.linalg.norm(columns[at], axis=1)
         size = np.where(size > 0, size, 1.0)
         u, s, vt = np.linalg.svd(columns[at] / size[:, None, :], full_matrices=False)

@@ -20,7 +20,8 @@ from metrocli.adjust.model.chain import Link, through
 from metrocli.adjust.model.groups import Group, Linear
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout
-from metrocli.diagnosis.linear.basis import Basis, Solver
+from metrocli.diagnosis.linear.basis import Basis
+from metrocli.diagnosis.linear.solver import Solver
 from metrocli.effects.model import Model
 
 VISIBLE = 1e-6
@@ -57,6 +58,8 @@ class System:
     """Number of rows that are left out; they are zero everywhere"""
     runs: dict[str, Run] = field(default_factory=dict, compare=False, repr=False)
     """Cache of the values along the chains, by group"""
+    sets_of_rows: list[Index] = field(default_factory=list, compare=False, repr=False)
+    """The sets of rows that candidates change: those of a tracer are the same for many"""
 
     @property
     def rows(self) -> int:
@@ -66,7 +69,7 @@ class System:
     @cached_property
     def dof(self) -> int:
         """Degrees of freedom, the trace of M."""
-        return round(self.rows - self.idle - float(self.basis.squares().sum()))
+        return round(self.rows - self.idle - self.basis.trace)
 
     @cached_property
     def measured(self) -> Mask:
@@ -75,6 +78,11 @@ class System:
         for group in self.model.readings:
             mask[self.first[group.name] : self.first[group.name] + group.observations.readings.size] = True
         return mask
+
+    @cached_property
+    def typical_scale(self) -> float:
+        """The median standard deviation of the rows that are readings."""
+        return float(np.median(self.scale[self.measured]))
 
     def rows_of(self, group: Group) -> Mask:
         """Return the rows of a group."""
@@ -157,6 +165,13 @@ class System:
             found |= self.spread(group, inside) > 0
         return found
 
+    def same_rows(self, rows: Index) -> Index:
+        """Return the set of rows that equals some rows, which is held once."""
+        found = next((one for one in self.sets_of_rows if np.array_equal(one, rows)), None)
+        if found is None:
+            self.sets_of_rows.append(rows)
+        return rows if found is None else found
+
     def run(self, group: Group) -> Run:
         """Return the values and derivatives along the chain of a group."""
         if group.name not in self.runs:
@@ -211,4 +226,7 @@ def scatter(full: Array, jacobian: Array, columns: Index) -> None:
     for a in range(columns.shape[1]):
         at = columns[:, a]
         kept = at >= 0
-        full[rows[kept], :, at[kept]] += jacobian[:, a, :].T[kept]
+        if kept.all() and (at == at[0]).all():
+            full[:, :, at[0]] += jacobian[:, a, :].T
+        else:
+            full[rows[kept], :, at[kept]] += jacobian[:, a, :].T[kept]

@@ -12,10 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.linear.basis import Basis, Solver
+from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.counted_tests import score_tests_of
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.diagnosis.linear.solver import Solver
 
 
 def with_random_columns(system: System, columns: Array) -> System:

@@ -9,7 +9,7 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -21,14 +21,12 @@ from metrocli.diagnosis.adjusted_job import Budget
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.columns import INSIDE, lies_in
 from metrocli.diagnosis.linear.distributions import log_family, log_levels
-from metrocli.diagnosis.linear.fitted_columns import FittedColumns, Left, orthonormal
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns, Left, Remembered, orthonormal
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 from metrocli.diagnosis.linear.quadratics import quadratic, quadratic_of
 
 _MOST_RANKED = 10_000
 """Readings that are tested as outliers, those with the largest gains"""
-_MOST_REMEMBERED = 4_000_000
-"""Numbers of visible columns that are kept"""
 _ROUNDING = 1e-9
 """Relative difference of levels (ln) that is rounding: a jump at two times without a reading between is one"""
 
@@ -49,26 +47,6 @@ class Score:
         """The alternative with the smallest p-value; the first of those that differ by rounding only."""
         least = float(self.log_p.min())
         return int(np.argmax(self.log_p <= least + _ROUNDING * abs(least)))
-
-
-@dataclass
-class Remembered:
-    """Visible columns of candidates, and effects in smooth terms, as far as known; empty on another processor."""
-
-    lying_in: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict)
-    visible: dict[tuple[int, int], Array] = field(default_factory=dict)
-
-    def columns(self, key: tuple[int, int], computed: Callable[[], Array]) -> Array:
-        """Return visible columns, computed if they are not remembered; the oldest are forgotten for new ones."""
-        found = self.visible.pop(key, None)
-        found = computed() if found is None else found
-        self.visible[key] = found
-        while sum(one.size for one in self.visible.values()) > _MOST_REMEMBERED and len(self.visible) > 1:
-            del self.visible[next(iter(self.visible))]
-        return found
-
-    def __reduce__(self) -> tuple[type[Remembered], tuple[()]]:
-        return Remembered, ()
 
 
 @dataclass(frozen=True)
@@ -127,11 +105,15 @@ class ScoreTests:
         )
 
     @cached_property
-    def basic_products(self) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        """Products of each family's columns with the shared columns, (alternatives, q, k), and with the residual."""
-        shared, right = self.system.basis.shared, self.system.residual[:, None]
-        of_right = tuple(one.columns.products(right)[:, :, 0] for one in self.families)
-        return tuple(one.columns.products(shared) for one in self.families), of_right
+    def along_shared(self) -> tuple[Array, ...]:
+        """Products of each family's columns with the shared columns, (alternatives, q, k)."""
+        return tuple(one.columns.products(self.system.basis.shared) for one in self.families)
+
+    @cached_property
+    def along_residual(self) -> tuple[Array, ...]:
+        """Products of each family's columns with the residual, (alternatives, q)."""
+        right = self.system.residual[:, None]
+        return tuple(one.columns.products(right)[:, :, 0] for one in self.families)
 
     def scores(self, fitted: FittedColumns) -> list[Score]:
         """Return the tests of all families beside the fitted columns."""
@@ -154,9 +136,15 @@ class ScoreTests:
             left = fitted.known.families[key]
             return left if chosen is None else left.of(chosen)
         if parts is None:
-            gram = family.gram if chosen is None else family.gram[list(chosen)]
-            along, right = (family.columns.products(one, chosen) for one in (fitted.basis, fitted.residual[:, None]))
-            left = Left(gram, right[:, :, 0]).with_columns(along, np.zeros(along.shape[2]))
+            if fitted.residual is self.system.residual:
+                left = Left(family.gram, self.along_residual[number])
+                left = left if chosen is None else left.of(chosen)
+            else:
+                gram = family.gram if chosen is None else family.gram[list(chosen)]
+                left = Left(gram, family.columns.products(fitted.residual[:, None], chosen)[:, :, 0])
+            if fitted.width:
+                along = family.columns.products(fitted.basis, chosen)
+                left = left.with_columns(along, np.zeros(along.shape[2]))
         else:
             if chosen is None:
                 along = parts.along(key, family.columns)
@@ -192,9 +180,11 @@ class ScoreTests:
 
     def gains_of_readings(self, fitted: FittedColumns) -> tuple[Array, Array]:
         """Return the reduction of the sum of squares by an error of each reading, and the rank of that error."""
-        rows = self.places
-        right = np.where(rows >= 0, fitted.residual[rows], 0.0)
-        return quadratic(self._left_of_readings(fitted), right, np.ones(rows.shape))
+        known, rows = fitted.known, self.places
+        if known.gains is None:
+            right = np.where(rows >= 0, fitted.residual[rows], 0.0)
+            known.gains = quadratic(self._left_of_readings(fitted), right, np.ones(rows.shape))
+        return known.gains
 
     def _left_of_readings(self, fitted: FittedColumns) -> Array:
         """Return the Gram matrices of the readings' unit errors without the fitted columns, (readings, d, d)."""
@@ -250,11 +240,7 @@ class ScoreTests:
 
     def visible(self, family: int, number: int) -> Array:
         """Return the visible columns of an alternative, (rows, parameters)."""
-        return self.remembered.columns((family, number), lambda: self.all_visible(family, [number])[:, 0])
-
-    def all_visible(self, family: int, numbers: Sequence[int]) -> Array:
-        """Return the visible columns of some alternatives of a family, (rows, alternatives, parameters)."""
-        return self.system.seen(self.families[family].columns.whole(numbers, self.system.rows))
+        return self.remembered.columns((family, number), lambda: self.system.seen(self.whole(family, number)))
 
     def level(self, number: int, log_p: float) -> float:
         """Return ln of the p-value of a family's best alternative, corrected for the tests of the family."""
@@ -264,9 +250,13 @@ class ScoreTests:
         """Return ln of the p-value of the best family, corrected for all families."""
         return float(log_family(log_level, self.causes))
 
+    def whole(self, family: int, number: int) -> Array:
+        """Return the whole columns of an alternative, (rows, parameters)."""
+        return self.families[family].columns.whole([number], self.system.rows)[:, 0]
+
     def changed_by(self, family: int, number: int) -> Mask:
         """Return which readings an alternative changes."""
-        whole = self.families[family].columns.whole([number], self.system.rows)[:, 0]
+        whole = self.whole(family, number)
         return np.asarray(((whole != 0).any(axis=1)[self.places] & (self.places >= 0)).any(axis=1))
 
     def keys_of(self, reading: int) -> dict[str, str]:

@@ -33,7 +33,7 @@ _MOST_OF_UNITS, _LEAST_DEGREE = 2000, 2
 """Most terms of one covariate for all units together, and the degree that is kept in any case"""
 _FEWEST_FOR = 4
 """Least number of readings per term for which a unit gets its own terms"""
-_MANY = 80_000
+_MANY = 20_000
 """Rows of a function from which its columns are not held"""
 _Shown = tuple[Alternative, Own | Terms, Array]
 """An alternative, its visible directions (r, k) at the rows that it changes, and their visible squares (k,)"""
@@ -54,14 +54,19 @@ def smooth_families(job: AdjustedJob, system: System) -> list[Family]:
 
 
 def columns_of_smooth(job: AdjustedJob) -> int:
-    """Return how many columns of smooth functions each row has: those of all readings and of its unit, and sines."""
+    """Return how many columns of smooth functions are held for each row: of all readings and of its unit, and sines.
+
+    Functions of many readings are not held.
+    """
+    rows = sum(group.observations.readings.size for group in job.model.readings)
+    held = sum(rows < _MANY * count for count in (1, *(len(job.model.places[key].names) for key in job.units)))
     found = 0
     for covariate in job.covariates:
         values = [one for name, one in covariate.values.items() if name in job.model.measured]
         if not values or covariate.together:
             continue
         terms = _terms(len(np.atleast_2d(values[0])), covariate.degree, covariate.angle)
-        found += terms * (1 + len(job.units)) + (4 * int(_MOST_PERIODS) if covariate.periodic else 0)
+        found += terms * held + (4 * int(_MOST_PERIODS) if covariate.periodic else 0)
     return found * max(len(group.observations.components) for group in job.model.readings)
 
 

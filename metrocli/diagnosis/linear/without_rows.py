@@ -5,7 +5,8 @@ Method: docs/algorithms/selection-and-levels.md (gain).
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,17 +15,53 @@ from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.linear.candidates import Family
 from metrocli.diagnosis.linear.fitted_columns import (
     FittedColumns,
+    FittedParts,
+    Key,
     Left,
+    Remembered,
     nothing_fitted,
     orthonormalised,
 )
 from metrocli.diagnosis.linear.projection import VISIBLE
 from metrocli.diagnosis.linear.quadratics import whitening
-from metrocli.diagnosis.linear.score_tests import Remembered, ScoreTests
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 
 
-def without_rows(test_set: ScoreTests, out: Index) -> tuple[ScoreTests, FittedColumns]:
+@dataclass(frozen=True)
+class Carried:
+    """A member of a fit to all rows, with what is needed to fit it to some of them."""
+
+    key: Key
+    columns: Array
+    """Its columns without the local unknowns, (rows, p)"""
+    shared: Array
+    """Products of the shared columns with them, (k, p)"""
+    products: Sequence[Array]
+    """Products of each family's columns with them, (alternatives, q, p)"""
+    norms: Array
+    """Norm of each of its whole columns, (p,)"""
+
+
+def carried(test_set: ScoreTests, fit: FittedParts, members: Iterable[tuple[int, Key]]) -> list[Carried]:
+    """Return members of a fit, each given by the number of its part and by family and alternative."""
+    basis, found = test_set.system.basis, []
+    for number, (family, alternative) in members:
+        visible = test_set.visible(family, alternative)
+        turn = fit.parts[number] * np.maximum(np.linalg.norm(visible, axis=0), 1e-300)
+        shared = test_set.along_shared[family][alternative].T
+        products = [
+            fit.along((i, own.columns.count), own.columns) @ turn + along @ shared
+            for i, (own, along) in enumerate(zip(test_set.families, test_set.along_shared, strict=True))
+        ]
+        norms = test_set.families[family].raw[alternative]
+        found.append(Carried((family, alternative), visible + basis.shared @ shared, shared, products, norms))
+    return found
+
+
+def without_rows(test_set: ScoreTests, out: Index, members: Sequence[Carried] = ()) -> tuple[ScoreTests, FittedColumns]:
     """Return the score tests without some rows, and the fit without further columns there.
+
+    Products of all candidates with some members, which the rest is likely to show as well, are remembered there.
 
     The rows left out hold all readings of the local members that they use, so the local unknowns of the other rows do
     not change. The shared columns of the rest are made orthonormal anew, and their part is taken from all other
@@ -42,9 +79,10 @@ def without_rows(test_set: ScoreTests, out: Index) -> tuple[ScoreTests, FittedCo
     kept[out] = False
     gone = system.basis.at(out)
     local = replace(gone, shared=gone.shared[:, :0])
-    both = np.concatenate([gone.shared, system.residual[out, None]], axis=1)
+    several = [gone.shared, system.residual[out, None], *(one.columns[out] for one in members)]
+    lost, ends = np.concatenate(several, axis=1), np.cumsum([one.shape[1] for one in several])[:-1]
     # directions that only the rows left out show are no longer there; of many readings one table of them is made
-    turn, even = whitening(system.basis.shared.T @ system.basis.shared - gone.shared.T @ gone.shared, VISIBLE**2)
+    turn, even = whitening(system.basis.gram_of_shared - gone.gram_of_shared, VISIBLE**2)
     shared = system.basis.shared @ turn
     shared[out] = 0.0
     if not even:
@@ -53,19 +91,30 @@ def without_rows(test_set: ScoreTests, out: Index) -> tuple[ScoreTests, FittedCo
     residual = np.where(kept, system.residual, 0.0)
     amounts = shared.T @ residual
     residual -= shared @ amounts
+    inside = [turn.T @ (one.shared - gone.shared.T @ one.columns[out]) for one in members]
 
-    def cut(family: Family, along: Array, right: Array) -> tuple[Family, Left]:
+    def cut(family: Family, along: Array, right: Array, products: Sequence[Array]) -> tuple[Family, Left, list[Array]]:
         own = family.columns.of_rows(~kept)
-        lost = own.products(both)
-        left = (along - lost[:, :, :-1]) @ turn
+        of_shared, of_residual, *of_members = np.split(own.products(lost), ends, axis=2)
+        left = (along - of_shared) @ turn
         gram = family.gram + along @ np.swapaxes(along, 1, 2) - own.grams(local) - left @ np.swapaxes(left, 1, 2)
         # what only the rows left out show is zero, not the rounding of a difference
         seen = np.einsum("kqq->kq", gram) > (VISIBLE * family.raw) ** 2
         gram *= seen[:, :, None] * seen[:, None, :]
-        still = Left(gram, (right - lost[:, :, -1] - left @ amounts) * seen)
-        return replace(family, columns=family.columns.only(kept), gram=gram), still
+        still = Left(gram, (right - of_residual[:, :, 0] - left @ amounts) * seen)
+        beside = [one - own - left @ its for one, own, its in zip(products, of_members, inside, strict=True)]
+        return replace(family, columns=family.columns.only(kept), gram=gram), still, beside
 
-    families, known = zip(*map(cut, test_set.families, *test_set.basic_products), strict=True)
+    by_family = [[one.products[i] for one in members] for i in range(len(test_set.families))]
+    products = test_set.families, test_set.along_shared, test_set.along_residual, by_family
+    families, known, beside = zip(*map(cut, *products), strict=True)
+    remembered = Remembered()
+    for number, one in enumerate(members):
+        visible = np.where(kept[:, None], one.columns, 0.0) - shared @ inside[number]
+        if (np.linalg.norm(visible, axis=0) > VISIBLE * one.norms).all():
+            remembered.visible[one.key] = visible
+            its = ((i, own.columns.count, beside[i][number]) for i, own in enumerate(families))
+            remembered.products[one.key] = {(i, count): products for i, count, products in its}
     basis = replace(system.basis, local=system.basis.local * kept[:, None], shared=shared)
     there = np.where(test_set.places >= 0, kept[test_set.places], False)
     unit = np.eye(test_set.places.shape[1]) * there[:, :, None]
@@ -76,7 +125,7 @@ def without_rows(test_set: ScoreTests, out: Index) -> tuple[ScoreTests, FittedCo
         blocks=unit - basis.products(test_set.places, test_set.places),
         excluded=test_set.excluded | ~there.any(axis=1),
         throughout=(),
-        remembered=Remembered(),
+        remembered=remembered,
     )
     start = nothing_fitted(fewer.system)
     start.known.families |= {(i, own.columns.count): known[i] for i, own in enumerate(families)}

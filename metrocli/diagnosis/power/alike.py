@@ -16,6 +16,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.linearised import linearised
+from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.power.average_power import size_separated
@@ -102,8 +103,8 @@ def _visible_products(test_set: ScoreTests, candidates: Sequence[Candidate], own
     for _, some in itertools.groupby(range(len(candidates)), lambda at: own[at].start // together):
         chosen = list(some)
         its = slice(own[chosen[0]].start, own[chosen[-1]].stop)
-        visible = [test_set.all_visible(candidates[at].family, [candidates[at].number])[:, 0] for at in chosen]
-        columns = np.concatenate(visible, axis=1)
+        whole = [test_set.whole(candidates[at].family, candidates[at].number) for at in chosen]
+        columns = test_set.system.seen(np.concatenate(whole, axis=1))
         for family, members in by_family.items():
             numbers = [candidates[at].number for at in members]
             for at, products in zip(members, test_set.families[family].columns.products(columns, numbers), strict=True):
@@ -121,24 +122,38 @@ def _unit(gram: Array) -> Array:
     return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) / norms[:, None])
 
 
-def separations(job: AdjustedJob, one: Alternative, other: Alternative) -> list[str]:
-    """Return, in words, what to measure to distinguish two names: the first offers that bring their cosine below 0.9.
+def separations(job: AdjustedJob, pairs: Sequence[tuple[Alternative, Alternative]]) -> list[list[str]]:
+    """Return, in words, what to measure to distinguish the names of each pair.
 
-    If none does, the offer with the lowest cosine; if the job has no offers, the advice of the effects themselves.
+    These are the first offers that bring their cosine below 0.9, or else the offer with the lowest cosine; if the job
+    has no offers, the advice of the effects themselves.
     """
-    found = []
+    found: list[list[tuple[float, str]]] = [[] for _ in pairs]
     for words, model in job.offers(job.model):
-        system = linearised(model)
-        columns = [system.seen(signature(model, system, a.effect, a.instance, dict(a.scanned))) for a in (one, other)]
-        turns = [_unit(its.T @ its) for its in columns]
-        cosines = turns[0].T @ (columns[0].T @ columns[1]) @ turns[1]
-        found.append((float(np.linalg.norm(cosines, 2)), words))
-        if sum(rho < _ALIKE for rho, _ in found) == _OFFERED:
+        unsettled = [at for at, its in enumerate(found) if sum(rho < _ALIKE for rho, _ in its) < _OFFERED]
+        if not unsettled:
             break
+        system = linearised(model)
+        for at in unsettled:
+            found[at].append((_cosine(system, *pairs[at]), words))
+    return [_advice(its, pair) for its, pair in zip(found, pairs, strict=True)]
+
+
+def _cosine(system: System, one: Alternative, other: Alternative) -> float:
+    """Return the largest cosine between the visible columns of two candidates."""
+    columns = [
+        system.seen(signature(system.model, system, a.effect, a.instance, dict(a.scanned))) for a in (one, other)
+    ]
+    turns = [_unit(its.T @ its) for its in columns]
+    return float(np.linalg.norm(turns[0].T @ (columns[0].T @ columns[1]) @ turns[1], 2))
+
+
+def _advice(found: Sequence[tuple[float, str]], pair: tuple[Alternative, Alternative]) -> list[str]:
+    """Return the offers that help to distinguish a pair, of those with the cosine that each leaves."""
     enough = [f"{words} (their correlation falls to {rho:.2f})" for rho, words in found if rho < _ALIKE]
     if enough:
         return enough
     helping = [
         f"{words} (their correlation falls to {rho:.2f} only)" for rho, words in sorted(found)[:1] if rho < _HELPS
     ]
-    return helping + [words for words in dict.fromkeys([one.effect.reveal, other.effect.reveal]) if words]
+    return helping + [words for words in dict.fromkeys(one.effect.reveal for one in pair) if words]

@@ -74,7 +74,8 @@ class Selection:
     def with_one(self, one: Chosen, instead: Chosen | None = None) -> Selection:
         """Return the selection with one more member, or with this member instead of another."""
         kept = self if instead is None else self.without(instead)
-        return replace(kept, fit=kept.fit.with_part(one.columns), chosen=(*kept.chosen, one))
+        products = self.test_set.remembered.products.get((one.family, one.number), {})
+        return replace(kept, fit=kept.fit.with_part(one.columns, products), chosen=(*kept.chosen, one))
 
     def without(self, *gone: Chosen) -> Selection:
         """Return the selection without some of its members."""

@@ -64,7 +64,7 @@ def test_what_is_left_is_that_of_all_rows(name: str) -> None:
     assert np.abs(fitted.residual - residual).max() < 1e-10
     assert fitted.squares == pytest.approx(float(residual @ residual) + fitted.prior, rel=1e-10)
     for number, family in enumerate(tests.families):
-        whole = tests.all_visible(number, range(family.columns.count))
+        whole = system.seen(family.columns.whole(range(family.columns.count), system.rows))
         beside = whole - np.tensordot(basis, np.tensordot(basis.T, whole, 1), 1)
         gram, right = np.einsum("raq,rap->aqp", beside, beside), np.einsum("raq,r->aq", beside, residual)
         left = tests.left(number, fitted)

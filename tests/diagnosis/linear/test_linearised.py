@@ -9,10 +9,10 @@ from benchmarks.hidden import lengths
 from metrocli.adjust.schur.layout import without_elimination
 from metrocli.diagnosis.cross_validation import held_out_errors
 from metrocli.diagnosis.extended_fit import score_tests_of_job
-from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
+from metrocli.diagnosis.linear.fitted_columns import FittedParts, nothing_fitted
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import scatter
-from metrocli.diagnosis.linear.without_rows import without_rows
+from metrocli.diagnosis.linear.without_rows import carried, without_rows
 from metrocli.effects.model import Model
 from metrocli.instruments import tracer
 
@@ -69,7 +69,7 @@ def test_changes_keep_the_datum(number: int) -> None:
 
 def test_own_change_is_the_part_of_the_whole_change() -> None:
     system = linearised(models()[1])
-    rows = np.arange(0, 60, 7)
+    rows = np.arange(0, 83, 3)
     whole = system.solver.change(system.basis.rows(rows).T)
     own = system.solver.own_change(system.basis, rows)
     places = system.solver.places[0][system.basis.member[rows]]
@@ -104,6 +104,34 @@ def test_rows_left_out_are_as_if_they_had_unknowns_of_their_own() -> None:
         shown = fewer.system.seen(columns)
         assert np.allclose(family.gram, np.einsum("rkp,rkq->kpq", shown, shown), atol=1e-9 * family.raw.max() ** 2)
         assert not family.gram[~columns.any(axis=(0, 2))].any()
+
+
+def test_members_of_the_whole_fit_have_the_same_products_in_the_rest() -> None:
+    m = lengths.measurement(np.random.default_rng(46), 14)
+    tests, _ = score_tests_of_job(m.adjusted(), {}, np.random.default_rng(1))
+    names = {family.name: number for number, family in enumerate(tests.families)}
+    keys = [(names["tracer-scale"], 1), (names["tracer-drift"], 2)]
+    whole = FittedParts(nothing_fitted(tests.system))
+    for key in keys:
+        whole = whole.with_part(tests.visible(*key))
+    out = np.flatnonzero(np.isin(m.point, [0, 3, 12]))
+    fewer, start = without_rows(tests, out, carried(tests, whole, enumerate(keys)))
+    fit = computed = FittedParts(start)
+    for key in keys:
+        fit = fit.with_part(fewer.visible(*key), fewer.remembered.products[key])
+        full = fewer.families[key[0]].columns.whole([key[1]], tests.system.rows)[:, 0]
+        computed = computed.with_part(fewer.system.seen(full))
+    for number, family in enumerate(fewer.families):
+        known = number, family.columns.count
+        assert known in fit.products
+        scale = family.raw.max()
+        assert np.allclose(
+            fit.along(known, family.columns) @ fit.amounts,
+            computed.along(known, family.columns) @ computed.amounts,
+            atol=1e-9 * scale * np.linalg.norm(tests.system.residual),
+        )
+        grams = [fewer.left(number, one.fitted).gram for one in (fit, computed)]
+        assert np.allclose(*grams, atol=1e-11 * scale**2)
 
 
 def test_held_out_points_are_predicted_as_by_all_their_rows() -> None:

@@ -9,7 +9,9 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 
-Values = tuple[Array, Index]
+Numbers = np.ndarray[tuple[int, ...], np.dtype[np.int32]]
+"""Numbers of knots; of many readings they are large"""
+Values = tuple[Array, Numbers]
 """Functions that are not 0 at each reading: their values (n, m), 1 at their knots, and the numbers of these (n, m)"""
 
 
@@ -42,18 +44,18 @@ def between_knots(several: Sequence[Array], labels: Sequence[Index], count: int)
     ends = np.linspace(0.0, 1.0, count)
     functions = []
     for values, label in zip(several, labels, strict=True):
-        product, numbers = np.ones((values.shape[1], 1)), np.zeros((values.shape[1], 1), dtype=np.intp)
+        product, numbers = np.ones((values.shape[1], 1)), np.zeros((values.shape[1], 1), dtype=np.int32)
         for row in (values - low[:, label]) / span:
             own, knots = _between(row, ends)
             product = (product[:, :, None] * own[:, None]).reshape(len(own), -1)
             numbers = (numbers[:, :, None] * count + knots[:, None]).reshape(len(own), -1)
-        functions.append((product, numbers))
+        functions.append((product, np.asarray(numbers)))
     places = np.stack([one.ravel() for one in np.meshgrid(*[ends] * len(whole), indexing="ij")], axis=1)
     return functions, np.asarray(np.linalg.norm(places[:, None] - places, axis=2))
 
 
 def _between(values: Array, knots: Array) -> Values:
     """Return the two functions of values (n,) between whose knots each lies."""
-    at = np.clip(np.searchsorted(knots, values, side="right") - 1, 0, len(knots) - 2)
+    at = np.clip(np.searchsorted(knots, values, side="right") - 1, 0, len(knots) - 2).astype(np.int32)
     part = (values - knots[at]) / (knots[at + 1] - knots[at])
     return np.stack([1 - part, part], axis=1), np.stack([at, at + 1], axis=1)

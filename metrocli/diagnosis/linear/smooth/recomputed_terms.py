@@ -16,7 +16,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.diagnosis.linear.basis import Basis
+from metrocli.diagnosis.linear.basis import Basis, without_gathering
 from metrocli.diagnosis.linear.column_parts import Part
 from metrocli.diagnosis.linear.quadratics import whitening
 
@@ -98,15 +98,20 @@ class Terms:
         n, d, _ = self.weights.shape
         own = visible[self.first : self.first + n * d].reshape(n, d, visible.shape[1])
         for some, terms in self._portions():
-            found += terms @ np.einsum("ndc,ndm->cnm", self.weights[some], own[some])
+            values, weights = own[some], self.weights[some]
+            for component, part in enumerate(found):
+                part += terms @ (weights[:, :, component, None] * values).sum(axis=1)
         return np.asarray((self.turn.T @ found.reshape(len(self.turn), -1))[None][at])
 
     def dense(self, at: Index | slice = slice(None)) -> Array:
         """Return the columns of some alternatives at the rows, (r, alternatives, parameters)."""
-        parts = [np.empty((0, self.parameters))]
+        parts, components = [np.empty((0, self.parameters))], self.weights.shape[2]
         for some, terms in self._portions():
-            whitened = self.weights[some][:, :, :, None] * terms.T[:, None, None, :]
-            parts.append(whitened.reshape(-1, len(self.turn)) @ self.turn)
+            # the functions are turned in each component, before these are mixed
+            turned = [terms.T @ one for one in self.turn.reshape(components, len(terms), -1)]
+            weights = self.weights[some][..., None]
+            whitened = sum(weights[:, :, c] * one[:, None] for c, one in enumerate(turned))
+            parts.append(np.asarray(whitened).reshape(-1, self.parameters))
         return np.concatenate(parts)[:, None][:, at]
 
     def norms(self, kept: Mask | None) -> Array:
@@ -162,14 +167,8 @@ class Terms:
     def _portions(self) -> Iterator[tuple[Index | slice, Array]]:
         """Yield some readings with their functions, (terms, readings)."""
         for start in range(0, len(self.chosen), _AT_ONCE):
-            some = _without_gaps(self.chosen[start : start + _AT_ONCE])
+            some = without_gathering(self.chosen[start : start + _AT_ONCE])
             yield some, self.functions.at(some)
-
-
-def _without_gaps(chosen: Index) -> Index | slice:
-    """Return readings in ascending order as a slice if none between them is missing: they need no gathering."""
-    first, last = int(chosen[0]), int(chosen[-1])
-    return slice(first, last + 1) if last - first + 1 == len(chosen) else chosen
 
 
 def number_of_polynomials(coordinates: int, degree: int) -> int:

@@ -1,0 +1,85 @@
+"""From what the basis absorbs of an error to the change of the unknowns.
+
+Method: docs/algorithms/selection-and-levels.md (projection).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
+from metrocli.diagnosis.linear.basis import Basis, flat_columns, members_of_equal_size, without_gathering
+
+
+@dataclass(frozen=True)
+class Solver:
+    """From coordinates in the basis to the change of the unknowns, in the datum of the model."""
+
+    inverses: Array
+    """From coordinates of a member to its unknowns, (members, size, q)"""
+    coupling: Array
+    """`b' J` of the local columns with the shared unknowns, (members, q, shared unknowns)"""
+    shared: Array
+    """From coordinates to the shared unknowns, (shared unknowns, k)"""
+    places: tuple[Index, Index]
+    """Numbers of the local unknowns (members, size), -1 if fixed, and of the shared ones, among all"""
+    width: int
+    movements: Array
+    """Movements of a free network, (unknowns, m)"""
+    conditions: Array
+    """Conditions of the datum, (m, unknowns): `x - movements (conditions x)` fulfils it"""
+    random: Array
+    """Change of all unknowns by the coordinates after the shared ones, those of sizes that scatter, (unknowns, r)"""
+
+    @cached_property
+    def _free(self) -> tuple[Index, Index | slice]:
+        """Numbers of the local unknowns that are free among all, and their places among those of all members."""
+        free = np.flatnonzero(self.places[0].ravel() >= 0)
+        return self.places[0].ravel()[free], without_gathering(free)
+
+    def change(self, coordinates: Array) -> Array:
+        """Return the change of all unknowns (unknowns, ...) for coordinates (columns, ...)."""
+        flat = flat_columns(coordinates)
+        members, _, q = self.inverses.shape
+        fixed = members * q + self.shared.shape[1]
+        shared = self.shared @ flat[members * q : fixed]
+        found = np.zeros((self.width, flat.shape[1]))
+        found[self.places[1]] = shared
+        if members:
+            own = flat[: members * q].reshape(members, q, flat.shape[1])
+            own = np.matmul(self.inverses, own - np.tensordot(self.coupling, shared, 1))
+            numbers, free = self._free
+            found[numbers] = own.reshape(-1, flat.shape[1])[free]
+        if self.movements.shape[1]:
+            found -= self.movements @ (self.conditions @ found)
+        if self.random.shape[1]:
+            found += self.random @ flat[fixed:]
+        return found.reshape(len(found), *coordinates.shape[1:])
+
+    def own_change(self, basis: Basis, rows: Index) -> Array:
+        """Return the change of each row's own member by a unit error of that row, (rows, size); 0 without a member."""
+        found = np.zeros((len(rows), self.inverses.shape[1]))
+        fixed = self.shared.shape[1]
+        free = np.where(self.places[0] >= 0, 1.0, 0.0)
+        unknowns = np.maximum(self.places[0], 0)
+        # of the conditions by the local unknowns of each member, and by the shared unknowns, which move these as well
+        conditions = np.moveaxis(self.conditions[:, unknowns] * free, 0, 2)
+        by_shared = self.conditions[:, self.places[1]] - np.tensordot(
+            conditions, np.matmul(self.inverses, self.coupling), axes=((0, 1), (0, 1))
+        )
+        for members, at in members_of_equal_size(basis.member[rows], basis.members):
+            inverses = np.swapaxes(self.inverses[members], 1, 2)
+            local, others = basis.local[rows[at]], basis.shared[rows[at]]
+            shared = others[:, :, :fixed] @ self.shared.T
+            change = (local - shared @ np.swapaxes(self.coupling[members], 1, 2)) @ inverses
+            if self.movements.shape[1]:
+                amounts = shared @ by_shared.T + local @ inverses @ conditions[members]
+                change -= amounts @ np.swapaxes(self.movements[unknowns[members]], 1, 2)
+            if self.random.shape[1]:
+                change += others[:, :, fixed:] @ np.swapaxes(self.random[unknowns[members]], 1, 2)
+            found[at] = change * free[members][:, None]
+        return found
