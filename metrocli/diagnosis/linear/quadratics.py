@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.projection import FLAT, VISIBLE
 
 _EVEN = 0.01
@@ -32,10 +33,29 @@ def roots(gram: Array, scale: Array) -> Array:
         value = gram / (s * s)[:, :, None]
         good = value > VISIBLE**2
         return np.where(good, 1 / np.sqrt(np.where(good, value, 1.0)), 0.0) / s[:, :, None]
-    values, vectors = np.linalg.eigh(gram / (s[:, :, None] * s[:, None, :]))
-    good = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])
-    sizes = np.where(good, 1 / np.sqrt(np.where(good, values, 1.0)), 0.0)
-    return np.asarray(vectors * sizes[:, None, :] / s[:, :, None])
+    scaled = gram / (s[:, :, None] * s[:, None, :])
+    found, rest = _triangular(scaled)
+    if rest.any():
+        values, vectors = np.linalg.eigh(scaled[rest])
+        good = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])
+        found[rest] = vectors * np.where(good, 1 / np.sqrt(np.where(good, values, 1.0)), 0.0)[:, None, :]
+    return np.asarray(found / s[:, :, None])
+
+
+def _triangular(gram: Array) -> tuple[Array, Mask]:
+    """Return R = L^-T of Gram matrices `L L'` (k, q, q), and which have directions that may not be visible (k,).
+
+    It takes half the time of eigenvectors. All directions are visible where `1/tr A^-1`, which no eigenvalue is
+    below, exceeds the bounds; `tr A` is at least the largest. A column that is 0 is a direction of its own.
+    """
+    nothing = np.einsum("kqq->kq", gram) == 0
+    try:
+        inverse = np.linalg.inv(np.linalg.cholesky(gram + np.eye(gram.shape[1]) * nothing[:, :, None]))
+    except np.linalg.LinAlgError:
+        return np.zeros(gram.shape), np.ones(len(gram), dtype=bool)
+    least = 1 / (inverse**2).sum(axis=(1, 2))
+    seen = least > np.maximum(VISIBLE**2, FLAT * np.einsum("kqq->k", gram))
+    return np.swapaxes(inverse, 1, 2) * ~nothing[:, None, :], ~seen
 
 
 def ranks_of(root: Array) -> Array:
