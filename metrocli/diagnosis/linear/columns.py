@@ -7,7 +7,7 @@ and only those that enter a model are projected. Method: docs/algorithms/selecti
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 INSIDE = 0.5
 """An effect lies in smooth terms if they contain at least this share of its sum of squares"""
+_MOST_REMEMBERED = 4_000_000
+"""Numbers of visible columns that are kept"""
 _MANY, _SMALL = 12, 2000
 """Number of parts from which those with fewer rows are held as one sparse matrix: one product instead of many"""
 
@@ -172,6 +174,28 @@ class Columns:
         rows = np.flatnonzero(values.any(axis=1))
         part = Part(rows, values[rows][:, None], np.array([self.count]))
         return replace(self, count=self.count + 1, parts=(*self.parts, part), stacked=[])
+
+
+@dataclass
+class Remembered:
+    """Visible columns of candidates, and effects in smooth terms, as far as known; empty on another processor."""
+
+    lying_in: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict)
+    visible: dict[tuple[int, int], Array] = field(default_factory=dict)
+    products: dict[tuple[int, int], Mapping[tuple[int, int], Array]] = field(default_factory=dict)
+    """Products of all candidates with the visible columns of some, (alternatives, q, p)"""
+
+    def columns(self, key: tuple[int, int], computed: Callable[[], Array]) -> Array:
+        """Return visible columns, computed if they are not remembered; the oldest are forgotten for new ones."""
+        found = self.visible.pop(key, None)
+        found = computed() if found is None else found
+        self.visible[key] = found
+        while sum(one.size for one in self.visible.values()) > _MOST_REMEMBERED and len(self.visible) > 1:
+            del self.visible[next(iter(self.visible))]
+        return found
+
+    def __reduce__(self) -> tuple[type[Remembered], tuple[()]]:
+        return Remembered, ()
 
 
 def gathered(items: Iterable[tuple[object, Own | Step | Terms]]) -> Columns:

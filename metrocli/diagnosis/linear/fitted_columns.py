@@ -5,7 +5,7 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 from metrocli.diagnosis.linear.quadratics import whitening
 
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
 
 Key = tuple[int, int]
 """Number of a family and of its alternatives"""
-_MOST_REMEMBERED = 4_000_000
-"""Numbers of visible columns that are kept"""
 PRIOR = 2.0
 """Weight of the declared noise in degrees of freedom: it matters with few readings, not with many"""
 
@@ -65,28 +62,6 @@ class Known:
     """Reduction of the sum of squares by an error of each reading, and the rank of that error, (readings,) each"""
 
 
-@dataclass
-class Remembered:
-    """Visible columns of candidates, and effects in smooth terms, as far as known; empty on another processor."""
-
-    lying_in: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict)
-    visible: dict[tuple[int, int], Array] = field(default_factory=dict)
-    products: dict[tuple[int, int], Mapping[Key, Array]] = field(default_factory=dict)
-    """Products of all candidates with the visible columns of some, (alternatives, q, p)"""
-
-    def columns(self, key: tuple[int, int], computed: Callable[[], Array]) -> Array:
-        """Return visible columns, computed if they are not remembered; the oldest are forgotten for new ones."""
-        found = self.visible.pop(key, None)
-        found = computed() if found is None else found
-        self.visible[key] = found
-        while sum(one.size for one in self.visible.values()) > _MOST_REMEMBERED and len(self.visible) > 1:
-            del self.visible[next(iter(self.visible))]
-        return found
-
-    def __reduce__(self) -> tuple[type[Remembered], tuple[()]]:
-        return Remembered, ()
-
-
 @dataclass(frozen=True)
 class FittedColumns:
     """Columns fitted in addition to the unknowns: an orthonormal basis of their visible part, and the residual."""
@@ -121,7 +96,7 @@ class FittedColumns:
         """Number of columns of the basis."""
         if self.parts is None:
             return int(self.columns.shape[1])
-        own = len(self.parts.amounts) if self.turns is None else self.turns[0].shape[1]
+        own = self.parts.width if self.turns is None else self.turns[0].shape[1]
         return self.parts.start.width + int(own)
 
     @cached_property
@@ -159,26 +134,41 @@ class FittedParts:
     """
 
     start: FittedColumns
-    basis: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    """Orthonormal basis of all parts, (rows, k)"""
+    held: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Orthonormal columns in whose span all parts lie, (rows, m)"""
+    turn: Array | None = None
+    """From these to the basis of all parts, (m, k); None if they are the basis"""
     parts: tuple[Array, ...] = ()
     """Coordinates of each part's unit columns, (k, q)"""
-    before: tuple[Mapping[Key, Array], Array] | None = field(default=None, compare=False, repr=False)
-    """Products of the candidates with another basis, and the turn (m, j) from it to the first j columns of this one"""
+    before: tuple[Mapping[Key, Array], Array | None] | None = field(default=None, compare=False, repr=False)
+    """Products of the candidates with another basis, and the turn (m, j) from it to the first j columns of this one
+
+    None if they are the same."""
     products: dict[Key, Array] = field(default_factory=dict, compare=False, repr=False)
     """Cache of the products of candidates with the basis, (alternatives, q, k)"""
     known: Known = field(default_factory=Known, compare=False, repr=False)
     """Cache of what the fit of all parts leaves of the candidates"""
 
     @cached_property
+    def basis(self) -> Array:
+        """Orthonormal basis of all parts, (rows, k); few fits without some parts need it."""
+        return self.held if self.turn is None else self.held @ self.turn
+
+    @property
+    def width(self) -> int:
+        """Number of columns of the basis."""
+        return int((self.held if self.turn is None else self.turn).shape[1])
+
+    @cached_property
     def amounts(self) -> Array:
         """The products of the basis with the residual at the start, (k,)."""
-        return np.asarray(self.basis.T @ self.start.residual)
+        along = self.held.T @ self.start.residual
+        return np.asarray(along if self.turn is None else self.turn.T @ along)
 
     @cached_property
     def residual(self) -> Array:
         """The residual beside all parts, (rows,)."""
-        return self.start.residual - self.basis @ self.amounts
+        return self.start.residual - self.held @ (self.amounts if self.turn is None else self.turn @ self.amounts)
 
     @property
     def fitted(self) -> FittedColumns:
@@ -195,9 +185,11 @@ class FittedParts:
         if key not in self.products:
             known = np.zeros((columns.count, columns.parameters, 0))
             if self.before is not None and key in self.before[0]:
-                known = self.before[0][key] @ self.before[1]
-            new = columns.products(self.basis[:, known.shape[2] :])
-            self.products[key] = np.concatenate([known, new], axis=2)
+                known = self.before[0][key] if self.before[1] is None else self.before[0][key] @ self.before[1]
+            if known.shape[2] < self.width:
+                new = columns.products(self.basis[:, known.shape[2] :])
+                known = np.concatenate([known, new], axis=2)
+            self.products[key] = known
         return self.products[key]
 
     def with_part(self, columns: Array, products: Mapping[Key, Array] | None = None) -> FittedParts:
@@ -214,8 +206,8 @@ class FittedParts:
         new, turn = orthonormalised(left, VISIBLE)
         grown = [np.pad(part, ((0, new.shape[1]), (0, 0))) for part in self.parts]
         part = np.concatenate([inside, new.T @ left])
-        before = (self.products, np.eye(basis.shape[1])) if self.products else self.before
-        found = FittedParts(self.start, np.concatenate([basis, new], axis=1), (*grown, part), before)
+        before = (self.products, None) if self.products else self.before
+        found = FittedParts(self.start, np.concatenate([basis, new], axis=1), None, (*grown, part), before)
         if products and not self.start.width:
             known = self.products if self.parts else {key: one[:, :, :0] for key, one in products.items()}
             for key in products.keys() & known.keys():
@@ -240,17 +232,28 @@ class FittedParts:
             return FittedParts(self.start)
         before = (self.products, kept) if self.products else self.before
         if before is not None and before[0] is not self.products:
-            before = (before[0], before[1] @ kept) if before[1].shape[1] == len(kept) else None
-        return FittedParts(self.start, self.basis @ kept, parts, before)
+            before = _turned_to(before, kept)
+        turn = kept if self.turn is None else self.turn @ kept
+        return FittedParts(self.start, self.held, turn, parts, before)
 
     def _turned(self, gone: Collection[int]) -> tuple[Array, Array]:
         """Return orthonormal directions of the basis that stay without the parts `gone`, and those that are removed."""
-        k = self.basis.shape[1]
+        k = self.width
         left = [part for number, part in enumerate(self.parts) if number not in gone]
         inside = np.concatenate(left, axis=1) if left else np.zeros((k, 0))
         values, vectors = np.linalg.eigh(inside @ inside.T)
         seen = values > VISIBLE**2
         return vectors[:, seen], vectors[:, ~seen]
+
+
+def _turned_to(
+    before: tuple[Mapping[Key, Array], Array | None], kept: Array
+) -> tuple[Mapping[Key, Array], Array] | None:
+    """Return products with another basis, and the turn to some directions of this one; None if they lack columns."""
+    products, turn = before
+    if turn is None:
+        turn = np.eye(next((one.shape[2] for one in products.values()), 0))
+    return (products, turn @ kept) if turn.shape[1] == len(kept) else None
 
 
 def orthonormal(columns: Array, least: float) -> Array:

@@ -19,9 +19,9 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.adjusted_job import Budget
 from metrocli.diagnosis.linear.candidates import Alternative, Family
-from metrocli.diagnosis.linear.columns import INSIDE, lies_in
+from metrocli.diagnosis.linear.columns import INSIDE, Remembered, lies_in
 from metrocli.diagnosis.linear.distributions import log_family, log_levels
-from metrocli.diagnosis.linear.fitted_columns import FittedColumns, Left, Remembered, orthonormal
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns, Left, orthonormal
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 from metrocli.diagnosis.linear.quadratics import quadratic, quadratic_of
 

@@ -13,12 +13,12 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.linear.candidates import Family
+from metrocli.diagnosis.linear.columns import Remembered
 from metrocli.diagnosis.linear.fitted_columns import (
     FittedColumns,
     FittedParts,
     Key,
     Left,
-    Remembered,
     nothing_fitted,
     orthonormalised,
 )

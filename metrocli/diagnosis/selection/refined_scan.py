@@ -14,7 +14,8 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.column_parts import Own
-from metrocli.diagnosis.linear.fitted_columns import FittedColumns, Remembered
+from metrocli.diagnosis.linear.columns import Remembered
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.scans import is_filled, thinned
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
