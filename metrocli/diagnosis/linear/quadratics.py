@@ -53,8 +53,9 @@ def _triangular(gram: Array) -> tuple[Array, Mask]:
         inverse = np.linalg.inv(np.linalg.cholesky(gram + np.eye(gram.shape[1]) * nothing[:, :, None]))
     except np.linalg.LinAlgError:
         return np.zeros(gram.shape), np.ones(len(gram), dtype=bool)
-    least = 1 / (inverse**2).sum(axis=(1, 2))
-    seen = least > np.maximum(VISIBLE**2, FLAT * np.einsum("kqq->k", gram))
+    with np.errstate(over="ignore", invalid="ignore"):
+        bound = (inverse**2).sum(axis=(1, 2))
+        seen = bound * np.maximum(VISIBLE**2, FLAT * np.einsum("kqq->k", gram)) < 1
     return np.swapaxes(inverse, 1, 2) * ~nothing[:, None, :], ~seen
 
 
