@@ -8,13 +8,13 @@ share of pairs of rows with equal readings, n rows contain by chance `n^2 / 2 p^
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import Fault
+from metrocli.frozen import dataclass
 from metrocli.words import listed
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ docs/algorithms/rank-in-words.md (what is undetermined).
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,7 @@ from metrocli.adjust.schur.member_covariance import Gauge, MemberCovariance
 from metrocli.adjust.schur.normals import Normals, assemble, cost_of
 from metrocli.adjust.schur.tiles import Tiling, tiling_of
 from metrocli.adjust.solution import Solution
+from metrocli.frozen import dataclass
 
 _ROUNDING = 1e-13
 """A decrease of the sum of squares below this fraction of it is rounding"""

@@ -6,7 +6,7 @@ Method: docs/algorithms/robust-start.md.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.probabilities import normal_bound
 from metrocli.adjust.solution import Residuals
+from metrocli.frozen import dataclass
 
 _MAD = 1.4826
 """Standard deviation of a normal sample divided by its median absolute deviation"""

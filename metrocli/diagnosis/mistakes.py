@@ -8,7 +8,6 @@ anything that an effect causes (decision 019); other settings also where no decl
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
@@ -20,6 +19,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.corrections import Inputs, Mistake, corrections
 from metrocli.errors import Fault, InputError, MetrocliError, NoSolutionError, NotConvergedError, UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.table import Table
 
 _ABSURD = 10.0

@@ -6,10 +6,11 @@ Whole columns become texts or numbers at once, without a Python object for each 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
+
+from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
     import numpy.typing as npt

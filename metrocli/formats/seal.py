@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 from metrocli.errors import Fault, InputError
+from metrocli.frozen import dataclass
 from metrocli.record import InputFile
 
 FORMAT, VERSION = "metrocli-result", 1

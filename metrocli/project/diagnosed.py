@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -35,6 +35,7 @@ from metrocli.effects.own import columns
 from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError, UsageError
 from metrocli.formats.aside import written_aside
 from metrocli.formats.csv_headings import numeric
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.progress import SILENT, Named, Progress, counted
 from metrocli.project import yaml_text

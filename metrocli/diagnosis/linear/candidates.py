@@ -6,7 +6,7 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from itertools import product
 
 import numpy as np
@@ -22,6 +22,7 @@ from metrocli.effects.effect import Effect
 from metrocli.effects.extension import can_act, lacking, names_for, places_of
 from metrocli.effects.links.own import NoValueAtReadingError
 from metrocli.effects.model import Model
+from metrocli.frozen import dataclass
 
 _MOST_PLACES = 3000
 _SMALL = 1e-6

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import repeat
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.errors import InputError, together
+from metrocli.frozen import dataclass
 from metrocli.table import MOST_FAULTS, Table
 from metrocli.tasks.shared.known_places import sigmas
 from metrocli.tasks.shared.tracer_places import Seen

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.coupled_fields import Design, FieldSolution, adjust_fields, design_of
@@ -13,6 +11,7 @@ from metrocli.adjust.robust import Fit, Suspects, suspects
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.adjust.sparse.bordered_factor import OpenDesignError
 from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.selfcal_grid.determination.undetermined import with_determined_datum
 from metrocli.tasks.selfcal_grid.problem import Problem

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from metrocli.adjust.medians import median
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.errors import Fault, InputError, UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.instruments.tracer_start import start
 
 _MISFIT = 0.05

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +11,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.solution import Solution
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.model import Added
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.lens import DISTORTION, PIXELS
