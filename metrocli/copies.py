@@ -145,6 +145,9 @@ def first_run(rows: Hashes, least: int) -> Copy | None:
     window = np.zeros(n - least + 1, dtype=np.uint64)
     for k in range(least):
         window = window * _ODD + values[k : k + len(window)]
+    ordered = np.sort(window)
+    if (ordered[1:] != ordered[:-1]).all():  # as nearly always; to number them takes ten times as long
+        return None
     _, first, inverse = np.unique(window, return_index=True, return_inverse=True)
     start = first[inverse.ravel()]
     again = np.flatnonzero(np.arange(len(window)) - start >= least)
