@@ -45,12 +45,12 @@ class Label:
     """Whether it has warnings that are no doubts"""
 
 
-def sealed(label: Label, body: bytes) -> bytes:
-    """Return a result file from its label and its HDF5 part."""
+def sealed(label: Label, body: bytes) -> tuple[bytes, bytes]:
+    """Return what a result file begins with, from its label and its HDF5 part, and that part."""
     text = json.dumps({"format": FORMAT, **asdict(label)}, ensure_ascii=False).encode() + b"\n"
     first = len(_first_line(b""))
     padded = text + b"\n" * (_start_of_body(first + len(text)) - first - len(text))
-    return b"".join([_first_line(padded, body), padded, body])
+    return _first_line(padded, body) + padded, body
 
 
 def unsealed(data: bytes, shown: str) -> tuple[Label, memoryview]:

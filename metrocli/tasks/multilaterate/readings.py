@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from itertools import repeat
 
 import numpy as np
@@ -44,7 +45,7 @@ class Readings:
     absolute: bool
     file: str = ""
 
-    @property
+    @cached_property
     def seen(self) -> Index:
         """Number of lengths to each point, (points,)."""
         return np.bincount(self.point, minlength=len(self.names))

@@ -7,6 +7,7 @@ import numpy as np
 from metrocli.adjust.coupled_fields import Design, FieldSolution, adjust_fields, design_of
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.probabilities import chi_square_tail
 from metrocli.adjust.robust import Fit, Suspects, suspects
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.adjust.sparse.bordered_factor import OpenDesignError
@@ -69,9 +70,7 @@ class LeftOut:
 
 
 def _tail(chi2: float, dof: int) -> float:
-    from scipy.special import chdtrc
-
-    return float(chdtrc(dof, chi2)) if dof > 0 else float("nan")
+    return chi_square_tail(dof, chi2) if dof > 0 else float("nan")
 
 
 def design(problem: Problem) -> Design:
