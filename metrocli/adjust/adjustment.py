@@ -135,9 +135,9 @@ class _Descent:
     def step(self, small: float, final: bool) -> Outcome:
         """Take one step that does not raise the cost; CONVERGED after the last step, DIVERGED if no such step is found.
 
-        `final` is True if no further step is allowed. Normal equations take most of the memory. So those of the old
-        values are released before those of the new ones are made, and are made again if the step is rejected. After a
-        step far below the tolerance those of the old values stay: it does not change their first eight digits.
+        `final`: no further step is allowed. Normal equations take most of the memory: those of the old values are
+        released before those of the new ones are made, and made again if the step is rejected. After a step far below
+        the tolerance those of the old values stay: it does not change their first eight digits.
         """
         while self.damping <= _DAMPING_LIMIT:
             try:
@@ -147,15 +147,14 @@ class _Descent:
                 continue
             short = fall <= small + _ROUNDING * self.cost
             last = short or self._contracts(fall, small)
-            still = fall <= _FAR_BELOW**2 * small
-            before, self.normals = self.normals if still else None, None
-            found = self.problem.normals(moved) if not still and (self.wanted or not (last or final)) else None
+            kept, self.normals = self.normals if fall <= _FAR_BELOW**2 * small else None, None
+            found = self.problem.normals(moved) if not kept and (self.wanted or not (last or final)) else None
             cost = found.cost if found else self.problem.cost(moved)
             if cost <= self.cost or (last and cost <= self.cost + small + self._rounding()):
                 done = last and self.damping <= 1e-4
                 self.fall = 0.0 if self.damping else fall
                 self.state, self.cost, self.damping = moved, cost, _relaxed(self.damping)
-                self.normals = before if done and still else found
+                self.normals = kept if done and kept else found
                 return Outcome.CONVERGED if done else Outcome.ITERATION_LIMIT
             if short:
                 return Outcome.CONVERGED

@@ -42,7 +42,7 @@ class PlainCells(Sequence[Sequence[str]]):
     @property
     def rows(self) -> int:
         """Number of rows."""
-        return self.start.shape[1]
+        return int(self.start.shape[1])
 
     @overload
     def __getitem__(self, column: int) -> list[str]: ...
