@@ -24,6 +24,8 @@ def normal_bound(tail: float) -> float:
     """
     if tail > 0.5:
         return -normal_bound(1 - tail)
+    if tail <= 0:
+        return math.inf
     t = math.sqrt(-2 * math.log(tail))
     bound = t - (2.30753 + 0.27061 * t) / (1 + t * (0.99229 + 0.04481 * t))
     for _ in range(4):
@@ -52,6 +54,8 @@ def chi_square_bound(dof: float, tail: float) -> float:
 
     Newton's steps from the approximation of Wilson and Hilferty (1931).
     """
+    if tail <= 0:
+        return math.inf
     third = 2 / (9 * dof)
     value = max(dof * (1 - third + normal_bound(tail) * math.sqrt(third)) ** 3, 1e-3 * dof)
     before = math.inf
@@ -97,6 +101,8 @@ def student_bound(dof: float, tail: float) -> float:
     Newton's steps on the logarithm of the tail, from the bound of the normal distribution.
     """
     value, before = normal_bound(tail), math.inf
+    if math.isinf(value):
+        return value
     constant = math.lgamma((dof + 1) / 2) - math.lgamma(dof / 2) - math.log(dof * math.pi) / 2
     for _ in range(100):
         chance = student_tail(dof, value)

@@ -63,3 +63,8 @@ def test_the_tail_of_f(dof: tuple[int, int], value: float) -> None:
 
 def test_without_degrees_of_freedom_f_has_no_tail() -> None:
     assert math.isnan(f_tail(0, 0, 2.0))
+
+
+def test_nothing_exceeds_an_infinite_bound() -> None:
+    assert normal_bound(0.0) == student_bound(5, 0.0) == chi_square_bound(3, 0.0) == math.inf
+    assert normal_bound(1.0) == -math.inf

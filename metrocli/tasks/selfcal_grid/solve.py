@@ -70,7 +70,8 @@ class LeftOut:
 
 
 def _tail(chi2: float, dof: int) -> float:
-    return chi_square_tail(dof, chi2) if dof > 0 else float("nan")
+    # a sum of squares that rises without the view is not the least one, and says nothing
+    return chi_square_tail(dof, chi2) if dof > 0 and chi2 >= 0 else float("nan")
 
 
 def design(problem: Problem) -> Design:
