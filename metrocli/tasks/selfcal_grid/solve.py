@@ -70,7 +70,7 @@ class LeftOut:
 
 
 def _tail(chi2: float, dof: int) -> float:
-    # a sum of squares that rises without the view is not the least one, and says nothing
+    # without the view the sum of squares must fall; a sum that rises is not the least one
     return chi_square_tail(dof, chi2) if dof > 0 and chi2 >= 0 else float("nan")
 
 
