@@ -8,13 +8,13 @@ share of pairs of rows with equal readings, n rows contain by chance `n^2 / 2 p^
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import Fault
+from metrocli.frozen import dataclass
 from metrocli.words import listed
 
 if TYPE_CHECKING:
@@ -145,6 +145,9 @@ def first_run(rows: Hashes, least: int) -> Copy | None:
     window = np.zeros(n - least + 1, dtype=np.uint64)
     for k in range(least):
         window = window * _ODD + values[k : k + len(window)]
+    ordered = np.sort(window)
+    if (ordered[1:] != ordered[:-1]).all():  # as nearly always; to number them takes ten times as long
+        return None
     _, first, inverse = np.unique(window, return_index=True, return_inverse=True)
     start = first[inverse.ravel()]
     again = np.flatnonzero(np.arange(len(window)) - start >= least)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
+
+from metrocli.frozen import dataclass
 
 SHOWN = 160
 """Most characters of an offending line that are shown."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
+from metrocli.frozen import dataclass
 from metrocli.units import find_unit
 
 

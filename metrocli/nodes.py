@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from metrocli.errors import Fault
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from metrocli.frozen import dataclass
 from metrocli.result import Estimate, ShownTable
 from metrocli.table import Table
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
+
+from metrocli.frozen import dataclass
 
 DONE, DOUBTFUL, UNMET = "done", "doubtful", "requirements not met"
 """The status of a result; other jobs and exports use one that is done"""

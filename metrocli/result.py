@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, Any
 
+from metrocli.frozen import dataclass
 from metrocli.record import InputFile
 from metrocli.table import Table
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING
 
+from metrocli.frozen import dataclass
 from metrocli.table import Table
 
 if TYPE_CHECKING:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING
 
 from metrocli.errors import Fault
+from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
     import numpy as np

@@ -19,5 +19,5 @@ def resealed(path: Path, change: Callable[[h5py.File], Any] = lambda file: None,
     inner.write_bytes(body)
     with h5py.File(inner, "a") as file:
         change(file)
-    path.write_bytes(seal.sealed(replace(found, **label), inner.read_bytes()))
+    path.write_bytes(b"".join(seal.sealed(replace(found, **label), inner.read_bytes())))
     inner.unlink()

@@ -7,7 +7,7 @@ docs/algorithms/rank-in-words.md (what is undetermined).
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,7 @@ from metrocli.adjust.schur.member_covariance import Gauge, MemberCovariance
 from metrocli.adjust.schur.normals import Normals, assemble, cost_of
 from metrocli.adjust.schur.tiles import Tiling, tiling_of
 from metrocli.adjust.solution import Solution
+from metrocli.frozen import dataclass
 
 _ROUNDING = 1e-13
 """A decrease of the sum of squares below this fraction of it is rounding"""
@@ -105,7 +106,7 @@ def adjust(
     while iterations < control.limit and outcome is Outcome.ITERATION_LIMIT:
         take()
         iterations += 1
-        outcome = descent.step(control.tolerance**2 * max(unknowns, 1))
+        outcome = descent.step(control.tolerance**2 * max(unknowns, 1), iterations == control.limit)
     solution = replace(lost, outcome=outcome, blocks=descent.state, cost=descent.cost, iterations=iterations)
     return _with_covariance(solution, problem, descent.here()) if control.covariance else solution
 
@@ -131,11 +132,12 @@ class _Descent:
             self.normals = self.problem.normals(self.state)
         return self.normals
 
-    def step(self, small: float) -> Outcome:
+    def step(self, small: float, final: bool) -> Outcome:
         """Take one step that does not raise the cost; CONVERGED after the last step, DIVERGED if no such step is found.
 
-        Normal equations take most of the memory. So those of the old values are released before those of the new ones
-        are made, and are made again if the step is rejected.
+        `final`: no further step is allowed. Normal equations take most of the memory: those of the old values are
+        released before those of the new ones are made, and made again if the step is rejected. After a step far below
+        the tolerance those of the old values stay: it does not change their first eight digits.
         """
         while self.damping <= _DAMPING_LIMIT:
             try:
@@ -143,15 +145,16 @@ class _Descent:
             except np.linalg.LinAlgError:
                 self._damp()
                 continue
-            self.normals = None
             short = fall <= small + _ROUNDING * self.cost
             last = short or self._contracts(fall, small)
-            found = None if last and not self.wanted else self.problem.normals(moved)
+            kept, self.normals = self.normals if fall <= _FAR_BELOW**2 * small else None, None
+            found = self.problem.normals(moved) if not kept and (self.wanted or not (last or final)) else None
             cost = found.cost if found else self.problem.cost(moved)
             if cost <= self.cost or (last and cost <= self.cost + small + self._rounding()):
                 done = last and self.damping <= 1e-4
                 self.fall = 0.0 if self.damping else fall
-                self.state, self.normals, self.cost, self.damping = moved, found, cost, _relaxed(self.damping)
+                self.state, self.cost, self.damping = moved, cost, _relaxed(self.damping)
+                self.normals = kept if done and kept else found
                 return Outcome.CONVERGED if done else Outcome.ITERATION_LIMIT
             if short:
                 return Outcome.CONVERGED

@@ -7,7 +7,7 @@ are few. Method: docs/algorithms/cluster-robust-covariance.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from metrocli.adjust.schur.layout import Layout, without_elimination
 from metrocli.adjust.schur.member_covariance import MemberCovariance
 from metrocli.adjust.solution import Solution
 from metrocli.errors import InputError, UndeterminedError
+from metrocli.frozen import dataclass
 
 ESTIMATED, STRUCTURED = "estimated", "structured"
 FROM_RESIDUALS = (ESTIMATED, STRUCTURED)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout, without_elimination
 from metrocli.adjust.solution import Solution
 from metrocli.adjust.sparse.nested_dissection import Sparse
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ Method: docs/algorithms/cluster-robust-covariance.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +13,7 @@ from metrocli.adjust.cluster_rows import Rows
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.singular_values import thin_svd
+from metrocli.frozen import dataclass
 
 _UNDETERMINED = 1e-9
 """Share of a direction that the other clusters determine, below which it is left out: its residuals are rounding"""

@@ -13,7 +13,7 @@ Method: docs/algorithms/nested-dissection.md and docs/algorithms/free-networks.m
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,7 @@ from metrocli.adjust.sparse.bordered_factor import BorderedFactor, bordered_fact
 from metrocli.adjust.sparse.jacobian import gradient, jacobian
 from metrocli.adjust.sparse.nested_dissection import Sparse
 from metrocli.adjust.sparse.partition import Partition, partition
+from metrocli.frozen import dataclass
 
 _LIMIT = 60
 _ROUNDING = 1e-13

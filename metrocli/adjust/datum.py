@@ -8,7 +8,7 @@ Method: docs/algorithms/free-networks.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.movements import Affine, Listed, Movement
 from metrocli.adjust.schur.layout import Layout
+from metrocli.frozen import dataclass
 
 _OPEN = 1e-11
 """Relative contribution to the normal matrix below which a movement is open, because the rest is rounding"""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Solution
+from metrocli.frozen import dataclass
 
 _CHUNK = 4000
 """Number of readings whose rows are held in memory at a time"""

@@ -15,6 +15,7 @@ from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
 
 Noise = Callable[[Group, Mapping[str, Block]], Array]
@@ -23,9 +24,8 @@ Noise = Callable[[Group, Mapping[str, Block]], Array]
 Aspect = Callable[[Mapping[str, Block], Observations], Array]
 """Function that returns a condition of the readings (n,) at the present values, e.g. the azimuth of a beam"""
 
-_ROUNDS, _STEPS = 20, 200
-_NEAR = 1e-3
-"""A round but the last ends with a step below this, in standard deviations: it moves the weights far less"""
+_ROUNDS, _STEPS = 100, 200
+"""Most rounds of one step each, and most steps of the adjustment with the weights that they end with"""
 _SETTLED = 1e-9
 """The standard deviations have converged when a round changes none of them by more than this fraction"""
 _STILL = 1e-7
@@ -41,21 +41,23 @@ def adjust_with_iterated_weights(
 ) -> Solution:
     """Adjust with standard deviations of group `noise[0]` that are computed from the solution, until they converge.
 
-    Within each adjustment the weights are constants, so the result is the least-squares solution for the last weights.
+    The standard deviations are computed again after each step: they change far less than what a step moves. Within the
+    last adjustment the weights are constants, so the result is the least-squares solution for the last weights.
     The aspects among the conditions of the group are constants too: otherwise an effect that depends on a direction
     would fix the orientation of a free network.
     """
     name, sigma_of = noise
     state = {block.name: block for block in blocks}
     for _ in range(_ROUNDS):
-        solution = adjust(state.values(), groups, datum, Control(_STEPS, _NEAR, covariance=False))
+        solution = adjust(state.values(), groups, datum, Control(1, covariance=False))
         state = dict(solution.blocks)
         found = next(group for group in groups if group.name == name)
         sigma = sigma_of(found, state)
         change = float(np.max(np.abs(sigma / found.observations.sigma - 1), initial=0.0))
         renewed, turned = with_aspects(found, aspects or {}, state)
         groups = [_with_sigma(renewed, sigma) if group.name == name else group for group in groups]
-        if not solution.outcome.good or (change < _SETTLED and turned < _STILL):
+        failed = solution.outcome not in (Outcome.CONVERGED, Outcome.ITERATION_LIMIT)
+        if failed or (change < _SETTLED and turned < _STILL):
             break
     return adjust(state.values(), groups, datum, Control(_STEPS))
 

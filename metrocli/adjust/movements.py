@@ -6,13 +6,13 @@ Method: docs/algorithms/free-networks.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol, Self
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
+from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import cross_matrix
 
 

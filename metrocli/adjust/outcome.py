@@ -5,8 +5,9 @@ Method: docs/algorithms/rank-in-words.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
+
+from metrocli.frozen import dataclass
 
 
 class Outcome(Enum):

@@ -1,6 +1,7 @@
-"""Tails of the normal and the chi-square distribution for single numbers.
+"""Tails of the normal, chi-square, Student and F distributions for single numbers.
 
-`scipy.special` has them too, but loading it takes longer than the adjustment of a small job.
+`scipy.special` has them too, but loading it takes longer than the adjustment of a small job. Formulas: Abramowitz and
+Stegun: Handbook of Mathematical Functions, 1964.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ _STEPS = 10_000
 _SMALL = 1e-300
 _STILL = 1e-14
 """Relative change below which an iteration ends"""
+_ROUNDED = 1e-9
+"""Relative change below which steps that do not shrink are rounding"""
 
 
 def normal_bound(tail: float) -> float:
@@ -21,6 +24,8 @@ def normal_bound(tail: float) -> float:
     """
     if tail > 0.5:
         return -normal_bound(1 - tail)
+    if tail <= 0:
+        return math.inf
     t = math.sqrt(-2 * math.log(tail))
     bound = t - (2.30753 + 0.27061 * t) / (1 + t * (0.99229 + 0.04481 * t))
     for _ in range(4):
@@ -49,14 +54,19 @@ def chi_square_bound(dof: float, tail: float) -> float:
 
     Newton's steps from the approximation of Wilson and Hilferty (1931).
     """
+    if tail <= 0:
+        return math.inf
     third = 2 / (9 * dof)
     value = max(dof * (1 - third + normal_bound(tail) * math.sqrt(third)) ** 3, 1e-3 * dof)
+    before = math.inf
     for _ in range(100):
         density = math.exp((dof / 2 - 1) * math.log(value / 2) - value / 2 - math.lgamma(dof / 2)) / 2
         step = (chi_square_tail(dof, value) - tail) / density
         value = max(value + step, value / 10)
-        if abs(step) <= _STILL * value:
+        # of many degrees of freedom the tail is rounded so that the steps end above the limit
+        if abs(step) <= _STILL * value or before <= abs(step) <= _ROUNDED * value:
             break
+        before = abs(step)
     return value
 
 
@@ -83,3 +93,64 @@ def _fraction(a: float, x: float) -> float:
         if abs(c * d - 1) < _STILL:
             break
     return total
+
+
+def student_bound(dof: float, tail: float) -> float:
+    """Return the value that Student's t with `dof` degrees of freedom exceeds with probability `tail`, below 1/2.
+
+    Newton's steps on the logarithm of the tail, from the bound of the normal distribution.
+    """
+    value, before = normal_bound(tail), math.inf
+    if math.isinf(value):
+        return value
+    constant = math.lgamma((dof + 1) / 2) - math.lgamma(dof / 2) - math.log(dof * math.pi) / 2
+    for _ in range(100):
+        chance = student_tail(dof, value)
+        density = math.exp(constant - (dof + 1) / 2 * math.log1p(value * value / dof))
+        step = math.log(chance / tail) * chance / density
+        value += step
+        if abs(step) <= _STILL * value or before <= abs(step) <= _ROUNDED * value:
+            break
+        before = abs(step)
+    return value
+
+
+def student_tail(dof: float, value: float) -> float:
+    """Return the probability that Student's t with `dof` degrees of freedom exceeds `value` (formula 26.7.1 there)."""
+    if value < 0:
+        return 1 - student_tail(dof, -value)
+    return _beta(dof / 2, 0.5, dof / (dof + value * value)) / 2
+
+
+def f_tail(dof: float, dof_below: float, value: float) -> float:
+    """Return the probability that F with these degrees of freedom exceeds `value` > 0 (formula 26.6.2 there).
+
+    It is nan without degrees of freedom.
+    """
+    if not (dof > 0 and dof_below > 0):
+        return math.nan
+    return _beta(dof_below / 2, dof / 2, dof_below / (dof_below + dof * value))
+
+
+def _beta(a: float, b: float, x: float) -> float:
+    """Return the incomplete beta function I_x(a, b) by its continued fraction (formula 26.5.8 there)."""
+    if not 0 < x < 1:
+        return x
+    if x > (a + 1) / (a + b + 2):  # where the fraction of the other side converges fast
+        return 1 - _beta(b, a, 1 - x)
+    front = math.exp(
+        math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b) + a * math.log(x) + b * math.log1p(-x) - math.log(a)
+    )
+    c, d = 1.0, 1 / (1 - (a + b) * x / (a + 1) or _SMALL)
+    total = d
+    for n in range(1, _STEPS):
+        for numerator in (
+            n * (b - n) * x / ((a + 2 * n - 1) * (a + 2 * n)),
+            -(a + n) * (a + b + n) * x / ((a + 2 * n) * (a + 2 * n + 1)),
+        ):
+            d = 1 / (numerator * d + 1 or _SMALL)
+            c = numerator / c + 1 or _SMALL
+            total *= c * d
+        if abs(c * d - 1) < _STILL:
+            break
+    return front * total

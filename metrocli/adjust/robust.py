@@ -6,7 +6,7 @@ Method: docs/algorithms/robust-start.md.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,8 +17,9 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.probabilities import normal_bound
+from metrocli.adjust.probabilities import normal_bound, student_bound
 from metrocli.adjust.solution import Residuals
+from metrocli.frozen import dataclass
 
 _MAD = 1.4826
 """Standard deviation of a normal sample divided by its median absolute deviation"""
@@ -211,6 +212,4 @@ def suspects(found: Residuals, fit: Fit) -> Suspects:
 
 def _student_bound(tests: int, dof: int, level: float = 0.05) -> float:
     """Return the bound that the largest of `tests` |t| of Student exceeds with probability `level` (Bonferroni)."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(dof, 1 - level / (2 * max(tests, 1))))
+    return student_bound(dof, level / (2 * max(tests, 1)))

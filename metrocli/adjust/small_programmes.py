@@ -7,12 +7,12 @@ ones until none is left. Method: docs/algorithms/overstock-fit.md.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import NotConvergedError
+from metrocli.frozen import dataclass
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

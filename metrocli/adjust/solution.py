@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from metrocli.adjust.outcome import Combination, Outcome
 from metrocli.adjust.probabilities import chi_square_tail
 from metrocli.adjust.schur.covariance import Covariance
 from metrocli.adjust.schur.tiles import chunks_of
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

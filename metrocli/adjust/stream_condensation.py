@@ -7,12 +7,11 @@ they give the same normal equations as all points. Method: docs/algorithms/strea
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Mask
 from metrocli.adjust.model.observations import Index
+from metrocli.frozen import dataclass
 
 _NODES = 3
 _SPREAD = 1e-6

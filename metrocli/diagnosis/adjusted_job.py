@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from metrocli.adjust.solution import Solution
 from metrocli.effects.acting import Acting
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model
+from metrocli.frozen import dataclass
 
 PerReading = Mapping[str, Array]
 """Values (n,) or (k, n) for each group of readings, by its name"""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations, permutations
 from typing import TYPE_CHECKING
 
+from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.units import DIMENSIONS, INCH, Unit, find_unit, suffix_of, suffixes
 from metrocli.words import in_a_row

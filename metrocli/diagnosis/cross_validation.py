@@ -8,7 +8,7 @@ are fitted columns. Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from metrocli.diagnosis.linear.without_rows import Carried, carried, without_row
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.diagnosis.selection.search import search
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
+from metrocli.frozen import dataclass
 
 _DETERMINED = 1e-6
 """Eigenvalue of M_gg below which a direction of the held-out readings is not predicted by the others"""

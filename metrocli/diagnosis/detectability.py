@@ -6,7 +6,6 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from metrocli.diagnosis.power.alike import Pair, pairs_of
 from metrocli.diagnosis.power.average_power import ScatterCandidate, scatter_candidates, size_found
 from metrocli.diagnosis.selection.thresholds import FIRST, WRONG_READING
 from metrocli.effects.effect import Effect
+from metrocli.frozen import dataclass
 
 _POWER = 0.8
 """Probability with which an effect of the least detectable size is found"""

@@ -6,7 +6,7 @@ Method: docs/algorithms/selection-and-levels.md (dominant effects).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.effects.effect import Parameter
 from metrocli.effects.extension import with_effect, with_effect_everywhere
 from metrocli.effects.model import Added, Model
+from metrocli.frozen import dataclass
 
 _MOST_ADJUSTED = 6
 """Largest number of effects without each of which the extended job is adjusted"""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
@@ -23,6 +22,7 @@ from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.selection.all_of_a_kind import Instead
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.diagnosis.wrong_readings import Outlier
+from metrocli.frozen import dataclass
 
 
 class Verdict(StrEnum):

@@ -6,7 +6,6 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.extended_fit import extended_fit
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

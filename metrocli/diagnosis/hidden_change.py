@@ -6,7 +6,6 @@ Method: docs/algorithms/selection-and-levels.md (what a measurement can see).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.projection import FLAT, VISIBLE, System
+from metrocli.frozen import dataclass
 
 _WEIGHTS = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.97)
 """Weights of what the readings show against what is usual, of which the one with the lowest bound is taken"""

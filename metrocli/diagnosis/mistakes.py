@@ -8,7 +8,6 @@ anything that an effect causes (decision 019); other settings also where no decl
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
@@ -17,9 +16,11 @@ import numpy as np
 from metrocli.adjust.allowance import allowance
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
+from metrocli.adjust.probabilities import f_tail
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.corrections import Inputs, Mistake, corrections
 from metrocli.errors import Fault, InputError, MetrocliError, NoSolutionError, NotConvergedError, UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.table import Table
 
 _ABSURD = 10.0
@@ -149,8 +150,6 @@ def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
     Residuals of all are in the median standard deviations of the job. A common factor of these, as of a noise that
     follows the residuals, does not matter.
     """
-    from scipy.special import fdtrc
-
     readings = job.model.readings
     size = {group.name: np.median(group.observations.deviations, axis=1) for group in readings}
     before, dof = _mean_square(job, size), _redundant(job)
@@ -162,7 +161,7 @@ def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
         return None
     after, mistake, other = min(tried, key=lambda one: one[0])
     ratio = before / max(after, 1e-12)
-    if ratio < _OTHER_FITS or fdtrc(dof, dof, ratio) > _BY_CHANCE:
+    if ratio < _OTHER_FITS or f_tail(dof, dof, ratio) > _BY_CHANCE:
         return None
     return Mistaken((mistake,), other, float(np.sqrt(before)), float(np.sqrt(after)))
 

@@ -6,7 +6,7 @@ Method: docs/algorithms/selection-and-levels.md (noise).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood
 from metrocli.diagnosis.selection.all_of_a_kind import AS_MUCH, Instead
 from metrocli.diagnosis.selection.backward_steps import evidence_of
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
+from metrocli.frozen import dataclass
 
 _LEVEL = 1e-3
 """Level at which a unit counts as noisier or quieter, divided by the number of units"""

@@ -6,7 +6,6 @@ Method: docs/algorithms/selection-and-levels.md (smooth processes).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING
 
@@ -18,6 +17,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.smooth.knots import Numbers, around_circle, between_knots
+from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix

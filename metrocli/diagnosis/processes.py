@@ -9,7 +9,7 @@ Method: docs/algorithms/selection-and-levels.md (smooth processes).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +23,7 @@ from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood
 from metrocli.diagnosis.process_columns import Functions, process_bases
 from metrocli.diagnosis.selection.backward_steps import evidence_of
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
+from metrocli.frozen import dataclass
 
 _LENGTHS = (1 / 16, 1 / 8, 1 / 4)
 """Lengths of correlation that are tried, as shares of the largest range of a unit: what is slower is a drift"""

@@ -6,7 +6,6 @@ Method: docs/algorithms/selection-and-levels.md (remaining structure).
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.diagnosis.selection.forward_steps import carried_by_few
 from metrocli.diagnosis.selection.selection_state import Selection, levels_of
+from metrocli.frozen import dataclass
 
 _AFTER, _NOTHING_NAMED = 0.03, 0.005
 """Levels, counted over all smooth functions, of remaining structure: beside named effects, and if nothing is named"""

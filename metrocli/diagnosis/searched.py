@@ -6,7 +6,7 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -44,6 +44,7 @@ from metrocli.diagnosis.selection.search import STRUCTURED, continued, search, t
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.diagnosis.selection.thresholds import has_dominant_effect
 from metrocli.errors import UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.progress import Progress
 
 _ROUNDS = 3

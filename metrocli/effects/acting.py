@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial
 
 import numpy as np
@@ -13,6 +13,7 @@ from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.expressions.dimensions import Compound, base_unit
+from metrocli.frozen import dataclass
 
 Evaluate = Callable[[Array, Local], Step]
 """Returns a variable (1, n) at the quantity's value (in, n), with its derivatives as a link has them"""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +11,7 @@ from metrocli import units
 from metrocli.adjust.model.blocks import Array, Space
 from metrocli.adjust.model.chain import Link
 from metrocli.expressions.written import OfUnit
+from metrocli.frozen import dataclass
 from metrocli.settings import Number, Quantity, Spec, Text
 from metrocli.units import parse_quantity
 

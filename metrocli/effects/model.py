@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.iterated_weights import Aspect
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.effects.effect import Effect
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Self
 
 from metrocli.adjust.datum import Datum
@@ -12,6 +12,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.effects.extension import extended
 from metrocli.effects.model import Added, Model
 from metrocli.effects.wanted import Wanted
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

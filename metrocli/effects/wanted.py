@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from metrocli.effects.effect import Effect
 from metrocli.errors import Fault, InputError
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings import BAD, Choice, Schema, Text
 from metrocli.words import suggestion

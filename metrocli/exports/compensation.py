@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from metrocli.exports.error_tables import AXES, Array, ErrorTables, of
+from metrocli.frozen import dataclass
 
 Texts = Mapping[str, str]
 """Texts of the files of a format, by file name"""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ from metrocli.errors import InputError
 from metrocli.exports.compensation import Control, Texts, files_of
 from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
 from metrocli.exports.grids import evenly
+from metrocli.frozen import dataclass
 from metrocli.result import Result
 
 MOST_POINTS, MOST_STEP = 128, 7

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from metrocli.errors import InputError
 from metrocli.exports.compensation import Control, Texts, files_of
 from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
 from metrocli.exports.grids import evenly
+from metrocli.frozen import dataclass
 from metrocli.result import Result
 
 MOST_TABLES, MOST_POINTS = 62, 2000

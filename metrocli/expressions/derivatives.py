@@ -9,13 +9,13 @@ of sums of many inputs.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.expressions.expression import NEGATIVE, Expression, ExpressionError, Part
+from metrocli.frozen import dataclass
 
 Array = npt.NDArray[Any]
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 
 from metrocli import units
 from metrocli.expressions.expression import NEGATIVE, NUMBER, Expression, ExpressionError, Part
+from metrocli.frozen import dataclass
 
 Powers = tuple[tuple[str, Fraction], ...]
 _ATOM = re.compile(r"\s*(1(?![0-9])|[A-Za-zµμΩΩ°%]+)\s*(?:(?:\^|\*\*)?\s*(-?[0-9]+)|([²³]))?\s*([/*·]?)")

@@ -13,9 +13,9 @@ import operator
 import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
+from metrocli.frozen import dataclass
 from metrocli.words import suggestion
 
 LONGEST, MOST_PARTS, DEEPEST = 4096, 2000, 100

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from metrocli import units
 from metrocli.errors import Fault
 from metrocli.expressions.dimensions import Compound, compound, described
 from metrocli.expressions.expression import Expression, ExpressionError, parse
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings import BAD, Schema
 from metrocli.settings.values import refuse

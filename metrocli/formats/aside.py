@@ -61,10 +61,10 @@ def _replacing(path: Path) -> Iterator[Path]:
         _open.discard(aside)
 
 
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file completely or not at all; raises InputError as `written_aside`."""
+def write_bytes(path: Path, *parts: bytes) -> None:
+    """Write a file completely or not at all, part after part; raises InputError as `written_aside`."""
     with written_aside(path) as aside, aside.open("wb") as file:
-        file.write(data)
+        file.writelines(parts)
 
 
 def refuse_unwritable(path: Path) -> None:

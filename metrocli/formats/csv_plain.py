@@ -6,10 +6,11 @@ Whole columns become texts or numbers at once, without a Python object for each 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
+
+from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -18,8 +19,7 @@ if TYPE_CHECKING:
 
 _UNUSUAL = ' "#\t\v\f\x1c\x1d\x1e\x1f'
 """Quotation marks, comments and white space of ASCII other than line ends; a separator is allowed"""
-_OF_NUMBERS = np.zeros(256, dtype=bool)
-_OF_NUMBERS[list(b"0123456789+-.eE\0")] = True
+_OF_NUMBERS = b"0123456789+-.eE\0"
 """Letters of decimal numbers, and the zero after a short one"""
 _LONGEST = 30
 """Letters of the longest decimal number that is read here"""
@@ -38,6 +38,11 @@ class PlainCells(Sequence[Sequence[str]]):
 
     def __len__(self) -> int:
         return len(self.start)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return int(self.start.shape[1])
 
     @overload
     def __getitem__(self, column: int) -> list[str]: ...
@@ -67,7 +72,7 @@ class PlainCells(Sequence[Sequence[str]]):
         if self.longest(column) > _LONGEST or not self.length[column].all():
             return None
         letters = self._letters(column)
-        if not _OF_NUMBERS[letters].all():
+        if letters.tobytes().translate(None, _OF_NUMBERS):
             return None
         try:
             return letters.view(f"S{letters.shape[1]}").ravel().astype(float)
@@ -76,10 +81,11 @@ class PlainCells(Sequence[Sequence[str]]):
 
     def _letters(self, column: int) -> npt.NDArray[np.uint8]:
         """Return the letters of each cell of a column, with zeros after a short one, (rows, letters)."""
-        width = max(self.longest(column), 1)
+        width, length = max(self.longest(column), 1), self.length[column]
         windows = np.lib.stride_tricks.sliding_window_view(self.letters, width)
         found: npt.NDArray[np.uint8] = windows[self.start[column]]
-        found[np.arange(width) >= self.length[column][:, None]] = 0
+        if (length != width).any():
+            found *= np.arange(width) < length[:, None]
         return found
 
 
@@ -92,15 +98,16 @@ def plain_cells(rows: str, separator: str, columns: int) -> PlainCells | None:
     if not rows.isascii() or any(mark in rows for mark in _UNUSUAL if mark != separator):
         return None
     whole = rows if rows.endswith("\n") else rows + "\n"
-    if whole.startswith("\n") or "\n\n" in whole:
-        return None
     letters = np.frombuffer(whole.encode("ascii"), dtype=np.uint8)
-    ends = np.flatnonzero((letters == ord(separator)) | (letters == ord("\n")))
+    line_ends = letters == ord("\n")
+    ends = np.flatnonzero(line_ends | (letters == ord(separator)))
     # a row with a cell too many could make up for one with a cell too few
-    last = letters[ends[columns - 1 :: columns]]
-    if len(ends) % columns or not (last == ord("\n")).all() or len(last) != np.count_nonzero(letters == ord("\n")):
+    last = line_ends[ends[columns - 1 :: columns]]
+    if len(ends) % columns or not last.all() or len(last) != np.count_nonzero(line_ends):
         return None
     start = np.append(0, ends[:-1] + 1)
     length = ends - start
+    if columns == 1 and not length.all():  # an empty row, which has too few cells in any other table
+        return None
     padded = np.concatenate([letters, np.zeros(int(length.max()), dtype=np.uint8)])
     return PlainCells(padded, start.reshape(-1, columns).T, length.reshape(-1, columns).T)

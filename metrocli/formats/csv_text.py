@@ -5,12 +5,17 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats.file_bytes import FileBytes, read_bytes
+from metrocli.frozen import dataclass
+
+if TYPE_CHECKING:
+    from metrocli.formats.csv_plain import PlainCells
 
 MOST_FAULTS = 20
 MOST_COLUMNS = 5000
@@ -21,7 +26,7 @@ _WHOLE_LIMIT = 1 << 62
 
 Cells = Sequence[Sequence[str]]
 """Cells of each column"""
-Plainly = Callable[[str, str, int], Cells | None]
+Plainly = Callable[[str, str, int], "PlainCells | None"]
 """Returns the cells of rows with a separator and a number of columns if the rows are plain, else None"""
 
 
@@ -70,7 +75,8 @@ def read_text(path: Path, shown: str, held: FileBytes | None = None) -> str:
         line = data[: data.index(b"\0")].count(b"\n") + 1
         raise InputError([Fault("this is not a text file", shown, line, 1, hint="expected CSV in UTF-8")])
     try:
-        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        text = data.decode("utf-8-sig")
+        return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
         column = error.start - data.rfind(b"\n", 0, error.start)
@@ -100,7 +106,7 @@ def taken_apart(text: str, file: str, plainly: Plainly | None = None) -> Raw:
         raise InputError([raw.fault("the columns have no names", number, None, "write their names in the first line")])
     cells = plainly(text[end + 1 :], separator, len(header)) if plainly else None
     if cells is not None:
-        return replace(raw, cells=cells, numbers=range(number + 1, number + 1 + len(cells[0])), bare=True)
+        return replace(raw, cells=cells, numbers=range(number + 1, number + 1 + cells.rows), bare=True)
     return _row_by_row(raw)
 
 

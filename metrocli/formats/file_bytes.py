@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 from metrocli.errors import Fault, InputError
+from metrocli.frozen import dataclass
 
 MOST_BYTES = 1 << 30
 """Largest file that is read whole, unless its format has a smaller limit"""

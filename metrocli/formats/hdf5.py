@@ -30,10 +30,10 @@ def write(path: Path, result: Result, record: Record) -> bool:
     before = _label_there(path)
     if before == label and label.content:
         return False
-    data = sealed(label, image_of(result, record))
+    parts = sealed(label, image_of(result, record))
     same = before is not None and before.content == label.content != ""
     times = path.stat() if same else None
-    write_bytes(path, data)
+    write_bytes(path, *parts)
     if times is not None:
         os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
     return not same

@@ -37,7 +37,7 @@ class _Held(dict[str, Any]):
         raise InputError([Fault(f"the result file has no {self.what}{name}", self.shown, hint=hint)])
 
 
-def content_of(label: Label, body: bytes, shown: str) -> tuple[Result, Record]:
+def content_of(label: Label, body: memoryview, shown: str) -> tuple[Result, Record]:
     """Return result and record; raise InputError if the file has anything that metrocli does not write."""
     try:
         with _opened(body) as file:
@@ -55,7 +55,7 @@ def content_of(label: Label, body: bytes, shown: str) -> tuple[Result, Record]:
     return result, record
 
 
-def record_of(label: Label, body: bytes, shown: str) -> Record:
+def record_of(label: Label, body: memoryview, shown: str) -> Record:
     """Return only the record; raises InputError as `content_of`."""
     try:
         with _opened(body) as file:
@@ -66,7 +66,7 @@ def record_of(label: Label, body: bytes, shown: str) -> Record:
         raise InputError([Fault(f"the result file is damaged: {error}", shown)]) from error
 
 
-def _opened(body: bytes) -> h5py.File:
+def _opened(body: memoryview) -> h5py.File:
     """Open an HDF5 file in memory whose objects all lie in it: no links, no external data, no size that it has not."""
     file = h5py.File(h5py.h5f.open_file_image(body))
     for item in _walk(file, 0, set()):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +12,7 @@ from metrocli.errors import Fault, InputError
 from metrocli.formats.aside import write_bytes
 from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.formats.image_headers import HeaderError, size_of
+from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
     from metrocli.imageset import Picture

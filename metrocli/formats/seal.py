@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 from metrocli.errors import Fault, InputError
+from metrocli.frozen import dataclass
 from metrocli.record import InputFile
 
 FORMAT, VERSION = "metrocli-result", 1
@@ -44,28 +45,32 @@ class Label:
     """Whether it has warnings that are no doubts"""
 
 
-def sealed(label: Label, body: bytes) -> bytes:
-    """Return a result file from its label and its HDF5 part."""
+def sealed(label: Label, body: bytes) -> tuple[bytes, bytes]:
+    """Return what a result file begins with, from its label and its HDF5 part, and that part."""
     text = json.dumps({"format": FORMAT, **asdict(label)}, ensure_ascii=False).encode() + b"\n"
     first = len(_first_line(b""))
     padded = text + b"\n" * (_start_of_body(first + len(text)) - first - len(text))
-    return b"".join([_first_line(padded, body), padded, body])
+    return _first_line(padded, body) + padded, body
 
 
-def unsealed(data: bytes, shown: str) -> tuple[Label, bytes]:
-    """Return the label and the HDF5 part of a result file; raise InputError unless it is as it was written."""
+def unsealed(data: bytes, shown: str) -> tuple[Label, memoryview]:
+    """Return the label and the HDF5 part of a result file, which is not copied.
+
+    Raises InputError unless the file is as it was written.
+    """
     if not data.startswith(_MAGIC):
         if not is_remains(data):
             raise InputError([Fault("this is not a result file of metrocli", shown)])
         raise InputError([Fault(_DAMAGED, shown, hint=_AGAIN)])
-    line, _, rest = data.partition(b"\n")
+    line = data[: len(_first_line())].partition(b"\n")[0]
+    rest = memoryview(data)[len(line) + 1 :]
     words = line.split(b" ")
     if len(words) == 4 and words[1].isdigit() and int(words[1][:9]) > VERSION:
         message = f"the file has version {words[1].decode()} of the format; this metrocli reads up to {VERSION}"
         raise InputError([Fault(message, shown)])
     if line + b"\n" != _first_line(rest):
         raise InputError([Fault(_DAMAGED, shown, hint=_AGAIN)])
-    text = rest.partition(b"\n")[0]
+    text = data[len(line) + 1 : data.find(b"\n", len(line) + 1)]
     start = _start_of_body(len(line) + 1 + len(text) + 1) - len(line) - 1
     try:
         label = _label_of(json.loads(text))
@@ -81,7 +86,7 @@ def is_remains(head: bytes) -> bool:
     return _MAGIC.startswith(head[: len(_MAGIC)]) or FORMAT.encode() in head[:4096]
 
 
-def _first_line(*rest: bytes) -> bytes:
+def _first_line(*rest: bytes | memoryview) -> bytes:
     found = hashlib.sha256()
     for part in rest:
         found.update(part)

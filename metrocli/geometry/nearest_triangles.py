@@ -7,13 +7,13 @@ through that point, so that the surface goes on. Method: docs/algorithms/oversto
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.frozen import dataclass
 from metrocli.geometry.triangles import NEXT, Array, Index, Triangles
 
 _CELLS = 20_000

@@ -8,10 +8,11 @@ cylinder has c = 1, t = 0. A cone has the cosine and sine of its half angle. A s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
+from metrocli.frozen import dataclass
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from metrocli import units
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.formats.csv_text import shortened
+from metrocli.frozen import dataclass
 from metrocli.imports import Imported, Wishes
 from metrocli.imports.lines import Lines, is_number, to_csv, with_sign
 from metrocli.nodes import Node

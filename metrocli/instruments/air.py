@@ -7,11 +7,10 @@ appendix A).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.frozen import dataclass
 
 CIDDOR, EDLEN = "ciddor", "edlen"
 """Names of the two equations"""

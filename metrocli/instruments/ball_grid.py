@@ -8,7 +8,6 @@ deviation from it (Dang, Lee and Kim, eq. 1-5, with exact rotations instead of a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Observations
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments.frames import OutOf

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.adjust.allowance import take
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import nearest_rotation
 from metrocli.instruments.linear_maps import linear_maps

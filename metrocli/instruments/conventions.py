@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.frozen import dataclass
 from metrocli.instruments.lens import DISTORTION, RADIAL, distort, focal, image_point, plane_point, undistort
 
 Array = npt.NDArray[np.float64]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import IDENTITY, Local, Step, through
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

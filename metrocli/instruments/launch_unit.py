@@ -8,13 +8,13 @@ both are aligned, u = -w.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block, Mask
 from metrocli.adjust.model.chain import Chain, Link, Local, Step
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.frozen import dataclass
 from metrocli.instruments.frames import PointOf
 from metrocli.instruments.tracer import AIR
 

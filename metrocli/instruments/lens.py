@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.frozen import dataclass
 
 RADIAL, RATIONAL = ("k1", "k2", "k3"), ("k4", "k5", "k6")
 TANGENTIAL, PRISM = ("p1", "p2"), ("s1", "s2", "s3", "s4")

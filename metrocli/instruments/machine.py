@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +18,7 @@ from metrocli.adjust.model.blocks import Array, Block, Mask
 from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import cross_matrix
 
 AXES = ("X", "Y", "Z")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ErrorMotion, Machine
 
 LINE = "line"

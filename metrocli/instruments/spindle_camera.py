@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from metrocli.adjust.model.blocks import Array, Block, Space
 from metrocli.adjust.model.chain import Link, Local, Step
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix, nearest_rotation
 from metrocli.instruments.camera import TAPER, TARGET

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from metrocli.adjust.model.chain import IDENTITY, Chain, Local, Step
 from metrocli.adjust.model.observations import Index, Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.adjust.movements import of_members, of_points
+from metrocli.frozen import dataclass
 from metrocli.instruments.frames import PointOf
 from metrocli.instruments.machine import ErrorMotion, Machine, ReachedPoint
 

@@ -20,7 +20,7 @@ _DRAWS, _COMPARED, _ENOUGH = 60, 300, 12
 """Random samples of lengths, most lengths used to compare them, and fewest lengths of a tracer for sampling"""
 _GROSS, _ROUNDS = 12.0, 30
 """Lengths with residuals above this multiple of the median are down-weighted; most rounds of reweighting"""
-_MOST = 2000
+MOST = 2000
 """Most lengths of a tracer that its start is found from: more determine it no better than a start must be"""
 _STILL = 1e-7
 """Relative change in a round of reweighting below which the rounds stop"""
@@ -34,8 +34,8 @@ def start(points: Array, lengths: Array, absolute: bool = False, near: Array | N
     Gauss-Newton steps. Of those that fit equally well, the one nearest to `near` is returned. If some lengths have
     gross errors, the sum of |v| is minimised, which is robust against them. Of many lengths a random sample is used.
     """
-    if len(lengths) > _MOST:
-        some = Random(0).sample(range(len(lengths)), _MOST)
+    if len(lengths) > MOST:
+        some = Random(0).sample(range(len(lengths)), MOST)
         points, lengths = points[some], lengths[some]
     centre = points.mean(axis=0)
     local = points - centre

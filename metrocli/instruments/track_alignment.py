@@ -7,12 +7,11 @@ again. Both are repeated until the matching no longer changes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Mask
 from metrocli.adjust.model.observations import Index
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.machine_path import Path
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block, Space
 from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.frames import Into
 from metrocli.instruments.machine import ErrorMotion, Machine, ReachedPoint

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from metrocli.errors import UsageError
+from metrocli.frozen import dataclass
 from metrocli.plots.beside import ALONE, Beside
 from metrocli.words import suggestion
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 
+from metrocli.frozen import dataclass
 from metrocli.plots.noise_bands import Array, Trend, largest_of, trend
 from metrocli.plots.readings import image_residuals, radial, residuals_of
 from metrocli.plots.style import LETTERS, Canvas, Theme

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
+from metrocli.frozen import dataclass
 from metrocli.plots.style import Canvas
 from metrocli.result import Result
 

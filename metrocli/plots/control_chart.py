@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.model.observations import Index
+from metrocli.frozen import dataclass
 from metrocli.plots.style import Array, Canvas
 from metrocli.table import Table
 from metrocli.words import listed

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from metrocli.frozen import dataclass
 from metrocli.plots.noise_bands import NormalPlot, normal_plot
 from metrocli.plots.readings import residuals_of
 from metrocli.plots.style import Canvas

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import rotation_from_euler
 from metrocli.plots.noise_bands import Array
 from metrocli.result import Result

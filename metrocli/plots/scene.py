@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 
+from metrocli.frozen import dataclass
 from metrocli.plots import labels
 from metrocli.plots.magnify import in_words, length_in_words, magnification, round_size
 from metrocli.plots.noise_bands import Array

@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_text import read_text, taken_apart
 from metrocli.formats.file_bytes import FileBytes, read_bytes
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings import BAD, Schema, path_beside
 from metrocli.table import MOST_FAULTS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -35,6 +35,7 @@ from metrocli.effects.own import columns
 from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError, UsageError
 from metrocli.formats.aside import written_aside
 from metrocli.formats.csv_headings import numeric
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.progress import SILENT, Named, Progress, counted
 from metrocli.project import yaml_text
@@ -146,11 +147,10 @@ def write_extended(
 ) -> Extended | None:
     """Write the job extended by the named effects, by default beside it as `NAME.extended.yaml`; return it.
 
-    `result` is the output of that job, by default `NAME.extended.h5` beside the output of this one.
-
-    If structure is left that no effect explains, the chosen law stands in it with `cause: unknown`, and its noise is
-    structured, where the kind has that. Where the job cannot be adjusted with that law, the next simpler one with which
-    it can stands in it, or none. Returns None if nothing changes.
+    `result` is the output of that job, by default `NAME.extended.h5` beside the output of this one. If structure is
+    left that no effect explains, the chosen law stands in it with `cause: unknown`, and its noise is structured, where
+    the kind has that. Where the job cannot be adjusted with that law, the next simpler one with which it can stands in
+    it, or none. Returns None if nothing changes.
     Raises InputError if the file there is no extended job or was edited since it was written, unless forced. Parameters
     that the readings do not determine separately are 0. In another folder, the relative paths of the inputs are changed
     to lead to the same files.

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from metrocli import tasks
 from metrocli.effects.own.definition import Definition
 from metrocli.errors import Fault
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.project.campaign import ForEach
 from metrocli.project.ranges import Ranges

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from metrocli.effects.own import columns
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.formats.csv_headings import numeric
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.campaign import KEY as CAMPAIGN

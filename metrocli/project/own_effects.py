@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import IntEnum
 from functools import cache, partial
 from pathlib import Path
@@ -17,6 +17,7 @@ from metrocli.effects.effect import Effect
 from metrocli.effects.own.define import read
 from metrocli.errors import Fault, InputError
 from metrocli.formats.file_bytes import read_bytes
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.project import PROJECT_FILE
 from metrocli.project.heading import Heading

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ from metrocli.errors import InputError
 from metrocli.formats.aside import refuse_unwritable, sweep
 from metrocli.formats.hdf5 import label_of
 from metrocli.formats.seal import Label
+from metrocli.frozen import dataclass
 from metrocli.project.staleness import State, refuse_lost, state_of, unfit_words
 from metrocli.project.steps import Step
 from metrocli.record import NOT_MET, Record

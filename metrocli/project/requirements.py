@@ -5,12 +5,12 @@ from __future__ import annotations
 import operator
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from metrocli import units
 from metrocli.errors import Fault
 from metrocli.expressions.dimensions import converted
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.record import Verdict
 from metrocli.result import Result

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError,
 from metrocli.formats.aside import refuse_unwritable
 from metrocli.formats.hdf5 import refuse_foreign
 from metrocli.formats.images import ImageFiles
+from metrocli.frozen import dataclass
 from metrocli.plan import Plan
 from metrocli.progress import SILENT, Named, Progress
 from metrocli.project import meaning

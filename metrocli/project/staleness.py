@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from metrocli import __version__
 from metrocli.errors import Fault, InputError
 from metrocli.formats import hdf5
 from metrocli.formats.seal import Label
+from metrocli.frozen import dataclass
 from metrocli.project import meaning, yaml_text
 from metrocli.project.inputs import content_now, input_files
 from metrocli.project.job import JobFile

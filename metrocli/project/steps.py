@@ -5,10 +5,11 @@ from __future__ import annotations
 import heapq
 import os
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from metrocli.errors import Fault, InputError, UsageError
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.project import PROJECT_FILE
 from metrocli.project.campaign import Part, bound, parts_of

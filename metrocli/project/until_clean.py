@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.extended_fit import result_change
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.laws.definition import written
+from metrocli.frozen import dataclass
 from metrocli.progress import SILENT, Progress
 from metrocli.project import runner
 from metrocli.project.diagnosed import carry_out, write_extended

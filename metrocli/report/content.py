@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
+from metrocli.frozen import dataclass
 from metrocli.plots.beside import ALONE, Beside
 from metrocli.record import Record
 from metrocli.result import Result

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
+from metrocli.frozen import dataclass
 from metrocli.record import DONE
 from metrocli.report.findings import BAD, GOOD
 from metrocli.report.html import EMPTY, Html, code, joined, scrolling, table, tag

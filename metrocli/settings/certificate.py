@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import date
 from itertools import pairwise
 from typing import Any
 
 from metrocli.errors import Fault
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings.composites import MapOf
 from metrocli.settings.sections import Section, setting

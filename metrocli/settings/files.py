@@ -7,11 +7,11 @@ import fnmatch
 import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from metrocli.errors import Fault, InputError
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings.values import BAD, OfText, Schema, Spec, refuse
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from typing import Any
 
 from metrocli.errors import Fault
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings.values import BAD, Schema, Spec, refuse
 from metrocli.table import MOST_FAULTS

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 from metrocli import units
 from metrocli.errors import Fault
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.words import suggestion
 

@@ -6,12 +6,13 @@ Each gives the share of ink of finely sampled points, computed from the distance
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.frozen import dataclass
 from metrocli.targets.codes import BITS, DOT, RING_FROM, RING_TO, SHEET
 from metrocli.targets.pattern import Pattern, lattice
 

@@ -10,7 +10,6 @@ from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from metrocli.targets.find import find
@@ -51,5 +50,7 @@ def _reduced(pattern: Pattern, picture: Picture) -> Picture:
     if pattern.type != "chessboard" or factor < 2:
         return picture
     size = (picture.shape[1] // factor, picture.shape[0] // factor)
+    import cv2  # which takes longer to load than most jobs without images
+
     smaller = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
     return smaller.astype(np.uint16) if picture.dtype == np.uint16 else smaller.astype(np.uint8)

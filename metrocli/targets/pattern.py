@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from metrocli.frozen import dataclass
 from metrocli.settings import Choice, Quantity, Text, Whole, setting
 
 if TYPE_CHECKING:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.frozen import dataclass
 from metrocli.targets.drawings import Drawing, inside
 
 if TYPE_CHECKING:
@@ -143,6 +142,8 @@ def _coverage(rays: Rays, placed: Placed, box: tuple[int, int, int, int], blur: 
 
     Plane coordinates are computed at the pixels and interpolated in between, which is exact to 1e-4 px.
     """
+    import cv2  # which takes longer to load than a job without images
+
     u0, v0, u1, v1 = box
     around = _around(blur)
     u, v = np.arange(u0 - around, u1 + around), np.arange(v0 - around, v1 + around)
@@ -160,6 +161,8 @@ def _coverage(rays: Rays, placed: Placed, box: tuple[int, int, int, int], blur: 
 
 def _pixels(fine: Field, blur: float) -> Field:
     """Blur a finely sampled field and integrate it over pixels."""
+    import cv2
+
     reach = 2 * int(np.ceil(4.5 * blur * FINE)) + 1
     soft = cv2.GaussianBlur(fine, (reach, reach), blur * FINE) if blur > 0 else fine
     rows, columns = fine.shape

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
     from metrocli.diagnosis.adjusted_job import AdjustedJob

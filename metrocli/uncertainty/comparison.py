@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.adjust.probabilities import chi_square_tail
 from metrocli.errors import InputError
+from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.uncertainty.coverage import factor
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.frozen import dataclass
 from metrocli.uncertainty.distributions import Distribution, Sampled
 
 Array = npt.NDArray[np.float64]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
+from metrocli.adjust.probabilities import student_tail
+from metrocli.frozen import dataclass
 
 Array = npt.NDArray[np.float64]
 GOLDEN = 0.2
@@ -59,11 +61,9 @@ def conformance(value: float, std: float, limits: Interval, dof: float = math.in
 
 
 def _cumulative(z: float, dof: float) -> float:
-    from scipy.special import ndtr, stdtr
-
     if not math.isfinite(z):
         return float(z > 0)
-    return float(stdtr(dof, z)) if math.isfinite(dof) else float(ndtr(z))
+    return student_tail(dof, -z) if math.isfinite(dof) else math.erfc(-z / math.sqrt(2)) / 2
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,12 @@ Each describes the deviation from the best estimate, so that draws do not lose d
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+
+from metrocli.frozen import dataclass
 
 Array = npt.NDArray[np.float64]
 Random = np.random.Generator

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.expressions.dimensions import Compound
+from metrocli.frozen import dataclass
 from metrocli.uncertainty.correlated import CLIP, Dependent, Ellipse, Rows, UnreachableError, factor
 from metrocli.uncertainty.distributions import Distribution, Normal, Sampled, in_trials
 

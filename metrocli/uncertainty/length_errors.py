@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from metrocli import units
 from metrocli.errors import InputError, UsageError
+from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.uncertainty.coverage import COVERAGE
 from metrocli.uncertainty.verification import Deviation

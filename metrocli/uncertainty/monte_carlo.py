@@ -13,12 +13,13 @@ import itertools
 import math
 import pickle
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import NotConvergedError
+from metrocli.frozen import dataclass
 from metrocli.uncertainty.samples import Binned, Counts, Edges, Sample, Sorted
 from metrocli.uncertainty.trials import Batch, Plan, Tally, Work, counted
 from metrocli.uncertainty.workers import Workers

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.expressions.expression import NEGATIVE, Expression, Part
+from metrocli.frozen import dataclass
 
 Array = npt.NDArray[np.float64]
 _FUNCTIONS: dict[str, Callable[..., Any]] = {

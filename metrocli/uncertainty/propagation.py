@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.adjust.probabilities import chi_square_bound, normal_bound, student_bound, student_tail
 from metrocli.expressions.derivatives import Jets, NoValueError
 from metrocli.expressions.expression import Expression
+from metrocli.frozen import dataclass
 from metrocli.uncertainty.inputs import Inputs
 from metrocli.uncertainty.numbers import evaluate
 
@@ -149,13 +151,11 @@ def whole_dof(dof: float) -> float:
 
 def coverage_factor(coverage: Coverage, dof: float) -> float:
     """Return k: as given, or from the t distribution with truncated effective dof (JCGM 100, G.6.4)."""
-    from scipy.special import ndtri, stdtrit
-
     if coverage.k is not None:
         return coverage.k
-    upper = (1 + coverage.probability) / 2
+    tail = (1 - coverage.probability) / 2
     whole = whole_dof(dof)
-    return float(stdtrit(whole, upper)) if math.isfinite(whole) else float(ndtri(upper))
+    return student_bound(whole, tail) if math.isfinite(whole) else normal_bound(tail)
 
 
 def covered(coverage: Coverage, dof: float) -> float:
@@ -164,19 +164,15 @@ def covered(coverage: Coverage, dof: float) -> float:
     T is the t distribution with the truncated effective degrees of freedom (JCGM 100, G.6.4), the normal one if they
     are infinite.
     """
-    from scipy.special import stdtr
-
     if coverage.k is None:
         return coverage.probability
     whole = whole_dof(dof)
-    return float(2 * stdtr(whole, coverage.k) - 1) if math.isfinite(whole) else math.erf(coverage.k / math.sqrt(2))
+    return 1 - 2 * student_tail(whole, coverage.k) if math.isfinite(whole) else math.erf(coverage.k / math.sqrt(2))
 
 
 def ellipsoid_factor(probability: float, measurands: int) -> float:
     """Return k_p of the joint ellipsoid of several measurands, root of the chi-squared quantile (JCGM 102, 6.5.2)."""
-    from scipy.special import gammaincinv
-
-    return math.sqrt(2 * float(gammaincinv(measurands / 2, probability)))
+    return math.sqrt(chi_square_bound(measurands, 1 - probability))
 
 
 def budget_order(linear: Linear) -> Sequence[int]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import InputError
+from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.uncertainty.comparison import Quantity, compare, quantities
 from metrocli.uncertainty.coverage import factor

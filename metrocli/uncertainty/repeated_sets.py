@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import InputError
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.result import Result
 from metrocli.uncertainty.comparison import POINTS

@@ -5,11 +5,12 @@ Method: docs/algorithms/monte-carlo-chunks.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+
+from metrocli.frozen import dataclass
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]

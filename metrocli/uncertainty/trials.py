@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ import numpy.typing as npt
 
 from metrocli.errors import UndeterminedError
 from metrocli.expressions.expression import Expression
+from metrocli.frozen import dataclass
 from metrocli.uncertainty.inputs import Inputs
 from metrocli.uncertainty.numbers import evaluate
 from metrocli.uncertainty.samples import BINS, Counts, Edges, Sorted

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
+from metrocli.frozen import dataclass
 from metrocli.uncertainty.monte_carlo import tolerance_of
 
 _NOTABLE = 0.05

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from metrocli.frozen import dataclass
 from metrocli.units.parsing import find_unit, internal_unit
 from metrocli.units.table import DIMENSIONS
 

@@ -7,8 +7,9 @@ relative humidity, 1 for ratios and slopes. A unit that is not in the table is r
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
     import numpy as np

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 import scipy.special
 
-from metrocli.adjust.probabilities import chi_square_bound, chi_square_tail, normal_bound
+from metrocli.adjust.probabilities import (
+    chi_square_bound,
+    chi_square_tail,
+    f_tail,
+    normal_bound,
+    student_bound,
+    student_tail,
+)
 
 
 @pytest.mark.parametrize("tail", [1e-12, 1e-7, 0.025, 0.5, 0.9])
@@ -36,3 +43,28 @@ def test_the_tail_at_its_ends() -> None:
 @pytest.mark.parametrize("tail", [0.975, 0.5, 0.05, 0.025, 1e-6])
 def test_the_bound_of_chi_square(dof: int, tail: float) -> None:
     assert chi_square_bound(dof, tail) == pytest.approx(scipy.special.chdtri(dof, tail), rel=1e-10)
+
+
+@pytest.mark.parametrize("dof", [1, 2, 3.5, 10, 691, 30_000, 1_000_000])
+@pytest.mark.parametrize("tail", [0.3, 0.025, 1e-5, 1e-9])
+def test_the_bound_and_the_tail_of_student(dof: float, tail: float) -> None:
+    bound = -scipy.special.stdtrit(dof, tail)
+    assert student_bound(dof, tail) == pytest.approx(bound, rel=3e-9)
+    assert student_tail(dof, bound) == pytest.approx(tail, rel=1e-8)
+    assert student_tail(dof, -bound) == pytest.approx(1 - tail, rel=1e-8)
+
+
+@pytest.mark.parametrize("dof", [(1, 1), (5, 7), (3, 400), (1000, 1000), (100_000, 100_000)])
+@pytest.mark.parametrize("value", [1e-3, 0.5, 1.0, 1.02, 3.0, 1e4])
+def test_the_tail_of_f(dof: tuple[int, int], value: float) -> None:
+    expected = scipy.special.fdtrc(*dof, value)
+    assert f_tail(*dof, value) == pytest.approx(expected, rel=1e-8, abs=1e-300)
+
+
+def test_without_degrees_of_freedom_f_has_no_tail() -> None:
+    assert math.isnan(f_tail(0, 0, 2.0))
+
+
+def test_nothing_exceeds_an_infinite_bound() -> None:
+    assert normal_bound(0.0) == student_bound(5, 0.0) == chi_square_bound(3, 0.0) == math.inf
+    assert normal_bound(1.0) == -math.inf

@@ -30,6 +30,7 @@ LAYERS = [
     {"table"},
     {"units", "nodes", "words", "progress"},
     {"errors"},
+    {"frozen"},
     {"__init__"},
 ]
 """From the top down; parts in one layer do not import each other."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Protocol
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Index, Observations
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from metrocli.adjust.model.blocks import Array, Block, Space
 from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from metrocli.frozen import dataclass
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

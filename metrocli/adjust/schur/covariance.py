@@ -8,7 +8,7 @@ constraints on these members the terms of `Gauge` are added. Method: docs/algori
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout
 from metrocli.adjust.schur.member_covariance import MemberCovariance
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ reading determines. Method: docs/algorithms/tiled-elimination.md and docs/algori
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +18,7 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.schur.normals import Part
 from metrocli.adjust.schur.tiles import Tile
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

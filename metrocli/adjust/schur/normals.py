@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -21,6 +21,7 @@ from metrocli.adjust.schur.layout import Layout
 from metrocli.adjust.schur.tile_rows import Rows
 from metrocli.adjust.schur.tiled_elimination import EliminatedTile
 from metrocli.adjust.schur.tiles import Tiling
+from metrocli.frozen import dataclass
 
 
 class Part(Protocol):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Linear
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.schur.layout import Layout
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

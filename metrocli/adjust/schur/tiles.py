@@ -8,7 +8,7 @@ Method: docs/algorithms/tiled-elimination.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from random import Random  # numpy.random takes longer to load than a small job to adjust
 
 import numpy as np
@@ -17,6 +17,7 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Lattice
 from metrocli.adjust.schur.layout import Layout
+from metrocli.frozen import dataclass
 
 READINGS_OF_TILE = 32768
 """Approximate number of readings in a tile: fewer cost function calls, more leave the cache"""

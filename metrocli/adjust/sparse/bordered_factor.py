@@ -9,7 +9,6 @@ then held, chosen so that `P' Z` is regular, P selecting them. `(S + t P P')^-1`
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +18,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.adjust.sparse.cholesky import SparseCholesky, factor
 from metrocli.adjust.sparse.nested_dissection import Sparse, connected, dissect
 from metrocli.adjust.sparse.partition import Partition
+from metrocli.frozen import dataclass
 
 _STIFFNESS = 1e-9
 """Relative stiffness that makes a singular net regular for the inverse iteration"""

@@ -9,13 +9,13 @@ Method: docs/algorithms/nested-dissection.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.sparse.nested_dissection import Front, Sparse
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ close coordinates are those that are coupled. Method: docs/algorithms/nested-dis
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import groupby, product
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
+from metrocli.frozen import dataclass
 
 Sparse = Any
 """A scipy.sparse.csr_array; scipy is imported only where it is used, and has no types"""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block, Mask
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

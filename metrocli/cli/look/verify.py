@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,7 @@ from metrocli.cli import options
 from metrocli.cli.console import echo
 from metrocli.cli.look import requirement
 from metrocli.cli.look.held import held
+from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
     from metrocli.result import Result

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import count
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 from metrocli.diagnosis.laws.library import Term
 from metrocli.diagnosis.laws.search import Law
 from metrocli.expressions.dimensions import Powers, base_unit, compound
+from metrocli.frozen import dataclass
 
 _MARGIN = 1.5
 """A scanned value is written with a range of this factor on both sides"""

@@ -6,7 +6,7 @@ Method: docs/algorithms/laws.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import groupby
 
@@ -24,6 +24,7 @@ from metrocli.diagnosis.linear.columns import Columns
 from metrocli.diagnosis.linear.projection import System
 from metrocli.effects.acting import Acting
 from metrocli.effects.effect import Effect, Parameter
+from metrocli.frozen import dataclass
 
 _ELAPSED = ("t",)
 """Variables that begin at 0 and grow: they saturate and step"""

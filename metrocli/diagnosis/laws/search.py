@@ -6,7 +6,7 @@ Method: docs/algorithms/laws.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.selection.selection_state import Selection
+from metrocli.frozen import dataclass
 
 _ALONE = 0.001
 """Level at which a term enters where no structure was found"""

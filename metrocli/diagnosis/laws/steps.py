@@ -5,7 +5,7 @@ Method: docs/algorithms/laws.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from metrocli.diagnosis.linear.quadratics import grams_of, quadratic
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.effects.effect import Effect, Parameter
+from metrocli.frozen import dataclass
 
 MOST_TERMS = 3
 LEVEL = 0.01

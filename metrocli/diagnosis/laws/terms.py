@@ -6,12 +6,12 @@ Method: docs/algorithms/laws.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.frozen import dataclass
 
 WAVES, SATURATIONS, STEPS = "waves", "saturations", "steps"
 """Forms with a scanned value: their period, time constant or place"""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import combinations_with_replacement, pairwise
 from typing import TYPE_CHECKING
@@ -19,6 +19,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
+from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix

@@ -6,7 +6,7 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from itertools import product
 
 import numpy as np
@@ -23,6 +23,7 @@ from metrocli.effects.effect import Effect
 from metrocli.effects.extension import can_act, lacking, names_for, places_of
 from metrocli.effects.links.own import NoValueAtReadingError
 from metrocli.effects.model import Model
+from metrocli.frozen import dataclass
 
 _MOST_PLACES = 3000
 _SMALL = 1e-6
@@ -220,8 +221,7 @@ def _family(system: System, items: Sequence[_Columns]) -> Family:
         own = Own(np.zeros(0, dtype=np.intp), np.zeros((0, raw.shape[1])))
         if weak[number]:
             seen = system.seen(columns.whole([number], system.rows)[:, 0])
-            rows = rows_with_values(seen)
-            own = Own(rows, seen[rows])
+            own = Own(rows := rows_with_values(seen), seen[rows])
         found[number] = replace(found[number], own=own)
         gram[number] = own.values.T @ own.values
         visible[number] = len(own.rows) > 0

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
@@ -16,6 +15,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.linear.basis import Basis, rows_with_values, without_gathering
+from metrocli.frozen import dataclass
 
 _AT_ONCE = 256
 """Columns whose coordinates are computed at once"""

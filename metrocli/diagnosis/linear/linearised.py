@@ -6,7 +6,7 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from metrocli.diagnosis.linear.projection import MOST_NUMBERS, System, by_rows, 
 from metrocli.diagnosis.linear.solver import Solver
 from metrocli.effects.model import Model
 from metrocli.errors import InputError
+from metrocli.frozen import dataclass
 
 _DEPENDENT = 1e-10
 """Singular value of a member's scaled columns, relative to the largest, below which a direction is not seen"""

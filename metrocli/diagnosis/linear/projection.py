@@ -10,7 +10,7 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +23,7 @@ from metrocli.adjust.schur.layout import Layout
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.solver import Solver
 from metrocli.effects.model import Model
+from metrocli.frozen import dataclass
 
 VISIBLE = 1e-6
 """Share of a signature below which its visible part is a rounding error"""

@@ -5,12 +5,11 @@ Method: docs/algorithms/selection-and-levels.md (all of a kind; smooth processes
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns
+from metrocli.frozen import dataclass
 
 _SEEN = 1e-4
 """Smallest eigenvalue of a direction that counts, relative to the largest"""

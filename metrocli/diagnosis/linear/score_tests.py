@@ -10,7 +10,7 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,7 @@ from metrocli.diagnosis.linear.distributions import log_family, log_levels
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, Left, orthonormal
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 from metrocli.diagnosis.linear.quadratics import quadratic, quadratic_of
+from metrocli.frozen import dataclass
 
 _MOST_RANKED = 10_000
 """Readings that are tested as outliers, those with the largest gains"""

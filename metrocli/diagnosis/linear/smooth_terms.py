@@ -6,7 +6,7 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from metrocli.diagnosis.linear.fitted_columns import orthonormal
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.smooth.recomputed_terms import SmoothFunctions, Terms, number_of_polynomials
 from metrocli.effects.effect import Effect, Parameter
+from metrocli.frozen import dataclass
 
 _FEWEST_STEPS = 6
 """Least number of different values of a covariate for sines of it"""

@@ -5,7 +5,6 @@ Method: docs/algorithms/selection-and-levels.md (projection).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.linear.basis import Basis, flat_columns, members_of_equal_size, without_gathering
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

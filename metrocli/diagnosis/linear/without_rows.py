@@ -6,7 +6,7 @@ Method: docs/algorithms/selection-and-levels.md (gain).
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from metrocli.diagnosis.linear.fitted_columns import (
 from metrocli.diagnosis.linear.projection import VISIBLE
 from metrocli.diagnosis.linear.quadratics import whitening
 from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

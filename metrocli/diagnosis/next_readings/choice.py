@@ -6,7 +6,6 @@ Method: docs/algorithms/next-readings.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from metrocli.diagnosis.next_readings.pool import Known, Pool, pool_of
 from metrocli.diagnosis.next_readings.proposals import Proposal, proposals
 from metrocli.diagnosis.next_readings.separation import chance_to_separate
 from metrocli.errors import UsageError
+from metrocli.frozen import dataclass
 from metrocli.words import suggestion
 
 _LEVEL = 0.01

@@ -12,7 +12,7 @@ Method: docs/algorithms/next-readings.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.next_readings.proposals import Proposal, with_proposals
 from metrocli.diagnosis.noise import Unit
 from metrocli.effects.extension import with_effect
+from metrocli.frozen import dataclass
 
 _WEIGHT = 1e-4
 """Factor on the whitened rows of proposals, and of wrong readings; their own part in the unknowns is its square"""

@@ -6,7 +6,7 @@ Method: docs/algorithms/next-readings.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from metrocli.adjust.model.observations import TIME, Index, Observations
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.model import Model
+from metrocli.frozen import dataclass
 
 MOST_ROWS = 3000
 """Largest number of components of readings in all proposals; of more proposals evenly spaced ones are taken"""

@@ -5,8 +5,6 @@ Method: docs/algorithms/next-readings.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
@@ -15,6 +13,7 @@ from metrocli.diagnosis.linear.distributions import log_levels
 from metrocli.diagnosis.linear.quadratics import ranks_of, roots
 from metrocli.diagnosis.next_readings.pool import Pool
 from metrocli.diagnosis.selection.confidence_set import Compared, explains_as_well
+from metrocli.frozen import dataclass
 
 _DRAWS, _SEED = 2000, 105
 

@@ -7,7 +7,6 @@ docs/algorithms/selection-and-levels.md (smallest detectable size; all of a kind
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.selection.all_of_a_kind import columns_of, may_scatter
 from metrocli.diagnosis.selection.thresholds import LATER
 from metrocli.effects.effect import Effect
+from metrocli.frozen import dataclass
 
 _DIRECTIONS = 1000
 _NODES = 80

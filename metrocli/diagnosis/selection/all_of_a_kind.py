@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import lgamma
 
 import numpy as np
@@ -22,6 +22,7 @@ from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from metrocli.diagnosis.selection.thresholds import LATER
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import can_act_everywhere
+from metrocli.frozen import dataclass
 
 _FEWEST = 3
 """Fewest named instances of an effect beside which all of its kind are considered, whatever its cause"""

@@ -5,8 +5,6 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
@@ -17,6 +15,7 @@ from metrocli.diagnosis.linear.projection import FLAT, VISIBLE
 from metrocli.diagnosis.selection.backward_steps import evidence
 from metrocli.diagnosis.selection.rival_tests import Named, against
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection, levels_of
+from metrocli.frozen import dataclass
 
 _ODDS = 1 / 20
 _NEEDED = 0.01

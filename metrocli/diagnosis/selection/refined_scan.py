@@ -6,7 +6,7 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.selection.search import STRUCTURED, continued
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from metrocli.effects.links.own import NoValueAtReadingError
+from metrocli.frozen import dataclass
 
 _TRIED = 40
 _ROUNDS = 2

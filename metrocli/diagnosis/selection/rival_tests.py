@@ -6,8 +6,6 @@ G'G, G'N and G'v are needed. Method: docs/algorithms/selection-and-levels.md (co
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
@@ -15,6 +13,7 @@ from metrocli.diagnosis.linear.distributions import log_levels
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.quadratics import quadratic, ranks_of, roots
 from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

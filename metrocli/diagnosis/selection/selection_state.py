@@ -6,7 +6,7 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.distributions import log_tail
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, FittedParts
 from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

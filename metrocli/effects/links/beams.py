@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
@@ -11,6 +9,7 @@ from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import ELAPSED
 from metrocli.effects.links.of_block import OfBlock
+from metrocli.frozen import dataclass
 from metrocli.instruments.launch_unit import UNIT
 from metrocli.instruments.tracer import TRACER
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.links.of_block import OfBlock
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.links.of_block import OfBlock
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

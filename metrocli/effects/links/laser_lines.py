@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
 from metrocli.effects.links.motions import ErrorMotionEffect
+from metrocli.frozen import dataclass
 from metrocli.instruments.six_dof import ALONG, LINE
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

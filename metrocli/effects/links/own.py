@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from metrocli.effects.links.of_block import AtQuantity
 from metrocli.errors import InputError
 from metrocli.expressions.derivatives import Jets, NoValueError
 from metrocli.expressions.expression import Expression
+from metrocli.frozen import dataclass
 
 
 class NoValueAtReadingError(InputError):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.effects.links.motions import AXES, ErrorMotionEffect
+from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments.machine import POSITION, TOOL, ErrorMotion, Machine, by_errors
 from metrocli.instruments.machine_path import SINCE

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -16,6 +15,7 @@ from metrocli.effects.effect import ELAPSED
 from metrocli.effects.links.of_block import OfBlock
 from metrocli.effects.links.own import OwnTerms
 from metrocli.expressions.expression import parse
+from metrocli.frozen import dataclass
 
 POLAR = ("distance", "azimuth", "elevation")
 """What a tracker reads, in its own frame; the azimuth is `atan2(y, x)`, the elevation `atan2(z, sqrt(x^2 + y^2))`"""

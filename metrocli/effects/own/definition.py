@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from metrocli.errors import Fault
 from metrocli.expressions.written import AnyQuantity, Measure, Model, ModelText
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings import BAD, At, ListOf, MapOf, Placed, Schema, Section, Text, Whole, setting
 

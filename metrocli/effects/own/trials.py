@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.effects.acting import Variable
 from metrocli.expressions.derivatives import Jets, NoValueError
 from metrocli.expressions.expression import Expression, ExpressionError
+from metrocli.frozen import dataclass
 
 _DRAWS = 64
 _ZERO = 1e-12

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from metrocli import units
+from metrocli.frozen import dataclass
 from metrocli.plots.magnify import micro
 from metrocli.result import Result
 

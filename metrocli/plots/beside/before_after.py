@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
+from metrocli.frozen import dataclass
 from metrocli.plots.against import CAPTION, LABELS, Panel, draw_panel, panel_of
 from metrocli.plots.beside import Beside
 from metrocli.plots.noise_bands import Array, trend

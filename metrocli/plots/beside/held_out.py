@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from metrocli.frozen import dataclass
 from metrocli.plots.beside import Beside
 from metrocli.plots.noise_bands import Array
 from metrocli.plots.style import Canvas

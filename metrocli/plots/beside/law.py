@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from metrocli.frozen import dataclass
 from metrocli.plots.beside import Beside, chosen_law, law_in_words, sizes_in_words
 from metrocli.plots.magnify import micro
 from metrocli.plots.noise_bands import Array

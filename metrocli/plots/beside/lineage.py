@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from matplotlib.patches import FancyBboxPatch, PathPatch
 from matplotlib.path import Path as MplPath
 
+from metrocli.frozen import dataclass
 from metrocli.plots.beside import Beside, Node
 from metrocli.plots.style import Canvas
 from metrocli.result import Result

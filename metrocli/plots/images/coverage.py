@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from metrocli.frozen import dataclass
 from metrocli.plots.noise_bands import Array
 from metrocli.plots.readings import image_residuals
 from metrocli.plots.style import SIZES, Canvas

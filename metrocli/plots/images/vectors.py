@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.frozen import dataclass
 from metrocli.plots.magnify import in_words, magnification, round_size
 from metrocli.plots.noise_bands import Array, largest_of
 from metrocli.plots.readings import image_residuals

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from metrocli.formats import hdf5
+from metrocli.frozen import dataclass
 from metrocli.project import meaning, yaml_text
 from metrocli.record import Record
 from metrocli.result import Estimate

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from metrocli.errors import InputError
 from metrocli.formats import hdf5
 from metrocli.formats.file_bytes import read_bytes
 from metrocli.formats.seal import Label
+from metrocli.frozen import dataclass
 from metrocli.record import InputFile
 
 AS_READ, CHANGED, MISSING = "as read", "changed since", "missing"

@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import zipfile
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,13 @@ import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from metrocli.errors import InputError, MetrocliError
 from metrocli.formats.file_bytes import read_bytes
+from metrocli.frozen import dataclass
 from metrocli.project.job import JobFile, Wishes, load
 from metrocli.project.own_effects import alike_for
 from metrocli.project.running.crew import Outcome, attempt

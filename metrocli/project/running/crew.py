@@ -8,13 +8,13 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any, Protocol
 
 from metrocli import tasks
 from metrocli.errors import NO_MEMORY, InputError, MetrocliError
+from metrocli.frozen import dataclass
 from metrocli.progress import SILENT, Progress
 from metrocli.project.job import JobFile, Wishes, load
 from metrocli.project.runner import HERE, compute

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block, Space
 from metrocli.adjust.model.groups import Group, joint_prior
 from metrocli.errors import InputError
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.imageset import ImageSet
 from metrocli.instruments.camera import LENS, TAPER

@@ -6,7 +6,7 @@ coordinates enter the adjustment as one correlated observation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group, prior_of_members, priors
 from metrocli.adjust.model.observations import Mask
 from metrocli.errors import InputError
+from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.shared.images.simulation import true_targets

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 from metrocli.adjust.cluster_robust import FROM_RESIDUALS
+from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
 from metrocli.result import Result
 from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Quantity, Section, TableFile, setting

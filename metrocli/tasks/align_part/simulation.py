@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain
 from metrocli.effects.model import Model
+from metrocli.frozen import dataclass
 from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import TARGET, lens_link, target_block
 from metrocli.tasks.align_part.camera import CameraModel

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from metrocli import units
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.errors import Fault, InputError
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.machine import is_angle
 from metrocli.result import Result

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.solution import Solution
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.conventions import projection_range

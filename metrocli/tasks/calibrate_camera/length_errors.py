@@ -7,7 +7,6 @@ at least five lengths each, whose longest is at least two thirds of the diagonal
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Solution
 from metrocli.errors import InputError
+from metrocli.frozen import dataclass
 from metrocli.instruments.camera import TARGET
 from metrocli.result import Scalar
 from metrocli.table import Table

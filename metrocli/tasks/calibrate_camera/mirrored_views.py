@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.model.blocks import Array, Block, Mask
 from metrocli.adjust.model.groups import Group
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.camera import VIEW

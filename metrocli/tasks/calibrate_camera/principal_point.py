@@ -7,12 +7,11 @@ Real principal points lie within a few per cent of the image size from the middl
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.model.blocks import Array, Mask
+from metrocli.frozen import dataclass
 from metrocli.instruments import camera
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.shared.images.adjustment import Adjusted

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +12,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.adjust.schur.covariance import Covariance
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.effects.estimates import tables as effect_results
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.conventions import projection_range

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 from metrocli.adjust.cluster_robust import FROM_RESIDUALS
+from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
 from metrocli.instruments.lens import PARAMETERS, PIXELS
 from metrocli.settings import Choice, Either, ImageFiles, ListOf, Quantity, Section, TableFile, Whole, setting

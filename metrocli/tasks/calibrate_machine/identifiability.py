@@ -9,7 +9,7 @@ them. If an open direction moves a measured tool in the volume, there is no resu
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, rows, unit_n
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.singular_values import thin_svd
 from metrocli.errors import UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, TOOL, Machine, errors_of
 from metrocli.instruments.tracer import AIR, STOP, TRACER
 from metrocli.tasks.calibrate_machine.determination import Determination

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Self
 
 import numpy as np
@@ -18,6 +18,7 @@ from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.instruments.machine import (
     AXES,
     POSITION,

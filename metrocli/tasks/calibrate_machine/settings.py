@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any, ClassVar
 
+from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ALL_NAMES, SQUARENESS_NAMES, axis_order, canonical
 from metrocli.settings import (
     Choice,

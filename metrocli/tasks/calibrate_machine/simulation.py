@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +14,7 @@ from metrocli.effects.extension import extended
 from metrocli.effects.model import Model
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_euler
 from metrocli.instruments.machine import (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import Fit, Suspects, robust_start, suspects
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.problem import Problem

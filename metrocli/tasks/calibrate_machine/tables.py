@@ -6,13 +6,13 @@ The gauge of the tables: straightness is zero at both ends, all others are zero 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.dense_jacobian import Unknowns, covariance_of, unknowns_of
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.solution import Solution
+from metrocli.frozen import dataclass
 from metrocli.instruments.machine import SQUARENESS, SQUARENESS_NAMES, TOOL, Axis, Machine, errors_of, is_angle
 from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS
 from metrocli.tasks.shared.part import Warm

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +14,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.model import Model
+from metrocli.frozen import dataclass
 from metrocli.instruments.machine import (
     SQUARENESS_NAMES,
     TOOL,

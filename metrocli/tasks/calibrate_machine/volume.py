@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Observations
+from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments.machine import POSITION, TOOL, ErrorMotion, Machine
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.acceptance.contours import circular, diagonals

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.geometry.surfaces import Array, Index
 from metrocli.tasks.fit_part.fit import LEAST_MOTION, most_of_many
 from metrocli.tasks.fit_part.own_patches import on_own_patches

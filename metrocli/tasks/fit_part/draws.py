@@ -7,12 +7,12 @@ Method: docs/algorithms/overstock-fit.md.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.small_programmes import Optimum, highest, quadratic
 from metrocli.errors import NotConvergedError
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.surfaces import Array, Index
 from metrocli.tasks.fit_part.fit import MOST, SLACK, Aim, Fit, convex

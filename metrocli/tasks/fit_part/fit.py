@@ -5,12 +5,11 @@ Each iteration solves a small convex programme on the exact pose. Method: docs/a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.small_programmes import highest, quadratic, smallest
 from metrocli.errors import NotConvergedError
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.surfaces import Array
 from metrocli.tasks.fit_part.stock import Local, Stock

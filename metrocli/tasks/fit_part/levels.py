@@ -7,12 +7,12 @@ of the points cannot change much.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.frozen import dataclass
 from metrocli.geometry.surfaces import Array, Index
 from metrocli.tasks.fit_part.stock import Nominal, Stock
 

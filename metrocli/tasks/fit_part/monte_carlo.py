@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from metrocli.errors import NotConvergedError
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.result import Scalar
 from metrocli.table import Table

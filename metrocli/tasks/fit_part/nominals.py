@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.frozen import dataclass
 from metrocli.geometry.nearest_triangles import Nearest, Search
 from metrocli.geometry.surfaces import Array, Index, Shape, Surfaces
 from metrocli.geometry.triangles import Triangles

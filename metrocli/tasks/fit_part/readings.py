@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from fnmatch import fnmatchcase
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import Fault, InputError, together
+from metrocli.frozen import dataclass
 from metrocli.geometry.surfaces import Array, Index
 from metrocli.result import Result
 from metrocli.table import Table

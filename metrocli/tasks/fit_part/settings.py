@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
+from metrocli.frozen import dataclass
 from metrocli.geometry.triangles import Triangles
 from metrocli.result import Result
 from metrocli.settings import (

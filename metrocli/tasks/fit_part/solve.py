@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import InputError, UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.surfaces import Array
 from metrocli.geometry.triangles import Triangles

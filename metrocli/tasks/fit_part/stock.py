@@ -7,12 +7,13 @@ Method: docs/algorithms/overstock-fit.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix, rotation_from_vector
 from metrocli.geometry.surfaces import Array, Index, Shape

@@ -6,10 +6,9 @@ gives the sensitivity of the pose; the same points are held active. Method: docs
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.geometry.surfaces import Array

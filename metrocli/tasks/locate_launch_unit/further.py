@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.frozen import dataclass
 from metrocli.instruments import launch_unit as lu
 from metrocli.tasks.locate_launch_unit.lines import Line, Reach
 from metrocli.tasks.locate_launch_unit.margin import Margin, Uncertainty, Window, beam_errors

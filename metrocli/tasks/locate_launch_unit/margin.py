@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.frozen import dataclass
 from metrocli.tasks.locate_launch_unit.lines import Line, across
 
 _DRAWS = 1 << 15

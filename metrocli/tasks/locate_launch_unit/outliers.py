@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import critical_value
 from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.frozen import dataclass
 
 _SHARE = 4
 """At most one reading in this many is called an outlier"""

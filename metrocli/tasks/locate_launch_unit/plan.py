@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.errors import UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.instruments.launch_unit import COLUMNS
 from metrocli.plan import Plan
 from metrocli.result import Estimate, ShownTable

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.frozen import dataclass
 from metrocli.nc_program import CONTROLS
 from metrocli.settings import Choice, ListOf, Number, Quantity, Section, setting
 from metrocli.units import parse_quantity

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from metrocli.adjust.model.observations import Index, Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
+from metrocli.frozen import dataclass
 from metrocli.instruments import launch_unit as lu
 from metrocli.instruments.launch_start import nearest, set_up_angle, spread
 from metrocli.tasks.locate_launch_unit.effects import AXES, PAIRS, UNITS

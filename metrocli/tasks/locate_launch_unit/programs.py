@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise, permutations
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.frozen import dataclass
 from metrocli.nc_program import Block, Dwell, Feed, Rapid, Stop, program, written
 from metrocli.tasks.locate_launch_unit.lines import AXES, Line, commanded
 from metrocli.units import find_unit

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Mask
 from metrocli.errors import Fault, InputError
+from metrocli.frozen import dataclass
 from metrocli.geometry.angles import wrapped
 from metrocli.instruments.launch_start import Beams
 from metrocli.table import TEXT, Column, Columns, Table

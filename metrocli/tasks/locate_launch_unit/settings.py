@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
+from metrocli.frozen import dataclass
 from metrocli.settings import Choice, Flag, ListOf, Quantity, Section, TableFile, setting
 from metrocli.table import ABSENT, Table
 from metrocli.tasks.locate_launch_unit.plan_settings import Planned

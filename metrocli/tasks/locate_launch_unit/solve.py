@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.effects.estimates import absorbed
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.geometry.angles import wrapped
 from metrocli.instruments import launch_unit as lu
 from metrocli.instruments.launch_start import Meeting, closed_loop, lines, set_up_angle, spread

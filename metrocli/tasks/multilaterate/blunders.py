@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 from itertools import combinations
 from random import Random
@@ -13,6 +13,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.robust import robust_start
+from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.tasks.multilaterate.problem import LENGTHS, Network
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Solution
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
+from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.distance import between_two

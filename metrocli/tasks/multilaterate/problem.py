@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import field, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
 from metrocli.errors import InputError, together
+from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
@@ -59,12 +60,12 @@ class Network(Modelled):
         """Conditions that effects in the network vary with and that follow from its geometry; none without effects."""
         return t.aspects(t.reach()) if self.effects else {}
 
-    @property
+    @cached_property
     def seen(self) -> Index:
         """Number of lengths to each point, (points,)."""
         return np.bincount(self.lengths.observations.index[t.POINT], minlength=len(self.nominal))
 
-    @property
+    @cached_property
     def unknown(self) -> Mask:
         """Points that only the lengths determine: free, and in no prior or calibrated distance, (points,)."""
         held = np.zeros(len(self.nominal), dtype=bool)
@@ -189,7 +190,7 @@ def _stops(readings: Readings, time: Array | None) -> tuple[Index, Array]:
 
 def _unused(readings: Readings) -> tuple[str, ...]:
     """Return a warning of points without a length, and one of tracers without a reading."""
-    unseen = [name for name, n in zip(readings.names, readings.seen, strict=True) if n == 0]
+    unseen = [readings.names[row] for row in np.flatnonzero(readings.seen == 0)]
     warnings = (f"{len(unseen)} points have no length: {listed(unseen)}",) if unseen else ()
     return warnings + ((f"tracers without a reading are left out: {listed(readings.idle)}",) if readings.idle else ())
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from metrocli.adjust.robust import as_likely, critical_value
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.effects.estimates import absorbed
 from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.tasks.multilaterate.blunders import (
     Reason,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.layout import Layout, root_mean_square, worst_direction
 from metrocli.tasks.multilaterate.layout_faults import carries

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from metrocli.errors import Fault
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings import Placed
 from metrocli.table import Table

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from metrocli import units
 from metrocli.errors import Fault
 from metrocli.expressions.dimensions import Compound, compound, described
 from metrocli.expressions.written import Measure
+from metrocli.frozen import dataclass
 from metrocli.settings import Placed
 from metrocli.tasks.report_uncertainty.entries import Limits
 from metrocli.uncertainty.decision import (

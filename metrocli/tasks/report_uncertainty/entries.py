@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
 from metrocli.expressions.written import AnyQuantity, Measure, Model, ModelText
+from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.settings import (
     ANY_KIND,

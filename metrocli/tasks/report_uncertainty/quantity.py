@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from metrocli import units
 from metrocli.errors import Fault
 from metrocli.expressions.dimensions import Compound, compound, described
 from metrocli.expressions.written import Measure
+from metrocli.frozen import dataclass
 from metrocli.settings import Placed
 from metrocli.table import Table
 from metrocli.tasks.report_uncertainty.entries import Given

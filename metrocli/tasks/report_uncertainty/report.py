@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from metrocli.frozen import dataclass
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
 from metrocli.tasks.report_uncertainty import KIND

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import ClassVar
 
 from metrocli.errors import Fault
+from metrocli.frozen import dataclass
 from metrocli.tasks.report_uncertainty.entries import Entries
 from metrocli.tasks.shared.figures import with_std
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 from metrocli.errors import Fault
 from metrocli.expressions.written import AnyQuantity
+from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings import BAD, Number, Schema
 

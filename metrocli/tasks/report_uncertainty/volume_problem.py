@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +14,7 @@ from metrocli.expressions.derivatives import NoValueError
 from metrocli.expressions.dimensions import compound, described, unit_of
 from metrocli.expressions.expression import NAME, ExpressionError
 from metrocli.expressions.written import Measure
+from metrocli.frozen import dataclass
 from metrocli.geometry.poses import EULER
 from metrocli.result import Result
 from metrocli.settings import Placed

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy.typing as npt
 
 from metrocli.expressions.dimensions import converted
 from metrocli.expressions.expression import Expression, parse
+from metrocli.frozen import dataclass
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
 from metrocli.tasks.report_uncertainty import KIND

@@ -8,7 +8,6 @@ combines the misfit and the uncertainty of the measurement.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.errors import InputError
+from metrocli.frozen import dataclass
 from metrocli.instruments.ball_grid import numbers_at
 from metrocli.table import Table
 

@@ -8,7 +8,6 @@ Balls in one plane do not show the side of the artefact: the fit takes a rotatio
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.errors import Fault, InputError
+from metrocli.frozen import dataclass
 from metrocli.instruments.ball_grid import View
 from metrocli.tasks.selfcal_grid.readings import Readings, ball_name
 from metrocli.tasks.selfcal_grid.settings import shift_in_words, turn_in_words

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.adjust.model.observations import Index
 from metrocli.errors import UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.instruments import ball_grid as bg
 from metrocli.plan import Plan
 from metrocli.result import Estimate, ShownTable

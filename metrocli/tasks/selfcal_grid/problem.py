@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Self
 
@@ -17,6 +17,7 @@ from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
 from metrocli.errors import InputError
+from metrocli.frozen import dataclass
 from metrocli.geometry.poses import fit_pose
 from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.errors import Fault, InputError
+from metrocli.frozen import dataclass
 from metrocli.instruments.ball_grid import View
 from metrocli.table import Table
 from metrocli.words import suggestion

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +11,7 @@ from metrocli.adjust.model.blocks import Array, Mask
 from metrocli.adjust.model.observations import Index
 from metrocli.effects.estimates import estimates
 from metrocli.effects.estimates import tables as effect_results
+from metrocli.frozen import dataclass
 from metrocli.geometry.poses import EULER, euler_form
 from metrocli.instruments import ball_grid as bg
 from metrocli.result import Estimate, Result, ShownTable

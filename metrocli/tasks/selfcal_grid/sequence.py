@@ -9,7 +9,6 @@ increases its noise gain.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +20,7 @@ from metrocli.adjust.sparse.bordered_factor import BorderedFactor, bordered_fact
 from metrocli.adjust.sparse.nested_dissection import Sparse
 from metrocli.adjust.sparse.partition import Partition
 from metrocli.errors import InputError, UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.geometry.poses import rotation_of
 from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -12,6 +11,7 @@ import numpy as np
 from metrocli.adjust.cluster_robust import FROM_RESIDUALS
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
+from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.ball_grid import View
 from metrocli.settings import Choice, Either, ListOf, Quantity, Section, TableFile, Text, Whole, setting

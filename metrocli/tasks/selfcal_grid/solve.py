@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrocli.adjust.coupled_fields import Design, FieldSolution, adjust_fields, design_of
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.probabilities import chi_square_tail
 from metrocli.adjust.robust import Fit, Suspects, suspects
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.adjust.sparse.bordered_factor import OpenDesignError
 from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.selfcal_grid.determination.undetermined import with_determined_datum
 from metrocli.tasks.selfcal_grid.problem import Problem
@@ -70,9 +70,8 @@ class LeftOut:
 
 
 def _tail(chi2: float, dof: int) -> float:
-    from scipy.special import chdtrc
-
-    return float(chdtrc(dof, chi2)) if dof > 0 else float("nan")
+    # without the view the sum of squares must fall; a sum that rises is not the least one
+    return chi_square_tail(dof, chi2) if dof > 0 and chi2 >= 0 else float("nan")
 
 
 def design(problem: Problem) -> Design:

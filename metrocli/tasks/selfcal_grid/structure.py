@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from metrocli.adjust.cluster_sample import Sample
 from metrocli.adjust.coupled_fields import CorrelatedDesign, FieldSolution
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
+from metrocli.frozen import dataclass
 from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.selfcal_grid.solve import Solved
 from metrocli.tasks.shared.structured_noise import Structured, count, in_blocks

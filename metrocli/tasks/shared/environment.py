@@ -8,7 +8,6 @@ the air and the index n_a that it assumes. A reading is the change of this since
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.solution import Solution
 from metrocli.errors import InputError, together
+from metrocli.frozen import dataclass
 from metrocli.instruments.air import CIDDOR, EDLEN, STANDARD_CARBON_DIOXIDE, Weather, index
 from metrocli.instruments.tracer import AIR
 from metrocli.result import SCALE, Estimate

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol, Self, TypeVar
 
 import numpy as np
@@ -14,6 +14,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Solution, residuals_of
 from metrocli.effects.model import Model
 from metrocli.errors import UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.settings import Choice, Either, Quantity, setting
 from metrocli.tasks.shared.structured_noise import model_setting

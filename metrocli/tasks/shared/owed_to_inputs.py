@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.solution import Solution
+from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.uncertainty.comparison import OWED, SHARED
 

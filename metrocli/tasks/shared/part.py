@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli import units
 from metrocli.adjust.model.blocks import Array
+from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.settings import Known, Limits, Uncertain, setting
 from metrocli.tasks.shared.uncontrolled import Hidden

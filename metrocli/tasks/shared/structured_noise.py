@@ -6,7 +6,6 @@ Method: docs/algorithms/cluster-robust-covariance.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Protocol, Self, TypeVar
 
 import numpy as np
@@ -16,6 +15,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.errors import UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.result import Scalar
 from metrocli.settings import Choice, setting
 

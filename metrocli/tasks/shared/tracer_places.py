@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from random import Random
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from metrocli.adjust.medians import median
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.errors import Fault, InputError, UndeterminedError
-from metrocli.instruments.tracer_start import start
+from metrocli.frozen import dataclass
+from metrocli.instruments.tracer_start import MOST, start
 
 _MISFIT = 0.05
 """Lengths whose median misfit exceeds this share of the volume do not belong to these points"""
@@ -45,6 +46,17 @@ class Seen:
     file: str = ""
     noun: str = "tracer"
     """What the file calls a tracer: one that moves has several stations"""
+
+
+def few_of_each(tracer: Index, tracers: int) -> Index:
+    """Return rows of the lengths, of which `tracer` (n,) is the number: at most MOST of each, in a random sample.
+
+    More determine a starting value no better than it must be.
+    """
+    every = [np.flatnonzero(tracer == i) for i in range(tracers)]
+    return np.concatenate(
+        [rows[Random(0).sample(range(n), MOST)] if (n := len(rows)) > MOST else rows for rows in every]
+    )
 
 
 def places_of(readings: Seen) -> Array:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli import units
+from metrocli.frozen import dataclass
 from metrocli.table import Table
 
 if TYPE_CHECKING:

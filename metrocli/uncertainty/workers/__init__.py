@@ -11,9 +11,9 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
+from metrocli.frozen import dataclass
 from metrocli.uncertainty.workers.dask_cluster import ordered_on, with_help
 
 T = TypeVar("T")

@@ -10,12 +10,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import islice
 from typing import Any, Generic, TypeVar
 
 from metrocli import __version__
 from metrocli.errors import Fault, InputError
+from metrocli.frozen import dataclass
 
 T = TypeVar("T")
 PATIENCE_S = 2.5

@@ -7,7 +7,7 @@ memory. Method: docs/algorithms/selection-and-levels.md (projection).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from itertools import product
 from math import comb
@@ -19,6 +19,7 @@ from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.linear.basis import Basis, without_gathering
 from metrocli.diagnosis.linear.column_parts import Part
 from metrocli.diagnosis.linear.quadratics import whitening
+from metrocli.frozen import dataclass
 
 _AT_ONCE = 8192
 """Readings whose terms are computed at once; a processor's cache holds these"""

@@ -6,12 +6,12 @@ The tables are quasi-static: what the drives do at a feed, and the reversal betw
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.acceptance.positioning import COVERAGE
 from metrocli.tasks.calibrate_machine.tables import Tables

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.frozen import dataclass
 
 FIGURES = ("A", "A_up", "A_down", "R", "R_up", "R_down", "B", "B_mean", "E", "E_up", "E_down", "M")
 """Accuracy, repeatability, reversal value and its mean, systematic deviation, range of the mean deviation"""

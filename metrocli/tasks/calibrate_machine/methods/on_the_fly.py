@@ -12,7 +12,7 @@ beam in C (eq. 8-9); the printed equation for W22 has the direction of the path 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from metrocli.adjust.model.observations import Index, Observations
 from metrocli.adjust.stream_condensation import Condensed, condense
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.instruments.machine_path import Path

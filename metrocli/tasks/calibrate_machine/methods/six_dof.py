@@ -6,7 +6,6 @@ If all tables are zero, two face diagonals d1, d2 give `C0Y = (d2^2 - d1^2) / (4
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +14,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Observations
 from metrocli.errors import Fault, InputError
+from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.instruments.six_dof import (
     ACROSS,

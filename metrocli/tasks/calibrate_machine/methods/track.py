@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Mask
 from metrocli.adjust.model.observations import Index
 from metrocli.errors import Fault, InputError
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.track_alignment import Alignment, align

@@ -7,13 +7,13 @@ the last vertex it takes the one that is most sensitive to these combinations fo
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.dense_jacobian import Unknowns, rows, unit_noise, unknowns_of
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Index
+from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.tracker import LEG

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +12,7 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Observations
 from metrocli.errors import UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.machine import ALL_NAMES, TOOL, Machine
 from metrocli.instruments.machine_path import Path

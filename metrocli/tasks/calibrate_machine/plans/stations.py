@@ -8,7 +8,6 @@ least mean variance in the volume (greedy choice).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, rows, unknowns_of
 from metrocli.adjust.model.blocks import Array
 from metrocli.errors import UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.instruments.machine import POSITION, TOOL, Machine
 from metrocli.instruments.tracer import TRACER
 from metrocli.nc_program import Block as NcBlock

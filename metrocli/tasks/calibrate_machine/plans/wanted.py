@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from metrocli.frozen import dataclass
 from metrocli.nc_program import CONTROLS
 from metrocli.settings import Choice, ListOf, Number, Quantity, Whole, setting
 

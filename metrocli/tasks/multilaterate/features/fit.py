@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.frozen import dataclass
 from metrocli.tasks.multilaterate.features.ideal import Array, Ideal, Shape
 
 Index = npt.NDArray[np.intp]

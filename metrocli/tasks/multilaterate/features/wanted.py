@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import Fault, InputError
+from metrocli.frozen import dataclass
 from metrocli.settings import Placed
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.features.fit import Criterion

@@ -7,13 +7,13 @@ replays the points of each tip where that tip was (Härtig et al. section 3.3).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.errors import InputError
+from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.tasks.shared.known_places import sigmas
 from metrocli.words import nearest

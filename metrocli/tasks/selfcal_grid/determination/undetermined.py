@@ -9,7 +9,7 @@ and P the projector onto the pattern.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from metrocli.adjust.coupled_fields import Design, in_datum
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.adjust.singular_values import thin_svd
+from metrocli.frozen import dataclass
 from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.selfcal_grid.determination.patterns import patterns
 from metrocli.tasks.selfcal_grid.problem import Problem

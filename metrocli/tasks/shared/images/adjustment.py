@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import Fit, Suspects, apart, gross, robust_start, suspects
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.errors import InputError, NotConvergedError
+from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.tasks.shared.structured_noise import Structured, structured
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +12,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.solution import Solution
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.model import Added
+from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.lens import DISTORTION, PIXELS
@@ -52,11 +53,10 @@ class Parameters:
 
         `p_value` of distortion, skew and aspect is the two-sided probability of a value this far from 0 by chance.
         """
-        from scipy.special import ndtr
-
         std = np.where(self.std > 0, self.std, np.nan)
+        two_sided = np.array([math.erfc(z / math.sqrt(2)) for z in np.abs(self.values / std)])
         neutral = np.isin(self.names, (*DISTORTION, "skew", "aspect"))
-        by_chance = np.where(neutral, 2 * ndtr(-np.abs(self.values / std)), np.nan)
+        by_chance = np.where(neutral, two_sided, np.nan)
         columns: dict[str, Values] = {
             "parameter": np.array(self.names, dtype=str),
             "value": self.values,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
+from metrocli.frozen import dataclass
 from metrocli.instruments.lens import PARAMETERS
 from metrocli.settings import Choice, ListOf, Number, Quantity, Section, Whole, setting
 

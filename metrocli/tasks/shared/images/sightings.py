@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -12,6 +12,7 @@ from metrocli import copies
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.errors import Fault, InputError, UndeterminedError
+from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.find import find

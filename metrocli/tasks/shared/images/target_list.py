@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.errors import InputError, together
+from metrocli.frozen import dataclass
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern, pattern_points
 from metrocli.tasks.shared.known_places import SIGMAS, sigmas
