@@ -8,7 +8,7 @@ and only those that enter a model are projected. Method: docs/algorithms/selecti
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,6 @@ from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.column_parts import ColumnPart, Own, Part, Step, Steps, kept_of
 from metrocli.diagnosis.linear.smooth.recomputed_terms import Terms
-from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix

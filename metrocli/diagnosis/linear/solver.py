@@ -53,7 +53,7 @@ class Solver:
             own = flat[: members * q].reshape(members, q, flat.shape[1])
             own = np.matmul(self.inverses, own - np.tensordot(self.coupling, shared, 1))
             numbers, free = self._free
-            found[numbers] = own.reshape(-1, flat.shape[1])[free]
+            found[numbers] = own.reshape(self.places[0].size, flat.shape[1])[free]
         if self.movements.shape[1]:
             found -= self.movements @ (self.conditions @ found)
         if self.random.shape[1]:
