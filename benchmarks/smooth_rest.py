@@ -41,16 +41,17 @@ def main(arguments: list[str]) -> int:
 def measured(cases: Sequence[Case], size: Size) -> list[rates.Rate]:
     """Return the rates of measurements with an effect of a size, or with none."""
     count, found = len(cases), [rates.found(case) for case in cases]
-    shown = [one for one in found if any(finding.gain.shown for finding in one.diagnosis.findings)]
+    named = [(*one.diagnosis.findings, *one.diagnosis.scatters) for one in found]
+    shown = [names for names in named if any(name.gain.shown for name in names)]
     structure = [one for one in found if one.diagnosis.left is not None or one.diagnosis.processes]
     if not size.times:
         return [
-            rates.Rate("false name", sum(bool(one.diagnosis.findings) for one in found), count, most=MOST_FALSE),
+            rates.Rate("false name", sum(map(bool, named)), count, most=MOST_FALSE),
             rates.Rate("false name with a gain that is shown", len(shown), count, most=0.01),
             rates.Rate("the rest noticed", len(structure), count),
         ]
     right = [one for one in found if rates.each_in_sets(one)]
-    extra = [one for one in found if len(one.diagnosis.findings) > len(one.case.hidden)]
+    extra = [one for one, names in zip(found, named, strict=True) if len(names) > len(one.case.hidden)]
     covered = [hit for one in found for hit in one.covered]
     return [
         rates.Rate("named", len(right), count, least=LEAST_NAMED if size.times >= _NAMED else 0.0),
