@@ -175,7 +175,7 @@ class Rest:
         found: list[Case] = []
         number = 0
         while len(found) < count:
-            seed = [79, round(10 * size.times), int(size.beside_rest), number]
+            seed = [81, round(10 * size.times), int(size.beside_rest), number]
             made = self.case(np.random.default_rng(seed), number, size)
             number += 1
             if made is not None:

@@ -90,8 +90,9 @@ def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
     for gone in _weakest_first(selection, named):
         bare = selection.fitted(without=[*gone, *selection.unknown])
         instead = _best(_apart(job, bases), bare)
-        far = left > _GAIN and not all(_is_shared(job, selection.alternative(one)) for one in gone)
-        needed = evidence_of(selection, gone, bare, named) + left - (_FAR_MORE if far else _MORE)
+        shared = all(_is_shared(job, selection.alternative(one)) for one in gone)
+        odds = 0.0 if shared else _FAR_MORE if left > _GAIN else _MORE
+        needed = evidence_of(selection, gone, bare, named) + left - odds
         if instead is not None and instead.gain > max(_GAIN, needed):
             ahead.append((instead.gain - needed, instead))
     if ahead:
