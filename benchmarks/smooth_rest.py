@@ -1,6 +1,6 @@
 """False and right names where readings have a realistic rest: a smooth random error of each tracer, image or axis.
 
-python -m benchmarks smooth_rest [KIND ...] [COUNT]
+python -m benchmarks smooth_rest [KIND ...] [COUNT [DRAWING]]
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.hidden import rates
 from benchmarks.hidden.case import Case
-from benchmarks.hidden.rest import KINDS, Size
+from benchmarks.hidden.rest import DRAW, KINDS, Size
 
 COUNT = 60
 MOST_FALSE, LEAST_NAMED = 0.05, 0.90
@@ -23,12 +23,13 @@ _NAMED = 2.0
 def main(arguments: list[str]) -> int:
     """Print the rates of one kind or of all; return 1 where a bar is not met."""
     kinds = [argument for argument in arguments if argument in KINDS] or list(KINDS)
-    count = next((int(argument) for argument in arguments if argument.isdigit()), COUNT)
+    numbers = [int(argument) for argument in arguments if argument.isdigit()]
+    count, draw = (*numbers, *(COUNT, DRAW)[len(numbers) :])[:2]
     met = True
     for kind in kinds:
         for size in KINDS[kind].sizes:
             print(f"-- {kind}, {count} measurements: {size}", flush=True)
-            cases = KINDS[kind].cases(count, size)
+            cases = KINDS[kind].cases(count, size, draw)
             powers = [case.power for case in cases if case.power is not None]
             if powers:
                 print(f"a test of the effect alone that knows the covariance of all errors finds {np.mean(powers):.1%}")
