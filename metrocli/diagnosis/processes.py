@@ -108,19 +108,6 @@ def stands_for(job: AdjustedJob, selection: Selection, scatter: AllOfAKind) -> b
     return found is not None and log_level_of(found.gain) < level
 
 
-def with_evidence(selection: Selection) -> Selection:
-    """Return the selection without names that have no evidence beside the others, the weakest removed first.
-
-    The covariance beside which they are significant is an estimate, so that levels of several parameters are too small.
-    """
-    while selection.named:
-        weakest = _by_evidence(selection, selection.fitted(without=selection.unknown))[0]
-        if weakest[0] > 0:
-            break
-        selection = selection.without(weakest[1])
-    return selection
-
-
 def _apart(job: AdjustedJob, bases: Iterable[Functions]) -> list[Functions]:
     """Return those of each unit: an error that all units share is what effects such as the air are."""
     return [basis for basis in bases if basis.by or not job.units]
@@ -131,18 +118,13 @@ def _is_shared(job: AdjustedJob, name: Alternative) -> bool:
     return bool(job.units) and not set(job.units) & set(name.effect.keys)
 
 
-def _by_evidence(selection: Selection, named: FittedColumns) -> list[tuple[float, Chosen]]:
-    """Return each name with its evidence beside the others, the least first."""
-    each = [
-        (evidence_of(selection, [one], selection.fitted(without=[one, *selection.unknown]), named), one)
-        for one in selection.named
-    ]
-    return sorted(each, key=lambda one: one[0])
-
-
 def _weakest_first(selection: Selection, named: FittedColumns) -> Iterator[tuple[Chosen, ...]]:
     """Yield the name with the least evidence beside the others, the two with the least, and so on."""
-    ordered = [one for _, one in _by_evidence(selection, named)]
+
+    def evidence(one: Chosen) -> float:
+        return evidence_of(selection, [one], selection.fitted(without=[one, *selection.unknown]), named)
+
+    ordered = sorted(selection.named, key=evidence)
     yield from (tuple(ordered[: count + 1]) for count in range(len(ordered)))
 
 

@@ -30,7 +30,7 @@ from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.linear.random_columns import beside_random_columns
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit, noise_instead, noisier_units, reweighted
-from metrocli.diagnosis.processes import Process, process_in, stands_for, with_evidence
+from metrocli.diagnosis.processes import Process, process_in, stands_for
 from metrocli.diagnosis.residual_structure import log_level_of_strongest
 from metrocli.diagnosis.selection.all_of_a_kind import (
     AllOfAKind,
@@ -115,7 +115,7 @@ def _with_processes(searched: Searched, progress: Progress) -> Searched:
         progress.doing(f"searching beside an error that varies smoothly with {found.covariate}", job.budget.left())
         rng, before = np.random.default_rng(SEED), selection
         tests = beside_random_columns(tests, found.columns, rng, job.single_components)
-        selection = with_evidence(refined_scans(job, search(tests, nothing_fitted(tests.system), STRUCTURED)))
+        selection = refined_scans(job, search(tests, nothing_fitted(tests.system), STRUCTURED))
         processes.append(replace(found, instead_of=_not_in(selection, map(before.alternative, before.named))))
     if len(selection.unknown) >= STRUCTURED:
         # no further process explains the structure, so it is taken up by as many smooth terms as there are

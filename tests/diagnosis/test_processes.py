@@ -102,14 +102,6 @@ def test_an_effect_is_named_beside_errors_of_each_image(number: int, name: str) 
     assert found.processes
 
 
-def test_a_name_beside_a_process_has_evidence() -> None:
-    """A bend of the board, of three parameters, is significant by chance: the covariance beside it is an estimate."""
-    case = of_images(np.random.default_rng([78, 0, 0, 1043]), 1043, Size(0.0))
-    assert case is not None
-    found = diagnose(case.adjusted())
-    assert found.processes and not found.findings
-
-
 def test_a_process_varies_within_its_units() -> None:
     """The time and the temperature of an image are one value each: along them no error of that image can vary."""
     case = of_images(np.random.default_rng(5), 0, Size(0.0))
