@@ -5,7 +5,7 @@ tracer (multilaterate), of each axis (calibrate-machine), or of each view and ax
 the receiver of each pose stands elsewhere than listed. Images are in `python -m benchmarks halves`. The measurements
 are those of tests/simulated, which know nothing of the adjustments.
 
-    python -m benchmarks shared_errors [RUNS]
+    python -m benchmarks shared_errors [KIND ...] [RUNS]
 """
 
 from __future__ import annotations
@@ -166,26 +166,32 @@ KINDS: dict[str, Callable[[np.random.Generator, float], Iterator[Checked]]] = {
 }
 
 
-def coverage(kind: str, size: float, runs: int) -> tuple[dict[str, float], float]:
-    """Return the share of intervals that contain the truth for each model [%], and the mean growth."""
+def coverage(kind: str, size: float, runs: int) -> tuple[dict[str, tuple[float, float]], float]:
+    """Return the share of intervals that contain the truth for each model, and the mean growth.
+
+    With each share stands its standard uncertainty [%]: the intervals of one run share its errors, so that runs count.
+    """
     rng = np.random.default_rng([2026, list(KINDS).index(kind), round(10 * size)])
     found = [tuple(KINDS[kind](rng, size)) for _ in range(runs)]
-    shares = {
-        model: 100 * float(np.mean([one.inside for one in results]))
+    inside = {
+        model: 100 * np.array([np.mean(one.inside) for one in results])
         for model, results in zip(MODELS, zip(*found, strict=True), strict=True)
     }
+    shares = {model: (float(one.mean()), float(one.std(ddof=1) / np.sqrt(runs))) for model, one in inside.items()}
     return shares, float(np.mean([one[0].growth for one in found]))
 
 
-def main(runs: int = 100) -> None:
+def main(*arguments: str) -> None:
     """Print the table."""
-    print(f"{'kind':<20}{'shared error':>14}{'structured':>13}{'estimated':>13}{'inflation':>12}   (95 % intervals)")
-    for kind in KINDS:
+    kinds = [argument for argument in arguments if argument in KINDS] or list(KINDS)
+    runs = next((int(argument) for argument in arguments if argument.isdigit()), 100)
+    print(f"{'kind':<20}{'shared error':>14}{'structured':>18}{'estimated':>18}{'inflation':>12}   (95 % intervals)")
+    for kind in kinds:
         for size in SIZES:
             shares, growth = coverage(kind, size, runs)
-            shown = "".join(f"{shares[model]:>11.1f} %" for model in MODELS)
+            shown = "".join("{:>10.1f} +- {:.1f} %".format(*shares[model]) for model in MODELS)
             print(f"{kind:<20}{size:>8.1f} sigma{shown}{growth:>12.2f}", flush=True)
 
 
 if __name__ == "__main__":
-    main(*(int(word) for word in sys.argv[1:]))
+    main(*sys.argv[1:])

@@ -1,6 +1,6 @@
 """False and right names where readings have a realistic rest: a smooth random error of each tracer, image or axis.
 
-python -m benchmarks smooth_rest [KIND ...] [COUNT]
+python -m benchmarks smooth_rest [KIND ...] [COUNT [DRAWING]]
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ import numpy as np
 
 from benchmarks.hidden import rates
 from benchmarks.hidden.case import Case
-from benchmarks.hidden.rest import KINDS, Size
+from benchmarks.hidden.rest import DRAW, KINDS, Size
+from metrocli.diagnosis.findings import Finding
+from metrocli.diagnosis.searched import Scatter
 
 COUNT = 60
 MOST_FALSE, LEAST_NAMED = 0.05, 0.90
@@ -23,12 +25,13 @@ _NAMED = 2.0
 def main(arguments: list[str]) -> int:
     """Print the rates of one kind or of all; return 1 where a bar is not met."""
     kinds = [argument for argument in arguments if argument in KINDS] or list(KINDS)
-    count = next((int(argument) for argument in arguments if argument.isdigit()), COUNT)
+    numbers = [int(argument) for argument in arguments if argument.isdigit()]
+    count, draw = (*numbers, *(COUNT, DRAW)[len(numbers) :])[:2]
     met = True
     for kind in kinds:
         for size in KINDS[kind].sizes:
             print(f"-- {kind}, {count} measurements: {size}", flush=True)
-            cases = KINDS[kind].cases(count, size)
+            cases = KINDS[kind].cases(count, size, draw)
             powers = [case.power for case in cases if case.power is not None]
             if powers:
                 print(f"a test of the effect alone that knows the covariance of all errors finds {np.mean(powers):.1%}")
@@ -41,16 +44,17 @@ def main(arguments: list[str]) -> int:
 def measured(cases: Sequence[Case], size: Size) -> list[rates.Rate]:
     """Return the rates of measurements with an effect of a size, or with none."""
     count, found = len(cases), [rates.found(case) for case in cases]
-    shown = [one for one in found if any(finding.gain.shown for finding in one.diagnosis.findings)]
+    named: list[tuple[Finding | Scatter, ...]] = [(*one.diagnosis.findings, *one.diagnosis.scatters) for one in found]
+    shown = [names for names in named if any(name.gain.shown for name in names)]
     structure = [one for one in found if one.diagnosis.left is not None or one.diagnosis.processes]
     if not size.times:
         return [
-            rates.Rate("false name", sum(bool(one.diagnosis.findings) for one in found), count, most=MOST_FALSE),
+            rates.Rate("false name", sum(map(bool, named)), count, most=MOST_FALSE),
             rates.Rate("false name with a gain that is shown", len(shown), count, most=0.01),
             rates.Rate("the rest noticed", len(structure), count),
         ]
     right = [one for one in found if rates.each_in_sets(one)]
-    extra = [one for one in found if len(one.diagnosis.findings) > len(one.case.hidden)]
+    extra = [one for one, names in zip(found, named, strict=True) if len(names) > len(one.case.hidden)]
     covered = [hit for one in found for hit in one.covered]
     return [
         rates.Rate("named", len(right), count, least=LEAST_NAMED if size.times >= _NAMED else 0.0),

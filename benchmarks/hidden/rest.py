@@ -22,6 +22,8 @@ from benchmarks.hidden.scenes import board_scene, sight
 Array = npt.NDArray[np.float64]
 SIZES = (0.3, 1.0)
 LENGTHS = (1 / 32, 1 / 4)
+DRAW = 78
+"""Number of the drawing of all cases"""
 _WAVES = 200
 _EVEN = 0.8
 """Power with which the smallest size is found"""
@@ -170,12 +172,12 @@ class Rest:
     case: Callable[[np.random.Generator, int, Size], Case | None]
     sizes: tuple[Size, ...]
 
-    def cases(self, count: int, size: Size) -> list[Case]:
-        """Return seeded cases."""
+    def cases(self, count: int, size: Size, draw: int = DRAW) -> list[Case]:
+        """Return the seeded cases of a drawing."""
         found: list[Case] = []
         number = 0
         while len(found) < count:
-            seed = [78, round(10 * size.times), int(size.beside_rest), number]
+            seed = [draw, round(10 * size.times), int(size.beside_rest), number]
             made = self.case(np.random.default_rng(seed), number, size)
             number += 1
             if made is not None:

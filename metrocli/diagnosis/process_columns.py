@@ -16,7 +16,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.smooth.knots import Numbers, around_circle, between_knots
+from metrocli.diagnosis.linear.smooth.knots import Numbers, around_circle, between_knots, lowest_and_spans
 from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
@@ -75,7 +75,8 @@ def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> F
     along = (_AROUND,) if covariate.angle else _KNOTS.get(len(several[0]), _FEW_KNOTS)
     most = min(_MOST_COLUMNS, _MOST_NUMBERS // system.rows) // copies
     count = next((one for one in along if one ** len(several[0]) <= most), 0)
-    if count == 0 or min(map(_fewest, labels)) < _FEWEST:
+    # what is the same for all readings of each unit, such as the time of an image, has no length in it
+    if count == 0 or min(map(_fewest, labels)) < _FEWEST or not lowest_and_spans(several, labels)[1].any():
         return None
     functions, distances = around_circle(several, count) if covariate.angle else between_knots(several, labels, count)
     count = len(distances)

@@ -8,7 +8,7 @@ Method: docs/algorithms/selection-and-levels.md (smooth processes).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -21,6 +21,7 @@ from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood, gain_of_larger_noise, log_level_of
 from metrocli.diagnosis.process_columns import Functions, process_bases
+from metrocli.diagnosis.selection.all_of_a_kind import AllOfAKind, log_level_beside
 from metrocli.diagnosis.selection.backward_steps import evidence_of
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from metrocli.frozen import dataclass
@@ -32,7 +33,7 @@ _RESOLVED = 0.6
 _GAIN = 2.0
 """Least gain of the log-likelihood by a process: a level of 2.3 % for one variance"""
 _MORE, _FAR_MORE = 1.4, 3.5
-"""ln of the odds by which names must exceed a process that stands for them; and where structure is left beside them"""
+"""ln of the odds by which names must exceed a process that stands for them; at one unit, where structure is left"""
 _NOTICED, _MOST_TRIED = 1.5, 4
 """Least score of a variance, in its standard deviations, at which its likelihood is computed; and of how many"""
 _SWEEPS, _APART = 2, 1.5
@@ -79,24 +80,43 @@ def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
 
     It is estimated beside the named effects, and beside fewer and fewer of them, where it stands instead of the others.
     These with their counted choice are held against that by their evidence. Where structure is left beside the names,
-    readings have such errors anyhow, and then the names must have far more evidence.
+    each unit has such an error anyhow. It can look like a name at that unit, which then must have far more evidence; it
+    does not look the same in all units.
     """
     bases = list(process_bases(job, selection.test_set.system))
     named = selection.fitted(without=selection.unknown)
     beside = _best(bases, named)
     left = 0.0 if beside is None else beside.gain
-    # an error that all units share is what effects such as the air are, so it stands for no name
-    apart = [basis for basis in bases if basis.by or not job.units]
     ahead: list[tuple[float, _Tried]] = []
     for gone in _weakest_first(selection, named):
         bare = selection.fitted(without=[*gone, *selection.unknown])
-        instead = _best(apart, bare)
-        needed = evidence_of(selection, gone, bare, named) + left - (_FAR_MORE if left > _GAIN else _MORE)
+        instead = _best(_apart(job, bases), bare)
+        shared = all(_is_shared(job, selection.alternative(one)) for one in gone)
+        odds = 0.0 if shared else _FAR_MORE if left > _GAIN else _MORE
+        needed = evidence_of(selection, gone, bare, named) + left - odds
         if instead is not None and instead.gain > max(_GAIN, needed):
             ahead.append((instead.gain - needed, instead))
     if ahead:
         return max(ahead, key=lambda one: one[0])[1].process(len(bases))
     return beside.process(len(bases)) if beside is not None and left > _GAIN else None
+
+
+def stands_for(job: AdjustedJob, selection: Selection, scatter: AllOfAKind) -> bool:
+    """Whether a process explains more than an effect that scatters over all its places: both have one amplitude."""
+    base = selection.fitted(without=selection.unknown)
+    found = _best(_apart(job, process_bases(job, selection.test_set.system)), base)
+    level = log_level_beside(base, selection.test_set, scatter.effect.name)
+    return found is not None and log_level_of(found.gain) < level
+
+
+def _apart(job: AdjustedJob, bases: Iterable[Functions]) -> list[Functions]:
+    """Return those of each unit: an error that all units share is what effects such as the air are."""
+    return [basis for basis in bases if basis.by or not job.units]
+
+
+def _is_shared(job: AdjustedJob, name: Alternative) -> bool:
+    """Whether an effect is the same in all units, where readings have units."""
+    return bool(job.units) and not set(job.units) & set(name.effect.keys)
 
 
 def _weakest_first(selection: Selection, named: FittedColumns) -> Iterator[tuple[Chosen, ...]]:

@@ -30,7 +30,7 @@ from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.linear.random_columns import beside_random_columns
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit, noise_instead, noisier_units, reweighted
-from metrocli.diagnosis.processes import Process, process_in
+from metrocli.diagnosis.processes import Process, process_in, stands_for
 from metrocli.diagnosis.residual_structure import log_level_of_strongest
 from metrocli.diagnosis.selection.all_of_a_kind import (
     AllOfAKind,
@@ -109,7 +109,8 @@ def _with_processes(searched: Searched, progress: Progress) -> Searched:
     job, tests, selection = searched.job, searched.tests, searched.selection
     plain, processes = selection, list[Process]()
     # places that are off throughout are a cause; a process of each of them would take it for chance
-    caused = all_of_a_kind(selection) is not None or scattered_throughout(selection) is not None
+    scatter = scattered_throughout(selection)
+    caused = all_of_a_kind(selection) or (scatter is not None and not stands_for(job, selection, scatter))
     while not caused and len(processes) < _PROCESSES and not job.budget.spent():
         found = process_in(job, selection)
         if found is None:

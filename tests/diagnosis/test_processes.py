@@ -7,13 +7,14 @@ import pytest
 
 from benchmarks.hidden import launch, lengths
 from benchmarks.hidden.foreign import planted
-from benchmarks.hidden.rest import _shown, _together, of_each
+from benchmarks.hidden.rest import Size, _shown, _together, of_each, of_images
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.random_columns import with_random_columns
 from metrocli.diagnosis.linear.smooth.knots import around_circle, between_knots
+from metrocli.diagnosis.process_columns import process_bases
 from metrocli.diagnosis.verdict import as_data
 from metrocli.tasks import KINDS
 
@@ -89,6 +90,26 @@ def test_what_a_process_stands_for_stays_detected() -> None:
     assert found.left is not None and found.left.p_value < 1e-3
     assert as_data(found)["processes"][0]["instead_of"] == [{"name": "tracer-drift", "where": dict(hidden.where)}]
     assert "Without it these would be named: tracer-drift T4" in of_diagnosis(found, None)
+
+
+@pytest.mark.parametrize(("number", "name"), [(4, "axis-skew"), (1043, "rolling-shutter")])
+def test_an_effect_is_named_beside_errors_of_each_image(number: int, name: str) -> None:
+    """What acts in all images alike, and what a shift of each image could be taken for."""
+    case = of_images(np.random.default_rng([78, 20, 0, number]), number, Size(2.0))
+    assert case is not None and case.hidden[0].name == name
+    found = diagnose(case.adjusted())
+    assert [one.effect.alternative.effect.name for one in found.findings] == [name]
+    assert found.processes
+
+
+def test_a_process_varies_within_its_units() -> None:
+    """The time and the temperature of an image are one value each: along them no error of that image can vary."""
+    case = of_images(np.random.default_rng(5), 0, Size(0.0))
+    assert case is not None
+    job = case.adjusted()
+    found = {(one.name, one.by) for one in process_bases(job, linearised(job.model))}
+    assert {("t_s", ""), ("place in the image", "image")} <= found
+    assert not {("t_s", "image"), ("temp_degC", "image")} & found
 
 
 def test_the_size_of_a_process_is_in_the_unit_of_the_readings_that_show_it() -> None:

@@ -34,12 +34,7 @@ def between_knots(several: Sequence[Array], labels: Sequence[Index], count: int)
     Knots begin at the lowest value of each unit (`labels`, (n,)) and span the largest range of a unit: views that are
     measured one after the other each have all of them.
     """
-    whole, units = np.concatenate(several, axis=1), np.concatenate(labels)
-    low, high = np.full((2, len(whole), int(units.max()) + 1), np.inf)
-    for axis, values in enumerate(whole):
-        np.minimum.at(low[axis], units, values)
-        np.minimum.at(high[axis], units, -values)
-    spans = np.where(np.isfinite(low), -high - low, 0.0).max(axis=1)
+    low, spans = lowest_and_spans(several, labels)
     span = np.where(spans > 0, spans, 1.0)[:, None]
     ends = np.linspace(0.0, 1.0, count)
     functions = []
@@ -50,8 +45,18 @@ def between_knots(several: Sequence[Array], labels: Sequence[Index], count: int)
             product = (product[:, :, None] * own[:, None]).reshape(len(own), -1)
             numbers = (numbers[:, :, None] * count + knots[:, None]).reshape(len(own), -1)
         functions.append((product, np.asarray(numbers)))
-    places = np.stack([one.ravel() for one in np.meshgrid(*[ends] * len(whole), indexing="ij")], axis=1)
+    places = np.stack([one.ravel() for one in np.meshgrid(*[ends] * len(low), indexing="ij")], axis=1)
     return functions, np.asarray(np.linalg.norm(places[:, None] - places, axis=2))
+
+
+def lowest_and_spans(several: Sequence[Array], labels: Sequence[Index]) -> tuple[Array, Array]:
+    """Return the lowest value of each coordinate in each unit, (k, units), and its largest range in a unit, (k,)."""
+    whole, units = np.concatenate(several, axis=1), np.concatenate(labels)
+    low, high = np.full((2, len(whole), int(units.max()) + 1), np.inf)
+    for axis, values in enumerate(whole):
+        np.minimum.at(low[axis], units, values)
+        np.minimum.at(high[axis], units, -values)
+    return low, np.where(np.isfinite(low), -high - low, 0.0).max(axis=1)
 
 
 def _between(values: Array, knots: Array) -> Values:
