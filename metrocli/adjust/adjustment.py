@@ -136,8 +136,7 @@ class _Descent:
         """Take one step that does not raise the cost; CONVERGED after the last step, DIVERGED if no such step is found.
 
         `final`: no further step is allowed. Normal equations take most of the memory: those of the old values are
-        released before those of the new ones are made, and made again if the step is rejected. After a step far below
-        the tolerance those of the old values stay: it does not change their first eight digits.
+        released before those of the new ones are made, and made again if the step is rejected.
         """
         while self.damping <= _DAMPING_LIMIT:
             try:
@@ -147,14 +146,13 @@ class _Descent:
                 continue
             short = fall <= small + _ROUNDING * self.cost
             last = short or self._contracts(fall, small)
-            kept, self.normals = self.normals if fall <= _FAR_BELOW**2 * small else None, None
-            found = self.problem.normals(moved) if not kept and (self.wanted or not (last or final)) else None
+            self.normals = None
+            found = self.problem.normals(moved) if self.wanted or not (last or final) else None
             cost = found.cost if found else self.problem.cost(moved)
             if cost <= self.cost or (last and cost <= self.cost + small + self._rounding()):
                 done = last and self.damping <= 1e-4
                 self.fall = 0.0 if self.damping else fall
-                self.state, self.cost, self.damping = moved, cost, _relaxed(self.damping)
-                self.normals = kept if done and kept else found
+                self.state, self.normals, self.cost, self.damping = moved, found, cost, _relaxed(self.damping)
                 return Outcome.CONVERGED if done else Outcome.ITERATION_LIMIT
             if short:
                 return Outcome.CONVERGED
