@@ -83,10 +83,13 @@ def cross_validated(
     groups = (*([name] for name in names), *([names] if len(names) > 1 else ()))
     parts = enumerate((one.family, one.number) for one in selection.chosen)
     named = {(one.family, one.number) for one in selection.named}
-    members = carried(test_set, selection.fit, ((part, key) for part, key in parts if key in named))
+    # where no unknown is local, a fold is made by further unknowns, not without its rows
+    own = [(part, key) for part, key in parts if key in named] if test_set.system.basis.members else []
+    members = carried(test_set, selection.fit, own)
     found = [*ordered(_Folds(test_set, rows, spared, groups, members, seconds), numbers)]
     job.budget.ended |= any(ended for _, ended in found)
     gains = [gain_of(pairs) for pairs in zip(*(pairs for pairs, _ in found), strict=True)]
+    # one name alone is all of them together
     return gains if len(names) > 1 else [*gains, *gains]
 
 

@@ -74,7 +74,7 @@ class Own:
     def of(cls, full: Array, own: Mask, held: Callable[[Index], Index] = lambda rows: rows) -> Own:
         """Return some of the columns (rows, k), chosen by a mask (k,), at the rows where any of them is not zero.
 
-        `held` gives the same rows as they are held already.
+        `held` returns the array in which equal rows are stored, so that they are stored once.
         """
         columns = full[:, own]
         rows = rows_with_values(columns)

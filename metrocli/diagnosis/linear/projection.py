@@ -227,7 +227,7 @@ def scatter(full: Array, jacobian: Array, columns: Index) -> None:
     for a in range(columns.shape[1]):
         at = columns[:, a]
         kept = at >= 0
-        if kept.all() and (at == at[0]).all():
+        if len(at) and at[0] >= 0 and (at == at[0]).all():
             full[:, :, at[0]] += jacobian[:, a, :].T
         else:
             full[rows[kept], :, at[kept]] += jacobian[:, a, :].T[kept]

@@ -114,8 +114,8 @@ def without_rows(test_set: ScoreTests, out: Index, members: Sequence[Carried] = 
         visible = np.where(kept[:, None], one.columns, 0.0) - shared @ inside[number]
         if (np.linalg.norm(visible, axis=0) > VISIBLE * one.norms).all():
             remembered.visible[one.key] = visible
-            its = ((i, own.columns.count, beside[i][number]) for i, own in enumerate(families))
-            remembered.products[one.key] = {(i, count): products for i, count, products in its}
+            keys = ((i, own.columns.count) for i, own in enumerate(families))
+            remembered.products[one.key] = dict(zip(keys, (its[number] for its in beside), strict=True))
     basis = replace(system.basis, local=system.basis.local * kept[:, None], shared=shared)
     there = np.where(test_set.places >= 0, kept[test_set.places], False)
     unit = np.eye(test_set.places.shape[1]) * there[:, :, None]
