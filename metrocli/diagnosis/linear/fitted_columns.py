@@ -141,7 +141,7 @@ class FittedParts:
     parts: tuple[Array, ...] = ()
     """Coordinates of each part's unit columns, (k, q)"""
     before: tuple[Mapping[Key, Array], Array | None] | None = field(default=None, compare=False, repr=False)
-    """Products of candidates with another basis, and the turn (m, j) from it to the first j columns; None if the same"""
+    """Products of candidates with another basis, and the turn (m, j) from it to the first j columns; None if equal"""
     products: dict[Key, Array] = field(default_factory=dict, compare=False, repr=False)
     """Cache of the products of candidates with the basis, (alternatives, q, k)"""
     known: Known = field(default_factory=Known, compare=False, repr=False)
