@@ -28,6 +28,8 @@ from metrocli.frozen import dataclass
 
 _ROUNDING = 1e-13
 """A decrease of the sum of squares below this fraction of it is rounding"""
+_STILL = 1e-12
+"""Values stand where a step changes none by more than this fraction of the largest of its block"""
 _LAST_DIGITS = 4 * float(np.finfo(float).eps)
 """Relative rounding error of a predicted reading"""
 _NEAR, _FAR_BELOW = 1e3, 1e-2
@@ -144,6 +146,8 @@ class _Descent:
             except np.linalg.LinAlgError:
                 self._damp()
                 continue
+            if self._stands(moved, fall, small):
+                return Outcome.CONVERGED
             short = fall <= small + _ROUNDING * self.cost
             last = short or self._contracts(fall, small)
             self.normals = None
@@ -158,6 +162,16 @@ class _Descent:
                 return Outcome.CONVERGED
             self._damp()
         return Outcome.DIVERGED
+
+    def _stands(self, moved: Mapping[str, Block], fall: float, small: float) -> bool:
+        """Return whether a step is rounding, in the sum of squares and in the values, as where a solution is the start.
+
+        The normal equations are then those of the solution, and are not made again.
+        """
+        if self.damping or fall > min(_FAR_BELOW**2 * small, _ROUNDING * self.cost):
+            return False
+        pairs = [(block.values, moved[name].values) for name, block in self.state.items() if block.free.any()]
+        return all(np.abs(new - old).max() <= _STILL * np.abs(old).max() for old, new in pairs)
 
     def _contracts(self, fall: float, small: float) -> bool:
         """Return whether the next step would be far below the tolerance, if the steps go on shrinking as now.

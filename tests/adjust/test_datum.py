@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from adjust import dense
 from adjust.dense import Array
 from adjust.problems import CUBE, Problem, network, scale_bars, with_control
 
-from metrocli.adjust.adjustment import adjust, covariance_at
+from metrocli.adjust.adjustment import Control, adjust, covariance_at
 from metrocli.adjust.model.groups import prior
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution, residuals_of
@@ -218,3 +220,18 @@ def test_planning_gives_the_covariance_without_moving(free: tuple[Problem, Solut
         rtol=1e-9,
         atol=1e-15,
     )
+
+
+def test_a_solution_stays_where_it_is_and_moves_into_another_datum(free: tuple[Problem, Solution]) -> None:
+    problem, solution = free
+    block = problem.blocks[camera.TARGET]
+    finer = solution
+    for _ in range(2):
+        finer = adjust(finer.blocks.values(), problem.groups, camera.network_datum(block, ALL), Control(tolerance=1e-9))
+    again = adjust(finer.blocks.values(), problem.groups, camera.network_datum(block, ALL))
+    assert again.outcome is Outcome.CONVERGED
+    assert all(again.blocks[name] is finer.blocks[name] for name in problem.blocks)
+    there = camera.network_datum(replace(block, values=block.values + [0.5, 0, 0]), ALL)
+    moved = adjust(finer.blocks.values(), problem.groups, there)
+    shift = moved.blocks[camera.TARGET].values - finer.blocks[camera.TARGET].values
+    assert shift.mean(axis=0) == pytest.approx([0.5, 0, 0], abs=1e-9)

@@ -67,6 +67,30 @@ def with_zeros(matrix: Array) -> Array:
     return np.pad(matrix, (0, 1))
 
 
+def weighted(rows: Array, places: Index, reduced: Array) -> Array:
+    """Return `Q Y` of Y (rows, s, k), whose rows have the reduced columns `places` (rows,), with Q = `reduced`."""
+    chosen = with_zeros(reduced)[np.ix_(places, places)]
+    return (chosen @ flattened(rows)).reshape(rows.shape)
+
+
+def products(first: Array, second: Array, symmetric: bool = False) -> Array:
+    """Return the sum over the rows of first (rows, a, k) times second (rows, b, k), (a, b, k); symmetric if said so."""
+    result = np.empty((first.shape[1], *second.shape[1:]))
+    for a in range(first.shape[1]):
+        for b in range(a + 1 if symmetric else second.shape[1]):
+            result[a, b] = np.einsum("rk,rk->k", first[:, a], second[:, b])
+            if symmetric:
+                result[b, a] = result[a, b]
+    return result
+
+
+def shared(coupled: tuple[Array, Index], reduced: Array) -> tuple[Array, Array]:
+    """Return `Q Y` and `Y' Q Y`, with Q the covariance of the reduced unknowns: (rows, s, k), (s, s, k)."""
+    rows, places = coupled
+    product = weighted(rows, places, reduced)
+    return product, products(rows, product, symmetric=True)
+
+
 def by_slot(jacobian: Array, slots: int) -> Array:
     """Return derivatives as matrices that can be multiplied, (slots, size, d m k / slots)."""
     d, size, m, k = jacobian.shape

@@ -15,7 +15,16 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array, Mask
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.schur.batched_cholesky import backward, cholesky, complement, forward
-from metrocli.adjust.schur.tile_rows import Rows, add_products, adjusted_variance, flattened, with_zeros
+from metrocli.adjust.schur.tile_rows import (
+    Rows,
+    add_products,
+    adjusted_variance,
+    flattened,
+    products,
+    shared,
+    weighted,
+    with_zeros,
+)
 
 
 class EliminatedTile:
@@ -197,21 +206,9 @@ class EliminatedTile:
         np.add.at(coupled, places, flattened(rows) @ flat.T)
         return coupled[:-1].T, flat @ flat.T
 
-    @staticmethod
-    def _shared(coupled: tuple[Array, Index], reduced: Array) -> tuple[Array, Array]:
-        """Return `Y Q` and `Y Q Y'`, with Q the covariance of the reduced unknowns: (rows, s, k), (s, s, k)."""
-        rows, places = coupled
-        product = (with_zeros(reduced)[np.ix_(places, places)] @ flattened(rows)).reshape(rows.shape)
-        s, k = rows.shape[1:]
-        between = np.empty((s, s, k))
-        for a in range(s):
-            for b in range(a + 1):
-                between[a, b] = between[b, a] = np.einsum("rk,rk->k", rows[:, a], product[:, b])
-        return product, between
-
     def covariance(self, reduced: Array) -> Array:
         """Return `D^-1 + W Q W'` of each member, (k, s, s)."""
-        return self._covariance(self._shared(self.coupling(), reduced)[1])
+        return self._covariance(shared(self.coupling(), reduced)[1])
 
     def _covariance(self, between: Array) -> Array:
         """Return `L'^-1 (I + Y Q Y') L^-1` of each member, (k, s, s)."""
@@ -229,17 +226,20 @@ class EliminatedTile:
         """
         own = [self.whitened(part) for part in self.rows]
         coupled = self._combined(len(self.free), own)
-        product, between = self._shared(coupled, reduced)
+        product, between = shared(coupled, reduced)
         explained = self._left(reduced) if self._few else self._explained(own, product, between, with_zeros(reduced))
         return self._covariance(between), tuple(one.reshape(len(one), -1) for one in explained)
 
     def with_readings(self, reduced: Array, chosen: Sequence[int]) -> list[Array]:
         """Return the covariance of the members with the adjusted readings of chosen groups, each (s, d, m, k).
 
-        It is `Q_ee J' + Q_er K' = L'^-1 (U + Y Q Y' U - Y Q K')`, with Q = `reduced`.
+        It is `Q_ee J' + Q_er K' = L'^-1 (U + Y Q Y' U - Y Q K')`, with Q = `reduced`. With few readings per member,
+        `K' = Y'U + X'Z'` leaves `L'^-1 (U - Y Q X' Z')`, with `X = Z'K`.
         """
+        if self._few:
+            return self._with_few_readings(reduced, chosen)
         own = [self.whitened(part) for part in self.rows]
-        product, between = self._shared(self._combined(len(self.free), own), reduced)
+        product, between = shared(self._combined(len(self.free), own), reduced)
         found, at = [], 0
         for i, (part, u) in enumerate(zip(self.rows, own, strict=True)):
             total = u + np.einsum("abk,bdmk->admk", between, u) if i in chosen else None
@@ -253,6 +253,13 @@ class EliminatedTile:
                 found.append(self.backward(total))
         return found
 
+    def _with_few_readings(self, reduced: Array, chosen: Sequence[int]) -> list[Array]:
+        spare = self._spare()
+        own = [self.whitened(part) for part in self.rows]
+        (y, places), (x, _) = self._combined(len(self.free), own), self._combined(len(spare[0]), spare)
+        between = products(y, weighted(x, places, reduced))
+        return [self.backward(own[i] - np.einsum("aqk,qdmk->admk", between, spare[i])) for i in chosen]
+
     def seen_by(self, fields: Array, chosen: Sequence[int]) -> list[Array]:
         """Return `H' J'` of fields H (k, s, f) for the readings of chosen groups, each (f, d, m, k)."""
         return [np.einsum("ksf,dsmk->fdmk", fields, self.rows[i].own) for i in chosen]
@@ -260,7 +267,7 @@ class EliminatedTile:
     def _left(self, reduced: Array) -> list[Array]:
         """Return the variance of each adjusted reading as `1 - diag(Z (I - X Q X') Z')`, with `X = Z'K`."""
         spare = self._spare()
-        left = -self._shared(self._combined(len(spare[0]), spare), reduced)[1]
+        left = -shared(self._combined(len(spare[0]), spare), reduced)[1]
         for a in range(len(left)):
             left[a, a] += 1.0
         return [1 - np.einsum("qdmk,rdmk,qrk->dmk", z, z, left) for z in spare]

@@ -29,8 +29,7 @@ def weakness(network: Network, solution: Solution) -> float:
     """Return the ratio of the uncertainty of points to that of lengths, both root mean squares; 1 to 3 is good."""
     if solution.covariance is None:
         return float("inf")
-    members = solution.covariance.members(t.POINT)[network.seen > 0]
-    spread = np.einsum("mii->m", members).mean() / 3
+    spread = np.einsum("mii->m", solution.covariance.members(t.POINT))[network.seen > 0].mean() / 3
     return float(np.sqrt(max(spread, 0.0)) / np.sqrt((network.lengths.observations.sigma**2).mean()))
 
 

@@ -50,7 +50,7 @@ class Readings:
         """Number of lengths to each point, (points,)."""
         return np.bincount(self.point, minlength=len(self.names))
 
-    @property
+    @cached_property
     def extent(self) -> float:
         """Largest side of the box around the points that are read [mm]."""
         return float(np.ptp(self.nominal[self.seen > 0], axis=0).max()) or 1.0
@@ -82,7 +82,7 @@ def join(lengths: Table, points: Table, tracers: Table | None, absolute: bool) -
     listed = sorted(set(lengths.texts("tracer"))) if tracers is None else tracers.texts("tracer")
     names, in_points = points.texts("point"), points.file or "the list of points"
     point, place, point_sigma, tracer_sigma, _ = together(
-        lambda: matched(lengths, "point", names, in_points),
+        lambda: matched(lengths, "point", points.columns["point"].astype(str), in_points),
         lambda: matched(lengths, "tracer", listed, "" if tracers is None else tracers.file),
         lambda: sigmas(points),
         lambda: None if tracers is None else sigmas(tracers),
@@ -112,7 +112,7 @@ def join(lengths: Table, points: Table, tracers: Table | None, absolute: bool) -
     )
 
 
-def matched(table: Table, column: str, names: Sequence[str], where: str) -> Index:
+def matched(table: Table, column: str, names: Sequence[str] | Texts, where: str) -> Index:
     """Return for each row of a column the position of its name in `names`, (n,).
 
     Raises InputError that lists every name not found, with the nearest name as a hint.
