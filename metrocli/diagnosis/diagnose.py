@@ -117,16 +117,10 @@ def _diagnosed(
 ) -> tuple[Diagnosis, Searched]:
     """Return the diagnosis of a job within its budget, and the search from which it follows."""
     progress.doing("looking for structure", job.budget.left())
-    searched = first = search_about_solution(job, progress)
-    job, searched, scatters = with_scatters(job, searched, progress)
+    first = search_about_solution(job, progress)
+    job, searched, scatters = with_scatters(job, first, progress)
+    searched, library = _without_imitations(job, searched)
     white = searched.beside_white_noise
-    library = Library(searched.job, white.test_set.system)
-    if job.places:
-        only = without_imitations(library, white, searched.processes)
-        searched = searched if only is None else searched.with_white_noise(only)
-        white = searched.beside_white_noise
-        if searched.processes:
-            library = Library(searched.job, searched.selection.test_set.system)
     names = confidence_sets(searched.selection)
     left = (1 - _OF_EFFECTS) * limit + max(job.budget.left(), 0.0)
     progress.doing("cross-validating: predicting parts of the readings from the others", left)
@@ -137,18 +131,15 @@ def _diagnosed(
     tests, fitted = score_tests_after(fit, white, names, searched.units, np.random.default_rng(SEED))
     structure, level = remaining_structure(white, names, tests, fitted)
     repeats = pure_error(job, tests.system, fitted)
-    structure = _structure_of_repeats(repeats) if structure is None else structure
+    structure = structure or _structure_of_repeats(repeats)
     laws: tuple[Law, ...] = ()
     if job.places:
         progress.doing("looking for a law in what no effect explains", job.budget.left())
         with attended(job.budget.interrupt):
             # beside a process, which explains the structure, a law has to show as one does without structure
-            structured = structure is not None and not searched.processes
-            laws = laws_in(library, searched.selection, structured, ordered)
-    structure = _structure_of(laws) if structure is None else structure
+            laws = laws_in(library, searched.selection, bool(structure and not searched.processes), ordered)
     before = _strongest_before(first.beside_white_noise.test_set)
-    if structure is None:
-        structure = _structure_of_processes(searched.processes, before)
+    structure = structure or _structure_of(laws) or _structure_of_processes(searched.processes, before)
     # without an extended fit and processes the law is about the same linearised system; what it explains is no noise
     law = next((one for one in laws if one.chosen and fit is None and not searched.processes), None)
     explained = fitted.with_columns(law.columns) if law else fitted
@@ -179,6 +170,19 @@ def _diagnosed(
         interrupted=job.budget.interrupted,
     )
     return diagnosis, searched
+
+
+def _without_imitations(job: AdjustedJob, searched: Searched) -> tuple[Searched, Library]:
+    """Return the search without names that stand for a law, and the library in which laws are sought after it."""
+    white = searched.beside_white_noise
+    library = Library(searched.job, white.test_set.system)
+    if not job.places:
+        return searched, library
+    only = without_imitations(library, white, searched.processes)
+    searched = searched if only is None else searched.with_white_noise(only)
+    if searched.processes:
+        library = Library(searched.job, searched.selection.test_set.system)
+    return searched, library
 
 
 def _findings(

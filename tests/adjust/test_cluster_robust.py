@@ -12,7 +12,7 @@ from adjust.dense import Array
 from simulated import lengths
 
 from metrocli.adjust.adjustment import adjust
-from metrocli.adjust.cluster_robust import ClusterRobust, Clusters, cluster_robust
+from metrocli.adjust.clusters.robust import ClusterRobust, Clusters, cluster_robust
 from metrocli.errors import UndeterminedError
 from metrocli.instruments import camera, tracer
 from metrocli.tasks.multilaterate import problem as multilaterate

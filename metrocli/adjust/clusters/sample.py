@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.cluster_rows import Rows
+from metrocli.adjust.clusters.rows import Rows
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.singular_values import thin_svd

@@ -1,0 +1,1 @@
+"""Errors that readings taken together share, and the covariance that counts them."""
