@@ -12,7 +12,7 @@ import numpy as np
 from metrocli.adjust.cluster_rows import Rows
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.adjust.singular_values import thin_svd
+from metrocli.adjust.decompositions import thin_svd
 from metrocli.frozen import dataclass
 
 _UNDETERMINED = 1e-9

@@ -15,7 +15,7 @@ import numpy as np
 
 from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, rows, unit_noise, unknowns_of
 from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.singular_values import thin_svd
+from metrocli.adjust.decompositions import pivoted_qr, thin_svd
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, TOOL, Machine, errors_of
@@ -157,9 +157,7 @@ def _refuse_harmful(opened: _Open, grids: Sequence[Array], cure: str) -> None:
 
 def _simple(directions: Array) -> Array:
     """Return directions that span the same space with few large entries each, by elimination with pivots."""
-    from scipy.linalg import qr
-
-    _, _, order = qr(directions.T, pivoting=True, mode="economic")
+    _, _, order = pivoted_qr(directions.T)
     chosen = order[: directions.shape[1]]
     return np.asarray(directions @ np.linalg.inv(directions[chosen]))
 
@@ -214,10 +212,8 @@ def _preference(machine: Machine) -> list[str]:
 
 def _taken(directions: Array, at: Array) -> tuple[Array, Array]:
     """Return the entries of an error to hold at zero, and the directions that then remain open."""
-    from scipy.linalg import qr
-
     part = directions[at]
-    _, triangle, order = qr(part.T, pivoting=True, mode="economic")
+    _, triangle, order = pivoted_qr(part.T)
     size = np.abs(np.diag(triangle))
     rank = int((size > _TOUCHED).sum())
     _, _, right = np.linalg.svd(part)
@@ -252,8 +248,6 @@ def worst_ratio(problem: Problem) -> float:
     best rigid motion, J to the readings after the fit of the tracker's frame. What only a prior
     holds, such as the index of the air, stays as it is. Returns inf if J is rank deficient.
     """
-    from scipy.linalg import eigh
-
     blocks = problem.blocks
     names = [name for name, block in blocks.items() if block.free.any() and name not in (TOOL, STOP, AIR)]
     unknowns = unknowns_of(blocks, names)
@@ -264,17 +258,11 @@ def worst_ratio(problem: Problem) -> float:
     path = normal_matrix([unit_noise(problem.readings, unit)], blocks, unknowns)
     volume = volume_matrix(problem, unknowns)
     scale = 1 / np.sqrt(np.maximum(np.diag(path), 1e-300))
-    last = unknowns.size - 1
     try:
-        top = eigh(
-            volume * scale[:, None] * scale,
-            path * scale[:, None] * scale,
-            eigvals_only=True,
-            subset_by_index=(last, last),
-        )
+        root = np.linalg.inv(np.linalg.cholesky(path * scale[:, None] * scale)) * scale
     except np.linalg.LinAlgError:
         return float("inf")
-    return float(np.sqrt(max(top[0], 0.0)))
+    return float(np.sqrt(max(np.linalg.eigvalsh(root @ volume @ root.T)[-1], 0.0)))
 
 
 def _angles_as_lengths(problem: Problem) -> Array:

@@ -7,7 +7,7 @@ from typing import NoReturn
 import numpy as np
 import pytest
 
-from metrocli.adjust.singular_values import thin_svd
+from metrocli.adjust.decompositions import thin_svd
 
 
 def given_up(*_: object, **__: object) -> NoReturn:
