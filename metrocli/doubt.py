@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from metrocli.adjust.probabilities import chi_square_bound
 from metrocli.record import Verdict
 from metrocli.result import Result, Scalar
 
@@ -63,4 +62,6 @@ def _number(value: object) -> float:
 
 def chi_bound(dof: float, probability: float) -> float:
     """Return the bound that sigma0 stays below with a probability if model and noise are right."""
-    return float((chi_square_bound(dof, 1 - probability) / dof) ** 0.5)
+    from scipy.special import chdtri
+
+    return float((chdtri(dof, 1 - probability) / dof) ** 0.5)

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from metrocli.table import Table
     from metrocli.uncertainty.workers import Workers
 
+    Adjustment = Callable[[], AdjustedJob]
+    """Returns an adjusted job in the form that diagnosis works on"""
+
 S = TypeVar("S")
 F = TypeVar("F")
 
@@ -61,12 +64,18 @@ class Task(Generic[S, F]):
     result_answers: Mapping[str, Callable[[Result, Sequence[str]], tuple[Estimate, ...]]] = field(default_factory=dict)
     """Function for each question of a result, by name; it receives the values as typed on the command line"""
 
+    with_adjustment: Callable[[Job[S, F]], tuple[Result, Adjustment]] | None = None
+    """As `run`, with what gives the adjustment behind the result; for kinds with other settings"""
     other_settings: Callable[[Job[S, F], bool], Iterable[tuple[Mistake, Job[S, F]]]] | None = None
     """What may be wrong in the settings, each with the job that is right then; takes whether the readings fit"""
 
     def job(self, settings: S, *contents: Any, effects: Sequence[Wanted] = (), **named: Any) -> Job[S, F]:
         """Return a job from settings and the contents of its files, given in the order of `files` or by name."""
         return Job(settings, self.files(*contents, **named), effects)
+
+    def carried_out(self, job: Job[S, F]) -> tuple[Result, Adjustment | None]:
+        """Return the result of a job, and what gives the adjustment behind it; None where nothing asks for it."""
+        return (self.run(job), None) if self.with_adjustment is None else self.with_adjustment(job)
 
     def others(self, job: Job[S, F], fits: bool) -> list[tuple[Mistake, Callable[[], AdjustedJob]]]:
         """Return what may be wrong in the settings of a job, each with what adjusts the job without it."""

@@ -265,7 +265,7 @@ def _dense(value: Array, column: Index, width: int) -> tuple[Array, Array]:
     """Return derivatives (n, d, c) in their columns (n, d, c) as a matrix A (n d, width), and `A'A`."""
     place = np.arange(value.size // value.shape[2])[:, None] * width + column.reshape(-1, value.shape[2])
     size = len(place) * width
-    matrix = np.bincount(place.ravel(), value.ravel(), minlength=size).reshape(len(place), width)
+    matrix: Array = np.bincount(place.ravel(), value.ravel(), minlength=size).astype(float).reshape(len(place), width)
     return matrix, matrix.T @ matrix
 
 

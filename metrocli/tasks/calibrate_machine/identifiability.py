@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
+from metrocli.adjust.decompositions import pivoted_qr, thin_svd
 from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, rows, unit_noise, unknowns_of
 from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.decompositions import pivoted_qr, thin_svd
+from metrocli.adjust.model.observations import Index
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, TOOL, Machine, errors_of
@@ -38,23 +40,47 @@ _POINTS = 300
 class Identifiability:
     """Which errors a measurement determines, and its worst ratio of volume error to misfit."""
 
-    unknowns: int
-    rank: int
-    status: Mapping[str, Determination]
-    """By the name of an error"""
-    partners: Mapping[str, tuple[str, ...]]
-    """For each error that is not determined on its own, the errors with which it is combined"""
-    ratio: float
-    """Largest ratio of the volume's error to the misfit of the readings, both root mean square"""
+    problem: Problem
+    opened: _Open
     blocks: Mapping[str, Block]
     """The blocks of unknowns, with undetermined entries held at zero"""
-    open_tools: tuple[str, ...]
-    """Tools of the job whose error cannot be predicted, since it depends on undetermined errors"""
+    undetermined: tuple[str, ...]
+    """Names of the errors that are held at zero"""
 
     @property
-    def undetermined(self) -> tuple[str, ...]:
-        """Names of the errors that are held at zero."""
-        return tuple(name for name, status in self.status.items() if status == Determination.UNDETERMINED)
+    def unknowns(self) -> int:
+        """Number of unknowns."""
+        return self.opened.unknowns.size
+
+    @property
+    def rank(self) -> int:
+        """Number of combinations of them that are determined."""
+        return self.unknowns - len(self.opened.directions.T)
+
+    @cached_property
+    def status(self) -> Mapping[str, Determination]:
+        """Whether an error is determined, by its name."""
+        shares = self.opened.shares(self.opened.directions)
+        return {name: _status(name, shares, self.undetermined, self.opened.blocks) for name in ALL_NAMES}
+
+    @cached_property
+    def partners(self) -> Mapping[str, tuple[str, ...]]:
+        """For each error that is not determined on its own, the errors with which it is combined."""
+        combined = (Determination.TOGETHER, Determination.UNDETERMINED)
+        return {name: _partners(name, self.opened) for name in ALL_NAMES if self.status[name] in combined}
+
+    @cached_property
+    def ratio(self) -> float:
+        """Largest ratio of the volume's error to the misfit of the readings, both root mean square."""
+        return worst_ratio(self.problem.with_blocks(self.blocks))
+
+    @cached_property
+    def open_tools(self) -> tuple[str, ...]:
+        """Tools of the job whose error cannot be predicted, since it depends on undetermined errors."""
+        tools = self.opened.blocks[TOOL].members
+        return tuple(
+            tool for tool in tools if np.abs(_moved(self.problem, self.opened, tool)).max(initial=0.0) > _HARMLESS
+        )
 
     @property
     def together(self) -> tuple[str, ...]:
@@ -73,19 +99,20 @@ class _Open:
     unknowns: Unknowns
     blocks: Mapping[str, Block]
 
+    @cached_property
+    def rows_of(self) -> Mapping[str, Index]:
+        """Indices of the unknowns of each error, by its name."""
+        columns = [column for _, _, column in self.unknowns.names(self.blocks)]
+        return {name: np.array([i for i, one in enumerate(columns) if one == name], int) for name in ALL_NAMES}
+
     def moved(self, group_rows: Array) -> Array:
         """Return the displacement that each direction causes at its full plausible size, (d*n, k)."""
         flat = group_rows.reshape(-1, self.unknowns.size)
         return np.asarray(flat @ (self.reach[:, None] * self.directions))
 
-    def rows_of(self, name: str) -> Array:
-        """Return the indices of the unknowns of an error."""
-        return np.array([i for i, (_, _, column) in enumerate(self.unknowns.names(self.blocks)) if column == name], int)
-
     def shares(self, directions: Array) -> dict[str, float]:
         """Return for each error its largest entry in the given directions, at most 1."""
-        found = {name: self.rows_of(name) for name in ALL_NAMES}
-        return {name: float(np.abs(directions[at]).max(initial=0.0)) for name, at in found.items()}
+        return {name: float(np.abs(directions[at]).max(initial=0.0)) for name, at in self.rows_of.items()}
 
 
 def identify(problem: Problem) -> Identifiability:
@@ -100,26 +127,14 @@ def identify(problem: Problem) -> Identifiability:
     matrix = normal_matrix(problem.groups, blocks, unknowns)
     values, vectors = np.linalg.eigh(matrix * reach[:, None] * reach)
     opened = _Open(vectors[:, values < 1.0], reach, unknowns, blocks)
-    grids = {tool: _grid_rows(problem, tool, unknowns) for tool in blocks["tool"].members}
-    stations = blocks[TRACER].values[:, :3] if TRACER in blocks else None
-    _refuse_harmful(opened, [grids[tool] for tool in problem.tools_used], cure_of(stations))
+    _refuse_harmful(problem, opened)
     held, undetermined = _hold(opened, problem.machine)
-    shares = opened.shares(opened.directions)
-    status = {name: _status(name, shares, undetermined, blocks) for name in ALL_NAMES}
-    partners = {
-        name: _partners(name, opened, status)
-        for name in ALL_NAMES
-        if status[name] in (Determination.TOGETHER, Determination.UNDETERMINED)
-    }
-    return Identifiability(
-        unknowns.size,
-        int((values >= 1.0).sum()),
-        status,
-        partners,
-        worst_ratio(problem.with_blocks(held)),
-        held,
-        tuple(tool for tool, grid in grids.items() if np.abs(opened.moved(grid)).max(initial=0.0) > _HARMLESS),
-    )
+    return Identifiability(problem, opened, held, undetermined)
+
+
+def _moved(problem: Problem, opened: _Open, tool: str) -> Array:
+    """Return the displacement of a tool over the volume by each open direction, (3 n, k)."""
+    return opened.moved(_grid_rows(problem, tool, opened.unknowns))
 
 
 def _grid_rows(problem: Problem, tool: str, unknowns: Unknowns) -> Array:
@@ -130,15 +145,16 @@ def _grid_rows(problem: Problem, tool: str, unknowns: Unknowns) -> Array:
     return without_rigid_motion(rows(group, blocks, unknowns), position)
 
 
-def _refuse_harmful(opened: _Open, grids: Sequence[Array], cure: str) -> None:
+def _refuse_harmful(problem: Problem, opened: _Open) -> None:
     if opened.directions.shape[1] == 0:
         return
-    moved = np.concatenate([opened.moved(grid) for grid in grids])
+    moved = np.concatenate([_moved(problem, opened, tool) for tool in problem.tools_used])
     _, sizes, mix = thin_svd(moved)
     count = int((sizes / np.sqrt(len(moved)) > _HARMLESS).sum())
     if count == 0:
         return
     harmful = _simple(opened.directions @ mix[:count].T)
+    cure = cure_of(problem.blocks[TRACER].values[:, :3] if TRACER in problem.blocks else None)
     lines = [f"  {i + 1}: {_told(opened, direction)}" for i, direction in enumerate(harmful.T[:8])]
     more = [f"  and {count - 8} more"] if count > 8 else []
     raise UndeterminedError(
@@ -173,7 +189,7 @@ def _told(opened: _Open, direction: Array) -> str:
 
 def _knots(opened: _Open, name: str, direction: Array) -> str:
     """Return the knots at which an error takes part in a direction, as text; empty if all of them do."""
-    at = opened.rows_of(name)
+    at = opened.rows_of[name]
     members = [opened.unknowns.names(opened.blocks)[i][1] for i in at]
     size = np.abs(direction[at])
     moving = [member for member, part in zip(members, size, strict=True) if part > _NAMED * size.max()]
@@ -190,7 +206,7 @@ def _hold(opened: _Open, machine: Machine) -> tuple[dict[str, Block], tuple[str,
     directions, blocks, undetermined = opened.directions, dict(opened.blocks), []
     names = opened.unknowns.names(opened.blocks)
     for name in _preference(machine):
-        at = opened.rows_of(name)
+        at = opened.rows_of[name]
         if directions.shape[1] == 0 or at.size == 0 or np.abs(directions[at]).max() < _TOUCHED:
             continue
         chosen, directions = _taken(directions, at)
@@ -210,7 +226,7 @@ def _preference(machine: Machine) -> list[str]:
     return [*angles, *(name for name in ALL_NAMES if name[1] == "0" or name[2] == "0"), *rest, "A0Z", "B0Z", "C0Y"]
 
 
-def _taken(directions: Array, at: Array) -> tuple[Array, Array]:
+def _taken(directions: Array, at: Index) -> tuple[Index, Array]:
     """Return the entries of an error to hold at zero, and the directions that then remain open."""
     part = directions[at]
     _, triangle, order = pivoted_qr(part.T)
@@ -232,9 +248,9 @@ def _status(
     return Determination.TOGETHER if shares[name] > _TOUCHED else Determination.DETERMINED
 
 
-def _partners(name: str, opened: _Open, status: Mapping[str, Determination]) -> tuple[str, ...]:
+def _partners(name: str, opened: _Open) -> tuple[str, ...]:
     """Return the errors that are combined with an error in the open directions."""
-    at = opened.rows_of(name)
+    at = opened.rows_of[name]
     _, sizes, mix = thin_svd(opened.directions[at])
     moving = opened.directions @ mix[sizes > _TOUCHED].T
     shares = opened.shares(moving)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.errors import InputError
@@ -29,13 +31,22 @@ from metrocli.tasks.calibrate_machine.structure import noise_of
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.structured_noise import settled
 
+if TYPE_CHECKING:
+    from metrocli.tasks.job import Adjustment
+
 _WITHOUT = "the plan leaves out the effects of the job: its uncertainties hold for the geometric errors alone"
 
 
 def run(job: Job[Settings, Files]) -> Result:
     """Estimate the geometric errors; raises InputError, UndeterminedError or NotConvergedError."""
+    return with_adjustment(job)[0]
+
+
+def with_adjustment(job: Job[Settings, Files]) -> tuple[Result, Adjustment]:
+    """Return the result of `run`, and what gives its adjustment in the form that diagnosis works on."""
     solved, factor = _settled(job)
-    return report(solved, job.settings, noise_of(solved, job.settings.noise.model, factor))
+    found = report(solved, job.settings, noise_of(solved, job.settings.noise.model, factor))
+    return found, partial(adjusted_job, solved)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
@@ -97,6 +108,7 @@ TASK = Task(
     plan=plan,
     simulate=simulate,
     diagnosed=diagnosed,
+    with_adjustment=with_adjustment,
     other_settings=other_settings,
     effects=EFFECTS,
     places=PLACES,
