@@ -17,6 +17,11 @@ _ROUNDED = 1e-9
 """Relative change below which steps that do not shrink are rounding"""
 
 
+def normal_below(value: float) -> float:
+    """Return the probability that a standard normal variable is below `value`."""
+    return math.erfc(-value / math.sqrt(2)) / 2
+
+
 def normal_bound(tail: float) -> float:
     """Return the value that a standard normal variable exceeds with probability `tail`.
 

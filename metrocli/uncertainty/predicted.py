@@ -114,7 +114,7 @@ def points_of(result: Result) -> Places:
 def shared(common: Array, core: Array) -> Array:
     """Return `C K C'` of each place, common (n, 3, k), core (k, k) -> (n, 3, 3)."""
     # one product for all places: one for each would read the core n times
-    product = (common.reshape(-1, len(core)) @ core).reshape(common.shape)
+    product = (common.reshape(3 * len(common), len(core)) @ core).reshape(common.shape)
     return np.asarray(product @ np.swapaxes(common, 1, 2))
 
 

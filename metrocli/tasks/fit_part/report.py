@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from metrocli.adjust.probabilities import normal_below
 from metrocli.geometry import poses
 from metrocli.geometry.surfaces import Array
 from metrocli.result import Estimate, Result, ShownTable
@@ -100,11 +101,10 @@ def _freedom(solved: Solved) -> Statistics:
 
 def below(overstock: Array, std: Array, minimum: float) -> Array:
     """Return the chance that the true overstock is below the minimum, for normal errors; 0 or 1 without errors."""
-    from scipy.special import ndtr
-
     gap = minimum - overstock
     exact = (gap > 1e-9).astype(float)
-    return np.where(std > 0, ndtr(gap / np.where(std > 0, std, 1.0)), exact)
+    chance = [normal_below(one) for one in (gap / np.where(std > 0, std, 1.0)).tolist()]
+    return np.where(std > 0, chance, exact)
 
 
 def _overstock(solved: Solved) -> Table:
@@ -202,15 +202,16 @@ def _targets(solved: Solved) -> tuple[Table, dict[str, Array]]:
     The joint covariance of targets i and j is `own_i [i = j] + common_i common_j'` with common (m, 3, k): their own
     errors, those that they share with the surface points, and those of the pose.
     """
-    from scipy.linalg import block_diag
-
     targets, fit, sense = solved.prepared.readings.targets, solved.fit, solved.sensitivity
     places, turn = targets.places, poses.rotation_of(fit.into)
     points = poses.apply(fit.into, places.values) if len(targets.names) else np.zeros((0, 3))
     own = turn @ places.own @ turn.T
     moves = fit.local.movement_of(points)
     shared = np.concatenate([turn @ places.common + moves @ sense.by_common, moves], axis=2)
-    common = _factor(shared, block_diag(sense.core, sense.own))
+    count, size = len(sense.core), shared.shape[2]
+    core = np.zeros((size, size))
+    core[:count, :count], core[count:, count:] = sense.core, sense.own
+    common = _factor(shared, core)
     whole = own + common @ np.swapaxes(common, 1, 2)
     std = np.sqrt(np.einsum("nkk->nk", whole))
     columns: dict[str, Values] = {"target": np.array(targets.names, dtype=str)}
