@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.decompositions import pivoted_qr, thin_svd
-from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, rows, unit_noise, unknowns_of
+from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, unit_noise, unknowns_of
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Index
 from metrocli.errors import UndeterminedError
@@ -25,15 +25,13 @@ from metrocli.instruments.tracer import AIR, STOP, TRACER
 from metrocli.tasks.calibrate_machine.determination import Determination
 from metrocli.tasks.calibrate_machine.layout import cure_of
 from metrocli.tasks.calibrate_machine.problem import Problem
-from metrocli.tasks.calibrate_machine.volume import grid_group, spread_over, without_rigid_motion
+from metrocli.tasks.calibrate_machine.volume import rows_over_volume
 
 _HARMLESS = 1e-4
 """An open direction is harmless if it moves the tool by less than this [mm] at its full plausible size: 0.1 um"""
 _TOUCHED = 1e-6
 """Largest entry of a table in the open directions below which the table counts as determined"""
 _NAMED = 0.2
-_POINTS = 300
-"""Number of points at which the error in the volume is evaluated"""
 
 
 @dataclass(frozen=True)
@@ -44,8 +42,8 @@ class Identifiability:
     opened: _Open
     blocks: Mapping[str, Block]
     """The blocks of unknowns, with undetermined entries held at zero"""
-    undetermined: tuple[str, ...]
-    """Names of the errors that are held at zero"""
+    held: tuple[str, ...]
+    """Names of the errors with entries held at zero, as they were chosen"""
 
     @property
     def unknowns(self) -> int:
@@ -61,7 +59,7 @@ class Identifiability:
     def status(self) -> Mapping[str, Determination]:
         """Whether an error is determined, by its name."""
         shares = self.opened.shares(self.opened.directions)
-        return {name: _status(name, shares, self.undetermined, self.opened.blocks) for name in ALL_NAMES}
+        return {name: _status(name, shares, self.held, self.opened.blocks) for name in ALL_NAMES}
 
     @cached_property
     def partners(self) -> Mapping[str, tuple[str, ...]]:
@@ -81,6 +79,11 @@ class Identifiability:
         return tuple(
             tool for tool in tools if np.abs(_moved(self.problem, self.opened, tool)).max(initial=0.0) > _HARMLESS
         )
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Names of the errors that are held at zero."""
+        return tuple(name for name, status in self.status.items() if status == Determination.UNDETERMINED)
 
     @property
     def together(self) -> tuple[str, ...]:
@@ -134,15 +137,7 @@ def identify(problem: Problem) -> Identifiability:
 
 def _moved(problem: Problem, opened: _Open, tool: str) -> Array:
     """Return the displacement of a tool over the volume by each open direction, (3 n, k)."""
-    return opened.moved(_grid_rows(problem, tool, opened.unknowns))
-
-
-def _grid_rows(problem: Problem, tool: str, unknowns: Unknowns) -> Array:
-    """Return the Jacobian of a tool's displacement over the volume, (3, n, unknowns), without rigid motion."""
-    machine, blocks = problem.machine, problem.blocks
-    position = spread_over(machine, _POINTS)
-    group = grid_group(machine, position, blocks["tool"].members.index(tool))
-    return without_rigid_motion(rows(group, blocks, unknowns), position)
+    return opened.moved(rows_over_volume(problem.machine, problem.blocks, tool, opened.unknowns))
 
 
 def _refuse_harmful(problem: Problem, opened: _Open) -> None:
@@ -294,6 +289,7 @@ def volume_matrix(problem: Problem, unknowns: Unknowns) -> Array:
 
     The mean is over the volume and the measured tools, without rigid motion.
     """
-    grids = np.concatenate([_grid_rows(problem, tool, unknowns) for tool in problem.tools_used], axis=1)
+    machine, blocks = problem.machine, problem.blocks
+    grids = np.concatenate([rows_over_volume(machine, blocks, tool, unknowns) for tool in problem.tools_used], axis=1)
     flat = grids.reshape(-1, unknowns.size)
     return np.asarray(flat.T @ flat / grids.shape[1])
