@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.effects.model import Model
 from metrocli.errors import InputError
 from metrocli.plan import Plan
 from metrocli.result import Result
@@ -78,6 +79,11 @@ def problem_of(job: Job[Settings, Files]) -> Problem:
     raise InputError(f"method {job.settings.method} has no readings")
 
 
+def begun(job: Job[Settings, Files]) -> Model:
+    """Return the model of a job before its adjustment; raises InputError for a track."""
+    return problem_of(job).with_effects(job.effects).model
+
+
 def check(job: Job[Settings, Files]) -> None:
     """Raise InputError for what shows before the adjustment; a track is aligned with its path by computing."""
     if job.settings.method != ON_THE_FLY:
@@ -109,6 +115,7 @@ TASK = Task(
     simulate=simulate,
     diagnosed=diagnosed,
     with_adjustment=with_adjustment,
+    begun=begun,
     other_settings=other_settings,
     effects=EFFECTS,
     places=PLACES,

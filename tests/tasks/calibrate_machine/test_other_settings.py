@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -98,9 +99,7 @@ def test_an_estimated_noise_does_not_hide_the_chain() -> None:
 
     def found(settings: Settings) -> str:
         job = calibrate_machine.TASK.job(settings, points=table)
-        told = with_other_setting(
-            calibrate_machine.diagnosed(job), lambda fits: calibrate_machine.TASK.others(job, fits)
-        )
+        told = with_other_setting(calibrate_machine.diagnosed(job), partial(calibrate_machine.TASK.others, job))
         return str(told.mistakes[0]) if told else ""
 
     assert not found(settings)
