@@ -40,6 +40,8 @@ _STEPS = 24
 """Steps that one try may take, its starts included; a job that is read rightly takes 12 to 15"""
 _OTHER_FITS = 2.0
 """Another setting is reported if it makes the squared residuals so many times smaller"""
+_SURELY = 1.05
+"""A least mean square that is so many times what would do rules an adjustment out: it is known to a few thousandths"""
 _MOST_FITTING = 5_000
 """Other settings of a job that fits are tried up to so many readings"""
 _BY_CHANCE = 1e-4
@@ -141,7 +143,7 @@ def _cannot_fit(begun: Callable[[], Model], size: Mapping[str, Array], most: flo
         return False
     units = [unit_noise(group, size[group.name][:, None]) for group in model.readings]
     least = sum(least_square(group, model.blocks) for group in units)
-    return least > most * sum(group.observations.readings.size for group in units)
+    return least > _SURELY * most * sum(group.observations.readings.size for group in units)
 
 
 def _mean_square(job: AdjustedJob, size: Mapping[str, Array]) -> float:

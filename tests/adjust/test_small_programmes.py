@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.optimize import linprog, minimize
+from scipy.optimize import linprog, minimize, nnls
 
-from metrocli.adjust.small_programmes import highest, quadratic
+from metrocli.adjust.small_programmes import highest, not_negative, quadratic
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -55,3 +55,25 @@ def test_the_highest_least_value_is_that_of_the_whole_programme(seed: int) -> No
     )
     assert least == pytest.approx(-whole.fun, abs=1e-7)
     assert found.duals.sum() == pytest.approx(1.0) and np.allclose(rows.T @ found.duals, 0, atol=1e-7)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_ties_do_not_keep_the_simplex_method_from_ending(seed: int) -> None:
+    """Whole numbers: many bases have the same value, and the reach holds some of the solutions."""
+    rng = np.random.default_rng(seed)
+    rows, values = rng.integers(-1, 2, (200, 6)).astype(float), rng.integers(-3, 4, 200).astype(float)
+    found, least = highest(rows, values, 1.0)
+    limits = [(-1, 1)] * 6 + [(None, None)]
+    against = np.column_stack([-rows, np.ones(200)])
+    whole = linprog(np.append(np.zeros(6), -1.0), against, values, bounds=limits)
+    assert least == pytest.approx(-whole.fun, abs=1e-9)
+    assert np.abs(found.x).max() <= 1 + 1e-12 and (found.duals >= 0).all()
+
+
+@pytest.mark.parametrize("size", [4, 7, 60])
+def test_non_negative_least_squares_are_those_of_scipy(size: int) -> None:
+    rng = np.random.default_rng(size)
+    matrix, goal = rng.normal(size=(7, size)), rng.normal(size=7)
+    found = not_negative(matrix, goal)
+    assert (found >= 0).all()
+    assert np.linalg.norm(matrix @ found - goal) == pytest.approx(nnls(matrix, goal)[1], abs=1e-12)
