@@ -2,8 +2,9 @@
 
 Python alone and numpy show how busy the machine is: the times of all commands grow with it. So the last column has them
 in imports of numpy. The modules are compiled before, as after an installation; with PYTHONDONTWRITEBYTECODE=1 each
-start compiles all of them again, which takes longer than the rest of a small job. Each run writes its result anew. Of
-the kinds that need more files a sample is run, with its number of readings.
+start compiles all of them again, which takes longer than the rest of a small job. Each run writes its result anew.
+First come jobs of about 100 readings of each kind, then larger samples. n is the number of their readings with those
+of the priors.
 
     python -m benchmarks command_speed [POINTS]
 """
@@ -22,6 +23,7 @@ import numpy as np
 
 from benchmarks import camera_speed
 from benchmarks.network_speed import CORNERS, VOLUME
+from benchmarks.projects import small_jobs
 from metrocli.formats import csv, hdf5
 from metrocli.table import Table
 from metrocli.tasks.shared.images.sightings import Sighted
@@ -29,13 +31,13 @@ from metrocli.tasks.shared.images.sightings import Sighted
 RUNS = 5
 SAMPLES = {
     "align-part": ("spindle-camera/jobs/align.yaml", "raw-part/jobs/align.yaml"),
-    "locate-launch-unit": ("xm60-launch-unit/jobs/errors.yaml",),
     "selfcal-grid": ("ball-cube/jobs/views.yaml",),
     "calibrate-machine": ("machine-lengths/jobs/one-tool.yaml", "otf-tracker/jobs/feed-2500.yaml"),
-    "report-uncertainty": ("gauge-block/jobs/gum.yaml",),
+    "fit-part": ("raw-part/jobs/fit.yaml",),
 }
-"""Small jobs of the sample projects"""
-FEW_TRIALS = {"report-uncertainty": ["--set", "monte_carlo.trials=10000"]}
+"""Jobs of the sample projects"""
+COMPARED = ("gear-m3d3/results/tip3.h5", "gear-m3d3/results/tip4.h5")
+FEW = ("--set", "monte_carlo.trials=10000")
 DOUBTFUL = 6
 """Exit code of a job whose result is doubtful"""
 
@@ -84,14 +86,18 @@ def network(folder: Path, n: int, m: int = 4) -> Path:
     return job
 
 
-def camera(folder: Path, views: int, share: float) -> Path:
-    """Write a job of `views` images of 100 targets, a share of them wrong, and return its path."""
+def camera(folder: Path, views: int, share: float, of: int = 1) -> Path:
+    """Write a job of `views` images of 100 targets, a share of them wrong, and return its path.
+
+    Of the targets every `of`-th is kept.
+    """
     sighted = camera_speed.scene(views, views)[0]
     readings = sighted.observations.readings
     size = np.array(camera_speed.SIZE)[:, None]
     inside = ((readings > 20) & (readings < size - 20)).all(axis=0)
     whole = np.bincount(sighted.view, inside) == 100
-    kept = sighted.observations.selected(whole[sighted.view])
+    number = np.unique(sighted.observations.keys["target"], return_inverse=True)[1]
+    kept = sighted.observations.selected(whole[sighted.view] & (number % of == 0))
     spoilt = camera_speed.spoilt(Sighted(sighted.images, sighted.targets, kept), share, views)[0].observations
     folder.mkdir()
     columns = {name: np.array(values) for name, values in spoilt.keys.items()}
@@ -107,7 +113,6 @@ def camera(folder: Path, views: int, share: float) -> Path:
         f"camera: {{image_size: {list(camera_speed.SIZE)}, estimate: [{', '.join(camera_speed.TRUTH)}]}}\n"
         "noise: estimated\noutliers: remove\noutput: result.h5\n"
     )
-    print(f"  ({kept.count} image points)")
     return job
 
 
@@ -125,21 +130,33 @@ def main(points: int = 100_000) -> None:
 
         def job(text: str, kind: str, path: Path, *settings: str) -> None:
             result = path.parent / "result.h5"
-            line(text, "-m", "metrocli", kind, str(path), "--quiet", "--output", str(result), *settings, result=result)
+            command = ["-m", "metrocli", kind, str(path), "--quiet", "--output", str(result), *settings]
+            subprocess.run([sys.executable, *command], capture_output=True)
+            line(f"{text}{readings(result)}", *command, result=result)
 
         line("python alone", "-c", "pass")
         line("python with numpy", "-c", "import numpy")
         line("metrocli --help", "-m", "metrocli", "--help")
-        job("multilaterate: 100 points, 4 tracers", "multilaterate", network(folder / "small", 100))
-        job("calibrate-camera: 5 images", "calibrate-camera", camera(folder / "few", 8, 0.0))
         projects = folder / "samples"
         shutil.copytree(Path(__file__).parents[1] / "sample_projects", projects)
-        for kind, paths in SAMPLES.items():
-            for path in paths:  # jobs that take over results need those first
-                project = projects / Path(path).parts[0]
+        for project in projects.iterdir():  # jobs that take over results need those first
+            if project.is_dir():
                 subprocess.run([sys.executable, "-m", "metrocli", "run", str(project)], capture_output=True)
-                output = projects / Path(path).parents[1] / "results" / f"{Path(path).stem}.h5"
-                job(f"{kind}: {path}{readings(output)}", kind, projects / path, *FEW_TRIALS.get(kind, []))
+        print("small jobs")
+        job("multilaterate: 25 points, 4 tracers", "multilaterate", network(folder / "tiny", 25))
+        job("calibrate-camera: 5 images", "calibrate-camera", camera(folder / "tiny camera", 8, 0.0, 9))
+        job("report-uncertainty", "report-uncertainty", projects / "gauge-block/jobs/gum.yaml", *FEW)
+        job("locate-launch-unit", "locate-launch-unit", projects / "xm60-launch-unit/jobs/table.yaml")
+        for name, path in small_jobs.written(folder / "small jobs", projects).items():
+            job(name, name.partition(",")[0], path)
+        compared = [str(projects / one) for one in COMPARED]
+        line("compare: 157 points", "-m", "metrocli", "compare", *compared)
+        print("larger jobs")
+        for kind, paths in SAMPLES.items():
+            for path in paths:
+                job(f"{kind}: {path}", kind, projects / path)
+        job("multilaterate: 100 points, 4 tracers", "multilaterate", network(folder / "small", 100))
+        job("calibrate-camera: 5 images", "calibrate-camera", camera(folder / "few", 8, 0.0))
         job(f"multilaterate: {points:,} points, 4 tracers", "multilaterate", network(folder / "large", points))
         job("calibrate-camera: outliers removed", "calibrate-camera", camera(folder / "many", 250, 0.02))
 
@@ -147,7 +164,7 @@ def main(points: int = 100_000) -> None:
 def readings(path: Path) -> str:
     """Return the number of readings of a result in words, "" if it has none."""
     statistics = hdf5.read(path)[0].statistics if path.exists() else {}
-    return f" ({statistics['observations']} readings)" if "observations" in statistics else ""
+    return f", n {statistics['observations']}" if "observations" in statistics else ""
 
 
 if __name__ == "__main__":

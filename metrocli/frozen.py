@@ -28,6 +28,7 @@ else:
 
     def _made(kw_only, cls):
         own = dict(vars(cls))
+        cls.__doc__ = cls.__doc__ or cls.__name__  # else `dataclasses` parses the signature of the class to write one
         # `dataclasses` compiles nothing for a class that is not frozen, but that cannot inherit from a frozen one
         inherits = any(map(dataclasses.is_dataclass, cls.__mro__[1:]))
         dataclasses.dataclass(cls, init=False, repr=False, eq=False, frozen=inherits, kw_only=kw_only)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli.adjust.decompositions import thin_svd
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
@@ -15,6 +16,10 @@ from metrocli.frozen import dataclass
 
 _CHUNK = 4000
 """Number of readings whose rows are held in memory at a time"""
+_STEPS, _AS_PREDICTED = 6, 1e-3
+"""Most steps to a least sum of squares, and relative difference from its prediction at which they end"""
+_UNSEEN = 1e-9
+"""Singular values below this fraction of the largest are of directions that the readings do not show"""
 
 
 @dataclass(frozen=True)
@@ -82,6 +87,38 @@ def normal_matrix(groups: Sequence[Group], blocks: Mapping[str, Block], unknowns
             flat = rows(part, blocks, unknowns).reshape(-1, unknowns.size)
             total += flat.T @ flat
     return total
+
+
+def least_square(group: Group, blocks: Mapping[str, Block]) -> float:
+    """Return the least sum of squares of the whitened residuals of a group over all values of the free unknowns.
+
+    Gauss-Newton steps from the present values; the last one is that after which the sum is as predicted. Returns 0, a
+    bound that always holds, where the readings are not twice as many as the unknowns, or where the steps do not settle.
+    """
+    unknowns = unknowns_of(blocks, [name for name in group.chain.blocks if blocks[name].free.any()])
+    if group.observations.readings.size < 2 * unknowns.size:
+        return 0.0
+    state, residual = dict(blocks), _whitened(group, blocks)
+    for _ in range(_STEPS):
+        design = rows(group, state, unknowns).reshape(-1, unknowns.size)
+        size = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+        u, values, vt = thin_svd(design / size)
+        seen = values > _UNSEEN * values[0]
+        along = u[:, seen].T @ residual
+        step = (vt[seen].T @ (along / values[seen])) / size
+        left = float(residual @ residual - along @ along)
+        state = {
+            name: state[name].moved(unknowns.spread(name, step)) if name in unknowns.columns else state[name]
+            for name in state
+        }
+        residual = _whitened(group, state)
+        if abs(float(residual @ residual) - left) <= _AS_PREDICTED * left:
+            return left
+    return 0.0
+
+
+def _whitened(group: Group, blocks: Mapping[str, Block]) -> Array:
+    return np.asarray(group.observations.whitened(group.residuals(blocks))).ravel()
 
 
 def unit_noise(group: Group, sigma: Array | float = 1.0) -> Group:

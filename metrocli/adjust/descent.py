@@ -14,6 +14,7 @@ from metrocli.adjust.datum import Datum, Frame, open_frame
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.schur.irregular_normals import FEW
 from metrocli.adjust.schur.layout import Layout
 from metrocli.adjust.schur.normals import Normals, assemble, cost_of
 from metrocli.adjust.schur.tiles import Tiling
@@ -29,8 +30,6 @@ _NEAR, _FAR_BELOW = 1e3, 1e-2
 """The last step is one shorter than `_NEAR` tolerances after which a step below `_FAR_BELOW` tolerances is expected"""
 _NOTHING = 1e-10
 """Share of the diagonal of the normal matrix below which its reduction leaves nothing"""
-_FEW = 100
-"""Most reduced unknowns that numpy solves for: loading scipy.linalg takes longer than it saves"""
 _DAMPING_START, _DAMPING_END, _DAMPING_LIMIT = 1e-9, 1e-11, 1e8
 
 
@@ -182,7 +181,7 @@ def cholesky_solve(matrix: Array, right: Array) -> Array:
         raise np.linalg.LinAlgError("the normal equations have entries that are no numbers")
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     balanced, scaled = matrix * scale[:, None] * scale, (right.T * scale).T
-    if len(matrix) <= _FEW:
+    if len(matrix) <= FEW:
         np.linalg.cholesky(balanced)  # raises LinAlgError unless it is positive definite
         solved: Array = np.asarray(np.linalg.solve(balanced, scaled), dtype=float)
     else:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.adjust.solution import Solution
 from metrocli.effects.acting import Acting
@@ -18,6 +19,10 @@ from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model
 from metrocli.frozen import dataclass
 
+ABSURD = 10.0
+"""Median residual, in declared standard deviations, above which mistakes in the files are tried"""
+BETTER = 10.0
+"""How many times closer to the plausible a job must be after a correction"""
 PerReading = Mapping[str, Array]
 """Values (n,) or (k, n) for each group of readings, by its name"""
 
@@ -187,3 +192,47 @@ class AdjustedJob:
     """Further measurements that the kind of job proposes: in words, with the model of that measurement"""
     part: Part | None = None
     """The part of a larger job that this is; None if it is whole"""
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """How far an adjusted job is from the plausible; above 1 it is absurd."""
+
+    residuals: float
+    """Median residual, relative to ten declared standard deviations"""
+    places: float
+    """Distance of places from where the files list them, relative to what is plausible"""
+    spread: float = 0.0
+    """Root mean square residual, in declared standard deviations"""
+
+    @property
+    def worst(self) -> float:
+        """The larger of both."""
+        return max(self.residuals, self.places)
+
+    def spoilt_alike(self, other: Misfit, shrinks: float) -> bool:
+        """Whether another reading of the files only takes wrong readings out of the fit, so that the median falls.
+
+        Lengths that become lighter beside angles do that. The root mean square does not fall with it.
+        """
+        return self.residuals >= 1 and other.spread * BETTER > self.spread * shrinks
+
+    def ratio(self, other: Misfit, shrinks: float = 1.0) -> float:
+        """Return how many times larger its square is than that of another reading of the same files.
+
+        `shrinks` is the factor of the residuals that the other reading has whatever is wrong.
+        """
+        absurd = self.residuals if self.residuals >= 1 else self.places
+        return (absurd * shrinks / max(other.residuals if self.residuals >= 1 else other.places, 1e-12)) ** 2
+
+
+def misfit_of(job: AdjustedJob) -> Misfit:
+    """Return how far the residuals and the places of an adjusted job are from the plausible."""
+    found = [_whitened(group, job) for group in job.model.readings]
+    medians = [float(np.median(np.abs(one))) for one in found]
+    spreads = [float(np.sqrt(np.mean(one**2))) for one in found]
+    return Misfit(max(medians, default=0.0) / ABSURD, job.astray, max(spreads, default=0.0))
+
+
+def _whitened(group: Group, job: AdjustedJob) -> np.typing.NDArray[np.float64]:
+    return np.asarray(group.observations.whitened(group.residuals(job.model.blocks)))

@@ -14,22 +14,19 @@ from typing import TypeVar
 import numpy as np
 
 from metrocli.adjust.allowance import allowance
+from metrocli.adjust.dense_jacobian import least_square, unit_noise
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.groups import Group
 from metrocli.adjust.probabilities import f_tail
-from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.adjusted_job import ABSURD, BETTER, AdjustedJob, Misfit, misfit_of
 from metrocli.diagnosis.corrections import Inputs, Mistake, corrections
+from metrocli.effects.model import Model
 from metrocli.errors import Fault, InputError, MetrocliError, NoSolutionError, NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.table import Table
 
-_ABSURD = 10.0
-"""Median residual, in declared standard deviations, above which mistakes in the files are tried"""
-_BETTER = 10.0
-"""How many times closer to the plausible a job must be after a correction"""
 _AS_GOOD = 2.0
 """Corrections up to so many times as far from the plausible as the best one are reported with it"""
-_FAR_BETTER = 1000.0
+_FARBETTER = 1000.0
 """A file is refused if another reading of it makes the squared misfit so many times smaller"""
 _FITS = 0.3
 """Where the file as it stands has no solution, another reading must be so near the plausible: residuals of 3 sigma"""
@@ -43,6 +40,8 @@ _STEPS = 24
 """Steps that one try may take, its starts included; a job that is read rightly takes 12 to 15"""
 _OTHER_FITS = 2.0
 """Another setting is reported if it makes the squared residuals so many times smaller"""
+_SURELY = 1.05
+"""A least mean square that is so many times what would do rules an adjustment out: it is known to a few thousandths"""
 _MOST_FITTING = 5_000
 """Other settings of a job that fits are tried up to so many readings"""
 _BY_CHANCE = 1e-4
@@ -53,40 +52,9 @@ FAILURES = (UndeterminedError, NotConvergedError, InputError)
 
 Adjust = Callable[[Inputs], AdjustedJob]
 T = TypeVar("T")
-Others = Callable[[bool], Iterable[tuple[Mistake, Callable[[], AdjustedJob]]]]
-"""Takes whether the job fits; returns what may be wrong in its settings, each with what adjusts the job without it"""
-
-
-@dataclass(frozen=True)
-class Misfit:
-    """How far an adjusted job is from the plausible; above 1 it is absurd."""
-
-    residuals: float
-    """Median residual, relative to ten declared standard deviations"""
-    places: float
-    """Distance of places from where the files list them, relative to what is plausible"""
-    spread: float = 0.0
-    """Root mean square residual, in declared standard deviations"""
-
-    @property
-    def worst(self) -> float:
-        """The larger of both."""
-        return max(self.residuals, self.places)
-
-    def spoilt_alike(self, other: Misfit, shrinks: float) -> bool:
-        """Whether another reading of the files only takes wrong readings out of the fit, so that the median falls.
-
-        Lengths that become lighter beside angles do that. The root mean square does not fall with it.
-        """
-        return self.residuals >= 1 and other.spread * _BETTER > self.spread * shrinks
-
-    def ratio(self, other: Misfit, shrinks: float = 1.0) -> float:
-        """Return how many times larger its square is than that of another reading of the same files.
-
-        `shrinks` is the factor of the residuals that the other reading has whatever is wrong.
-        """
-        absurd = self.residuals if self.residuals >= 1 else self.places
-        return (absurd * shrinks / max(other.residuals if self.residuals >= 1 else other.places, 1e-12)) ** 2
+Others = Callable[..., Iterable[tuple[Mistake, Callable[[], AdjustedJob]]]]
+"""Takes whether the job fits, and perhaps which models are hopeless (`Task.others`); returns what may be wrong in its
+settings, each with what adjusts the job without it"""
 
 
 @dataclass(frozen=True)
@@ -105,7 +73,7 @@ ELSEWHERE = Mistake(
 )
 
 
-def no_others(fits: bool) -> tuple[()]:
+def no_others(*how: object) -> tuple[()]:
     """Return no other settings."""
     return ()
 
@@ -131,7 +99,7 @@ def without_mistakes(inputs: Inputs, adjust: Adjust, others: Others = no_others)
         (misfit.worst, mistake, other)
         for mistake, misfit, other in _tried(_readings_of(inputs, adjust, others))
         if misfit.worst <= 1
-        and misfit.worst * _BETTER <= before * mistake.shrinks
+        and misfit.worst * BETTER <= before * mistake.shrinks
         and not misfits.spoilt_alike(misfit, mistake.shrinks)
     ]
     if tried:
@@ -156,7 +124,8 @@ def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
     fits = before <= _LARGER_NOISE**2
     if sum(group.observations.count for group in readings) > (_MOST_FITTING if fits else _MOST_ROWS):
         return None
-    tried = [(_mean_square(other, size), mistake, other) for mistake, _, other in _tried(others(fits))]
+    hopeless = partial(_cannot_fit, size=size, most=before / _OTHER_FITS)
+    tried = [(_mean_square(other, size), mistake, other) for mistake, _, other in _tried(others(fits, hopeless))]
     if not tried:
         return None
     after, mistake, other = min(tried, key=lambda one: one[0])
@@ -164,6 +133,17 @@ def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
     if ratio < _OTHER_FITS or f_tail(dof, dof, ratio) > _BY_CHANCE:
         return None
     return Mistaken((mistake,), other, float(np.sqrt(before)), float(np.sqrt(after)))
+
+
+def _cannot_fit(begun: Callable[[], Model], size: Mapping[str, Array], most: float) -> bool:
+    """Return whether no weights and no values bring the mean square of `_mean_square` down to `most`."""
+    try:
+        model = begun()
+    except FAILURES:
+        return False
+    units = [unit_noise(group, size[group.name][:, None]) for group in model.readings]
+    least = sum(least_square(group, model.blocks) for group in units)
+    return least > _SURELY * most * sum(group.observations.readings.size for group in units)
 
 
 def _mean_square(job: AdjustedJob, size: Mapping[str, Array]) -> float:
@@ -184,18 +164,6 @@ def strangeness(job: AdjustedJob) -> float:
     Above 1 it is absurd.
     """
     return misfit_of(job).worst
-
-
-def misfit_of(job: AdjustedJob) -> Misfit:
-    """Return how far the residuals and the places of an adjusted job are from the plausible."""
-    found = [_whitened(group, job) for group in job.model.readings]
-    medians = [float(np.median(np.abs(one))) for one in found]
-    spreads = [float(np.sqrt(np.mean(one**2))) for one in found]
-    return Misfit(max(medians, default=0.0) / _ABSURD, job.astray, max(spreads, default=0.0))
-
-
-def _whitened(group: Group, job: AdjustedJob) -> np.typing.NDArray[np.float64]:
-    return np.asarray(group.observations.whitened(group.residuals(job.model.blocks)))
 
 
 def _readings_of(inputs: Inputs, adjust: Adjust, others: Others) -> Iterator[tuple[Mistake, Callable[[], AdjustedJob]]]:
@@ -230,7 +198,7 @@ def _tried(
 
 def suspicious(sigma0: float, astray: float) -> bool:
     """Return whether a result is so far from plausible that other readings of its files are worth a try."""
-    return sigma0 > _ABSURD or astray > _SUSPECT_PLACES
+    return sigma0 > ABSURD or astray > _SUSPECT_PLACES
 
 
 def misread(
@@ -258,7 +226,7 @@ def misread(
         found = [
             one
             for one in found
-            if before.ratio(one[2], one[1].shrinks) >= _FAR_BETTER
+            if before.ratio(one[2], one[1].shrinks) >= _FARBETTER
             and one[0] <= 1
             and not before.spoilt_alike(one[2], one[1].shrinks)
         ]
@@ -278,14 +246,14 @@ def misread(
 def _as_good(tried: list[tuple[float, Mistake, T]]) -> list[tuple[float, Mistake, T]]:
     """Return the mistakes that explain a job about as well as the best one, those of the fewest columns first."""
     best = min(value for value, _, _ in tried)
-    alike = [one for one in tried if one[0] <= max(_AS_GOOD * best, _AS_GOOD / _ABSURD)]
+    alike = [one for one in tried if one[0] <= max(_AS_GOOD * best, _AS_GOOD / ABSURD)]
     return sorted(alike, key=lambda one: (one[1].columns, one[0]))
 
 
 def _unexplained(failure: MetrocliError) -> bool:
     if isinstance(failure, InputError):
         return not any(fault.line or fault.hint for fault in failure.faults)
-    return isinstance(failure, NoSolutionError) and failure.misfit > _ABSURD
+    return isinstance(failure, NoSolutionError) and failure.misfit > ABSURD
 
 
 def _explains(misfit: Misfit, job: AdjustedJob) -> bool:

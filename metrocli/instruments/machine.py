@@ -19,7 +19,6 @@ from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.frozen import dataclass
-from metrocli.geometry.rotations import cross_matrix
 
 AXES = ("X", "Y", "Z")
 POSITION = ("x", "y", "z")
@@ -237,10 +236,10 @@ class ErrorMotion:
             values = local.members(axis.block)
             error = sum(w * values[i].T for i, w in zip(index, weight, strict=True))
             lever = self.machine.lever(axis.number, position, tool)
-            motion[:3] += error[:3] + np.cross(error[3:], lever, axis=0)
+            motion[:3] += error[:3] + _crossed(error[3:], lever)
             motion[3:] += error[3:]
             if TOOL in local.wanted:
-                by_tool[:3] += np.moveaxis(cross_matrix(error[3:].T), 0, -1)
+                by_tool[:3] += _turning(error[3:])
             if axis.block in local.wanted:
                 by_block[axis.block] = weight[:, None] * by_errors(lever)
         return Step(motion, by_block={**by_block, TOOL: by_tool})
@@ -261,8 +260,21 @@ def by_errors(lever: Array) -> Array:
     """
     change = np.zeros((6, 6, lever.shape[1]))
     change[np.arange(6), np.arange(6)] = 1.0
-    change[:3, 3:] = -np.moveaxis(cross_matrix(lever.T), 0, -1)
+    change[:3, 3:] = -_turning(lever)
     return change
+
+
+def _turning(vectors: Array) -> Array:
+    """Return the matrices (3, 3, n) of the cross products with vectors (3, n)."""
+    x, y, z = vectors
+    none = np.zeros(len(x))
+    return np.array([[none, -z, y], [z, none, -x], [-y, x, none]])
+
+
+def _crossed(first: Array, second: Array) -> Array:
+    """Return the cross products of vectors (3, n); `numpy.cross` takes longer to arrange its axes than for these."""
+    (a, b, c), (x, y, z) = first, second
+    return np.array([b * z - c * y, c * x - a * z, a * y - b * x])
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from metrocli.diagnosis.job_entries import (
 from metrocli.diagnosis.laws.definition import as_define, as_wanted
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.memory import as_fits
-from metrocli.diagnosis.mistakes import Others, no_others, without_mistakes
+from metrocli.diagnosis.mistakes import Others, without_mistakes
 from metrocli.effects.acting import Variable
 from metrocli.effects.own import columns
 from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError, UsageError
@@ -98,11 +98,8 @@ def design_of(job: JobFile, progress: Progress = SILENT) -> tuple[AdjustedJob, D
 def _others(job: JobFile, inputs: Mapping[str, object], adjust: Callable[..., AdjustedJob]) -> Others:
     """Return the other settings of a job, each with what adjusts it."""
     task = tasks.KINDS[job.kind].task()
-    wanted = task.other_settings
-    if wanted is None:
-        return no_others
-    held = task.job(job.settings, effects=job.effects, **inputs)
-    return lambda fits: [(wrong, partial(adjust, inputs, other.settings)) for wrong, other in wanted(held, fits)]
+    trials = partial(task.jobs_with_others, task.job(job.settings, effects=job.effects, **inputs))
+    return lambda *how: [(wrong, partial(adjust, inputs, other.settings)) for wrong, other in trials(*how)]
 
 
 def _adjuster(job: JobFile, more: Sequence[Variable] = ()) -> Callable[..., AdjustedJob]:

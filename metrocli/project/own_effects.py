@@ -203,9 +203,18 @@ def _fit(kind: str, node: Node) -> Fit:
 
 @cache
 def _offered() -> tuple[tuple[str, EntryPoint], ...]:
-    from importlib.metadata import entry_points
+    if not any(map(_may_offer, sys.path)):
+        return ()
+    from importlib.metadata import entry_points  # takes longer to load than to look whether it is needed
 
     return tuple((point.name, point) for point in entry_points(group=ENTRY_POINTS))
+
+
+def _may_offer(place: str) -> bool:
+    """Whether a package in a folder of the module search path may offer effects; always for an archive."""
+    folder = Path(place)
+    stated = folder.glob("*-info/entry_points.txt")
+    return folder.is_file() or any(ENTRY_POINTS in path.read_text(errors="replace") for path in stated)
 
 
 def of_packages(kind: str) -> Iterator[Effect]:

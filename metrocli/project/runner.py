@@ -7,8 +7,9 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import fields, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from metrocli import __version__, tasks
 from metrocli.doubt import MOST, doubts_of
@@ -29,8 +30,12 @@ from metrocli.record import Record, Verdict
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
-from metrocli.tasks.job import Job, Task
+from metrocli.tasks.job import Job
 from metrocli.uncertainty.workers import Workers
+
+if TYPE_CHECKING:
+    from metrocli.diagnosis.mistakes import Others
+    from metrocli.tasks.job import Adjustment
 
 HERE = Workers()
 """Threads on all cores of this computer"""
@@ -123,12 +128,12 @@ def _sound(file: JobFile, job: Job[Any, Any]) -> Result:
     task = tasks.KINDS[file.kind].task()
     failure: MetrocliError | None = None
     try:
-        result = task.run(job)
+        result, adjustment = task.carried_out(job)
         sigma0 = result.statistics.get("sigma0", 0.0)
         if task.diagnosed is None or not isinstance(sigma0, float):
             return result
         if not suspicious(sigma0, result.astray):
-            return _with_other_setting(result, task, job, sigma0 <= MOST)
+            return _with_other_setting(result, adjustment, partial(task.others, job), sigma0 <= MOST)
     except MetrocliError as error:
         if task.diagnosed is None:
             raise
@@ -138,13 +143,13 @@ def _sound(file: JobFile, job: Job[Any, Any]) -> Result:
         vars(job.files),
         lambda inputs: adjusted(replace(job, files=task.files(**inputs))),
         failure,
-        lambda fits: task.others(job, fits),
+        partial(task.others, job),
     )
     if refusal is not None:
         raise refusal from failure
     if failure is not None:
         raise failure
-    return _with_other_setting(_elsewhere(result), task, job, fits=False)
+    return _with_other_setting(_elsewhere(result), adjustment, partial(task.others, job), fits=False)
 
 
 def _elsewhere(result: Result) -> Result:
@@ -158,13 +163,13 @@ def _elsewhere(result: Result) -> Result:
     return replace(result, doubts=(*result.doubts, told))
 
 
-def _with_other_setting(result: Result, task: Task[Any, Any], job: Job[Any, Any], fits: bool) -> Result:
+def _with_other_setting(result: Result, adjustment: Adjustment | None, others: Others, fits: bool) -> Result:
     """Return a result that is doubtful where the readings fit far better with another setting of its job."""
     from metrocli.diagnosis.mistakes import with_other_setting
 
-    if task.diagnosed is None or not task.others(job, fits):
+    if adjustment is None or not others(fits):
         return result
-    found = with_other_setting(task.diagnosed(job), lambda fits: task.others(job, fits))
+    found = with_other_setting(adjustment(), others)
     if found is None:
         return result
     (wrong,), better = found.mistakes, (found.before / found.after) ** 2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from metrocli.diagnosis.corrections import Mistake
     from metrocli.effects.acting import Acting
     from metrocli.effects.effect import Effect
+    from metrocli.effects.model import Model
     from metrocli.effects.wanted import Wanted
     from metrocli.plan import Plan
     from metrocli.result import Estimate, Result
@@ -21,8 +22,18 @@ if TYPE_CHECKING:
     from metrocli.table import Table
     from metrocli.uncertainty.workers import Workers
 
+    Adjustment = Callable[[], AdjustedJob]
+    """Returns an adjusted job in the form that diagnosis works on"""
+    Hopeless = Callable[[Callable[[], Model]], bool]
+    """Whether no adjustment of a model that a function returns can fit well enough"""
+
 S = TypeVar("S")
 F = TypeVar("F")
+
+
+def never(begun: Callable[[], Model]) -> bool:
+    """Return that nothing is hopeless."""
+    return False
 
 
 @dataclass(frozen=True)
@@ -61,6 +72,10 @@ class Task(Generic[S, F]):
     result_answers: Mapping[str, Callable[[Result, Sequence[str]], tuple[Estimate, ...]]] = field(default_factory=dict)
     """Function for each question of a result, by name; it receives the values as typed on the command line"""
 
+    with_adjustment: Callable[[Job[S, F]], tuple[Result, Adjustment]] | None = None
+    """As `run`, with what gives the adjustment behind the result; for kinds with other settings"""
+    begun: Callable[[Job[S, F]], Model] | None = None
+    """Returns the model of a job at its starting values; for kinds with other settings"""
     other_settings: Callable[[Job[S, F], bool], Iterable[tuple[Mistake, Job[S, F]]]] | None = None
     """What may be wrong in the settings, each with the job that is right then; takes whether the readings fit"""
 
@@ -68,9 +83,27 @@ class Task(Generic[S, F]):
         """Return a job from settings and the contents of its files, given in the order of `files` or by name."""
         return Job(settings, self.files(*contents, **named), effects)
 
-    def others(self, job: Job[S, F], fits: bool) -> list[tuple[Mistake, Callable[[], AdjustedJob]]]:
+    def carried_out(self, job: Job[S, F]) -> tuple[Result, Adjustment | None]:
+        """Return the result of a job, and what gives the adjustment behind it; None where nothing asks for it."""
+        return (self.run(job), None) if self.with_adjustment is None else self.with_adjustment(job)
+
+    def others(
+        self, job: Job[S, F], fits: bool, hopeless: Hopeless = never
+    ) -> list[tuple[Mistake, Callable[[], AdjustedJob]]]:
         """Return what may be wrong in the settings of a job, each with what adjusts the job without it."""
         adjusted = self.diagnosed
-        if adjusted is None or self.other_settings is None:
+        if adjusted is None:
             return []
-        return [(mistake, partial(adjusted, other)) for mistake, other in self.other_settings(job, fits)]
+        return [(mistake, partial(adjusted, other)) for mistake, other in self.jobs_with_others(job, fits, hopeless)]
+
+    def jobs_with_others(
+        self, job: Job[S, F], fits: bool, hopeless: Hopeless = never
+    ) -> Iterator[tuple[Mistake, Job[S, F]]]:
+        """Yield what may be wrong in the settings of a job, each with the right job, but those that are hopeless.
+
+        `hopeless` takes a function that returns the model of a job at its start.
+        """
+        if self.other_settings is not None:
+            for mistake, other in self.other_settings(job, fits):
+                if self.begun is None or not hopeless(partial(self.begun, other)):
+                    yield mistake, other

@@ -37,7 +37,7 @@ class Places:
     @cached_property
     def covariance(self) -> Array:
         """Covariance of each place (n, 3, 3) mm^2."""
-        return self.own + self.common @ self.core @ np.swapaxes(self.common, 1, 2)
+        return self.own + shared(self.common, self.core)
 
     def of(self, rows: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Places:
         """Return some of the places."""
@@ -108,7 +108,14 @@ def points_of(result: Result) -> Places:
     common, core = result.arrays.get(COMMON), result.arrays.get(CORE)
     if common is None or core is None:
         return independent(values, whole)
-    return Places(values, common, core, whole - common @ core @ np.swapaxes(common, 1, 2))
+    return Places(values, common, core, whole - shared(common, core))
+
+
+def shared(common: Array, core: Array) -> Array:
+    """Return `C K C'` of each place, common (n, 3, k), core (k, k) -> (n, 3, 3)."""
+    # one product for all places: one for each would read the core n times
+    product = (common.reshape(3 * len(common), len(core)) @ core).reshape(common.shape)
+    return np.asarray(product @ np.swapaxes(common, 1, 2))
 
 
 def independent(values: Array, covariance: Array) -> Places:

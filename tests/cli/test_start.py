@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import command_speed
+from benchmarks.projects import small_jobs
 from metrocli import tasks
 from metrocli.cli import commands, help
 
@@ -36,6 +37,20 @@ def test_nothing_heavy_is_imported(arguments: list[str]) -> None:
 def test_a_network_of_lengths_loads_no_scipy(tmp_path: Path) -> None:
     script = IMPORTED.format(heavy=("scipy", "numpy.ma", "numpy.random"))
     arguments = ["multilaterate", str(command_speed.network(tmp_path / "network", 100)), "--quiet"]
+    done = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=False)
+    assert (done.stderr.splitlines()[-1], done.returncode) == ("[]", 0)
+
+
+@pytest.mark.parametrize("name", ["calibrate-machine, lengths", "calibrate-machine, standstill"])
+def test_a_small_calibration_of_a_machine_loads_no_scipy(name: str, tmp_path: Path) -> None:
+    job = tmp_path / "job.yaml"
+    job.write_text(small_jobs.SIMULATED[name])
+    simulate = [sys.executable, "-m", "metrocli", "simulate", str(job), "--seed", "1", "--out", str(tmp_path / "made")]
+    subprocess.run(simulate, capture_output=True, check=True)
+    for file in (tmp_path / "made").glob("*.csv"):
+        file.rename(tmp_path / file.name)
+    script = IMPORTED.format(heavy=("scipy",))
+    arguments = ["calibrate-machine", str(job), "--quiet"]
     done = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=False)
     assert (done.stderr.splitlines()[-1], done.returncode) == ("[]", 0)
 

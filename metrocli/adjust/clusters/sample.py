@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.clusters.rows import Rows
+from metrocli.adjust.decompositions import thin_svd
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.adjust.singular_values import thin_svd
 from metrocli.frozen import dataclass
 
 _UNDETERMINED = 1e-9

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from metrocli.adjust.model.blocks import Array, Block, Mask
 from metrocli.adjust.model.groups import Linear, Touch
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.schur.layout import Layout
+
+FEW = 200
+"""Most reduced unknowns whose matrices are dense and solved by numpy: loading scipy takes longer than it saves"""
 
 
 @dataclass(frozen=True)
@@ -234,8 +238,6 @@ def grams(rows: Array, index: Index, members: int) -> Array:
 
 
 def _add_several(sums: NormalSums, parts: _Parts, rows: Array) -> None:
-    from scipy.sparse import csr_matrix
-
     n, d, _ = rows.shape
     s, width = parts.size_e, len(sums.n)
     values, columns = [], []
@@ -244,9 +246,8 @@ def _add_several(sums: NormalSums, parts: _Parts, rows: Array) -> None:
         values.append(np.moveaxis(touch.jacobian, -1, 0) * (place >= 0)[:, None, :])
         columns.append(np.broadcast_to(np.maximum(place, 0)[:, None, :], values[-1].shape))
     value, column = np.concatenate(values, axis=2), np.concatenate(columns, axis=2)
-    pointers = np.arange(0, value.size + 1, value.shape[2])
-    matrix = csr_matrix((value.ravel(), column.ravel(), pointers), shape=(n * d, width))
-    sums.n += (matrix.T @ matrix).toarray()
+    matrix, gram = (_dense if width <= FEW else _sparse)(value, column, width)
+    sums.n += gram
     flat = rows.reshape(n * d, rows.shape[2])
     cross = matrix.T @ flat[:, s:]
     sums.n[:, parts.places] += cross[:, :-1]
@@ -258,3 +259,20 @@ def _add_several(sums: NormalSums, parts: _Parts, rows: Array) -> None:
         place = ((parts.index_e - first)[:, None, None] * s + np.arange(s)[:, None]) * width + column[:, :1, :]
         among = sums.b[some]
         among += np.bincount(place.ravel(), product.ravel(), minlength=among.size).reshape(among.shape)
+
+
+def _dense(value: Array, column: Index, width: int) -> tuple[Array, Array]:
+    """Return derivatives (n, d, c) in their columns (n, d, c) as a matrix A (n d, width), and `A'A`."""
+    place = np.arange(value.size // value.shape[2])[:, None] * width + column.reshape(-1, value.shape[2])
+    size = len(place) * width
+    matrix: Array = np.bincount(place.ravel(), value.ravel(), minlength=size).astype(float).reshape(len(place), width)
+    return matrix, matrix.T @ matrix
+
+
+def _sparse(value: Array, column: Index, width: int) -> tuple[Any, Array]:
+    """Return the same with a sparse matrix: where rows have few of many columns, most products are of zeros."""
+    from scipy.sparse import csr_matrix
+
+    pointers = np.arange(0, value.size + 1, value.shape[2])
+    matrix = csr_matrix((value.ravel(), column.ravel(), pointers), shape=(value.size // value.shape[2], width))
+    return matrix, (matrix.T @ matrix).toarray()

@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from metrocli.adjust.decompositions import pivoted_qr
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.sparse.cholesky import SparseCholesky, factor
@@ -175,12 +176,10 @@ def _with_diagonal(matrix: Sparse, added: Array) -> Sparse:
 
 def _holding(opened: _Opened, count: int) -> Array:
     """Return 1 at the unknowns that are held so that no direction stays open, else 0, (count,)."""
-    from scipy.linalg import qr
-
     held = np.zeros(count)
     for piece, directions in opened:
-        # pivoted QR: the unknowns that the open directions move most independently
-        _, order = qr(directions.T, mode="r", pivoting=True)
+        # pivots are the unknowns that the open directions move most independently
+        _, _, order = pivoted_qr(directions.T)
         held[piece[order[: directions.shape[1]]]] = 1.0
     return held
 

@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.datum import Frame, open_frame
+from metrocli.adjust.decompositions import thin_svd
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Linear
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout, single_touch, without_elimination
-from metrocli.adjust.singular_values import thin_svd
 from metrocli.diagnosis.linear.basis import Basis, members_of_equal_size
 from metrocli.diagnosis.linear.fitted_columns import orthonormalised
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS, System, by_rows, scatter

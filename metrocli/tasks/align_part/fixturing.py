@@ -83,8 +83,6 @@ def tilt_not_exceeded(covariance: Array, dof: float = math.inf) -> float:
     With a covariance of nu degrees of freedom it is `mean (1 + t^2/(nu g^2))^(-nu/2)`, the t distribution of two
     variables.
     """
-    from scipy.optimize import brentq
-
     across, along = np.linalg.eigvalsh(covariance).clip(0.0)
     if along == 0:
         return 0.0
@@ -96,7 +94,10 @@ def tilt_not_exceeded(covariance: Array, dof: float = math.inf) -> float:
         return float(np.exp(power).mean()) - _BEYOND
 
     # at 1 standard deviation of the larger one more than 5 % are beyond
-    return float(brentq(beyond, 1.0, _FARTHEST) * np.sqrt(along))
+    low, high = 1.0, _FARTHEST
+    while low < (middle := (low + high) / 2) < high:
+        low, high = (middle, high) if beyond(middle) > 0 else (low, middle)
+    return float(high * np.sqrt(along))
 
 
 def _propagated(function: Callable[[Array], Array], values: Array, covariance: Array) -> tuple[Array, Array]:

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, rows, unit_noise, unknowns_of
+from metrocli.adjust.decompositions import pivoted_qr, thin_svd
+from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, unit_noise, unknowns_of
 from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.singular_values import thin_svd
+from metrocli.adjust.model.observations import Index
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, TOOL, Machine, errors_of
@@ -23,33 +25,60 @@ from metrocli.instruments.tracer import AIR, STOP, TRACER
 from metrocli.tasks.calibrate_machine.determination import Determination
 from metrocli.tasks.calibrate_machine.layout import cure_of
 from metrocli.tasks.calibrate_machine.problem import Problem
-from metrocli.tasks.calibrate_machine.volume import grid_group, spread_over, without_rigid_motion
+from metrocli.tasks.calibrate_machine.volume import rows_over_volume
 
 _HARMLESS = 1e-4
 """An open direction is harmless if it moves the tool by less than this [mm] at its full plausible size: 0.1 um"""
 _TOUCHED = 1e-6
 """Largest entry of a table in the open directions below which the table counts as determined"""
 _NAMED = 0.2
-_POINTS = 300
-"""Number of points at which the error in the volume is evaluated"""
 
 
 @dataclass(frozen=True)
 class Identifiability:
     """Which errors a measurement determines, and its worst ratio of volume error to misfit."""
 
-    unknowns: int
-    rank: int
-    status: Mapping[str, Determination]
-    """By the name of an error"""
-    partners: Mapping[str, tuple[str, ...]]
-    """For each error that is not determined on its own, the errors with which it is combined"""
-    ratio: float
-    """Largest ratio of the volume's error to the misfit of the readings, both root mean square"""
+    problem: Problem
+    opened: _Open
     blocks: Mapping[str, Block]
     """The blocks of unknowns, with undetermined entries held at zero"""
-    open_tools: tuple[str, ...]
-    """Tools of the job whose error cannot be predicted, since it depends on undetermined errors"""
+    held: tuple[str, ...]
+    """Names of the errors with entries held at zero, as they were chosen"""
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns."""
+        return self.opened.unknowns.size
+
+    @property
+    def rank(self) -> int:
+        """Number of combinations of them that are determined."""
+        return self.unknowns - len(self.opened.directions.T)
+
+    @cached_property
+    def status(self) -> Mapping[str, Determination]:
+        """Whether an error is determined, by its name."""
+        shares = self.opened.shares(self.opened.directions)
+        return {name: _status(name, shares, self.held, self.opened.blocks) for name in ALL_NAMES}
+
+    @cached_property
+    def partners(self) -> Mapping[str, tuple[str, ...]]:
+        """For each error that is not determined on its own, the errors with which it is combined."""
+        combined = (Determination.TOGETHER, Determination.UNDETERMINED)
+        return {name: _partners(name, self.opened) for name in ALL_NAMES if self.status[name] in combined}
+
+    @cached_property
+    def ratio(self) -> float:
+        """Largest ratio of the volume's error to the misfit of the readings, both root mean square."""
+        return worst_ratio(self.problem.with_blocks(self.blocks))
+
+    @cached_property
+    def open_tools(self) -> tuple[str, ...]:
+        """Tools of the job whose error cannot be predicted, since it depends on undetermined errors."""
+        tools = self.opened.blocks[TOOL].members
+        return tuple(
+            tool for tool in tools if np.abs(_moved(self.problem, self.opened, tool)).max(initial=0.0) > _HARMLESS
+        )
 
     @property
     def undetermined(self) -> tuple[str, ...]:
@@ -73,19 +102,20 @@ class _Open:
     unknowns: Unknowns
     blocks: Mapping[str, Block]
 
+    @cached_property
+    def rows_of(self) -> Mapping[str, Index]:
+        """Indices of the unknowns of each error, by its name."""
+        columns = [column for _, _, column in self.unknowns.names(self.blocks)]
+        return {name: np.array([i for i, one in enumerate(columns) if one == name], int) for name in ALL_NAMES}
+
     def moved(self, group_rows: Array) -> Array:
         """Return the displacement that each direction causes at its full plausible size, (d*n, k)."""
         flat = group_rows.reshape(-1, self.unknowns.size)
         return np.asarray(flat @ (self.reach[:, None] * self.directions))
 
-    def rows_of(self, name: str) -> Array:
-        """Return the indices of the unknowns of an error."""
-        return np.array([i for i, (_, _, column) in enumerate(self.unknowns.names(self.blocks)) if column == name], int)
-
     def shares(self, directions: Array) -> dict[str, float]:
         """Return for each error its largest entry in the given directions, at most 1."""
-        found = {name: self.rows_of(name) for name in ALL_NAMES}
-        return {name: float(np.abs(directions[at]).max(initial=0.0)) for name, at in found.items()}
+        return {name: float(np.abs(directions[at]).max(initial=0.0)) for name, at in self.rows_of.items()}
 
 
 def identify(problem: Problem) -> Identifiability:
@@ -100,45 +130,26 @@ def identify(problem: Problem) -> Identifiability:
     matrix = normal_matrix(problem.groups, blocks, unknowns)
     values, vectors = np.linalg.eigh(matrix * reach[:, None] * reach)
     opened = _Open(vectors[:, values < 1.0], reach, unknowns, blocks)
-    grids = {tool: _grid_rows(problem, tool, unknowns) for tool in blocks["tool"].members}
-    stations = blocks[TRACER].values[:, :3] if TRACER in blocks else None
-    _refuse_harmful(opened, [grids[tool] for tool in problem.tools_used], cure_of(stations))
+    _refuse_harmful(problem, opened)
     held, undetermined = _hold(opened, problem.machine)
-    shares = opened.shares(opened.directions)
-    status = {name: _status(name, shares, undetermined, blocks) for name in ALL_NAMES}
-    partners = {
-        name: _partners(name, opened, status)
-        for name in ALL_NAMES
-        if status[name] in (Determination.TOGETHER, Determination.UNDETERMINED)
-    }
-    return Identifiability(
-        unknowns.size,
-        int((values >= 1.0).sum()),
-        status,
-        partners,
-        worst_ratio(problem.with_blocks(held)),
-        held,
-        tuple(tool for tool, grid in grids.items() if np.abs(opened.moved(grid)).max(initial=0.0) > _HARMLESS),
-    )
+    return Identifiability(problem, opened, held, undetermined)
 
 
-def _grid_rows(problem: Problem, tool: str, unknowns: Unknowns) -> Array:
-    """Return the Jacobian of a tool's displacement over the volume, (3, n, unknowns), without rigid motion."""
-    machine, blocks = problem.machine, problem.blocks
-    position = spread_over(machine, _POINTS)
-    group = grid_group(machine, position, blocks["tool"].members.index(tool))
-    return without_rigid_motion(rows(group, blocks, unknowns), position)
+def _moved(problem: Problem, opened: _Open, tool: str) -> Array:
+    """Return the displacement of a tool over the volume by each open direction, (3 n, k)."""
+    return opened.moved(rows_over_volume(problem.machine, problem.blocks, tool, opened.unknowns))
 
 
-def _refuse_harmful(opened: _Open, grids: Sequence[Array], cure: str) -> None:
+def _refuse_harmful(problem: Problem, opened: _Open) -> None:
     if opened.directions.shape[1] == 0:
         return
-    moved = np.concatenate([opened.moved(grid) for grid in grids])
+    moved = np.concatenate([_moved(problem, opened, tool) for tool in problem.tools_used])
     _, sizes, mix = thin_svd(moved)
     count = int((sizes / np.sqrt(len(moved)) > _HARMLESS).sum())
     if count == 0:
         return
     harmful = _simple(opened.directions @ mix[:count].T)
+    cure = cure_of(problem.blocks[TRACER].values[:, :3] if TRACER in problem.blocks else None)
     lines = [f"  {i + 1}: {_told(opened, direction)}" for i, direction in enumerate(harmful.T[:8])]
     more = [f"  and {count - 8} more"] if count > 8 else []
     raise UndeterminedError(
@@ -157,9 +168,7 @@ def _refuse_harmful(opened: _Open, grids: Sequence[Array], cure: str) -> None:
 
 def _simple(directions: Array) -> Array:
     """Return directions that span the same space with few large entries each, by elimination with pivots."""
-    from scipy.linalg import qr
-
-    _, _, order = qr(directions.T, pivoting=True, mode="economic")
+    _, _, order = pivoted_qr(directions.T)
     chosen = order[: directions.shape[1]]
     return np.asarray(directions @ np.linalg.inv(directions[chosen]))
 
@@ -175,7 +184,7 @@ def _told(opened: _Open, direction: Array) -> str:
 
 def _knots(opened: _Open, name: str, direction: Array) -> str:
     """Return the knots at which an error takes part in a direction, as text; empty if all of them do."""
-    at = opened.rows_of(name)
+    at = opened.rows_of[name]
     members = [opened.unknowns.names(opened.blocks)[i][1] for i in at]
     size = np.abs(direction[at])
     moving = [member for member, part in zip(members, size, strict=True) if part > _NAMED * size.max()]
@@ -192,7 +201,7 @@ def _hold(opened: _Open, machine: Machine) -> tuple[dict[str, Block], tuple[str,
     directions, blocks, undetermined = opened.directions, dict(opened.blocks), []
     names = opened.unknowns.names(opened.blocks)
     for name in _preference(machine):
-        at = opened.rows_of(name)
+        at = opened.rows_of[name]
         if directions.shape[1] == 0 or at.size == 0 or np.abs(directions[at]).max() < _TOUCHED:
             continue
         chosen, directions = _taken(directions, at)
@@ -212,12 +221,10 @@ def _preference(machine: Machine) -> list[str]:
     return [*angles, *(name for name in ALL_NAMES if name[1] == "0" or name[2] == "0"), *rest, "A0Z", "B0Z", "C0Y"]
 
 
-def _taken(directions: Array, at: Array) -> tuple[Array, Array]:
+def _taken(directions: Array, at: Index) -> tuple[Index, Array]:
     """Return the entries of an error to hold at zero, and the directions that then remain open."""
-    from scipy.linalg import qr
-
     part = directions[at]
-    _, triangle, order = qr(part.T, pivoting=True, mode="economic")
+    _, triangle, order = pivoted_qr(part.T)
     size = np.abs(np.diag(triangle))
     rank = int((size > _TOUCHED).sum())
     _, _, right = np.linalg.svd(part)
@@ -236,9 +243,9 @@ def _status(
     return Determination.TOGETHER if shares[name] > _TOUCHED else Determination.DETERMINED
 
 
-def _partners(name: str, opened: _Open, status: Mapping[str, Determination]) -> tuple[str, ...]:
+def _partners(name: str, opened: _Open) -> tuple[str, ...]:
     """Return the errors that are combined with an error in the open directions."""
-    at = opened.rows_of(name)
+    at = opened.rows_of[name]
     _, sizes, mix = thin_svd(opened.directions[at])
     moving = opened.directions @ mix[sizes > _TOUCHED].T
     shares = opened.shares(moving)
@@ -252,8 +259,6 @@ def worst_ratio(problem: Problem) -> float:
     best rigid motion, J to the readings after the fit of the tracker's frame. What only a prior
     holds, such as the index of the air, stays as it is. Returns inf if J is rank deficient.
     """
-    from scipy.linalg import eigh
-
     blocks = problem.blocks
     names = [name for name, block in blocks.items() if block.free.any() and name not in (TOOL, STOP, AIR)]
     unknowns = unknowns_of(blocks, names)
@@ -264,17 +269,11 @@ def worst_ratio(problem: Problem) -> float:
     path = normal_matrix([unit_noise(problem.readings, unit)], blocks, unknowns)
     volume = volume_matrix(problem, unknowns)
     scale = 1 / np.sqrt(np.maximum(np.diag(path), 1e-300))
-    last = unknowns.size - 1
     try:
-        top = eigh(
-            volume * scale[:, None] * scale,
-            path * scale[:, None] * scale,
-            eigvals_only=True,
-            subset_by_index=(last, last),
-        )
+        root = np.linalg.inv(np.linalg.cholesky(path * scale[:, None] * scale)) * scale
     except np.linalg.LinAlgError:
         return float("inf")
-    return float(np.sqrt(max(top[0], 0.0)))
+    return float(np.sqrt(max(np.linalg.eigvalsh(root @ volume @ root.T)[-1], 0.0)))
 
 
 def _angles_as_lengths(problem: Problem) -> Array:
@@ -290,6 +289,7 @@ def volume_matrix(problem: Problem, unknowns: Unknowns) -> Array:
 
     The mean is over the volume and the measured tools, without rigid motion.
     """
-    grids = np.concatenate([_grid_rows(problem, tool, unknowns) for tool in problem.tools_used], axis=1)
+    machine, blocks = problem.machine, problem.blocks
+    grids = np.concatenate([rows_over_volume(machine, blocks, tool, unknowns) for tool in problem.tools_used], axis=1)
     flat = grids.reshape(-1, unknowns.size)
     return np.asarray(flat.T @ flat / grids.shape[1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -33,13 +34,22 @@ class Solved:
     """The adjusted errors of a machine, the tests of the readings, and the readings that were left out."""
 
     problem: Problem
-    """Holds only the readings that were used"""
+    """Holds only the readings that were used; its noise is the final one"""
     identified: Identifiability
     solution: Solution
-    residuals: Residuals
-    suspects: Suspects
     rejected: tuple[tuple[str, float], ...] = ()
     """Name and |w| of each reading left out"""
+
+    @cached_property
+    def residuals(self) -> Residuals:
+        """Residuals of the readings, with their tests."""
+        name = self.problem.readings.name
+        return residuals_of(self.solution, next(group for group in self.solution.groups if group.name == name))
+
+    @cached_property
+    def suspects(self) -> Suspects:
+        """The readings that do not fit the others."""
+        return suspects(self.residuals, Fit(self.solution.cost, self.solution.dof, True))
 
 
 def solve(problem: Problem, remove: bool) -> Solved:
@@ -50,27 +60,30 @@ def solve(problem: Problem, remove: bool) -> Solved:
     """
     identified = identify(problem)
     state: Mapping[str, Block] = robust_start(identified.blocks.values(), problem.groups, problem.readings.name)
-    rejected: list[tuple[str, float]] = []
+    rejected: tuple[tuple[str, float], ...] = ()
     for _ in range(_ROUNDS):
-        found = _adjusted(problem.with_blocks(state))
-        worst = _worst(found.suspects) if remove else np.zeros(0, dtype=np.intp)
+        solved = Solved(*_adjusted(problem.with_blocks(state), identified), rejected)
+        worst = _worst(solved.suspects) if remove else np.zeros(0, dtype=np.intp)
         if not worst.size:
             break
-        names = found.problem.names
-        tests = dict(zip(found.suspects.rows.tolist(), found.suspects.tests.tolist(), strict=True))
-        rejected += [(names[i], tests[i]) for i in worst.tolist()]
-        problem, state = _without(found.problem, worst), found.solution.blocks
+        names = solved.problem.names
+        tests = dict(zip(solved.suspects.rows.tolist(), solved.suspects.tests.tolist(), strict=True))
+        rejected = (*rejected, *((names[i], tests[i]) for i in worst.tolist()))
+        problem, state = _without(solved.problem, worst), solved.solution.blocks
         identified = identify(problem)
         state = {name: replace(block, free=identified.blocks[name].free) for name, block in state.items()}
-    return Solved(found.problem, identified, found.solution, found.residuals, found.suspects, tuple(rejected))
+    return solved
 
 
 def solved_again(solved: Solved, problem: Problem) -> Solved:
     """Return the solution of a relinearised problem of the same readings; their identifiability is taken over."""
-    found = _adjusted(problem)
-    return replace(
-        solved, problem=found.problem, solution=found.solution, residuals=found.residuals, suspects=found.suspects
-    )
+    return Solved(*_adjusted(problem, solved.identified), solved.rejected)
+
+
+def _adjusted(problem: Problem, identified: Identifiability) -> tuple[Problem, Identifiability, Solution]:
+    """Return the adjustment; an unknown repeatability is estimated with it."""
+    problem, solution = settled(problem, adjusted, problem.readings.name)
+    return problem, identified, solution
 
 
 def adjusted(problem: Problem) -> Solution:
@@ -96,24 +109,6 @@ def refitted(problem: Problem) -> Solution:
     aspects = problem.model.aspects if problem.effects else {}
     noise = (problem.readings.name, problem.noise)
     return adjust_with_iterated_weights(blocks, problem.groups, noise, None, aspects)
-
-
-@dataclass(frozen=True)
-class _Found:
-    """An adjustment and the tests of its readings; the noise of its problem is the final one."""
-
-    problem: Problem
-    solution: Solution
-    residuals: Residuals
-    suspects: Suspects
-
-
-def _adjusted(problem: Problem) -> _Found:
-    """Return the adjustment; an unknown repeatability is estimated with it."""
-    name = problem.readings.name
-    problem, solution = settled(problem, adjusted, name)
-    found = residuals_of(solution, next(group for group in solution.groups if group.name == name))
-    return _Found(problem, solution, found, suspects(found, Fit(solution.cost, solution.dof, True)))
 
 
 def _worst(doubtful: Suspects) -> Index:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.effects.model import Model
 from metrocli.errors import InputError
 from metrocli.plan import Plan
 from metrocli.result import Result
@@ -29,13 +32,22 @@ from metrocli.tasks.calibrate_machine.structure import noise_of
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.structured_noise import settled
 
+if TYPE_CHECKING:
+    from metrocli.tasks.job import Adjustment
+
 _WITHOUT = "the plan leaves out the effects of the job: its uncertainties hold for the geometric errors alone"
 
 
 def run(job: Job[Settings, Files]) -> Result:
     """Estimate the geometric errors; raises InputError, UndeterminedError or NotConvergedError."""
+    return with_adjustment(job)[0]
+
+
+def with_adjustment(job: Job[Settings, Files]) -> tuple[Result, Adjustment]:
+    """Return the result of `run`, and what gives its adjustment in the form that diagnosis works on."""
     solved, factor = _settled(job)
-    return report(solved, job.settings, noise_of(solved, job.settings.noise.model, factor))
+    found = report(solved, job.settings, noise_of(solved, job.settings.noise.model, factor))
+    return found, partial(adjusted_job, solved)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
@@ -65,6 +77,11 @@ def problem_of(job: Job[Settings, Files]) -> Problem:
     if job.files.lengths is not None:
         return lengths(job.settings, job.files.lengths, job.files.stations)
     raise InputError(f"method {job.settings.method} has no readings")
+
+
+def begun(job: Job[Settings, Files]) -> Model:
+    """Return the model of a job before its adjustment; raises InputError for a track."""
+    return problem_of(job).with_effects(job.effects).model
 
 
 def check(job: Job[Settings, Files]) -> None:
@@ -97,6 +114,8 @@ TASK = Task(
     plan=plan,
     simulate=simulate,
     diagnosed=diagnosed,
+    with_adjustment=with_adjustment,
+    begun=begun,
     other_settings=other_settings,
     effects=EFFECTS,
     places=PLACES,

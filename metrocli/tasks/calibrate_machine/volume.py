@@ -15,6 +15,9 @@ from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments.machine import POSITION, TOOL, ErrorMotion, Machine
 
+_POINTS = 300
+"""Number of points at which the error in the volume is evaluated"""
+
 
 def grid_of(machine: Machine, counts: Sequence[int]) -> Array:
     """Return a regular grid over the volume, (3, n)."""
@@ -97,3 +100,10 @@ def predict(
     design = rows(group, blocks, unknowns)[:3]
     spread = np.einsum("anp,bnp->abn", design @ covariance, design)
     return Prediction(motion, spread), design
+
+
+def rows_over_volume(machine: Machine, blocks: Mapping[str, Block], tool: str, unknowns: Unknowns) -> Array:
+    """Return the Jacobian of a tool's displacement over the volume, (3, n, unknowns), without rigid motion."""
+    position = spread_over(machine, _POINTS)
+    group = grid_group(machine, position, blocks[TOOL].members.index(tool))
+    return without_rigid_motion(rows(group, blocks, unknowns), position)

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.adjust.decompositions import pivoted_qr
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry.surfaces import Array, Index
@@ -253,10 +254,8 @@ def _null_space(smooth: Array, rows: Array) -> list[Array]:
 
 def _along_axes(directions: Array) -> Array:
     """Return the mixture (k, k) of directions (k, 3), k independent ones, that runs along axes where it can."""
-    from scipy.linalg import qr
-
     back = np.linalg.pinv(directions)
-    along, _, _ = qr(back @ directions, pivoting=True)
+    along, _, _ = pivoted_qr(back @ directions)
     return np.asarray(along.T[: len(directions)] @ back)
 
 

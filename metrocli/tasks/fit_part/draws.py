@@ -145,7 +145,7 @@ def drawing(places: Places) -> Callable[[np.random.Generator], Array]:
     """
     n, k = len(places.values), len(places.core)
     eigenvalues, vectors = np.linalg.eigh(places.own)
-    whole = np.einsum("nkk->n", places.own) + np.einsum("nak,kl,nal->n", places.common, places.core, places.common)
+    whole = np.einsum("nkk->n", places.covariance)
     # a place without an error of its own gets one so small that it does not count
     size = np.sqrt(np.maximum(eigenvalues, _NO_ERROR**2 * whole.max(initial=0.0)))
     factor = vectors * size[:, None, :]

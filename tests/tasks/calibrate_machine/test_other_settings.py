@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 from simulated import machine as sim
 from simulated import machine_lengths as lengths
 
+from metrocli.adjust.dense_jacobian import least_square, unit_noise
 from metrocli.diagnosis.mistakes import with_other_setting
 from metrocli.formats import csv, hdf5
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
@@ -98,11 +100,24 @@ def test_an_estimated_noise_does_not_hide_the_chain() -> None:
 
     def found(settings: Settings) -> str:
         job = calibrate_machine.TASK.job(settings, points=table)
-        told = with_other_setting(
-            calibrate_machine.diagnosed(job), lambda fits: calibrate_machine.TASK.others(job, fits)
-        )
+        told = with_other_setting(calibrate_machine.diagnosed(job), partial(calibrate_machine.TASK.others, job))
         return str(told.mistakes[0]) if told else ""
 
     assert not found(settings)
     other = replace(settings, machine=replace(settings.machine, chain="wZbXYt"))
     assert found(other) == "machine.chain: the order of the axes is wXbYZt"
+
+
+@pytest.mark.parametrize("chain", ["wXbYZt", "wZbYXt"])
+def test_no_adjustment_is_below_the_least_sum_of_squares(chain: str) -> None:
+    """Whatever the weights: those of an estimated repeatability are other ones in each adjustment."""
+    rng = np.random.default_rng(55)
+    table = lengths.measured(sim.random_machine(rng), rng, 70, sim.THREE, repeatability=1e-3)
+    settings = lengths.settings(tools=sim.THREE)
+    noise = replace(settings.noise, repeatability="estimated")
+    machine = replace(settings.machine, chain=chain)
+    job = calibrate_machine.TASK.job(replace(settings, noise=noise, machine=machine), lengths=table)
+    start, solved = calibrate_machine.begun(job), calibrate_machine.diagnosed(job).model
+    least = least_square(unit_noise(start.readings[0]), start.blocks)
+    found = float((solved.readings[0].residuals(solved.blocks) ** 2).sum())
+    assert 0.7 * found < least < 1.005 * found

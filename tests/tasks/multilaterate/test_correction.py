@@ -12,7 +12,7 @@ import pytest
 from places import SAMPLES
 from simulated.lengths import Array, network, settings
 
-from metrocli.diagnosis.mistakes import misfit_of
+from metrocli.diagnosis.adjusted_job import misfit_of
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.formats import csv
 from metrocli.project.job import load

@@ -6,8 +6,9 @@ from typing import NoReturn
 
 import numpy as np
 import pytest
+import scipy.linalg
 
-from metrocli.adjust.singular_values import thin_svd
+from metrocli.adjust.decompositions import pivoted_qr, thin_svd
 
 
 def given_up(*_: object, **__: object) -> NoReturn:
@@ -28,3 +29,20 @@ def test_it_is_decomposed_otherwise(shape: tuple[int, int], monkeypatch: pytest.
 def test_a_matrix_with_entries_that_are_no_numbers_is_refused() -> None:
     with pytest.raises(np.linalg.LinAlgError):
         thin_svd(np.full((3, 3), np.nan))
+
+
+@pytest.mark.parametrize("shape", [(3, 7), (7, 3), (5, 5), (1, 4), (4, 1), (2, 60)])
+def test_pivots_and_signs_are_those_of_lapack(shape: tuple[int, int]) -> None:
+    matrix = np.random.default_rng(8).normal(size=shape)
+    q, r, order = pivoted_qr(matrix)
+    expected_q, expected_r, expected_order = scipy.linalg.qr(matrix, pivoting=True)
+    assert (order == expected_order).all()
+    assert q == pytest.approx(expected_q, abs=1e-13) and r == pytest.approx(expected_r, abs=1e-13)
+
+
+def test_of_dependent_columns_the_diagonal_ends_with_zeros() -> None:
+    rng = np.random.default_rng(9)
+    matrix = rng.normal(size=(6, 2)) @ rng.normal(size=(2, 9))
+    q, r, order = pivoted_qr(matrix)
+    assert q @ r == pytest.approx(matrix[:, order], abs=1e-12)
+    assert (np.abs(np.diag(r)) > 1e-12).sum() == 2
