@@ -108,7 +108,7 @@ def cluster_robust(solution: Solution, clusters: Clusters) -> ClusterRobust:
     rows = rows_without_members(solution, clusters.of)
     if rows is not None:
         layout, white = solution.covariance_or_raise().layout, _without_datum(solution)
-        sample = Sample.of(white, rows, rows.common, clusters.grows)
+        sample = Sample.of(white, rows, rows.common, solution.dof, clusters.grows)
         found = replace(solution, covariance=_of_members(solution, white, sample))
         return ClusterRobust(found, solution, sample, layout)
     layout = without_elimination(solution.blocks)
@@ -116,7 +116,7 @@ def cluster_robust(solution: Solution, clusters: Clusters) -> ClusterRobust:
     rows = rows_of(solution, clusters.of, clusters.free)
     first = _of_blocks(layout, clusters.first) if clusters.first else rows.common
     white = _joint(solution, layout)[np.ix_(rows.shared, rows.shared)]
-    sample = Sample.of(white, rows, first, clusters.grows)
+    sample = Sample.of(white, rows, first, solution.dof, clusters.grows)
     matrix = sample.covariance()
     covariance = Covariance(layout, shapes_of(solution.blocks), matrix, MemberCovariance((0, 0), (), (), matrix))
     return ClusterRobust(replace(solution, covariance=covariance), solution, sample, layout)
