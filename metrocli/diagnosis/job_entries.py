@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.cluster_robust import ESTIMATED, FEWEST, FROM_RESIDUALS, STRUCTURED
+from metrocli.adjust.clusters.robust import ESTIMATED, FEWEST, FROM_RESIDUALS, STRUCTURED
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.selection.confidence_set import NamedEffect

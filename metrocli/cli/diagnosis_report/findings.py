@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.cluster_robust import ESTIMATED, STRUCTURED
+from metrocli.adjust.clusters.robust import ESTIMATED, STRUCTURED
 from metrocli.cli.diagnosis_report.candidates import candidate_lines
 from metrocli.cli.diagnosis_report.laws import law_lines
 from metrocli.cli.diagnosis_report.noise import noise_lines, noisier

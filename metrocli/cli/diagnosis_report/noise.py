@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from metrocli.adjust.cluster_robust import ESTIMATED
+from metrocli.adjust.clusters.robust import ESTIMATED
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import APART, DECLARED_SIGMA, Unit

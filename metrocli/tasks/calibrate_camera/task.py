@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.cluster_robust import FROM_RESIDUALS, STRUCTURED, must_suffice
+from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.errors import InputError, UndeterminedError

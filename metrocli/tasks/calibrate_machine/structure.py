@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.cluster_robust import STRUCTURED, Clusters
+from metrocli.adjust.clusters.robust import STRUCTURED, Clusters
 from metrocli.effects.estimates import free_blocks
 from metrocli.instruments.machine import SQUARENESS, TOOL
 from metrocli.instruments.six_dof import LINE

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metrocli.adjust.cluster_robust import STRUCTURED, Clusters
+from metrocli.adjust.clusters.robust import STRUCTURED, Clusters
 from metrocli.effects.estimates import free_blocks
 from metrocli.instruments import launch_unit as lu
 from metrocli.tasks.locate_launch_unit.solve import Located

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.cluster_robust import STRUCTURED, Clusters
+from metrocli.adjust.clusters.robust import STRUCTURED, Clusters
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.effects.estimates import free_blocks

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from metrocli.adjust.cluster_robust import FROM_RESIDUALS
+from metrocli.adjust.clusters.robust import FROM_RESIDUALS
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.frozen import dataclass

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.cluster_robust import MOST, growth, must_be_few, must_suffice
-from metrocli.adjust.cluster_rows import rows_of_table
-from metrocli.adjust.cluster_sample import Sample
+from metrocli.adjust.clusters.robust import MOST, growth, must_be_few, must_suffice
+from metrocli.adjust.clusters.rows import rows_of_table
+from metrocli.adjust.clusters.sample import Sample
 from metrocli.adjust.coupled_fields import CorrelatedDesign, FieldSolution
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index

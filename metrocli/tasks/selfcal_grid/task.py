@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.cluster_robust import FROM_RESIDUALS, STRUCTURED
+from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.plan import Plan

@@ -10,7 +10,7 @@ from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
-from metrocli.adjust.cluster_robust import FROM_RESIDUALS, Clusters, cluster_robust
+from metrocli.adjust.clusters.robust import FROM_RESIDUALS, Clusters, cluster_robust
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Residuals, Solution

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
-from metrocli.adjust.cluster_robust import Clusters
+from metrocli.adjust.clusters.robust import Clusters
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group

@@ -15,6 +15,26 @@ from metrocli.frozen import dataclass
 
 _UNDETERMINED = 1e-9
 """Share of a direction that the other clusters determine, below which it is left out: its residuals are rounding"""
+_NONE = 1e-18
+"""Strength below which readings do not act in a direction"""
+
+
+@dataclass(frozen=True)
+class Excess:
+    """How much more than white noise errors vary in the directions u in which readings see the first unknowns.
+
+    The covariance of the readings of a cluster is `Omega = I + u diag(excess) u'` with `F_1 = u diag(t) w'` and
+    `1 + excess = (1 + level) (1 + size t^2)`.
+    """
+
+    level: float = 0.0
+    """The part that is the same in all directions, as of errors that vary smoothly"""
+    size: float = 0.0
+    """Variance of the first unknowns between clusters, in that of their estimates for the noise in these directions"""
+
+    def at(self, strength: Array) -> Array:
+        """Return the excess in directions of a strength `t^2`."""
+        return np.asarray((1 + self.level) * (1 + self.size * strength) - 1)
 
 
 @dataclass(frozen=True)
@@ -50,7 +70,7 @@ class Seen:
 class Spread:
     """What the errors of one cluster change in the coordinates, with the covariance that is expected of them.
 
-    The expected covariance of its readings is `Omega = I + size F_1 F_1'`. All matrices are by its directions v.
+    All matrices are by its directions v.
     """
 
     seen: Seen
@@ -92,12 +112,17 @@ def _power(matrix: Array, exponent: float) -> Array:
     return np.asarray((vectors[:, kept] * values[kept] ** exponent) @ vectors[:, kept].T)
 
 
-def spreads(clusters: Sequence[Seen], first: slice, size: float, prior: Array) -> tuple[Spread, ...]:
-    """Return what the errors of clusters change if each sees its own values of the first coordinates.
+def acting(seen: Seen, first: slice) -> tuple[Array, Array]:
+    """Return the directions u (k, k') in which readings see the first coordinates, with their strengths (k',)."""
+    u, sizes, _ = thin_svd(seen.rows[:, first])
+    strength = sizes**2
+    return u[:, strength > _NONE], strength[strength > _NONE]
 
-    `size` is the variance of these values, `prior` the information of rows whose errors are independent.
-    """
-    expected = [np.eye(len(one.sizes)) + size * one.rows[:, first] @ one.rows[:, first].T for one in clusters]
+
+def spreads(clusters: Sequence[Seen], first: slice, excess: Excess, prior: Array) -> tuple[Spread, ...]:
+    """Return what the errors of clusters change; `prior` is the information of rows whose errors are independent."""
+    directions = [acting(one, first) for one in clusters]
+    expected = [np.eye(len(u)) + (u * excess.at(strength)) @ u.T for u, strength in directions]
     parts = [one.rows.T @ omega @ one.rows for one, omega in zip(clusters, expected, strict=True)]
     whole = np.sum(parts, axis=0) + prior
     return tuple(Spread.of(one, omega, whole) for one, omega in zip(clusters, expected, strict=True))
@@ -124,7 +149,9 @@ def products(clusters: Sequence[Spread], whole: Array, lines: Array, part: slice
         b.append(a[-1] @ whole - y[-1])
     h = np.array(x_lines)
     g = np.einsum("ij,cjl->cil", whole, h) - np.array(y_lines)
-    pairs = np.einsum("cil,dil->lcd", h, g, optimize=True) - np.einsum("cil,dil->lcd", np.array(y_lines), h, optimize=True)
+    pairs = np.einsum("cil,dil->lcd", h, g, optimize=True) - np.einsum(
+        "cil,dil->lcd", np.array(y_lines), h, optimize=True
+    )
     all_a, all_b, all_y = np.concatenate(a), np.concatenate(b), np.concatenate(y)
     aa, ay, ab, bb, yy = all_a.T @ all_a, all_a.T @ all_y, all_a.T @ all_b, all_b.T @ all_b, all_y.T @ all_y
     lengths = np.einsum("cil,ij,cjl->l", g, aa, g, optimize=True) + np.einsum("cil,ij,cjl->l", h, yy, h, optimize=True)

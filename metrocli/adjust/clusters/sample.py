@@ -9,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.cluster_deviations import most_likely
-from metrocli.adjust.cluster_rows import Rows
-from metrocli.adjust.cluster_spread import Seen, Spread, products, spreads
+from metrocli.adjust.clusters.likelihood import Likelihood, most_likely
+from metrocli.adjust.clusters.rows import Rows
+from metrocli.adjust.clusters.spread import Excess, Seen, Spread, products, spreads
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.frozen import dataclass
@@ -48,8 +48,8 @@ class Sample:
     own: tuple[Own, ...]
     prior: Array
     """Information of the rows whose errors are independent, (coordinates, coordinates)"""
-    deviation: float
-    """Variance with which each cluster sees its own values of the first coordinates, in that of the noise"""
+    excess: Excess
+    """How much larger the errors expected in the first coordinates are than white noise"""
     grows: bool = True
     """Whether the errors of what only one cluster determines grow as those of the shared unknowns do"""
 
@@ -57,7 +57,7 @@ class Sample:
     def of(cls, white: Array, rows: Rows, first: Mask, dof: float, grows: bool = True) -> Sample:
         """Return the sample of an adjustment; `white` is the covariance of its shared unknowns for independent errors.
 
-        `first` (unknowns,) are those that each cluster may see differently, whose variances have a factor of their
+        `first` (unknowns,) are those whose errors may exceed white noise, and whose variances have a factor of their
         own; `dof` are the degrees of freedom of the adjustment; `grows` is whether what only one cluster determines
         has the factor of the others.
         """
@@ -78,8 +78,9 @@ class Sample:
         known = [one.jacobian @ root[numbers[one.columns]] for one in rows.others]
         prior = np.sum([one.T @ one for one in known], axis=0) if known else np.zeros((root.shape[1],) * 2)
         square = float(sum(one.residual @ one.residual for one in (*rows.of_clusters, *rows.others)))
-        deviation = most_likely(seen, parts[0], square, dof) if first.any() else 0.0
-        return cls(shared, root, parts, spreads(seen, parts[0], deviation, prior), tuple(own), prior, deviation, grows)
+        apart = first[shared].any()
+        excess = most_likely(Likelihood.of(seen, parts[0], square, dof)) if apart else Excess()
+        return cls(shared, root, parts, spreads(seen, parts[0], excess, prior), tuple(own), prior, excess, grows)
 
     @cached_property
     def target(self) -> Array:

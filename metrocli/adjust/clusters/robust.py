@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.cluster_rows import numbers_of, rows_of, rows_without_members
-from metrocli.adjust.cluster_sample import Sample
+from metrocli.adjust.clusters.rows import numbers_of, rows_of, rows_without_members
+from metrocli.adjust.clusters.sample import Sample
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.covariance import Covariance, shapes_of
