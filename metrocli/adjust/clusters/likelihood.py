@@ -15,6 +15,8 @@ from metrocli.frozen import dataclass
 
 _START, _MOST = 0.5, 12.0
 """First and largest `ln(1 + excess)` of both parts, in a direction of average strength"""
+_TOLERANCE = 1e-3
+"""Change of -2 ln of the likelihood, for each degree of freedom, below which the search ends"""
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,8 @@ class Likelihood:
         """Return -2 ln of the restricted likelihood, with the factor that is most likely beside an excess."""
         more = excess.at(self.strength)
         taken = more / (1 + more)
-        information = np.eye(len(self.seen)) - (self.seen * taken) @ self.seen.T
+        half = self.seen * np.sqrt(taken)
+        information = np.eye(len(half)) - half @ half.T
         right = self.seen @ (taken * self.residual)
         square = self.square - taken @ self.residual**2 - right @ np.linalg.solve(information, right)
         lndet = np.log1p(more).sum() + np.linalg.slogdet(information)[1]
@@ -64,6 +67,10 @@ def most_likely(known: Likelihood) -> Excess:
         return Excess(float(level), float(size / unit))
 
     found = minimize(
-        lambda logs: known.misfit(excess(logs)), np.full(2, _START), method="L-BFGS-B", bounds=[(0.0, _MOST)] * 2
+        lambda logs: known.misfit(excess(logs)),
+        np.full(2, _START),
+        method="L-BFGS-B",
+        bounds=[(0.0, _MOST)] * 2,
+        options={"ftol": _TOLERANCE / known.dof},
     )
     return excess(found.x)

@@ -57,8 +57,8 @@ class Sample:
     def of(cls, white: Array, rows: Rows, first: Mask, dof: float, grows: bool = True) -> Sample:
         """Return the sample of an adjustment; `white` is the covariance of its shared unknowns for independent errors.
 
-        `first` (unknowns,) are those whose errors may exceed white noise, and whose variances have a factor of their
-        own; `dof` are the degrees of freedom of the adjustment; `grows` is whether what only one cluster determines
+        `first` (unknowns,) are those in which errors may exceed white noise; their variances have a factor of their
+        own. `dof` are the degrees of freedom of the adjustment. `grows` is whether what only one cluster determines
         has the factor of the others.
         """
         shared = rows.shared
