@@ -146,6 +146,7 @@ CASES: dict[str, tuple[Callable[[], problems.Problem], tuple[str, ...]]] = {
     "poses eliminated": (lambda: bent(problems.board_camera()), ()),
     "targets eliminated": (lambda: bent(problems.with_control()), ()),
     "lens apart from targets in all images": (lambda: bent(problems.with_control()), (camera.LENS,)),
+    "poses eliminated, lens apart from targets": (lambda: bent(problems.with_control(16)), (camera.LENS,)),
     "targets in some images": (lambda: bent(seen_in_part()), ()),
     "with scale bars": (lambda: bent(problems.with_scale_bars()), ()),
     "white": (problems.board_camera, ()),

@@ -13,8 +13,8 @@ from metrocli.adjust.clusters.spread import Excess, Seen, acting
 from metrocli.adjust.model.blocks import Array
 from metrocli.frozen import dataclass
 
-_START, _MOST = 0.5, 12.0
-"""First and largest `ln(1 + excess)` of both parts, in a direction of average strength"""
+_START, _MOST = 0.5, 8.0
+"""First and largest `ln(1 + excess)` of both parts, in a direction of average strength; above, rounding is in it"""
 _TOLERANCE = 1e-3
 """Change of -2 ln of the likelihood, for each degree of freedom, below which the search ends"""
 
