@@ -85,9 +85,9 @@ def detected(pattern: Pattern, files: str) -> tuple[Table, Table]:
     )
 
 
-def fitted(job: Job[Settings, Files], noise: str) -> Fitted:
+def fitted(job: Job[Settings, Files], noise: str, targets: str = "listed") -> Fitted:
     """Return the compared parameters of a calibration."""
-    result = calibrate_camera.run(replace(job, settings=replace(job.settings, noise=noise)))
+    result = calibrate_camera.run(replace(job, settings=replace(job.settings, noise=noise, targets=targets)))
     known = {one.name: one for one in result.estimates}
     return Fitted(*(np.array([getattr(known[name], key) for name in COMPARED]) for key in ("value", "std")))
 
@@ -115,6 +115,7 @@ def by_opencv(job: Job[Settings, Files]) -> Fitted:
 
 ESTIMATORS: dict[str, Callable[[Job[Settings, Files]], Fitted]] = {
     "structured": lambda job: fitted(job, "structured"),
+    "with targets": lambda job: fitted(job, "structured", "estimate"),
     "estimated": lambda job: fitted(job, "estimated"),
     "OpenCV": by_opencv,
 }

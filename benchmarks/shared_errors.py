@@ -5,7 +5,7 @@ tracer (multilaterate), of each axis (calibrate-machine), or of each view and ax
 the receiver of each pose stands elsewhere than listed. Images are in `python -m benchmarks halves`. The measurements
 are those of tests/simulated, which know nothing of the adjustments.
 
-    python -m benchmarks shared_errors [KIND ...] [RUNS]
+    python -m benchmarks shared_errors [KIND ...] [RUNS [DRAWING]]
 """
 
 from __future__ import annotations
@@ -35,6 +35,10 @@ Array = npt.NDArray[np.float64]
 MODELS = ("structured", "estimated")
 SIZES = (0.0, 0.3, 0.5, 1.0)
 """Standard deviation of the shared error, in those of the white noise"""
+DRAW = 2026
+"""First number of the seed"""
+_FEW = 4
+"""Most parameters that are shown one by one"""
 SHARE = 1 / 16
 """Length of a smooth process, as a share of the time of its measurement"""
 
@@ -45,6 +49,8 @@ class Checked:
 
     inside: tuple[bool, ...]
     """Whether the 95 % interval of each estimate contains the truth"""
+    z: Array
+    """Errors over their standard uncertainties"""
     growth: float
     """By how much standard uncertainties grew; 1 for white noise"""
 
@@ -72,8 +78,8 @@ def checked(result: Result, values: Sequence[float], std: Sequence[float], truth
     assert isinstance(stated, int | float)
     growth = result.statistics.get("inflation", 1.0)
     assert isinstance(growth, int | float)
-    bound = stdtrit(float(stated), 0.975) * np.array(std)
-    return Checked(tuple((np.abs(np.array(values) - np.array(truth)) <= bound).tolist()), float(growth))
+    z = (np.array(values) - np.array(truth)) / np.array(std)
+    return Checked(tuple((np.abs(z) <= stdtrit(float(stated), 0.975)).tolist()), z, float(growth))
 
 
 def of_lengths(rng: np.random.Generator, size: float) -> Iterator[Checked]:
@@ -166,31 +172,58 @@ KINDS: dict[str, Callable[[np.random.Generator, float], Iterator[Checked]]] = {
 }
 
 
-def coverage(kind: str, size: float, runs: int) -> tuple[dict[str, tuple[float, float]], float]:
-    """Return the share of intervals that contain the truth for each model, and the mean growth.
+@dataclass(frozen=True)
+class Coverage:
+    """Many results against the truth."""
 
-    With each share stands its standard uncertainty [%]: the intervals of one run share its errors, so that runs count.
-    """
-    rng = np.random.default_rng([2026, list(KINDS).index(kind), round(10 * size)])
-    found = [tuple(KINDS[kind](rng, size)) for _ in range(runs)]
-    inside = {
-        model: 100 * np.array([np.mean(one.inside) for one in results])
-        for model, results in zip(MODELS, zip(*found, strict=True), strict=True)
-    }
-    shares = {model: (float(one.mean()), float(one.std(ddof=1) / np.sqrt(runs))) for model, one in inside.items()}
-    return shares, float(np.mean([one[0].growth for one in found]))
+    found: tuple[tuple[Checked, ...], ...]
+    """For each run the results of all models"""
+
+    @property
+    def shares(self) -> dict[str, tuple[float, float]]:
+        """Share of intervals that contain the truth for each model.
+
+        With each share stands its standard uncertainty [%]: the intervals of one run share its errors, so that runs
+        count.
+        """
+        inside = {
+            model: 100 * np.array([np.mean(one.inside) for one in results])
+            for model, results in zip(MODELS, zip(*self.found, strict=True), strict=True)
+        }
+        return {model: (float(one.mean()), float(one.std(ddof=1) / np.sqrt(len(one)))) for model, one in inside.items()}
+
+    @property
+    def growth(self) -> float:
+        """Mean growth."""
+        return float(np.mean([one[0].growth for one in self.found]))
+
+    @property
+    def by_parameter(self) -> str:
+        """Share of intervals and root mean square of z of each parameter, with the first model."""
+        inside = 100 * np.mean([one[0].inside for one in self.found], axis=0)
+        z = np.sqrt(np.mean([one[0].z ** 2 for one in self.found], axis=0))
+        return ", ".join(f"{share:.1f} % (z {size:.2f})" for share, size in zip(inside, z, strict=True))
+
+
+def coverage(kind: str, size: float, runs: int, draw: int = DRAW) -> Coverage:
+    """Return the results of many measurements of one kind."""
+    rng = np.random.default_rng([draw, list(KINDS).index(kind), round(10 * size)])
+    return Coverage(tuple(tuple(KINDS[kind](rng, size)) for _ in range(runs)))
 
 
 def main(*arguments: str) -> None:
-    """Print the table."""
+    """Print the table, and each parameter where they are few."""
     kinds = [argument for argument in arguments if argument in KINDS] or list(KINDS)
-    runs = next((int(argument) for argument in arguments if argument.isdigit()), 100)
+    numbers = [int(argument) for argument in arguments if argument.isdigit()]
+    runs, draw = (*numbers, *(100, DRAW)[len(numbers) :])[:2]
     print(f"{'kind':<20}{'shared error':>14}{'structured':>18}{'estimated':>18}{'inflation':>12}   (95 % intervals)")
     for kind in kinds:
         for size in SIZES:
-            shares, growth = coverage(kind, size, runs)
-            shown = "".join("{:>10.1f} +- {:.1f} %".format(*shares[model]) for model in MODELS)
-            print(f"{kind:<20}{size:>8.1f} sigma{shown}{growth:>12.2f}", flush=True)
+            found = coverage(kind, size, runs, draw)
+            shown = "".join("{:>10.1f} +- {:.1f} %".format(*found.shares[model]) for model in MODELS)
+            print(f"{kind:<20}{size:>8.1f} sigma{shown}{found.growth:>12.2f}", flush=True)
+            if len(found.found[0][0].inside) <= _FEW:
+                print(f"{'':<20}each parameter: {found.by_parameter}", flush=True)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from simulated import lengths
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.clusters.robust import ClusterRobust, Clusters, cluster_robust
+from metrocli.adjust.clusters.spread import Excess
 from metrocli.errors import UndeterminedError
 from metrocli.instruments import camera, tracer
 from metrocli.tasks.multilaterate import problem as multilaterate
@@ -55,25 +56,34 @@ class Plain:
         used[(np.abs(j[len(view) :]) > 0).any(axis=0)] = len(images)
         self.shared = used > 1
         joint = q[np.ix_(self.shared, self.shared)]
-        weights, changes = [], []
-        for rows in own:
-            values, vectors = np.linalg.eigh(np.eye(len(rows)) - hat[np.ix_(rows, rows)])
-            kept = values > 1e-9
-            root = (vectors[:, kept] / np.sqrt(values[kept])) @ vectors[:, kept].T
-            weight = np.zeros((len(q), len(residual)))
-            weight[:, rows] = q @ j[rows].T @ root
-            weights.append(weight[self.shared])
-            changes.append(weights[-1] @ residual)
         # unknowns that all images use come first, or those of some blocks
         ahead = np.array([name in self.first for name, *_ in whole.places]) if self.first else used == len(images)
         order = np.argsort(~ahead[self.shared], kind="stable")
         self.lower = np.linalg.cholesky(joint[np.ix_(order, order)])[np.argsort(order)]
         first = int(ahead[self.shared].sum())
         self.parts = [part for part in (np.arange(first), np.arange(first, len(joint))) if len(part)]
-        z = np.linalg.solve(self.lower, np.array(changes).T).T
         free = np.eye(len(hat)) - hat
-        weights = [np.linalg.solve(self.lower, weight) @ free for weight in weights]
-        target = np.sum([weight @ weight.T for weight in weights], axis=0)
+        self.residual = residual
+        self.acting = []
+        for rows in own:
+            alone = j[rows][:, ~self.shared]
+            basis = np.linalg.qr(alone[:, (np.abs(alone) > 0).any(axis=0)])[0]
+            f = (j[rows][:, self.shared] - basis @ (basis.T @ j[rows][:, self.shared])) @ self.lower
+            u, t, _ = np.linalg.svd(f[:, :first], full_matrices=False)
+            self.acting.append((rows, u[:, t > 1e-9], t[t > 1e-9] ** 2))
+        self.free = free
+        self.errors = self.expected(self.found.sample.excess)
+        weights = []
+        for rows in own:
+            omega = self.errors[np.ix_(rows, rows)]
+            root = power(omega, 0.5)
+            of_residuals = (free @ self.errors @ free)[np.ix_(rows, rows)]
+            weight = np.zeros((len(q), len(residual)))
+            weight[:, rows] = q @ j[rows].T @ root @ power(root @ of_residuals @ root, -0.5) @ root
+            weights.append(np.linalg.solve(self.lower, weight[self.shared]))
+        z = np.array([weight @ residual for weight in weights])
+        weights = [weight @ free for weight in weights]
+        target = np.sum([weight @ self.errors @ weight.T for weight in weights], axis=0)
         sample = z.T @ z
         self.factors = [np.trace(sample[np.ix_(p, p)]) / np.trace(target[np.ix_(p, p)]) for p in self.parts]
         scale = np.sqrt(np.repeat(self.factors, [len(part) for part in self.parts]))
@@ -86,8 +96,24 @@ class Plain:
         values, vectors = np.linalg.eigh(shrunk)
         self.covariance = self.lower @ (vectors * np.maximum(values, 1)) @ vectors.T @ self.lower.T
 
+    def expected(self, excess: Excess) -> Array:
+        """The covariance of all readings for an excess."""
+        errors = np.eye(len(self.residual))
+        for rows, u, strength in self.acting:
+            more = (1 + excess.level) * (1 + excess.size * strength) - 1
+            errors[np.ix_(rows, rows)] += (u * more) @ u.T
+        return errors
+
+    def misfit(self, excess: Excess) -> float:
+        """-2 ln of the restricted likelihood from contrasts of the residuals, but for a constant."""
+        values, vectors = np.linalg.eigh(self.free)
+        contrasts = vectors[:, values > 0.5]
+        covariance = contrasts.T @ self.expected(excess) @ contrasts
+        y = contrasts.T @ self.residual
+        return float(np.linalg.slogdet(covariance)[1] + len(y) * np.log(y @ np.linalg.solve(covariance, y)))
+
     def dof(self, at: int) -> float:
-        """2 E^2 / Var of the variance of a shared unknown as a quadratic form of independent readings."""
+        """2 E^2 / Var of the variance of a shared unknown as a quadratic form of readings with expected errors."""
         line = self.lower[at] / np.linalg.norm(self.lower[at])
         most = int(np.argmax([(line[part] ** 2).sum() for part in self.parts]))
         part, factor = self.parts[most], self.factors[most]
@@ -95,8 +121,16 @@ class Plain:
         rest = self.share * (line @ self.target @ line) / np.trace(self.target[np.ix_(part, part)])
         form = (1 - self.share) * np.outer(line, line) + rest * inside
         whole = np.sum([weight.T @ form @ weight for weight in self.weights], axis=0) * factor
+        whole = whole @ self.errors
         mean = np.trace(whole) + line @ self.prior @ line
-        return float(2 * mean**2 / (2 * (whole**2).sum()))
+        return float(2 * mean**2 / (2 * (whole * whole.T).sum()))
+
+
+def power(matrix: Array, exponent: float) -> Array:
+    """A power of a symmetric matrix, without the directions in which it is zero."""
+    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
+    kept = values > 1e-9
+    return np.asarray((vectors[:, kept] * values[kept] ** exponent) @ vectors[:, kept].T)
 
 
 def seen_in_part() -> problems.Problem:
@@ -112,6 +146,7 @@ CASES: dict[str, tuple[Callable[[], problems.Problem], tuple[str, ...]]] = {
     "poses eliminated": (lambda: bent(problems.board_camera()), ()),
     "targets eliminated": (lambda: bent(problems.with_control()), ()),
     "lens apart from targets in all images": (lambda: bent(problems.with_control()), (camera.LENS,)),
+    "poses eliminated, lens apart from targets": (lambda: bent(problems.with_control(16)), (camera.LENS,)),
     "targets in some images": (lambda: bent(seen_in_part()), ()),
     "with scale bars": (lambda: bent(problems.with_scale_bars()), ()),
     "white": (problems.board_camera, ()),
@@ -138,6 +173,17 @@ def test_the_covariance_is_that_of_whole_matrices(both: tuple[ClusterRobust, Pla
     assert abs((of_shared(found, plain) - plain.covariance) / size / size[:, None]).max() < 1e-5
     assert found.sample.factors == pytest.approx(plain.factors, rel=1e-5)
     assert found.sample.share == pytest.approx(plain.share, rel=1e-4)
+
+
+def test_the_expected_errors_are_the_most_likely(both: tuple[ClusterRobust, Plain]) -> None:
+    found, plain = both
+    excess = found.sample.excess
+    least = plain.misfit(excess)
+    for change in (0.7, 1.4):
+        # where readings see the first unknowns in all directions, the level is that of all errors and changes nothing
+        assert plain.misfit(Excess((1 + excess.level) * change - 1, excess.size)) > least - 1e-6 or excess.level == 0
+        assert plain.misfit(Excess(excess.level, excess.size * change)) > least or excess.size == 0
+    assert least <= plain.misfit(Excess()) + 1e-9
 
 
 def test_degrees_of_freedom_are_those_of_the_quadratic_form(both: tuple[ClusterRobust, Plain]) -> None:
@@ -250,19 +296,27 @@ def test_members_of_one_cluster_follow_from_the_others_in_the_datum(lengths_in_t
 
 
 def test_what_blocks_change_is_that_of_whole_matrices(lengths_in_time: ClusterRobust) -> None:
-    """Sum of `x x'` with `x = Q J' (I - H)^-1/2 r` of each block, for the tracers without rigid motion."""
+    """Sum of `x x'` with `x = Q J' A r` of each block, for the tracers without rigid motion."""
     found = lengths_in_time
     j, residual, motions, first = whole_matrices(found)
     normal = j.T @ j
     scale = 1 / np.sqrt(np.diag(normal))
     q = np.linalg.pinv(normal * scale[:, None] * scale, rcond=1e-11, hermitian=True) * scale[:, None] * scale
     block = found.white.groups[0].observations.index[tracer.POINT] // 5
-    total = np.zeros((len(q) - first,) * 2)
-    for at in range(6):
-        rows = np.flatnonzero(block == at)
-        values, vectors = np.linalg.eigh(np.eye(len(rows)) - j[rows] @ q @ j[rows].T)
-        kept = values > 1e-9
-        x = q @ j[rows].T @ ((vectors[:, kept] / np.sqrt(values[kept])) @ (vectors[:, kept].T @ residual[rows]))
+    total, errors, hat = np.zeros((len(q) - first,) * 2), np.eye(len(j)), j @ q @ j.T
+    excess, each = found.sample.excess, [np.flatnonzero(block == at) for at in range(6)]
+    for rows in each:
+        # what the tracers give to the rows of a block, without its own points
+        points = j[rows][:, :first]
+        own = points @ np.linalg.pinv(points)
+        strength, u = np.linalg.eigh(hat[np.ix_(rows, rows)] - own)
+        u, strength = u[:, strength > 1e-9], strength[strength > 1e-9]
+        errors[np.ix_(rows, rows)] += (u * ((1 + excess.level) * (1 + excess.size * strength) - 1)) @ u.T
+    of_residuals = (np.eye(len(j)) - hat) @ errors @ (np.eye(len(j)) - hat)
+    for rows in each:
+        root = power(errors[np.ix_(rows, rows)], 0.5)
+        weight = root @ power(root @ of_residuals[np.ix_(rows, rows)] @ root, -0.5) @ root
+        x = q @ j[rows].T @ weight @ residual[rows]
         total += np.outer(x[first:], x[first:])
     still = motions[first:]
     without = np.eye(len(still)) - still @ np.linalg.pinv(still)

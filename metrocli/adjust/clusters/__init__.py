@@ -1,1 +1,4 @@
-"""Errors that readings taken together share, and the covariance that counts them."""
+"""Covariance of an adjustment whose readings share errors within clusters, such as the readings of one image.
+
+Method: docs/algorithms/cluster-robust-covariance.md.
+"""

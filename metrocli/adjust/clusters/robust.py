@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.clusters.rows import numbers_of, rows_of, rows_without_members
+from metrocli.adjust.clusters.rows import Rows, numbers_of, rows_of, rows_without_members
 from metrocli.adjust.clusters.sample import Sample
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
@@ -108,18 +108,22 @@ def cluster_robust(solution: Solution, clusters: Clusters) -> ClusterRobust:
     rows = rows_without_members(solution, clusters.of)
     if rows is not None:
         layout, white = solution.covariance_or_raise().layout, _without_datum(solution)
-        sample = Sample.of(white, rows, rows.common, clusters.grows)
+        sample = Sample.of(white, rows, _first(rows, layout, clusters), solution.dof, clusters.grows)
         found = replace(solution, covariance=_of_members(solution, white, sample))
         return ClusterRobust(found, solution, sample, layout)
     layout = without_elimination(solution.blocks)
     must_be_few(layout.width)
     rows = rows_of(solution, clusters.of, clusters.free)
-    first = _of_blocks(layout, clusters.first) if clusters.first else rows.common
     white = _joint(solution, layout)[np.ix_(rows.shared, rows.shared)]
-    sample = Sample.of(white, rows, first, clusters.grows)
+    sample = Sample.of(white, rows, _first(rows, layout, clusters), solution.dof, clusters.grows)
     matrix = sample.covariance()
     covariance = Covariance(layout, shapes_of(solution.blocks), matrix, MemberCovariance((0, 0), (), (), matrix))
     return ClusterRobust(replace(solution, covariance=covariance), solution, sample, layout)
+
+
+def _first(rows: Rows, layout: Layout, clusters: Clusters) -> Mask:
+    """Return the unknowns whose variances have a factor of their own, (unknowns,)."""
+    return _of_blocks(layout, clusters.first) if clusters.first else rows.common
 
 
 def _change_of_datum(solution: Solution) -> Array:

@@ -9,14 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
+from metrocli.adjust.clusters.likelihood import Likelihood, most_likely
 from metrocli.adjust.clusters.rows import Rows
-from metrocli.adjust.decompositions import thin_svd
+from metrocli.adjust.clusters.spread import Excess, Seen, Spread, products, spreads
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.frozen import dataclass
 
-_UNDETERMINED = 1e-9
-"""Share of a direction that the other clusters determine, below which it is left out: its residuals are rounding"""
 _MOSTLY = 0.5
 """Share of a variance from a single cluster above which it has the degrees of freedom of the factor"""
 _TINY = 1e-300
@@ -36,45 +35,6 @@ class Own:
 
 
 @dataclass(frozen=True)
-class Spread:
-    """One cluster in coordinates in which the shared unknowns have the covariance 1, without its own unknowns.
-
-    Its rows are `F = u diag(sizes) directions'` with orthonormal u and directions.
-    """
-
-    directions: Array
-    """(coordinates, k)"""
-    sizes: Array
-    """(k,), below 1"""
-    change: Array
-    """What its errors contribute to the coordinates, `F' (I - F F')^-1/2 r`, (coordinates,)"""
-    alone: Array
-    """Directions that no other cluster determines, in which its residuals are zero, (coordinates, k')"""
-
-    @classmethod
-    def of(cls, rows: Array, residual: Array) -> Spread:
-        """Return a cluster from its rows and residuals."""
-        u, sizes, vt = thin_svd(rows)
-        kept = 1 - sizes**2 > _UNDETERMINED
-        alone, u, sizes, vt = vt[~kept].T, u[:, kept], sizes[kept], vt[kept]
-        return cls(vt.T, sizes, vt.T @ (sizes / np.sqrt(1 - sizes**2) * (u.T @ residual)), alone)
-
-    def form(self, powers: Array) -> Array:
-        """Return `v diag(powers) v'` of its directions v, (coordinates, coordinates)."""
-        return np.asarray((self.directions * powers) @ self.directions.T)
-
-    @property
-    def information(self) -> Array:
-        """`F'F`: the covariance of `change` for independent errors."""
-        return self.form(self.sizes**2)
-
-    @property
-    def levers(self) -> Array:
-        """Sizes b of `B = F' (I - F F')^-1/2 F = v diag(b) v'`; `change` of two clusters has the covariance `-B B'`."""
-        return np.asarray(self.sizes**2 / np.sqrt(1 - self.sizes**2))
-
-
-@dataclass(frozen=True)
 class Sample:
     """What the errors of each cluster change, and the covariance that follows from it."""
 
@@ -88,38 +48,49 @@ class Sample:
     own: tuple[Own, ...]
     prior: Array
     """Information of the rows whose errors are independent, (coordinates, coordinates)"""
+    excess: Excess
+    """How much larger the errors expected in the first coordinates are than white noise"""
     grows: bool = True
     """Whether the errors of what only one cluster determines grow as those of the shared unknowns do"""
 
     @classmethod
-    def of(cls, white: Array, rows: Rows, first: Mask, grows: bool = True) -> Sample:
+    def of(cls, white: Array, rows: Rows, first: Mask, dof: float, grows: bool = True) -> Sample:
         """Return the sample of an adjustment; `white` is the covariance of its shared unknowns for independent errors.
 
-        `first` (unknowns,) are those whose variances have a factor of their own; `grows` is whether what only one
-        cluster determines has the factor of the others.
+        `first` (unknowns,) are those in which errors may exceed white noise; their variances have a factor of their
+        own. `dof` are the degrees of freedom of the adjustment. `grows` is whether what only one cluster determines
+        has the factor of the others.
         """
         shared = rows.shared
         root, parts = _root(white, first[shared])
         numbers = np.cumsum(shared) - 1
-        clusters, own = [], []
+        seen, own = [], []
         for one in rows.of_clusters:
             common = shared[one.columns]
             at = numbers[one.columns[common]]
             basis, triangle = np.linalg.qr(one.jacobian[:, ~common])
             coupling = basis.T @ one.jacobian[:, common]
-            clusters.append(Spread.of((one.jacobian[:, common] - basis @ coupling) @ root[at], one.residual))
+            seen.append(Seen.of((one.jacobian[:, common] - basis @ coupling) @ root[at], one.residual))
             inverse = np.linalg.inv(triangle)
             by_shared = np.zeros((len(triangle), len(root)))
             by_shared[:, at] = -inverse @ coupling
             own.append(Own(one.columns[~common], inverse @ inverse.T, by_shared))
         known = [one.jacobian @ root[numbers[one.columns]] for one in rows.others]
         prior = np.sum([one.T @ one for one in known], axis=0) if known else np.zeros((root.shape[1],) * 2)
-        return cls(shared, root, parts, tuple(clusters), tuple(own), prior, grows)
+        square = float(sum(one.residual @ one.residual for one in (*rows.of_clusters, *rows.others)))
+        apart = first[shared].any()
+        excess = most_likely(Likelihood.of(seen, parts[0], square, dof)) if apart else Excess()
+        return cls(shared, root, parts, spreads(seen, parts[0], excess, prior), tuple(own), prior, excess, grows)
 
     @cached_property
     def target(self) -> Array:
-        """The covariance that independent errors of the clusters give, `sum F'F`."""
+        """The covariance that the errors expected of the clusters give, `sum F' Omega F`."""
         return np.asarray(np.sum([one.information for one in self.clusters], axis=0))
+
+    @cached_property
+    def white(self) -> float:
+        """Sum of the variances that white noise of the clusters gives, `tr sum F'F`."""
+        return float(sum((one.seen.sizes**2).sum() for one in self.clusters))
 
     @cached_property
     def found(self) -> Array:
@@ -129,7 +100,7 @@ class Sample:
 
     @cached_property
     def factors(self) -> tuple[float, ...]:
-        """How many times the variance of independent errors the clusters have, on average over each part."""
+        """How many times the expected variance the clusters have, on average over each part."""
         found, target = np.diag(self.found), np.diag(self.target)
         return tuple(
             float(found[part].sum() / target[part].sum()) if target[part].sum() > 0 else 1.0 for part in self.parts
@@ -137,8 +108,8 @@ class Sample:
 
     @cached_property
     def factor(self) -> float:
-        """The same over all parts."""
-        return float(np.trace(self.found) / np.trace(self.target))
+        """How many times the variance of white noise the clusters have, on average over all parts."""
+        return float(np.trace(self.found) / self.white)
 
     @property
     def of_own(self) -> float:
@@ -148,7 +119,7 @@ class Sample:
     @cached_property
     def alone(self) -> Array:
         """The covariance that independent errors give to what only one cluster determines."""
-        return np.asarray(np.sum([one.alone @ one.alone.T for one in self.clusters], axis=0))
+        return np.asarray(np.sum([one.seen.alone @ one.seen.alone.T for one in self.clusters], axis=0))
 
     @cached_property
     def shape(self) -> Array:
@@ -199,7 +170,7 @@ class Sample:
     def dof(self, columns: Index) -> Array:
         """Return the degrees of freedom of the variances of some unknowns, (k,).
 
-        Satterthwaite's `2 E^2 / Var` of the estimated variance, a quadratic form of the residuals, for independent
+        Satterthwaite's `2 E^2 / Var` of the estimated variance, a quadratic form of the residuals, for the expected
         errors (Bell and McCaffrey 2002). An unknown counts for the part that it depends on most; those of a single
         cluster have the degrees of freedom of the least certain factor.
         """
@@ -221,31 +192,8 @@ class Sample:
         trace = float(np.diag(self.target)[part].sum())
         along = (lines * (self.target @ lines)).sum(axis=0)
         own, rest = 1 - self.share, self.share * along / trace
-        within = [one.directions.T @ lines for one in self.clusters]
-        grams = [one.directions[part].T @ one.directions[part] for one in self.clusters]
-        products = np.array(
-            [one.directions @ (one.levers[:, None] * seen) for one, seen in zip(self.clusters, within, strict=True)]
-        )
-        # sum of B E B
-        squares = np.sum(
-            [
-                (one.directions * one.levers) @ gram @ (one.directions * one.levers).T
-                for one, gram in zip(self.clusters, grams, strict=True)
-            ],
-            axis=0,
-        )
-        pairs = np.einsum("cil,dil->lcd", products, products, optimize=True)
-        lengths = (products * (squares @ products)).sum(axis=(0, 1))
-        norms = float((squares**2).sum())
-        for c, (one, seen, gram) in enumerate(zip(self.clusters, within, grams, strict=True)):
-            # a cluster with itself has F'F in place of -B B
-            inside, twice = one.sizes**2, one.levers**2
-            pairs[:, c, c] = (inside[:, None] * seen**2).sum(axis=0)
-            for size, sign in ((inside, 1.0), (twice, -1.0)):
-                shown = one.directions[part] @ (size[:, None] * seen)
-                lengths += sign * (shown**2).sum(axis=0)
-                norms += sign * float(size @ gram**2 @ size)
-        variance = 2 * (own**2 * (pairs**2).sum(axis=(1, 2)) + 2 * own * rest * lengths + rest**2 * norms)
+        pairs, lengths, norms = products(self.clusters, self.target + self.prior, lines, part)
+        variance = 2 * (own**2 * pairs + 2 * own * rest * lengths + rest**2 * norms)
         mean = factor * along + (lines * (self.prior @ lines)).sum(axis=0)
         return 2 * mean**2 / np.maximum(factor**2 * variance, _TINY), trace**2 / norms
 

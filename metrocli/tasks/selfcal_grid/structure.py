@@ -65,7 +65,7 @@ def with_structure(solved: Solved) -> tuple[Solved, Structured]:
     # a reading has its components one after the other: all of x, all of y, all of z
     of_rows = [np.tile(cluster, len(residual[0])), *(np.full(part.size, -1) for part in residual[1:])]
     rows = rows_of_table(design.jacobian, np.concatenate([part.ravel() for part in residual]), np.concatenate(of_rows))
-    sample = Sample.of(white, rows, rows.common)
+    sample = Sample.of(white, rows, rows.common, solved.solution.dof)
     found = CorrelatedDesign(
         design.partition, design.jacobian, design.reduction, design.constraint, sample.covariance()
     )

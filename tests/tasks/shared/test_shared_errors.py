@@ -35,10 +35,17 @@ Metrocli = Callable[..., Any]
     [("multilaterate", 16, 88), ("locate-launch-unit", 40, 88), ("calibrate-machine", 3, 92)],
 )
 def test_intervals_contain_the_truth_where_those_for_white_noise_do_not(kind: str, runs: int, white: float) -> None:
-    shares, growth = shared_errors.coverage(kind, 1.0, runs)
+    found = shared_errors.coverage(kind, 1.0, runs)
+    shares, growth = found.shares, found.growth
     assert 91 <= shares["structured"][0] <= 99.5
     assert shares["estimated"][0] < white
     assert growth > 1.2
+
+
+def test_each_parameter_is_covered_where_poses_of_great_weight_have_great_errors() -> None:
+    """A receiver that stands elsewhere moves x and y of the unit, mostly by poses nearly above it, and gamma little."""
+    found = shared_errors.coverage("locate-launch-unit", 1.0, 100, 5).found
+    assert (np.mean([one.inside for one, _ in found], axis=0) >= 0.88).all()
 
 
 def test_errors_of_successive_balls_count_in_the_machine_errors() -> None:

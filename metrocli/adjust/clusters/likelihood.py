@@ -1,0 +1,76 @@
+"""How much larger errors are in the first unknowns than white noise is, by restricted likelihood.
+
+Method: docs/algorithms/cluster-robust-covariance.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from metrocli.adjust.clusters.spread import Excess, Seen, acting
+from metrocli.adjust.model.blocks import Array
+from metrocli.frozen import dataclass
+
+_START, _MOST = 0.5, 8.0
+"""First and largest `ln(1 + excess)` of both parts, in a direction of average strength; above, rounding is in it"""
+_TOLERANCE = 1e-3
+"""Change of -2 ln of the likelihood, for each degree of freedom, below which the search ends"""
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """Restricted likelihood of readings whose covariance within each cluster is Omega, times a factor for all."""
+
+    seen: Array
+    """`F'u`, (basis, directions), u the directions of all clusters in which F_1 acts"""
+    strength: Array
+    """Eigenvalues of `F_1 F_1'`, (directions,)"""
+    residual: Array
+    """`u'r`, (directions,)"""
+    square: float
+    """Sum of all squared residuals"""
+    dof: float
+    """Degrees of freedom of the adjustment"""
+
+    @classmethod
+    def of(cls, clusters: Sequence[Seen], first: slice, square: float, dof: float) -> Likelihood:
+        """Return the likelihood from what each cluster sees; `first` are the coordinates of the first unknowns."""
+        parts = [acting(one, first) for one in clusters]
+        seen = np.concatenate([one.rows.T @ u for one, (u, _) in zip(clusters, parts, strict=True)], axis=1)
+        strength = np.concatenate([one for _, one in parts])
+        residual = np.concatenate([u.T @ one.residual for one, (u, _) in zip(clusters, parts, strict=True)])
+        # information other than of the directions seen is 1, and adds nothing
+        return cls(np.asarray(np.linalg.qr(seen, mode="r")), strength, residual, square, dof)
+
+    def misfit(self, excess: Excess) -> float:
+        """Return -2 ln of the restricted likelihood, with the factor that is most likely beside an excess."""
+        more = excess.at(self.strength)
+        taken = more / (1 + more)
+        half = self.seen * np.sqrt(taken)
+        information = np.eye(len(half)) - half @ half.T
+        right = self.seen @ (taken * self.residual)
+        square = self.square - taken @ self.residual**2 - right @ np.linalg.solve(information, right)
+        lndet = np.log1p(more).sum() + np.linalg.slogdet(information)[1]
+        return float(lndet + self.dof * np.log(square))
+
+
+def most_likely(known: Likelihood) -> Excess:
+    """Return the most likely excess; both of its parts are 0 or larger."""
+    from scipy.optimize import minimize
+
+    unit = max(float(known.strength.mean()), np.finfo(float).tiny)
+
+    def excess(logs: Array) -> Excess:
+        level, size = np.expm1(logs)
+        return Excess(float(level), float(size / unit))
+
+    found = minimize(
+        lambda logs: known.misfit(excess(logs)),
+        np.full(2, _START),
+        method="L-BFGS-B",
+        bounds=[(0.0, _MOST)] * 2,
+        options={"ftol": _TOLERANCE / known.dof},
+    )
+    return excess(found.x)
