@@ -1,6 +1,7 @@
 """Smooth random errors count as noise: they get no names of causes, and effects stay found beside them."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +12,13 @@ from benchmarks.hidden.rest import Size, _shown, _together, of_each, of_images
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
+from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.random_columns import with_random_columns
 from metrocli.diagnosis.linear.smooth.knots import around_circle, between_knots
 from metrocli.diagnosis.process_columns import process_bases
 from metrocli.diagnosis.verdict import as_data
+from metrocli.project.diagnosed import Extended
 from metrocli.tasks import KINDS
 
 
@@ -41,6 +44,28 @@ def test_what_wavers_gets_no_name_and_is_reported() -> None:
         shown = as_data(found)["processes"][0]
         assert shown["of_each"] == "tracer"
         assert shown["std"]["value"] == pytest.approx(1e3 * found.processes[0].std)
+
+
+def test_a_clean_report_states_that_uncertainties_are_without_the_smooth_error() -> None:
+    """Too weak to be called structure, it still makes intervals for white noise too short: `structured` is proposed."""
+    for seed in (4, 11, 20):
+        found, _ = wavering(seed)
+        assert found.verdict == "clean"
+        assert found.processes
+        assert proposed_noise(found) == "structured"
+        report = of_diagnosis(found, Extended(Path("job.extended.yaml"), None))
+        first, *_, last = report.splitlines()[0], *[line for line in report.splitlines() if line.startswith("next")]
+        covariate = found.processes[0].covariate
+        smooth = f"an error that varies smoothly with {covariate} of each tracer by itself"
+        assert first.startswith("verdict: clean, but ")
+        assert first.endswith(f"{smooth} is not in the uncertainties of the result")
+        assert last.endswith("the job with `noise: structured`: its uncertainties include the smooth error")
+        assert as_data(found)["processes"][0]["in_uncertainties"] is False
+        taken = replace(found, job=replace(found.job, noise_model="structured"))
+        assert proposed_noise(taken) == ""
+        assert of_diagnosis(taken, None).splitlines()[0] == "verdict: clean"
+        assert "The standard uncertainties of the result include it." in of_diagnosis(taken, None)
+        assert as_data(taken)["processes"][0]["in_uncertainties"] is True
 
 
 def test_what_wavers_is_no_law() -> None:
