@@ -46,6 +46,23 @@ def test_what_wavers_gets_no_name_and_is_reported() -> None:
         assert shown["std"]["value"] == pytest.approx(1e3 * found.processes[0].std)
 
 
+def test_what_wavers_fast_in_a_long_measurement_gets_no_names() -> None:
+    """Errors of a fiftieth of the measurement: with no length below a sixteenth the first has a jump that is chance."""
+    for seed, drift in ((1, 0.0), (2, 4e-3)):
+        rng = np.random.default_rng([78, seed])
+        m = lengths.measurement(rng, 900)
+        apart = np.subtract.outer(m.t, m.t)[m.tracer == 0][:, m.tracer == 0] / np.ptp(m.t)
+        root = np.linalg.cholesky(np.exp(-((apart / 0.02) ** 2) / 2) + 1e-9 * np.eye(len(apart)))
+        error = np.zeros(len(m.t))
+        for tracer in np.unique(m.tracer):
+            error[m.tracer == tracer] = 0.7 * root @ rng.normal(size=len(root))
+        creep = drift * (m.tracer == 1) * (m.t - m.t.min()) / np.ptp(m.t)
+        found = diagnose(replace(m, length=m.length + error * m.sigma + creep).adjusted())
+        named = [one.effect.alternative.effect.name for one in found.findings]
+        assert named == (["dead-path-drift"] if drift else []), named
+        assert found.processes[0].length <= 1 / 32
+
+
 def test_a_clean_report_states_that_uncertainties_are_without_the_smooth_error() -> None:
     """Too weak to be called structure, it still makes intervals for white noise too short: `structured` is proposed."""
     for seed in (4, 11, 20):
