@@ -56,7 +56,12 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None) -> str:
     if job.part is not None:
         parts.append([_of_part(job.part)])
     if diagnosis.limited is not None:
-        parts.append([f"The search ended at the limit of {diagnosis.limited:g} s; `--limit` gives it more time."])
+        parts.append(
+            [
+                f"The search ended at the limit of {diagnosis.limited:g} s; `--limit` gives it more time.",
+                *_early(diagnosis),
+            ]
+        )
     if diagnosis.interrupted:
         parts.append(["The search for laws was interrupted; the report has the best that it had found."])
     if not diagnosis.adjusts:
@@ -68,6 +73,12 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None) -> str:
     scattered = [one.found.effect.name for one in diagnosis.scatters]
     parts.append(candidate_lines(job, diagnosis.design, [one.effect for one in findings], scattered))
     return "\n\n".join("\n".join(lines) for lines in parts)
+
+
+def _early(diagnosis: Diagnosis) -> Iterator[str]:
+    """Yield what a search that ended early may not have done: smooth errors are raced after the names."""
+    if diagnosis.findings and not diagnosis.processes:
+        yield "Smooth random errors may not have been held against the names yet: chance may have made some of them."
 
 
 def _of_part(part: Part) -> str:
