@@ -45,10 +45,13 @@ def scatter_as_job(one: Scatter) -> Mapping[str, str]:
 
 
 def proposed_noise(diagnosis: Diagnosis) -> str:
-    """Return the noise that the extended job takes, so that uncertainties include the structure left; else ''."""
+    """Return the noise that the extended job takes, so that uncertainties include what is left; else ''.
+
+    Left are structure and smooth errors that count as noise: uncertainties for white noise include neither.
+    """
     job = diagnosis.job
-    wanted = diagnosis.left is not None and job.sharing >= FEWEST and job.noise_model != STRUCTURED
-    return STRUCTURED if wanted else ""
+    left = diagnosis.left is not None or diagnosis.processes
+    return STRUCTURED if left and job.sharing >= FEWEST and job.noise_model != STRUCTURED else ""
 
 
 def as_job(name: NamedEffect) -> Mapping[str, str]:

@@ -22,8 +22,10 @@ from metrocli.frozen import dataclass
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-_KNOTS = {1: (17, 13, 9), 2: (6, 5, 4, 3)}
-"""Knots along each coordinate, by the number of coordinates: as many as the columns allow"""
+_KNOTS = {1: (65, 33, 17, 13, 9), 2: (6, 5, 4, 3)}
+"""Knots along each coordinate, by the number of coordinates: as many as the columns, and the readings, allow"""
+_ENOUGH, _READINGS = 17, 16
+"""More knots than so many along one coordinate are taken for so many readings of each unit to a knot"""
 _FEW_KNOTS = (3,)
 _AROUND = 16
 """Knots around a circle"""
@@ -73,10 +75,11 @@ def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> F
     units = len(job.model.places[by].names) if by else 1
     copies = units * sum(len(group.observations.readings) for group in groups)
     along = (_AROUND,) if covariate.angle else _KNOTS.get(len(several[0]), _FEW_KNOTS)
-    most = min(_MOST_COLUMNS, _MOST_NUMBERS // system.rows) // copies
-    count = next((one for one in along if one ** len(several[0]) <= most), 0)
+    most, fewest = min(_MOST_COLUMNS, _MOST_NUMBERS // system.rows) // copies, min(map(_fewest, labels))
+    dense = max(_ENOUGH, fewest // _READINGS)
+    count = next((one for one in along if one <= dense and one ** len(several[0]) <= most), 0)
     # what is the same for all readings of each unit, such as the time of an image, has no length in it
-    if count == 0 or min(map(_fewest, labels)) < _FEWEST or not lowest_and_spans(several, labels)[1].any():
+    if count == 0 or fewest < _FEWEST or not lowest_and_spans(several, labels)[1].any():
         return None
     functions, distances = around_circle(several, count) if covariate.angle else between_knots(several, labels, count)
     count = len(distances)

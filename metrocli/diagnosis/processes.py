@@ -26,7 +26,7 @@ from metrocli.diagnosis.selection.backward_steps import evidence_of
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from metrocli.frozen import dataclass
 
-_LENGTHS = (1 / 16, 1 / 8, 1 / 4)
+_LENGTHS = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4)
 """Lengths of correlation that are tried, as shares of the largest range of a unit: what is slower is a drift"""
 _RESOLVED = 0.6
 """Least length of correlation, in distances of the knots"""

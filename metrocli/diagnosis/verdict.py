@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from metrocli import units
+from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
@@ -72,6 +73,7 @@ def _process(job: AdjustedJob, process: Process) -> dict[str, Any]:
         "std": {"value": value, "std": std, "unit": symbol},
         "p_value": float(np.exp(process.log_level)),
         "instead_of": [{"name": one.effect.name, "where": _where(one)} for one in process.instead_of],
+        "in_uncertainties": job.noise_model == STRUCTURED,
     }
 
 

@@ -98,7 +98,7 @@ def compute(
         finished = ChunkFolder(file.output.with_suffix(".chunks"))
         job = replace(job, workers=replace(workers, finished=finished, tell=progress.count))
     with _placed(file):
-        result = _sound(file, job)
+        result = _sound(file, job, progress)
     result = replace(
         result,
         title=result.title or file.heading.title,
@@ -121,7 +121,7 @@ def counting(held: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     return {key: replace(one, tell=progress.count) if isinstance(one, ImageFiles) else one for key, one in held.items()}
 
 
-def _sound(file: JobFile, job: Job[Any, Any]) -> Result:
+def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
     """Return the result of a job; raise InputError if a file fits far better when it is read in another way."""
     from metrocli.diagnosis.mistakes import misread, suspicious
 
@@ -139,6 +139,7 @@ def _sound(file: JobFile, job: Job[Any, Any]) -> Result:
             raise
         failure = error
     adjusted = task.diagnosed
+    progress.doing("its readings do not fit: trying its files with other units and axes")
     refusal = misread(
         vars(job.files),
         lambda inputs: adjusted(replace(job, files=task.files(**inputs))),

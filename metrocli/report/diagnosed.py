@@ -96,6 +96,8 @@ def _left(data: Mapping[str, Any]) -> Iterator[str]:
     for one in data.get("processes", ()):
         each = f" of each {one['of_each']} by itself" if one.get("of_each") else ""
         size = micro(f"{two_digits(one['std']['value'])} {one['std']['unit']}")
-        yield f"Error that varies smoothly with {one['depends_on']}{each}: {size} (standard deviation); counts as noise"
+        counts = "is in the uncertainties here" if one.get("in_uncertainties") else "is not in the uncertainties here"
+        counted = f"{size} (standard deviation); counts as noise, and {counts}"
+        yield f"Error that varies smoothly with {one['depends_on']}{each}: {counted}"
     if noise.get("as_declared") is False:
         yield f"Noise: {noise['ratio']:.2g} times what was declared, for which the uncertainties here are"

@@ -20,6 +20,7 @@ from metrocli.diagnosis.findings import Diagnosis, Finding
 from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.noise import DECLARED_SIGMA
+from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.project.diagnosed import Extended
@@ -55,7 +56,12 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None) -> str:
     if job.part is not None:
         parts.append([_of_part(job.part)])
     if diagnosis.limited is not None:
-        parts.append([f"The search ended at the limit of {diagnosis.limited:g} s; `--limit` gives it more time."])
+        parts.append(
+            [
+                f"The search ended at the limit of {diagnosis.limited:g} s; `--limit` gives it more time.",
+                *_early(diagnosis),
+            ]
+        )
     if diagnosis.interrupted:
         parts.append(["The search for laws was interrupted; the report has the best that it had found."])
     if not diagnosis.adjusts:
@@ -67,6 +73,12 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None) -> str:
     scattered = [one.found.effect.name for one in diagnosis.scatters]
     parts.append(candidate_lines(job, diagnosis.design, [one.effect for one in findings], scattered))
     return "\n\n".join("\n".join(lines) for lines in parts)
+
+
+def _early(diagnosis: Diagnosis) -> Iterator[str]:
+    """Yield what a search that ended early may not have done: smooth errors are raced after the names."""
+    if diagnosis.findings and not diagnosis.processes:
+        yield "Smooth random errors may not have been held against the names yet: chance may have made some of them."
 
 
 def _of_part(part: Part) -> str:
@@ -82,7 +94,8 @@ def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
     added = ["the named effects"] if diagnosis.findings or diagnosis.scatters else []
     added += ["the law"] if law is not None else []
     if not added:
-        return "the job with `noise: structured`: its uncertainties include the structure left"
+        what = "structure left" if diagnosis.left is not None else "smooth error"
+        return f"the job with `noise: structured`: its uncertainties include the {what}"
     shared = " and with `noise: structured`" if proposed_noise(diagnosis) else ""
     return f"the job extended by {' and '.join(added)}{shared}, and diagnose it again"
 
@@ -94,6 +107,8 @@ def headline(diagnosis: Diagnosis) -> str:
     as_declared = noise.as_declared or diagnosis.job.noise_model or ESTIMATED in diagnosis.job.declared
     limits = [] if as_declared else [f"the noise is {noise.ratio:.2g} times what was declared"]
     limits += [noisier(unit) for unit in diagnosis.noisier_units if unit.key != DECLARED_SIGMA]
+    if diagnosis.left is None and diagnosis.job.noise_model != STRUCTURED:
+        limits += [f"an {_smooth(one)} is not in the uncertainties of the result" for one in diagnosis.processes]
     where = f" in {diagnosis.job.part}" if diagnosis.job.part else ""
     where += f" so far ({diagnosis.ended_early})" if diagnosis.ended_early else ""
     return f"{diagnosis.verdict}{where}{wrong}{', but ' if limits else ''}{', and '.join(limits)}"
@@ -156,22 +171,34 @@ def _structure(diagnosis: Diagnosis) -> Iterator[str]:
     where = f" in the readings of {', '.join(left.where)}" if left.where else ""
     size = f", {units.sized(left.size, diagnosis.job.reading[1])} (root mean square)" if left.size else ""
     yield f"structure left: {_chance(left.p_value)}, varies with {' and '.join(left.depends_on)}{where}{size}"
+    yield f"  No known effect explains it. {_included(diagnosis)}"
+
+
+def _included(diagnosis: Diagnosis) -> str:
+    """Return whether the uncertainties of the result include structure, or a smooth error, and what would."""
     include = "include it" if diagnosis.job.noise_model == STRUCTURED else "do not include it"
     remedy = "; `noise: structured` includes it, as the extended job has it" if proposed_noise(diagnosis) else ""
-    yield f"  No known effect explains it. The standard uncertainties of the result {include}{remedy}."
+    return f"The standard uncertainties of the result {include}{remedy}."
+
+
+def _smooth(process: Process) -> str:
+    """Return a smooth random error in words."""
+    each = f" of each {process.by} by itself" if process.by else ""
+    return f"error that varies smoothly with {process.covariate}{each}"
 
 
 def _processes(diagnosis: Diagnosis) -> Iterator[str]:
     for one in diagnosis.processes:
         std, _, symbol = one.shown(*diagnosis.job.reading)
         size = f"{units.two_digits(std)} {symbol}"
-        each = f" of each {one.by} by itself" if one.by else ""
-        yield f"error that varies smoothly with {one.covariate}{each}: {size} (standard deviation)"
+        yield f"{_smooth(one)}: {size} (standard deviation)"
         if one.instead_of:
             yield f"  Without it these would be named: {listed([str(each) for each in one.instead_of], _SHOWN)}."
     if diagnosis.processes:
         counted = "the named effects and detectable sizes hold" if diagnosis.findings else "detectable sizes hold"
         yield f"  Chance explains it as well as any cause. It counts as noise: {counted} beside it."
+        if diagnosis.left is None:
+            yield f"  {_included(diagnosis)}"
 
 
 def _about(finding: Finding) -> Iterator[str]:

@@ -12,7 +12,7 @@ from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group, priors
 from metrocli.adjust.model.observations import Mask
-from metrocli.adjust.robust import gross, robust_start, typical
+from metrocli.adjust.robust import typical
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
 from metrocli.errors import InputError
@@ -25,6 +25,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.mirrored_views import better_poses
 from metrocli.tasks.calibrate_camera.readings import check_targets, readings, scale_bars
 from metrocli.tasks.calibrate_camera.settings import Camera
+from metrocli.tasks.calibrate_camera.unknown_targets import robustly, without_strays
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside, placed
@@ -35,9 +36,6 @@ _GUESSES = (1.0, 0.5, 2.0, 4.0, 8.0)
 """Focal lengths to try, in units of the longer side of the image, if the start from the views fails"""
 _LOST = 0.02
 """A median residual above this share of the longer side of the image means that the start failed"""
-
-_AGAIN = 3
-"""Most starts from poses at the focal length that the last one found, if targets strayed in it"""
 
 
 @dataclass(frozen=True)
@@ -172,15 +170,15 @@ def _better_start(problem: Problem, settings: Camera) -> Problem:
     in steps: a richer model starts from the solution of the simpler one that it contains.
     """
     simple = [name for name in settings.estimate if name not in (*RATIONAL, *PRISM)]
-    best = _robustly(problem.with_estimate(simple))
+    best = robustly(problem.with_estimate(simple))
     if "f" not in settings.given() and "fx" not in settings.given():
         for guess in _GUESSES:
             if _misfit(best) < (False, _LOST * max(problem.image_size)):
                 break
             retried = _retried(problem, guess * max(problem.image_size))
-            attempt = _robustly(retried.with_estimate(simple))
+            attempt = robustly(retried.with_estimate(simple))
             best = min(best, attempt, key=_misfit)
-    best = _unmirrored(_with_focal_known(problem.with_estimate(simple), best))
+    best = _unmirrored(without_strays(problem.blocks[camera.TARGET].values, best, _resected))
     if set(RATIONAL) & set(settings.estimate) and set(PRISM) & set(settings.estimate):
         best = _roughly(best.with_estimate([name for name in settings.estimate if name not in PRISM]), steps=1000)
     return best.with_estimate(settings.estimate)
@@ -219,40 +217,21 @@ def _roughly(problem: Problem, steps: int = 15) -> Problem:
     return problem.with_blocks({**problem.blocks, **solution.blocks})
 
 
-def _robustly(problem: Problem) -> Problem:
-    """Adjust with weights that gross errors do not spoil."""
-    found = robust_start(problem.blocks.values(), [problem.images, *problem.others], IMAGES, problem.datum, "view")
-    return problem.with_blocks({**problem.blocks, **found})
-
-
-def _with_focal_known(problem: Problem, best: Problem) -> Problem:
-    """Return the better of several starts: `best`, and as long as targets stray, one from poses at its focal length.
-
-    While lens and poses are far off, an unknown target can move so far that the start then gives up all its readings.
-    """
-    for _ in range(_AGAIN):
-        strayed = _strayed(best).sum()
-        if not strayed:
-            break
-        lens = best.blocks[camera.LENS].named()
-        again = _robustly(_retried(problem, lens["f"] if "f" in lens else (lens["fx"] + lens["fy"]) / 2))
-        if _strayed(again).sum() >= strayed:
-            break
-        best = again
-    return best
-
-
-def _strayed(problem: Problem) -> Mask:
-    """Return the unknown targets (n,) that most of their readings contradict."""
-    targets, index = problem.blocks[camera.TARGET], problem.images.observations.index[camera.TARGET]
-    far = np.bincount(index, gross(problem.images, problem.blocks) > 0, minlength=len(targets.members))
-    return np.asarray(targets.free.any(axis=1) & (2 * far > np.bincount(index, minlength=len(targets.members))))
-
-
 def _misfit(problem: Problem) -> tuple[bool, float]:
     """Return whether some reading cannot be predicted, and the median residual [px], which few gross errors raise."""
     unpredicted = not np.isfinite(problem.images.residuals(problem.blocks)).all()
     return unpredicted, typical(problem.images, problem.blocks)
+
+
+def _resected(problem: Problem, targets: Array) -> Problem:
+    """Return a calibration with its targets at places (n, 3), and with poses found anew by these and its lens."""
+    name = camera.view_name(problem.rig)
+    sighted = replace(problem.sighted, targets=replace(problem.sighted.targets, points=targets))
+    _, views = _start(problem.rig, sighted, problem.blocks[camera.LENS].named(), problem.image_size)
+    found = {name: views, camera.TARGET: targets}
+    return problem.with_blocks(
+        {**problem.blocks, **{key: problem.blocks[key].with_values(one) for key, one in found.items()}}
+    )
 
 
 def _retried(problem: Problem, focal: float) -> Problem:

@@ -28,6 +28,7 @@ from metrocli.tasks.calibrate_camera.principal_point import PrincipalPoint, prin
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.settings import Camera, Settings
 from metrocli.tasks.calibrate_camera.uncontrolled import uncontrolled
+from metrocli.tasks.calibrate_camera.unknown_targets import not_found
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.camera_parameters import HIGH, POSE_UNITS, Parameters, parameters, unit_of
 from metrocli.tasks.shared.images.tables import (
@@ -269,12 +270,15 @@ def _doubts(solved: _Calibration) -> list[str]:
     """Return why the camera must not be used.
 
     It holds its principal point far from where the readings see it, or other values that they contradict. Or its
-    targets are nearer than its focal length, or the lens model maps two directions to one pixel among the readings.
+    targets are nearer than its focal length, or the lens model maps two directions to one pixel among the readings, or
+    residuals are beyond all errors of image points.
     """
+    problem, residuals = solved.problem, solved.adjusted.group.residuals(solved.solution.blocks)
+    lost = not_found(residuals, problem.image_size, problem.rig)
     centre = solved.centre.doubts() if solved.centre is not None else []
     near = too_near(solved.problem, solved.adjusted, solved.settings.pixel_size)
     held = held_doubts(solved.problem, solved.settings, solved.adjusted)
-    return [*centre, *held, *near, *(text for text, among in _folds(solved) if among)]
+    return [*lost, *centre, *held, *near, *(text for text, among in _folds(solved) if among)]
 
 
 def _folds(solved: _Calibration) -> Iterator[tuple[str, bool]]:

@@ -13,9 +13,12 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.robust import robust_start
+from metrocli.adjust.solution import Solution
+from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.tasks.multilaterate.problem import LENGTHS, Network
+from metrocli.words import listed
 
 _GROSS = 8.0
 """Misfit, in standard deviations, from which a length cannot be off by chance"""
@@ -25,6 +28,8 @@ _STEPS = 6
 """Gauss-Newton steps from the mover's reading to the intersection of the lengths"""
 _TRIED = 3
 """Largest number of wrong lengths that is searched at one point"""
+_FEW = 3
+"""Wrong lengths are named as the reason if at most one point in so many has some"""
 _SAMPLE = 2000
 """Points that a robust start of a large network is found from, if no outliers are removed"""
 
@@ -68,9 +73,7 @@ def far_off(network: Network, state: Mapping[str, Block]) -> dict[int, Rejected]
     """
     observations = network.lengths.observations
     point = observations.index[t.POINT]
-    miss = network.lengths.residuals(state)[0] / observations.sigma[0]
-    bound = (_GROSS * max(1.0, _MAD * float(np.median(np.abs(miss))))) ** 2
-    suspicious = np.flatnonzero((np.bincount(point, miss**2, len(network.nominal)) > bound) & network.unknown)
+    suspicious, bound, _ = _suspicious(network, state)
     tracers = state[t.TRACER].values[observations.index[t.TRACER]]
     out: dict[int, Rejected] = {}
     for i in suspicious:
@@ -80,6 +83,33 @@ def far_off(network: Network, state: Mapping[str, Block]) -> dict[int, Rejected]
         reason = Reason.GROSS if len(wrong) < len(rows) else Reason.ALIKE
         out |= {int(row): Rejected(int(row), float("nan"), reason) for row in rows[wrong]}
     return out
+
+
+def _suspicious(network: Network, state: Mapping[str, Block]) -> tuple[Index, float, float]:
+    """Return the points whose lengths do not meet, the bound of their sums of squares, and the median |misfit|."""
+    observations = network.lengths.observations
+    miss = network.lengths.residuals(state)[0] / observations.sigma[0]
+    typical = float(np.median(np.abs(miss)))
+    bound = (_GROSS * max(1.0, _MAD * typical)) ** 2
+    squares = np.bincount(observations.index[t.POINT], miss**2, len(network.nominal))
+    return np.flatnonzero((squares > bound) & network.unknown), bound, typical
+
+
+def not_converged(network: Network, state: Mapping[str, Block], solution: Solution) -> NotConvergedError:
+    """Return the error of an adjustment that did not converge from a robust start.
+
+    It names the points whose lengths do not meet there, if those of most points do.
+    """
+    told = f"{solution.outcome.value} ({solution.iterations} steps)"
+    points, _, typical = _suspicious(network, state)
+    if not 0 < _FEW * len(points) <= int((network.seen > 0).sum()):
+        return NotConvergedError(told, solution.misfit)
+    names = listed([network.blocks[t.POINT].members[one] for one in points.tolist()])
+    return NotConvergedError(
+        f"{told}: the lengths of {len(points)} points do not meet, those of all others do: {names}; "
+        "`outliers: remove` leaves wrong lengths out",
+        typical,
+    )
 
 
 @dataclass(frozen=True)

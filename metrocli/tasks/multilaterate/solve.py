@@ -25,6 +25,7 @@ from metrocli.tasks.multilaterate.blunders import (
     brought_back,
     far_off,
     most_wrong,
+    not_converged,
     quick_start,
     undisturbed_start,
 )
@@ -149,7 +150,7 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     network = replace(network, noise=used.noise)
     _must_carry(used, solution)
     if not solution.outcome.good:
-        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit)
+        raise not_converged(used, state, solution)
     _must_be_near(used, solution)
     rejected = [*out.values(), *(Rejected(int(row), float("nan"), Reason.UNCHECKED) for row in np.flatnonzero(lost))]
     group = next(group for group in solution.groups if group.name == LENGTHS)

@@ -54,9 +54,17 @@ def calibrated(seed: int, rough: float) -> Result:
     return calibrate_camera.run(calibrate_camera.TASK.job(settings, observations=observations, targets=targets))
 
 
-@pytest.mark.parametrize("seed", [7, 12, 13])
-def test_the_lens_is_found(seed: int) -> None:
-    result = calibrated(seed, 30.0)
+@pytest.mark.parametrize(("seed", "rough"), [(7, 30.0), (12, 30.0), (13, 30.0), (100, 30.0), (119, 60.0), (122, 60.0)])
+def test_the_lens_is_found(seed: int, rough: float) -> None:
+    result = calibrated(seed, rough)
     focal = next(one for one in result.estimates if one.name == "f")
     assert result.statistics["sigma0"] == pytest.approx(NOISE, rel=0.1)
     assert abs(focal.value - FOCAL) < 5 * focal.std
+    assert not result.doubts
+
+
+def test_a_start_that_failed_is_doubtful_though_the_noise_is_estimated() -> None:
+    """A tenth of the size of the part is too rough here: sigma0 alone would pass for a noise of 100 px."""
+    result = calibrated(121, 60.0)
+    assert result.statistics["sigma0"] > 1000 * NOISE
+    assert any("lens and poses were not found" in text for text in result.doubts)
