@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from metrocli import tasks
+from metrocli.adjust.allowance import allowance
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Ordered
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import LIMIT, Attended, diagnose, no_interrupt, what_can_be_seen
@@ -45,6 +46,8 @@ from metrocli.project.runner import content, counting, simulate
 from metrocli.record import InputFile
 from metrocli.simulation import SimulationOptions
 
+_STEPS = 400
+"""Steps that a try of an extended job may take, its starts included: a law that needs more is not determined"""
 _NAMED = " with the effects that metrocli diagnose named"
 _SHARED = " with the noise that metrocli diagnose proposes"
 """Ends of the first line of an extended job, by which it is recognised before it is overwritten"""
@@ -180,7 +183,8 @@ def _adjusts(path: Path) -> bool:
     """Return whether an extended job can be adjusted: a law in the linearised readings need not hold in the model."""
     job = load(path, Wishes(accept_doubtful=True))
     try:
-        tasks.KINDS[job.kind].task().run(content(job))
+        with allowance(_STEPS):
+            tasks.KINDS[job.kind].task().run(content(job))
     except (NotConvergedError, UndeterminedError):
         return False
     return True
