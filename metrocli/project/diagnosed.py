@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import count
@@ -182,12 +183,10 @@ def _from_the_chosen(diagnosis: Diagnosis) -> Sequence[Law]:
 def _adjusts(path: Path) -> bool:
     """Return whether an extended job can be adjusted: a law in the linearised readings need not hold in the model."""
     job = load(path, Wishes(accept_doubtful=True))
-    try:
-        with allowance(_STEPS):
-            tasks.KINDS[job.kind].task().run(content(job))
-    except (NotConvergedError, UndeterminedError):
-        return False
-    return True
+    with suppress(NotConvergedError, UndeterminedError), allowance(_STEPS):
+        tasks.KINDS[job.kind].task().run(content(job))
+        return True
+    return False
 
 
 def _write(job: JobFile, diagnosis: Diagnosis, law: Law | None, place: tuple[Path, Path | None]) -> None:
