@@ -26,7 +26,7 @@ from metrocli.table import Table
 
 _AS_GOOD = 2.0
 """Corrections up to so many times as far from the plausible as the best one are reported with it"""
-_FARBETTER = 1000.0
+_FAR_BETTER = 1000.0
 """A file is refused if another reading of it makes the squared misfit so many times smaller"""
 _FITS = 0.3
 """Where the file as it stands has no solution, another reading must be so near the plausible: residuals of 3 sigma"""
@@ -226,7 +226,7 @@ def misread(
         found = [
             one
             for one in found
-            if before.ratio(one[2], one[1].shrinks) >= _FARBETTER
+            if before.ratio(one[2], one[1].shrinks) >= _FAR_BETTER
             and one[0] <= 1
             and not before.spoilt_alike(one[2], one[1].shrinks)
         ]

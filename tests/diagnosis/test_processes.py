@@ -88,7 +88,7 @@ def test_a_clean_report_states_that_uncertainties_are_without_the_smooth_error()
 def test_names_before_processes_are_raced_may_be_chance_and_the_report_states_it() -> None:
     found, _ = wavering(5, "dead-path-drift", 6.0)
     assert found.findings
-    stated = "Smooth random errors may not have been held against the names yet: chance may have made some of them."
+    stated = "The names may not have been held against smooth random errors yet: some may be chance."
     assert stated in of_diagnosis(replace(found, limited=5.0, processes=()), None).splitlines()
     assert stated not in of_diagnosis(replace(found, limited=5.0), None)
     assert stated not in of_diagnosis(replace(found, processes=()), None)

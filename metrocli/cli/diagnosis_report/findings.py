@@ -78,7 +78,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None) -> str:
 def _early(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield what a search that ended early may not have done: smooth errors are raced after the names."""
     if diagnosis.findings and not diagnosis.processes:
-        yield "Smooth random errors may not have been held against the names yet: chance may have made some of them."
+        yield "The names may not have been held against smooth random errors yet: some may be chance."
 
 
 def _of_part(part: Part) -> str:
