@@ -13,12 +13,13 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.laws.library import Library, Term, Where
 from metrocli.diagnosis.laws.terms import STEPS
+from metrocli.diagnosis.linear.basis import grams_of
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.columns import Columns, Remembered
 from metrocli.diagnosis.linear.counted_tests import score_tests_of
 from metrocli.diagnosis.linear.distributions import log_tail
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
-from metrocli.diagnosis.linear.quadratics import grams_of, quadratic
+from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.effects.effect import Effect, Parameter

@@ -9,7 +9,7 @@ Method: docs/algorithms/selection-and-levels.md (projection).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from itertools import combinations_with_replacement, pairwise
@@ -97,15 +97,13 @@ class Basis:
 
     def grams(self, values: Array) -> Array:
         """Return `g' b b' g` of columns (rows, k, q), k at a time, (k, q, q): the squares that the unknowns absorb."""
-        used = self.member[self.member >= 0]
-        if len(used) == self.members:
+        if np.count_nonzero(self.member >= 0) == self.members:
             # one row for each member: its column has the length of its row
             inside = np.linalg.norm(self.local, axis=1)[:, None, None] * values
-            parts = [inside, np.tensordot(self.shared.T, values, 1)]
+            parts = [inside, np.tensordot(self.shared.T, values, 1)] if self.shared.shape[1] else [inside]
         else:
             parts = [self.coordinates(values)]
-        turned = [np.moveaxis(one, 1, 0) for one in parts]
-        return np.asarray(sum(np.matmul(np.swapaxes(one, 1, 2), one) for one in turned))
+        return np.asarray(sum(grams_of(one) for one in parts))
 
     def gram_of(self, columns: csr_matrix) -> Array:
         """Return `g' b b' g` of sparse columns (rows, k), (k, k): the products that the unknowns absorb."""
@@ -122,32 +120,21 @@ class Basis:
         begins = np.searchsorted(self.member[order], self.member[order[::_AT_ONCE]])
         yield from (np.sort(order[a:b]) for a, b in pairwise([*np.unique(begins), len(order)]))
 
-    def growth_of_grams(self, rows: Index, values: Array, stretches: Iterable[slice]) -> Iterator[Array]:
-        """Yield by how much `g' b b' g` (q, q) grows with each stretch of rows that a column g has more.
+    def growth_of_local_grams(self, rows: Index, values: Array) -> Array:
+        """Return U, so that `V'U + U'V` over the last of some rows is `g' b b' g` of a column g that has only these.
 
-        The columns have values (r, q) at rows (r,); a stretch is a slice of these. Only the members that a stretch
-        uses have other coordinates after it.
+        b are the local columns. The column has values V (r, q) at rows (r,). The row l of b adds `u'v + v'u` to what
+        the later rows of its member have summed up to, with `u = l'A + l'l v/2` and `A = sum l v'` of these rows.
         """
-        member, local, shared = self.member[rows], self.local[rows], self.shared[rows]
-        of_members = np.zeros((self.members, self.local.shape[1], values.shape[1]))
-        of_shared = np.zeros((self.shared.shape[1], values.shape[1]))
-        for own in stretches:
-            used = member[own] >= 0
-            names, place = np.unique(member[own][used], return_inverse=True)
-            before = of_members[names]
-            added = np.zeros(before.shape)
-            np.add.at(added, place, local[own][used][:, :, None] * values[own][used][:, None, :])
-            after = before + added
-            of_members[names] = after
-            grown = of_shared + shared[own].T @ values[own]
-            # (a + d)'(a + d) - a'a without the difference of two large numbers
-            yield np.asarray(
-                np.einsum("mkp,mkq->pq", added, after)
-                + np.einsum("mkp,mkq->pq", before, added)
-                + grown.T @ grown
-                - of_shared.T @ of_shared
-            )
-            of_shared = grown
+        member, values = self.member[rows][::-1], values[::-1]
+        local = np.where(member[:, None] >= 0, self.local[rows][::-1], 0.0)
+        found = np.einsum("rk,rk->r", local, local)[:, None] * values / 2
+        for _, at in members_of_equal_size(member, self.members):
+            if at.shape[1] > 1:
+                added = local[at][..., :, None] * values[at][..., None, :]
+                before = np.cumsum(added, axis=1)[:, :-1]
+                found[at[:, 1:]] += np.einsum("mrk,mrkq->mrq", local[at[:, 1:]], before)
+        return np.asarray(found[::-1])
 
     def at(self, rows: Index) -> Basis:
         """Return some rows of the basis, with the columns of the members that they use."""
@@ -273,6 +260,12 @@ def _has_few(columns: Array) -> bool:
     """Return whether few rows of some columns (rows, k) have a value, by some of them."""
     some = columns[:: max(len(columns) // _LOOKED_AT, 1)]
     return bool(some.any(axis=1).sum() < _FEW * len(some))
+
+
+def grams_of(columns: Array) -> Array:
+    """Return the Gram matrix of each alternative, (k, q, q), of columns (rows, k, q)."""
+    by_alternative = columns.transpose(1, 0, 2)
+    return np.asarray(np.matmul(by_alternative.transpose(0, 2, 1), by_alternative))
 
 
 def flat_columns(values: Array) -> Array:

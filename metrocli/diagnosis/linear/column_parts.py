@@ -238,7 +238,9 @@ class Steps:
     def grams(self, basis: Basis, kept: Mask | None) -> Array:
         """Return `g' M g` of each alternative with zeros at rows that are not kept (r,), M without a basis."""
         values = kept_of(self.course.values, kept)
-        absorbed = self._from_each_on(basis.growth_of_grams(self.rows, values, self._slices()))
+        along = self._from_each_on(self._sums(values, basis.shared[self.rows]))
+        half = self._from_each_on(self._sums(values, basis.growth_of_local_grams(self.rows, values)))
+        absorbed = half + np.swapaxes(half, 1, 2) + along @ np.swapaxes(along, 1, 2)
         return np.asarray(self._from_each_on(self._sums(values, values)) - absorbed)
 
     def cut(self, there: Mask) -> Steps:

@@ -17,12 +17,6 @@ _NOTHING = 1e-150
 """Size below which a column is 0: its square is"""
 
 
-def grams_of(columns: Array) -> Array:
-    """Return the Gram matrix of each alternative, (k, q, q), of columns (rows, k, q)."""
-    by_alternative = columns.transpose(1, 0, 2)
-    return np.asarray(np.matmul(by_alternative.transpose(0, 2, 1), by_alternative))
-
-
 def roots(gram: Array, scale: Array) -> Array:
     """Return R with `A^+ = R R'` for Gram matrices A (k, q, q); columns of R of directions that are not visible are 0.
 

@@ -26,7 +26,7 @@ from metrocli.diagnosis.linear.projection import VISIBLE, System
 from metrocli.diagnosis.linear.quadratics import quadratic, quadratic_of
 from metrocli.frozen import dataclass
 
-_MOST_RANKED = 10_000
+_MOST_RANKED = 1000
 """Readings that are tested as outliers, those with the largest gains"""
 _ROUNDING = 1e-9
 """Relative difference of levels (ln) that is rounding: a jump at two times without a reading between is one"""
@@ -174,10 +174,11 @@ class ScoreTests:
         """Return the tests of single readings, each with all its components; of many, those of the largest gains."""
         gain, rank = self.gains_of_readings(fitted)
         rank = np.where(self.excluded | ~np.asarray(among), 0, rank)
+        gain = np.where(rank > 0, gain, 0.0)
         if len(gain) > _MOST_RANKED:
             # the others are no outliers, so their levels are not computed
             rank = np.where(gain < np.partition(gain, -_MOST_RANKED)[-_MOST_RANKED], 0, rank)
-        return self._scored(np.where(rank > 0, gain, 0.0), rank, fitted)
+        return self._scored(gain, rank, fitted)
 
     def gains_of_readings(self, fitted: FittedColumns) -> tuple[Array, Array]:
         """Return the reduction of the sum of squares by an error of each reading, and the rank of that error."""
