@@ -30,8 +30,6 @@ _SHARE = 0.4
 """Radius of a circle as a share of the shorter travel in its plane, unless the job gives one"""
 _DRAWS, _SEED = 4_000, 20
 """Draws of a range: its U then scatters by 1.1 %"""
-_ROUNDING = 1e-12
-"""Share of the largest variance below which a direction of the errors is rounding"""
 
 
 @dataclass(frozen=True)
@@ -42,26 +40,36 @@ class Profile:
     """(n,)"""
     rows: Array
     """(n, unknowns)"""
-    covariance: Array
+    drawn: Array
+    """Errors of the unknowns, drawn with their covariance, (draws, unknowns)"""
 
     def range_with_u(self) -> tuple[float, float]:
-        """Return the range of the deviations, and its U (k = 2) from draws of them with their covariance (JCGM 101).
+        """Return the range of the deviations, and its U (k = 2) from draws of their errors (JCGM 101).
 
         Where several points come near the extremes, the range scatters less than two fixed points do, and it is too
         large on average. So `U = k sqrt(mean (range - drawn range)^2)`, which contains both.
         """
-        size, along = np.linalg.eigh(self.rows @ self.covariance @ self.rows.T)
-        kept = size > _ROUNDING * max(float(size[-1]), 0.0)
-        errors = np.random.default_rng(_SEED).normal(size=(_DRAWS, int(kept.sum()))) * np.sqrt(size[kept])
-        own, drawn = float(np.ptp(self.values)), np.ptp(self.values + errors @ along[:, kept].T, axis=1)
+        own, drawn = float(np.ptp(self.values)), np.ptp(self.values + self.drawn @ self.rows.T, axis=1)
         return own, float(COVERAGE * np.sqrt(np.mean((drawn - own) ** 2)))
 
 
-def _profile(tables: Tables, tool: int, position: Array, towards: Array) -> Profile:
+def draws(covariance: Array) -> Array:
+    """Return errors of unknowns drawn with their covariance, (draws, unknowns).
+
+    The root of the correlation is the symmetric one, which is the same whatever basis rounding chooses for directions of
+    equal variance.
+    """
+    scale = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), 1.0))
+    size, along = np.linalg.eigh(covariance / scale[:, None] / scale)
+    root = (along * np.sqrt(np.maximum(size, 0.0))) @ along.T * scale
+    return np.asarray(np.random.default_rng(_SEED).normal(size=(_DRAWS, len(root))) @ root)
+
+
+def _profile(tables: Tables, drawn: Array, tool: int, position: Array, towards: Array) -> Profile:
     """Return the error of a tool at positions (3, n) along directions (3, n)."""
     prediction, design = predict(tables.machine, tables.blocks, (tables.unknowns, tables.raw), position, tool)
     values = np.einsum("an,an->n", towards, prediction.error)
-    return Profile(values, np.einsum("an,anp->np", towards, design), tables.raw)
+    return Profile(values, np.einsum("an,anp->np", towards, design), drawn)
 
 
 def diagonals(tables: Tables, tool: int) -> tuple[Table, Table]:
@@ -71,13 +79,13 @@ def diagonals(tables: Tables, tool: int) -> tuple[Table, Table]:
     ISO 230-2 along the diagonals).
     """
     low, high = tables.machine.low, tables.machine.high
-    parts, figures = [], []
+    parts, figures, drawn = [], [], draws(tables.raw)
     for name, signs in DIAGONALS.items():
         start, end = np.where(np.array(signs) > 0, low, high), np.where(np.array(signs) > 0, high, low)
         share, length = np.linspace(0, 1, _STEPS), float(np.linalg.norm(end - start))
         position = start[:, None] + (end - start)[:, None] * share
         towards = np.repeat((end - start)[:, None] / length, _STEPS, axis=1)
-        found = _profile(tables, tool, position, towards)
+        found = _profile(tables, drawn, tool, position, towards)
         row = found.rows - found.rows[0]
         columns: dict[str, Values] = {
             "diagonal": np.repeat(np.array([name]), _STEPS),
@@ -103,7 +111,7 @@ def circular(tables: Tables, tool: int, radius: float | None) -> Table:
     """
     low, high = tables.machine.low, tables.machine.high
     turn = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
-    figures = []
+    figures, drawn = [], draws(tables.raw)
     for name, axes in PLANES.items():
         most = float((high - low)[list(axes)].min()) / 2
         own = 2 * _SHARE * most if radius is None else radius
@@ -111,11 +119,11 @@ def circular(tables: Tables, tool: int, radius: float | None) -> Table:
             continue
         towards = np.zeros((3, _AROUND))
         towards[axes[0]], towards[axes[1]] = np.cos(turn), np.sin(turn)
-        found = _profile(tables, tool, (low + high)[:, None] / 2 + own * towards, towards)
+        found = _profile(tables, drawn, tool, (low + high)[:, None] / 2 + own * towards, towards)
         # the centre of the least-squares circle of a small deviation is its first harmonic (ISO 12181-1)
         centre = np.column_stack([np.cos(turn), np.sin(turn)]) * np.sqrt(2 / _AROUND)
         left = Profile(
-            found.values - centre @ (centre.T @ found.values), found.rows - centre @ (centre.T @ found.rows), tables.raw
+            found.values - centre @ (centre.T @ found.values), found.rows - centre @ (centre.T @ found.rows), drawn
         )
         figures.append((name, own, *left.range_with_u(), float(left.values.max()), float(left.values.min())))
     return _rows(("plane", "radius", "G", "U_G", "F_max", "F_min"), figures)

@@ -10,7 +10,7 @@ from simulated import machine as sim
 
 from metrocli.result import Result
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.acceptance.contours import Profile
+from metrocli.tasks.calibrate_machine.acceptance.contours import Profile, draws
 from metrocli.tasks.calibrate_machine.settings import Volume
 
 KNOTS = (5, 5, 5)
@@ -131,9 +131,20 @@ def test_uncertainty_covers_the_truth() -> None:
 
 def test_points_that_tie_for_an_extreme() -> None:
     """Of three equal points the largest has mean 0.846284 and variance 0.559467 (order statistics of the normal law)."""
-    far = Profile(np.array([0.0, 0.0, 0.0, -50.0]), np.eye(4), np.eye(4))
+    far = Profile(np.array([0.0, 0.0, 0.0, -50.0]), np.eye(4), draws(np.eye(4)))
     assert far.range_with_u() == (50.0, pytest.approx(2 * np.sqrt(0.846284**2 + 0.559467 + 1), rel=0.04))
-    common = Profile(np.array([0.0, 0.0, 0.0, -50.0]), np.ones((4, 1)), np.ones((1, 1)))
+    common = Profile(np.array([0.0, 0.0, 0.0, -50.0]), np.ones((4, 1)), draws(np.ones((1, 1))))
     assert common.range_with_u() == (50.0, pytest.approx(0.0, abs=1e-6))
-    alone = Profile(np.array([0.0, -20.0, -50.0]), np.array([[3.0, 0.0], [5.0, 5.0], [-1.0, 0.0]]), np.eye(2))
+    alone = Profile(np.array([0.0, -20.0, -50.0]), np.array([[3.0, 0.0], [5.0, 5.0], [-1.0, 0.0]]), draws(np.eye(2)))
     assert alone.range_with_u() == (50.0, pytest.approx(2 * 4, rel=0.04))
+
+
+def test_draws_do_not_depend_on_how_directions_of_equal_variance_round() -> None:
+    """Two covariances that differ by rounding have the same draws, also where many directions have one variance."""
+    rng = np.random.default_rng(17)
+    turn = np.linalg.qr(rng.normal(size=(30, 30)))[0]
+    covariance = (turn * np.repeat([4.0, 1.0, 0.0], 10)) @ turn.T
+    rounding = 1e-15 * rng.normal(size=covariance.shape)
+    first, second = draws(covariance), draws(covariance + rounding + rounding.T)
+    assert np.abs(first - second).max() < 1e-6
+    assert np.cov(first.T) == pytest.approx(covariance, abs=0.4)
