@@ -88,12 +88,14 @@ def _of_some(
     _without_moves(job, [family.alternatives[i] for i in at], scale, shift)
     turned = np.ascontiguousarray(np.moveaxis(shift, 2, 0))
     squares = np.swapaxes(turned, 2, 3) @ turned
+    # one bound is the lower one for any sizes: that of the readings, or the usual one where they show nothing
     narrow = seen.all(axis=1) & (np.linalg.eigvalsh(shown - usual) >= 0).all(axis=1)
-    best = _largest(squares[narrow], shown[narrow][None], least)
-    if not narrow.all():
-        wide = np.stack([(w * shown + (1 - w) * usual)[~narrow] for w in _WEIGHTS])
-        best = max(best, _largest(squares[~narrow], wide, max(best[0], least)))
-    return best
+    blind = ~seen.any(axis=1)
+    best = _largest(squares[narrow], shown[None, narrow], least)
+    best = max(best, _largest(squares[blind], usual[None, blind], max(best[0], least)))
+    rest = ~(narrow | blind)
+    wide = np.stack([w * shown[rest] + (1 - w) * usual[rest] for w in _WEIGHTS])
+    return max(best, _largest(squares[rest], wide, max(best[0], least)))
 
 
 def hidden_by_readings(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:

@@ -224,7 +224,7 @@ class _Scored:
             logs[copy], bends[copy] = left.best_near(float(np.delete(logs, copy).mean()), _APART)
             grown = float(np.exp(-logs[copy]) - np.exp(-before))
             gain = np.linalg.solve(np.eye(knots) + grown * block, grown * inverse[own])
-            inverse = inverse - inverse[:, own] @ gain
+            inverse -= inverse[:, own] @ gain
         return np.exp(logs), float(np.log1p(_APART**2 * np.maximum(bends, 0.0)).sum()) / 2
 
     def gain(self, ratios: Array) -> float:
