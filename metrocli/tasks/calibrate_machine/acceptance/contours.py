@@ -56,7 +56,7 @@ class Profile:
 def draws(covariance: Array) -> Array:
     """Return errors of unknowns drawn with their covariance, (draws, unknowns).
 
-    The root of the correlation is the symmetric one, which is the same whatever basis rounding chooses for directions of
+    The root of the correlation is the symmetric one: it is the same whatever basis rounding chooses for directions of
     equal variance.
     """
     scale = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), 1.0))
