@@ -16,9 +16,10 @@ _SMALL = 1e-5
 
 def cross_matrix(vector: Array) -> Array:
     """Return the matrix [v]x with `[v]x w = v x w`, (..., 3) -> (..., 3, 3)."""
-    x, y, z = np.moveaxis(np.asarray(vector, dtype=float), -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
+    vector = np.asarray(vector, dtype=float)
+    matrix = np.zeros((*vector.shape, 3))
+    matrix[..., (2, 0, 1), (1, 2, 0)], matrix[..., (1, 2, 0), (2, 0, 1)] = vector, -vector
+    return matrix
 
 
 def rotation_from_vector(vector: Array) -> Array:

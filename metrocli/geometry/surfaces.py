@@ -103,7 +103,7 @@ class Surfaces:
         return Surfaces(self.names, **{**values, "sign": sign})
 
     def distances(self, points: Array, surface: Index) -> tuple[Array, Array]:
-        """Return signed distances (...) of points (..., 3) from a surface each (...), and the normals (..., 3)."""
+        """Return signed distances (...) of points (..., n, 3) from a surface each (n,) or (..., n), and the normals."""
         along, radial, length = self._parts(points, surface)
         c, t, s = self.cosine[surface], self.sine[surface], self.sign[surface]
         distance = s * (c * length - t * along - self.radius[surface])

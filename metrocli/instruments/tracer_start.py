@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from random import Random  # numpy.random takes longer to load than a small job to adjust
 
 import numpy as np
@@ -37,12 +38,23 @@ def start(points: Array, lengths: Array, absolute: bool = False, near: Array | N
     if len(lengths) > MOST:
         some = Random(0).sample(range(len(lengths)), MOST)
         points, lengths = points[some], lengths[some]
-    centre = points.mean(axis=0)
-    local = points - centre
+    contents = (None if one is None else np.asarray(one, dtype=float).tobytes() for one in (points, lengths, near))
+    return np.array(_found(*contents, absolute))
+
+
+@lru_cache(maxsize=64)
+def _found(points: bytes, lengths: bytes, near: bytes | None, absolute: bool) -> Array:
+    """Return what `start` returns, from the contents of its arrays.
+
+    The last ones are kept: other settings of a job are tried on the same lengths many times.
+    """
+    places = np.frombuffer(points).reshape(-1, 3)
+    centre = places.mean(axis=0)
+    local = places - centre
     scale = float(np.abs(local).max()) or 1.0
-    local, reading = local / scale, lengths / scale
+    local, reading = local / scale, np.frombuffer(lengths) / scale
     guesses = _guesses(local, reading, absolute)
-    said = None if near is None else (near - centre) / scale
+    said = None if near is None else (np.frombuffer(near) - centre) / scale
     if said is not None:
         dead = 0.0 if absolute else float(median(np.linalg.norm(local - said, axis=1) - reading))
         guesses.append(np.array([*said, dead]))

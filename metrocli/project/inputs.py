@@ -59,11 +59,11 @@ def _unfit(item: Input, path: Path) -> Fault | None:
     from metrocli.formats import hdf5
 
     try:
+        if hdf5.read_label(path).status == DONE:
+            return None
         _, record = hdf5.read_record(path)
     except InputError:
         return None  # reported where the whole file is read
-    if record.status == DONE:
-        return None
     message = f"{item.node.path}: {path} is not fit for use ({record.status}): {'; '.join(record.reasons)}"
     return item.node.fault(message, "correct its job and run it again, or use it as it is by --accept-doubtful")
 

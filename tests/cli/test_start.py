@@ -15,6 +15,8 @@ from metrocli import tasks
 from metrocli.cli import commands, help
 
 HEAVY = ("numpy", "scipy", "cv2", "h5py", "yaml", "json")
+UNUSED = ("zipfile", "concurrent.futures")
+"""Loaded by jobs in chunks only"""
 IMPORTED = """
 import sys
 from metrocli.cli.commands import run
@@ -35,7 +37,7 @@ def test_nothing_heavy_is_imported(arguments: list[str]) -> None:
 
 
 def test_a_network_of_lengths_loads_no_scipy(tmp_path: Path) -> None:
-    script = IMPORTED.format(heavy=("scipy", "numpy.ma", "numpy.random"))
+    script = IMPORTED.format(heavy=("scipy", "numpy.ma", "numpy.random", *UNUSED))
     arguments = ["multilaterate", str(command_speed.network(tmp_path / "network", 100)), "--quiet"]
     done = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=False)
     assert (done.stderr.splitlines()[-1], done.returncode) == ("[]", 0)
@@ -49,10 +51,22 @@ def test_a_small_calibration_of_a_machine_loads_no_scipy(name: str, tmp_path: Pa
     subprocess.run(simulate, capture_output=True, check=True)
     for file in (tmp_path / "made").glob("*.csv"):
         file.rename(tmp_path / file.name)
-    script = IMPORTED.format(heavy=("scipy",))
+    script = IMPORTED.format(heavy=("scipy", *UNUSED))
     arguments = ["calibrate-machine", str(job), "--quiet"]
     done = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=False)
     assert (done.stderr.splitlines()[-1], done.returncode) == ("[]", 0)
+
+
+def test_memory_is_not_searched_for_cycles_at_the_end() -> None:
+    script = """
+import atexit, gc, sys
+from metrocli.cli.main import main
+atexit.register(lambda: print(len(gc.get_objects()) < gc.get_freeze_count(), file=sys.stderr))
+sys.argv = ["metrocli", "schema", "selfcal-grid"]
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stderr.splitlines()[-1] == "True"
 
 
 def test_help_names_every_command() -> None:

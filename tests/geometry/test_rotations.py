@@ -110,6 +110,11 @@ def test_left_turn_of_a_vector_as_the_derivative_says(vector: Array) -> None:
         assert np.allclose(vector_by_left_turn(vector)[:, axis], expected, rtol=1e-4, atol=1e-7)
 
 
+@given(arrays(float, (2, 4, 3), elements=UNIT), VECTORS)
+def test_the_matrix_of_a_cross_product(vectors: Array, other: Array) -> None:
+    assert np.allclose(cross_matrix(vectors) @ other, np.cross(vectors, other), rtol=0, atol=1e-14)
+
+
 def test_left_turn_is_smooth_up_to_half_a_turn() -> None:
     """Near pi the formula has the form 0/0; the factor of [v]x^2 there is 1/pi^2."""
     for angle in (PI - 1e-9, PI - 1e-15, PI):

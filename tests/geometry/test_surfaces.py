@@ -40,6 +40,20 @@ def test_distance_and_derivatives(name: str) -> None:
         assert np.allclose(shape.bend[:, :, k], (ahead.normal - behind.normal) / (2 * step), atol=1e-6)
 
 
+def test_many_placements_of_points_on_a_surface_each() -> None:
+    """The surfaces of the points hold for each placement, whether they are given once or for each."""
+    surfaces = Surfaces.of([surface for surface, _ in MADE.values()])
+    rng = np.random.default_rng(4)
+    placed, index = POINT + rng.uniform(-1, 1, (5, 40, 3)) * 30, rng.integers(len(MADE), size=40)
+    distance, normal = surfaces.distances(placed, index)
+    repeated = surfaces.distances(placed, np.broadcast_to(index, (5, 40)))
+    assert np.array_equal(distance, repeated[0])
+    assert np.array_equal(normal, repeated[1])
+    for points, own in zip(placed, distance, strict=True):
+        expected = [list(MADE.values())[one][1](points[[k]] - POINT)[0] for k, one in enumerate(index.tolist())]
+        assert np.allclose(own, expected, atol=1e-10)
+
+
 def test_the_nearest_surface_depends_on_the_levels() -> None:
     low = plane("low", np.zeros(3), np.array([0.0, 0, 1]))
     high: Surface = plane("high", np.array([0.0, 0, 10]), np.array([0.0, 0, 1]))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +23,12 @@ class ChunkFolder:
         path = self._path(key, number)
         if not path.is_file():
             return None
+        from zipfile import BadZipFile
+
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
                 return dict(held)
-        except (OSError, ValueError, zipfile.BadZipFile):
+        except (OSError, ValueError, BadZipFile):
             return None
 
     def put(self, key: str, number: int, value: dict[str, Any]) -> None:

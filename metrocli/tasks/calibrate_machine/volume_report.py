@@ -11,7 +11,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.acceptance.contours import circular, diagonals
+from metrocli.tasks.calibrate_machine.acceptance.contours import circular, diagonals, draws
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.settings import Volume
 from metrocli.tasks.calibrate_machine.tables import Tables
@@ -36,13 +36,14 @@ def volume_tables(
     tools = tables.blocks[TOOL].members
     grids = [_on_grid(tables, position, i, name in identified.open_tools) for i, name in enumerate(tools)]
     first = tools.index(measured[0])
-    along, figures = diagonals(tables, first)
+    drawn = draws(tables.raw)
+    along, figures = diagonals(tables, drawn, first)
     return {
         "volumetric": _summary(grids, tools, measured),
         "volume": _stacked([grid.table(tools[i]) for i, grid in enumerate(grids)]),
         "diagonals": along,
         "diagonal_figures": figures,
-        "circular": circular(tables, first, wanted.circle),
+        "circular": circular(tables, drawn, first, wanted.circle),
     }
 
 

@@ -45,9 +45,7 @@ class OfSurfaces:
 
     def quick(self, points: Array, surface: Index | None) -> tuple[Array, Array]:
         """Return distances and normals at points (B, n, 3), each on its surface (n,), or on the nearest if None."""
-        if surface is None:
-            return self.surfaces.distances(points, self.surfaces.nearest(points))
-        return self.surfaces.distances(points, np.broadcast_to(surface, points.shape[:-1]))
+        return self.surfaces.distances(points, self.surfaces.nearest(points) if surface is None else surface)
 
     def off_centre(self, points: Array, surface: Index | None) -> float:
         """Return how far the points of the planes are from the point that the nominal gives of each [mm].

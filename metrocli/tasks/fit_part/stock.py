@@ -8,6 +8,7 @@ Method: docs/algorithms/overstock-fit.md.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -71,7 +72,7 @@ class Local:
         turned = -cross_matrix(places - self.centre) / self.lever
         return np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2)
 
-    @property
+    @cached_property
     def rows(self) -> Array:
         """Derivative of each overstock by the step of the pose, (n, 6)."""
         return self.rows_along(self.shape.normal)
@@ -95,7 +96,7 @@ class Local:
         """Return the second derivative of `sum weights o` by the step of the pose, weights (n,) -> (6, 6)."""
         used = np.flatnonzero(weights)
         bend, moves = self.shape.bend[used] * weights[used, None, None], self.movement_of(self.points[used])
-        bent: Array = np.einsum("nai,nab,nbj->ij", moves, bend, moves, optimize=True)
+        bent: Array = moves.reshape(-1, 6).T @ (bend @ moves).reshape(-1, 6)
         return bent + self.turning(self.shape.normal * weights[:, None])
 
     def of(self, rows: npt.NDArray[np.bool_]) -> Local:

@@ -18,7 +18,7 @@ from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import KIND
 from metrocli.tasks.selfcal_grid import warnings as grid_warnings
-from metrocli.tasks.selfcal_grid.determination.undetermined import Open, determined
+from metrocli.tasks.selfcal_grid.determination.undetermined import Open
 from metrocli.tasks.selfcal_grid.error_map import Covariance, SiteErrors, Smooth, error_map, smooth
 from metrocli.tasks.selfcal_grid.lengths import LengthError, largest
 from metrocli.tasks.selfcal_grid.solve import LeftOut, Solved
@@ -113,7 +113,7 @@ def _field(solved: Solved, name: str) -> _Field:
     block = solved.solution.blocks[name]
     indices = solved.problem.grid.sites if name == bg.MACHINE else solved.problem.grid.balls
     seen: Mask = np.asarray(block.free.all(axis=1))
-    std = np.where(determined(solved.problem, solved.design)[name], solved.design.std(name), np.inf)
+    std = np.where(solved.determined[name], solved.design.std(name), np.inf)
     return _Field(indices[seen], block.values[seen], std[seen])
 
 
@@ -159,7 +159,7 @@ def _mountings(solved: Solved) -> tuple[list[Estimate], Array]:
     covariance = solved.found.between(np.concatenate([part[part >= 0] for part in (places, *effects)]))
     std = np.zeros(len(places))
     std[places >= 0] = np.sqrt(np.diag(covariance))[: int((places >= 0).sum())]
-    std[~determined(solved.problem, solved.design)[bg.VIEW].ravel()] = np.inf
+    std[~solved.determined[bg.VIEW].ravel()] = np.inf
     values, names = euler_form(block.values).ravel(), [f"{view}.{name}" for view in block.members for name in EULER]
     rows = zip(names, values.tolist(), std.tolist(), _UNITS * len(block.members), strict=True)
     return [Estimate(*row) for row, place in zip(rows, places, strict=True) if place >= 0], covariance

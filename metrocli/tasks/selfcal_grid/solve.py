@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cached_property
+
 import numpy as np
 
 from metrocli.adjust.coupled_fields import Design, FieldSolution, adjust_fields, design_of
@@ -14,7 +17,7 @@ from metrocli.adjust.sparse.bordered_factor import OpenDesignError
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments import ball_grid as bg
-from metrocli.tasks.selfcal_grid.determination.undetermined import with_determined_datum
+from metrocli.tasks.selfcal_grid.determination.undetermined import determined, with_determined_datum
 from metrocli.tasks.selfcal_grid.problem import Problem
 
 _ROUNDS = 30
@@ -45,6 +48,11 @@ class Solved:
     def solution(self) -> Solution:
         """Adjusted values and statistics."""
         return self.found.solution
+
+    @cached_property
+    def determined(self) -> Mapping[str, Mask]:
+        """Which entries of both fields and of the mountings are determined apart from rigid motion and scale."""
+        return determined(self.problem, self.design)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol, TypeVar
 
 from metrocli.frozen import dataclass
@@ -80,6 +79,8 @@ class Workers:
 
 
 def _on_threads(count: int, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
+    from concurrent.futures import ThreadPoolExecutor
+
     pool = ThreadPoolExecutor(count)
     try:
         yield from _window(lambda number: pool.submit(work, number), numbers, 2 * count)

@@ -79,6 +79,25 @@ def test_lengths_that_are_far_off_do_not_spoil_it(share: float) -> None:
         assert np.median(missed) < 0.1
 
 
+def test_the_same_lengths_have_the_same_place_whatever_is_done_with_it() -> None:
+    """The last places are kept; those of other points, lengths, kinds of lengths and listed places are others."""
+    rng = np.random.default_rng(12)
+    points = np.column_stack([rng.uniform(0, 1000, (20, 2)), np.zeros(20)])
+    length = np.linalg.norm(points - [300.0, 400.0, 700.0], axis=1)
+    above, below = (start(points, length, near=np.array([300.0, 400.0, z])) for z in (650.0, -650.0))
+    assert np.allclose(above, [300.0, 400.0, 700.0, 0.0], atol=1e-6)
+    assert np.allclose(below, [300.0, 400.0, -700.0, 0.0], atol=1e-6)
+    above[:] = 0.0
+    again = start(points, length, near=np.array([300.0, 400.0, 650.0]))
+    assert np.allclose(again, [300.0, 400.0, 700.0, 0.0], atol=1e-6)
+    assert np.allclose(start(points + 50.0, length, near=again[:3])[:3], [350.0, 450.0, 750.0], atol=1e-6)
+    shorter = start(points, length - 30.0, near=again[:3])
+    assert np.allclose(shorter, [300.0, 400.0, 700.0, 30.0], atol=1e-6)
+    absolute = start(points, length - 30.0, absolute=True, near=again[:3])
+    assert absolute[3] == 0.0
+    assert not np.allclose(absolute[:3], shorter[:3], atol=1.0)
+
+
 def test_of_many_lengths() -> None:
     """Of 50,000 lengths, a fifth wrong, some are enough."""
     rng = np.random.default_rng(4)

@@ -28,8 +28,8 @@ _AROUND = 360
 """Points of a circle"""
 _SHARE = 0.4
 """Radius of a circle as a share of the shorter travel in its plane, unless the job gives one"""
-_DRAWS, _SEED = 4_000, 20
-"""Draws of a range: its U then scatters by 1.1 %"""
+_DRAWS, _PARTS, _SEED = 4_000, 40, 20
+"""Draws of a range, and in how many parts they are used: its U then scatters by 1.1 %"""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,10 @@ class Profile:
         Where several points come near the extremes, the range scatters less than two fixed points do, and it is too
         large on average. So `U = k sqrt(mean (range - drawn range)^2)`, which contains both.
         """
-        own, drawn = float(np.ptp(self.values)), np.ptp(self.values + self.drawn @ self.rows.T, axis=1)
+        own = float(np.ptp(self.values))
+        # parts that stay in the cache of the processor
+        parts = (np.ptp(self.values + part @ self.rows.T, axis=1) for part in np.array_split(self.drawn, _PARTS))
+        drawn = np.concatenate(list(parts))
         return own, float(COVERAGE * np.sqrt(np.mean((drawn - own) ** 2)))
 
 
@@ -66,20 +69,20 @@ def draws(covariance: Array) -> Array:
 
 
 def _profile(tables: Tables, drawn: Array, tool: int, position: Array, towards: Array) -> Profile:
-    """Return the error of a tool at positions (3, n) along directions (3, n)."""
+    """Return the error of a tool at positions (3, n) along directions (3, n), with drawn errors of the unknowns."""
     prediction, design = predict(tables.machine, tables.blocks, (tables.unknowns, tables.raw), position, tool)
     values = np.einsum("an,an->n", towards, prediction.error)
     return Profile(values, np.einsum("an,anp->np", towards, design), drawn)
 
 
-def diagonals(tables: Tables, tool: int) -> tuple[Table, Table]:
+def diagonals(tables: Tables, drawn: Array, tool: int) -> tuple[Table, Table]:
     """Return the deviation along each body diagonal from its start with its standard uncertainty, and E of each with U.
 
     E is the systematic deviation of a diagonal, the range of its deviations (ISO 230-6:2002, which takes the figures of
-    ISO 230-2 along the diagonals).
+    ISO 230-2 along the diagonals). `drawn` are errors of the unknowns (draws, unknowns).
     """
     low, high = tables.machine.low, tables.machine.high
-    parts, figures, drawn = [], [], draws(tables.raw)
+    parts, figures = [], []
     for name, signs in DIAGONALS.items():
         start, end = np.where(np.array(signs) > 0, low, high), np.where(np.array(signs) > 0, high, low)
         share, length = np.linspace(0, 1, _STEPS), float(np.linalg.norm(end - start))
@@ -102,16 +105,16 @@ def diagonals(tables: Tables, tool: int) -> tuple[Table, Table]:
     )
 
 
-def circular(tables: Tables, tool: int, radius: float | None) -> Table:
+def circular(tables: Tables, drawn: Array, tool: int, radius: float | None) -> Table:
     """Return the circular test in each plane through the middle of the volume (ISO 230-4:2005).
 
     G is the circular deviation: the range of the radial deviations about the least-squares circle. F_max and F_min are
     the extremes of the radial deviation from the nominal circle about the least-squares centre. A plane whose travel
-    is too short for the radius is left out.
+    is too short for the radius is left out. `drawn` are errors of the unknowns (draws, unknowns).
     """
     low, high = tables.machine.low, tables.machine.high
     turn = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
-    figures, drawn = [], draws(tables.raw)
+    figures = []
     for name, axes in PLANES.items():
         most = float((high - low)[list(axes)].min()) / 2
         own = 2 * _SHARE * most if radius is None else radius
