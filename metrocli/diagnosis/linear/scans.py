@@ -63,7 +63,7 @@ def most_tried(effect: Effect, rows: int) -> int:
 def _of_each(effect: Effect, rows: int) -> int:
     """Return how many values of each scanned number are tried at most, so that the columns of all combinations fit."""
     numbers = sum(one.grid is not None for one in effect.scanned)
-    return round(_held(effect, rows) ** (1 / max(numbers, 1)) - 0.5 + 1e-9)
+    return int(_held(effect, rows) ** (1 / max(numbers, 1)) + 1e-9)
 
 
 def _held(effect: Effect, rows: int) -> int:

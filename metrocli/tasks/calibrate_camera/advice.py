@@ -17,6 +17,8 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import Problem
 
 _PARALLEL = np.radians(3.0)
+_TURNED = np.radians(45.0)
+"""Turn about the viewing axis between any two images from which an unknown board and the lens are distinguished"""
 _SHOWN = 4
 """Most targets whose rejected readings are counted in a message"""
 
@@ -122,3 +124,24 @@ def _tilted(problem: Problem) -> bool:
     normal = poses.rotation_of(frame)[2]
     cosine = np.abs(poses.rotation_of(problem.blocks[camera.VIEW].values)[:, 2] @ normal)
     return bool((np.arccos(np.clip(cosine, -1, 1)) > _PARALLEL).any())
+
+
+def turned_too_little(problem: Problem, solution: Solution) -> list[str]:
+    """Return that the images of an unknown board are not turned, where the principal point is estimated with it.
+
+    A board that lies the same way round in all images has its errors where the lens has its own. Several solutions
+    then fit about equally well (docs/decisions/145-turned-views.md).
+    """
+    lens = solution.blocks[camera.LENS]
+    if problem.rig != "board" or problem.datum is None or not lens.free[0, np.isin(lens.columns, ("cx", "cy"))].any():
+        return []
+    rotation = poses.rotation_of(solution.blocks[camera.VIEW].values)
+    roll = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+    turn = float(np.abs(np.angle(np.exp(1j * (roll - roll[:, None])))).max())
+    if turn >= _TURNED:
+        return []
+    return [
+        f"the camera is turned by at most {np.degrees(turn):.0f} degrees about its viewing axis between images. "
+        "Errors of lens and board look alike then, and cx and cy can be off by more than their uncertainty. "
+        "Turn it by 90 degrees for some images, or use `targets: listed`"
+    ]

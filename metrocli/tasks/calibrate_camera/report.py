@@ -19,6 +19,7 @@ from metrocli.instruments.conventions import projection_range
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
+from metrocli.tasks.calibrate_camera.advice import turned_too_little
 from metrocli.tasks.calibrate_camera.coverage import coverage
 from metrocli.tasks.calibrate_camera.held_values import held_doubts
 from metrocli.tasks.calibrate_camera.length_errors import LengthErrors, length_errors
@@ -259,10 +260,9 @@ def _warnings(solved: _Calibration, views: Table) -> list[str]:
         lines += suspect_images(problem.sighted.images, views.numbers("rms"), views.numbers("readings"))
     lines += suspect_readings(adjusted.suspects, adjusted.group)
     lines += _correlation_warnings(solved.delivered.high_correlations())
-    if adjusted.noise is None:
-        lines += noise_warnings(solved.solution)
-    if solved.centre is not None:
-        lines += solved.centre.warnings()
+    lines += turned_too_little(problem, solved.solution)
+    lines += noise_warnings(solved.solution) if adjusted.noise is None else []
+    lines += solved.centre.warnings() if solved.centre is not None else []
     return lines + [text for text, among in _folds(solved) if not among]
 
 
