@@ -74,6 +74,13 @@ class Process:
         size, symbol = units.column_unit(self.std, self.unit)
         return self.std / size, self.spread / size, symbol
 
+    def sized(self, dimension: str) -> str:
+        """Return its standard deviation for sentences, in the unit that suits its size: "37 mm"."""
+        if self.unit in ("", units.internal_unit(dimension)):
+            return units.sized(self.std, dimension)
+        size, symbol = units.column_unit(self.std, self.unit)
+        return f"{units.two_digits(self.std / size)} {symbol}"
+
 
 def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
     """Return the process that belongs to the noise beside which the effects of a selection hold; None if none shows.

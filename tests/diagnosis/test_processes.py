@@ -17,6 +17,7 @@ from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.random_columns import with_random_columns
 from metrocli.diagnosis.linear.smooth.knots import around_circle, between_knots
 from metrocli.diagnosis.process_columns import process_bases
+from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.verdict import as_data
 from metrocli.project.diagnosed import Extended
 from metrocli.tasks import KINDS
@@ -44,6 +45,15 @@ def test_what_wavers_gets_no_name_and_is_reported() -> None:
         shown = as_data(found)["processes"][0]
         assert shown["of_each"] == "tracer"
         assert shown["std"]["value"] == pytest.approx(1e3 * found.processes[0].std)
+
+
+@pytest.mark.parametrize(
+    ("std", "unit", "dimension", "text"),
+    [(37.4, "mm", "length", "37 mm"), (2.14e-4, "", "length", "0.21 um"), (0.31, "px", "pixel", "0.31 px")],
+)
+def test_its_size_is_in_the_unit_that_suits_it(std: float, unit: str, dimension: str, text: str) -> None:
+    """Radio ranges are read in mm: 37000 um helps nobody."""
+    assert Process("t", "tracer", 0.1, std, 0.0, unit, 0.0, 1.0, np.zeros((0, 0))).sized(dimension) == text
 
 
 def test_what_wavers_fast_in_a_long_measurement_gets_no_names() -> None:

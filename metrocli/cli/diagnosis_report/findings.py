@@ -189,9 +189,7 @@ def _smooth(process: Process) -> str:
 
 def _processes(diagnosis: Diagnosis) -> Iterator[str]:
     for one in diagnosis.processes:
-        std, _, symbol = one.shown(*diagnosis.job.reading)
-        size = f"{units.two_digits(std)} {symbol}"
-        yield f"{_smooth(one)}: {size} (standard deviation)"
+        yield f"{_smooth(one)}: {one.sized(diagnosis.job.reading[1])} (standard deviation)"
         if one.instead_of:
             yield f"  Without it these would be named: {listed([str(each) for each in one.instead_of], _SHOWN)}."
     if diagnosis.processes:

@@ -40,7 +40,7 @@ def scans(model: Model, effect: Effect, rows: int) -> list[dict[str, float]]:
             values = np.arange(1.0, len(model.places[parameter.place].names))
         elif parameter.grid is not None:
             grid = parameter.grid(model.readings[0].observations.conditions)
-            values = thinned(grid, parameter.tried if effect.is_step else min(parameter.tried, _held(effect, rows)))
+            values = thinned(grid, parameter.tried if effect.is_step else min(parameter.tried, _of_each(effect, rows)))
         grids.append([(parameter.name, float(value)) for value in values])
     return [dict(one) for one in itertools.product(*grids)]
 
@@ -55,7 +55,15 @@ def thinned(values: Array, most: int) -> Array:
 def most_tried(effect: Effect, rows: int) -> int:
     """Return how many values of a scanned parameter are tried at most, those in between included."""
     tried = max((one.tried for one in effect.scanned), default=1)
-    return max(tried, min(_MOST, _held(effect, rows))) if is_filled(effect) else tried
+    if is_filled(effect):
+        return max(tried, min(_MOST, _held(effect, rows)))
+    return tried if effect.is_step else min(tried, _of_each(effect, rows))
+
+
+def _of_each(effect: Effect, rows: int) -> int:
+    """Return how many values of each scanned number are tried at most, so that the columns of all combinations fit."""
+    numbers = sum(one.grid is not None for one in effect.scanned)
+    return int(_held(effect, rows) ** (1 / max(numbers, 1)) + 1e-9)
 
 
 def _held(effect: Effect, rows: int) -> int:

@@ -6,6 +6,9 @@ from collections import Counter
 
 import numpy as np
 
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
 from metrocli.geometry import poses
@@ -14,9 +17,14 @@ from metrocli.instruments.camera_start import plane_frame
 from metrocli.instruments.conventions import projection_range
 from metrocli.instruments.lens import RATIONAL
 from metrocli.table import Table
+from metrocli.targets.lattice import GATE, homography, projected
 from metrocli.tasks.calibrate_camera.problem import Problem
 
 _PARALLEL = np.radians(3.0)
+_TURNED = np.radians(45.0)
+"""Turn about the viewing axis between any two images from which an unknown board and the lens are distinguished"""
+_ENOUGH, _APART = 6, 5.0
+"""Fewest readings of an image that a homography can contradict, and how many times as large its residuals are"""
 _SHOWN = 4
 """Most targets whose rejected readings are counted in a message"""
 
@@ -30,8 +38,10 @@ def explained(problem: Problem, solution: Solution, rejected: Table) -> str:
     lines += [f"  undetermined: {_in_words(str(combination))}" for combination in solution.undetermined[:3]]
     if len(solution.undetermined) > 3:
         lines.append(f"  and {len(solution.undetermined) - 3} more combinations")
-    noticed = [f"  noticed: {line}" for line in problem.sighted.warnings[:8]]
-    return "\n".join([*lines, *_advice(problem, solution), *_left_out(rejected), *noticed])
+    strange = strange_images(problem, problem.images)
+    advice = [] if strange else _advice(problem, solution)
+    noticed = [f"  noticed: {line}" for line in [*strange, *problem.sighted.warnings][:8]]
+    return "\n".join([*lines, *advice, *_left_out(rejected), *noticed])
 
 
 def _left_out(rejected: Table) -> list[str]:
@@ -122,3 +132,55 @@ def _tilted(problem: Problem) -> bool:
     normal = poses.rotation_of(frame)[2]
     cosine = np.abs(poses.rotation_of(problem.blocks[camera.VIEW].values)[:, 2] @ normal)
     return bool((np.arccos(np.clip(cosine, -1, 1)) > _PARALLEL).any())
+
+
+def turned_too_little(problem: Problem, solution: Solution) -> list[str]:
+    """Return that the images of an unknown board are not turned, where the principal point is estimated with it.
+
+    A board that lies the same way round in all images has its errors where the lens has its own. Several solutions
+    then fit about equally well (docs/decisions/145-turned-views.md).
+    """
+    lens = solution.blocks[camera.LENS]
+    if problem.rig != "board" or problem.datum is None or not lens.free[0, np.isin(lens.columns, ("cx", "cy"))].any():
+        return []
+    rotation = poses.rotation_of(solution.blocks[camera.VIEW].values)
+    roll = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+    turn = float(np.abs(np.angle(np.exp(1j * (roll - roll[:, None])))).max())
+    if turn >= _TURNED:
+        return []
+    return [
+        f"the camera is turned by at most {np.degrees(turn):.0f} degrees about its viewing axis between images. "
+        "Errors of lens and board look alike then, and cx and cy can be off by more than their uncertainty. "
+        "Turn it by 90 degrees for some images, or use `targets: listed`"
+    ]
+
+
+def strange_images(problem: Problem, images: Group, residuals: Array | None = None) -> list[str]:
+    """Return which images fit no view of a flat board, such as those whose targets are named in another order.
+
+    But for distortion, a homography takes the board to its image (docs/targets.md). Where this holds for half of the
+    images or fewer, the list is wrong rather than they, and none is returned. With residuals (2, n) only images whose
+    root mean square is far above that of the others are examined.
+    """
+    rows = images.observations
+    index, view = rows.index[camera.TARGET], rows.index[camera.VIEW]
+    frame, planar = plane_frame(problem.sighted.targets.points[np.unique(index)])
+    if problem.rig != "board" or not planar:
+        return []
+    plane, found = poses.apply(frame, problem.sighted.targets.points)[index, :2], []
+    for i in np.flatnonzero(_examined(view, residuals)):
+        mine, uv = plane[view == i], rows.readings[:, view == i].T
+        off = float(np.median(np.linalg.norm(projected(homography(mine, uv), mine) - uv, axis=1)))
+        if off > GATE * np.sqrt(np.ptp(uv, axis=0).prod() / len(uv)):
+            name = f"image {problem.sighted.images[int(i)]}"
+            found.append(f"{name} fits no view of a flat board, by {off:.0f} px: are its targets in another order?")
+    return found if 2 * len(found) < len(np.unique(view)) else []
+
+
+def _examined(view: Index, residuals: Array | None) -> Mask:
+    """Return which images have enough readings to be examined, and the need of it, (images,)."""
+    count = np.bincount(view)
+    if residuals is None:
+        return np.asarray(count >= _ENOUGH)
+    squares = np.bincount(view, (residuals**2).sum(axis=0)) / np.maximum(count, 1)
+    return np.asarray((count >= _ENOUGH) & (squares > _APART**2 * np.median(squares[count > 0])))

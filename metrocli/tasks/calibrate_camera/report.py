@@ -19,6 +19,7 @@ from metrocli.instruments.conventions import projection_range
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
+from metrocli.tasks.calibrate_camera.advice import strange_images, turned_too_little
 from metrocli.tasks.calibrate_camera.coverage import coverage
 from metrocli.tasks.calibrate_camera.held_values import held_doubts
 from metrocli.tasks.calibrate_camera.length_errors import LengthErrors, length_errors
@@ -259,26 +260,25 @@ def _warnings(solved: _Calibration, views: Table) -> list[str]:
         lines += suspect_images(problem.sighted.images, views.numbers("rms"), views.numbers("readings"))
     lines += suspect_readings(adjusted.suspects, adjusted.group)
     lines += _correlation_warnings(solved.delivered.high_correlations())
-    if adjusted.noise is None:
-        lines += noise_warnings(solved.solution)
-    if solved.centre is not None:
-        lines += solved.centre.warnings()
+    lines += turned_too_little(problem, solved.solution)
+    lines += noise_warnings(solved.solution) if adjusted.noise is None else []
+    lines += solved.centre.warnings() if solved.centre is not None else []
     return lines + [text for text, among in _folds(solved) if not among]
 
 
 def _doubts(solved: _Calibration) -> list[str]:
     """Return why the camera must not be used.
 
-    It holds its principal point far from where the readings see it, or other values that they contradict. Or its
-    targets are nearer than its focal length, or the lens model maps two directions to one pixel among the readings, or
-    residuals are beyond all errors of image points.
+    It holds its principal point or other values against the readings. Or its targets are nearer than its focal length,
+    or the lens model maps two directions to one pixel among the readings, or some image points were not found.
     """
     problem, residuals = solved.problem, solved.adjusted.group.residuals(solved.solution.blocks)
     lost = not_found(residuals, problem.image_size, problem.rig)
     centre = solved.centre.doubts() if solved.centre is not None else []
-    near = too_near(solved.problem, solved.adjusted, solved.settings.pixel_size)
-    held = held_doubts(solved.problem, solved.settings, solved.adjusted)
-    return [*lost, *centre, *held, *near, *(text for text, among in _folds(solved) if among)]
+    near = too_near(problem, solved.adjusted, solved.settings.pixel_size)
+    held = held_doubts(problem, solved.settings, solved.adjusted)
+    strange = strange_images(problem, solved.adjusted.group, residuals)
+    return [*lost, *strange, *centre, *held, *near, *(text for text, among in _folds(solved) if among)]
 
 
 def _folds(solved: _Calibration) -> Iterator[tuple[str, bool]]:

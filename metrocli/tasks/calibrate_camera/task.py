@@ -16,7 +16,7 @@ from metrocli.imageset import ImageSet
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
-from metrocli.tasks.calibrate_camera.advice import explained, ran_out
+from metrocli.tasks.calibrate_camera.advice import explained, ran_out, strange_images
 from metrocli.tasks.calibrate_camera.compare import compare_models
 from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
@@ -107,7 +107,7 @@ def solved(settings: Settings, problem: Problem) -> Adjusted:
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW or ran_out(problem, solution):
         raise UndeterminedError(explained(problem, solution, adjusted.rejected), solution.misfit)
-    must_converge(solution)
+    must_converge(solution, () if solution.outcome.good else strange_images(problem, problem.images))
     return adjusted
 
 

@@ -48,6 +48,8 @@ _ROUNDS = 30
 """Largest number of adjustments while outliers are removed"""
 _POINTS_NEAR, _TRACERS_NEAR = 0.02, 0.5
 """Plausible deviations of points and tracers from their lists, as shares of the measured volume"""
+_NOISY = 3.0
+"""Standard deviations of a length by which points may lie farther from their list: they are known no better"""
 _SMALL_ENOUGH = 1000
 """Networks of up to so many points are checked for determinacy before they are adjusted"""
 
@@ -97,11 +99,11 @@ class Solved:
         seen = network.seen > 0
         extent = float(np.ptp(network.nominal[seen], axis=0).max()) or 1.0
         off = network.nominal[seen] - blocks[t.POINT].values[seen]
-        points = float(np.sqrt((off**2).sum(axis=1).mean())) / extent
+        points = float(np.sqrt((off**2).sum(axis=1).mean()))
         apart = np.linalg.norm(network.said - blocks[t.TRACER].values[:, :3], axis=1)
         found = apart[np.isfinite(apart)]
         tracers = float(median(found)) / extent if found.size else 0.0
-        return max(points / _POINTS_NEAR, tracers / _TRACERS_NEAR)
+        return max(points / (_POINTS_NEAR * extent + _noise_of(network)), tracers / _TRACERS_NEAR)
 
 
 def solve(network: Network, remove: bool) -> Solved:
@@ -195,11 +197,16 @@ def _must_be_near(network: Network, solution: Solution) -> None:
     seen = network.seen > 0
     away = np.linalg.norm(solution.blocks[t.POINT].values[seen] - network.nominal[seen], axis=1)
     middle = float(median(away))
-    if middle > _ASTRAY * np.ptp(network.nominal[seen], axis=0).max():
+    if middle > _ASTRAY * np.ptp(network.nominal[seen], axis=0).max() + _noise_of(network):
         raise NotConvergedError(
             f"the points found lie {middle:.3g} mm from their listed places (median): the adjustment ended in "
             "a wrong place, such as the mirror image; give approximate places of the tracers in `inputs: tracers`"
         )
+
+
+def _noise_of(network: Network) -> float:
+    """Return how far noise alone may move points of a network [mm]."""
+    return _NOISY * float(median(network.lengths.observations.deviations.ravel()))
 
 
 def _unchecked(network: Network, keep: Mask) -> Mask:

@@ -107,7 +107,12 @@ def _start_of(readings: Seen, i: int, points: Array, lengths: Array) -> Array:
 
 
 def _misfit(points: Array, lengths: Array, tracer: Array) -> float:
-    return float(median(np.abs(lengths + tracer[3] - np.linalg.norm(points - tracer[:3], axis=1))))
+    """Return the median error of the lengths of one tracer, beside one that all of them share.
+
+    A shared error is that of an instrument, such as the delay of a radio, and not of lengths of other points.
+    """
+    errors = lengths + tracer[3] - np.linalg.norm(points - tracer[:3], axis=1)
+    return float(median(np.abs(errors - median(errors))))
 
 
 def _strange(readings: Seen, i: int, misfit: float, bad: int) -> Fault:

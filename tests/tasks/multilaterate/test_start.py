@@ -17,6 +17,7 @@ from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.problem import build
 from metrocli.tasks.multilaterate.solve import solve
 from metrocli.tasks.shared import tracer_places
+from metrocli.tasks.shared.lengths import LengthNoise
 
 LAYOUTS = 500
 
@@ -249,3 +250,32 @@ def test_the_factor_of_wrong_lengths_is_sought_for_people_only(monkeypatch: pyte
     with allowance(24), pytest.raises(NotConvergedError):
         tracer_places.places_of(seen)
     assert len(calls) < 6 < for_people
+
+
+def test_a_delay_that_all_ranges_share_is_no_sign_of_wrong_rows() -> None:
+    """The delay exceeds the bound of 5 % of the volume; no place takes it in where beacons are known exactly."""
+    rng = np.random.default_rng(145)
+    points, beacons = rng.uniform(0, 5000, (40, 3)), rng.uniform(-1000, 6000, (6, 3))
+    lengths = np.linalg.norm(points - beacons[:, None], axis=2) + 600 + rng.normal(0, 80, (6, 40))
+    listed = np.tile(points + rng.normal(0, 50, points.shape), (6, 1))
+    names, of_each = [f"A{i}" for i in range(6)], np.repeat(np.arange(6), 40)
+    seen = tracer_places.Seen(names, of_each, listed, lengths.ravel(), beacons, np.zeros((6, 3)), 5000.0, absolute=True)
+    assert (tracer_places.places_of(seen)[:, :3] == beacons).all()
+    lengths[2] = rng.permutation(lengths[2])
+    with pytest.raises(InputError) as raised:
+        tracer_places.places_of(replace(seen, length=lengths.ravel()))
+    assert str(raised.value).count("do not belong to these points") == 1
+    assert "tracer A2" in str(raised.value)
+
+
+def test_points_known_no_better_than_their_ranges_are_not_far_from_their_list() -> None:
+    """Ranges of 25 mm in a volume of 1 m move the points by more than 2 % of it, and no list is wrong."""
+    net = replace(network(30, 6, seed=146), dead=np.zeros(6)).read(np.random.default_rng(148))
+    rough = replace(net, readings=net.readings + np.random.default_rng(147).normal(0, 25.0, net.readings.shape))
+    astray = {}
+    for declared in (25.0, 1.0):
+        job = replace(settings(measures="absolute"), noise=LengthNoise(declared, 0.0))
+        beacons = rough.tracer_table(0.0, sigma=np.zeros(6))
+        built = build(job, rough.lengths(), rough.point_table(), beacons, None)
+        astray[declared] = solve(built, remove=False).astray
+    assert astray[25.0] < 0.7 < 1 < astray[1.0]

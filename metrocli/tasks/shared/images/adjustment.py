@@ -186,10 +186,14 @@ def _settled(
     return _Settled(solution, group, found)
 
 
-def must_converge(solution: Solution) -> None:
-    """Raise NotConvergedError unless the solution is good or undetermined (the task explains the latter)."""
+def must_converge(solution: Solution, noticed: Sequence[str] = ()) -> None:
+    """Raise NotConvergedError unless the solution is good or undetermined (the task explains the latter).
+
+    `noticed` are causes that the task sees.
+    """
     if not solution.outcome.good and not solution.undetermined:
-        hint = _NO_START if solution.outcome is Outcome.NO_START else ""
+        hint = _NO_START if solution.outcome is Outcome.NO_START and not noticed else ""
+        hint += "".join(f"\n  noticed: {line}" for line in noticed)
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps){hint}", solution.misfit)
 
 

@@ -1,0 +1,64 @@
+"""An image whose targets are named in another order is named, whatever it makes of the adjustment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.halves import board_job, simulated
+from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.result import Result
+from metrocli.table import Table
+from metrocli.tasks.calibrate_camera import task as calibrate_camera
+from metrocli.tasks.calibrate_camera.settings import Files, Settings
+from metrocli.tasks.job import Job
+
+SIZE = (2592, 1944)
+ODD = "image i03 fits no view of a flat board"
+
+
+def measured(seed: int, wrong: bool, **changed: object) -> Job[Settings, Files]:
+    """Return eight images of a board, of which one has the names of its targets in another order."""
+    job = simulated(np.random.default_rng([145, seed]), 8, 0.3)
+    seen, listed = job.files.observations, job.files.targets
+    assert seen is not None and listed is not None
+    target, image = np.array(seen.texts("target")), np.array(seen.texts("image"))
+    if wrong:
+        mine = image == "i03"
+        target[mine] = np.roll(target[mine], [1, 13, 58][seed % 3])
+    named = Table({**seen.columns, "target": target}, seen.units)
+    job = board_job(named, listed, SIZE)
+    return replace(job, settings=replace(job.settings, **changed))  # type: ignore[arg-type]
+
+
+def said(job: Job[Settings, Files]) -> str:
+    """Return the message of a failed calibration, or the doubts of its result."""
+    try:
+        result: Result = calibrate_camera.run(job)
+    except (UndeterminedError, NotConvergedError) as error:
+        return str(error)
+    return "\n".join(result.doubts)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_an_image_with_names_in_another_order_is_named(seed: int) -> None:
+    text = said(measured(seed, wrong=True))
+    assert ODD in text and text.count("fits no view") == 1
+    assert "more views" not in text and "image_size and the poses" not in text
+
+
+def test_right_images_are_not_named_and_a_wrong_one_can_be_left_out() -> None:
+    assert said(measured(0, wrong=False)) == ""
+    assert said(measured(0, wrong=True, outliers="remove")) == ""
+
+
+def test_a_few_wrong_readings_make_no_image_strange() -> None:
+    job = measured(7, wrong=False)
+    seen = job.files.observations
+    assert seen is not None
+    u = seen.numbers("u").copy()
+    u[[5, 40, 300, 301, 500]] += [300.0, -200, 150, 400, -90]
+    spoilt = replace(job, files=replace(job.files, observations=Table({**seen.columns, "u": u}, seen.units)))
+    assert "fits no view" not in said(spoilt)
