@@ -1,4 +1,4 @@
-"""Why a camera calibration is undetermined, and what would determine it."""
+"""Why a camera calibration is undetermined or doubtful, and what would help."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ _TURNED = np.radians(45.0)
 """Turn about the viewing axis between any two images from which an unknown board and the lens are distinguished"""
 _ENOUGH, _APART = 6, 5.0
 """Fewest readings of an image that a homography can contradict, and how many times as large its residuals are"""
+_LOST = 0.003
+"""Median residual, as a share of the longer side of the image, beyond which lens and poses were not found"""
 _SHOWN = 4
 """Most targets whose rejected readings are counted in a message"""
 
@@ -155,6 +157,20 @@ def turned_too_little(problem: Problem, solution: Solution) -> list[str]:
     ]
 
 
+def seen_from_behind(problem: Problem, solution: Solution) -> list[str]:
+    """Return which images show a flat board from the other side than most: they may be mirrored.
+
+    A mirrored image of a board fits the board seen from behind, so no residual tells.
+    """
+    frame, planar = plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])
+    if problem.rig != "board" or not planar:
+        return []
+    behind = poses.apply(frame, poses.inverse(solution.blocks[camera.VIEW].values)[:, :3])[:, 2] > 0
+    few = behind if 2 * behind.sum() <= len(behind) else ~behind
+    named = ", ".join(name for name, there in zip(problem.sighted.images, few, strict=True) if there)
+    return [f"image {named}: the board is seen from the other side than in the others; mirrored?"] if named else []
+
+
 def strange_images(problem: Problem, images: Group, residuals: Array | None = None) -> list[str]:
     """Return which images fit no view of a flat board, such as those whose targets are named in another order.
 
@@ -184,3 +200,28 @@ def _examined(view: Index, residuals: Array | None) -> Mask:
         return np.asarray(count >= _ENOUGH)
     squares = np.bincount(view, (residuals**2).sum(axis=0)) / np.maximum(count, 1)
     return np.asarray((count >= _ENOUGH) & (squares > _APART**2 * np.median(squares[count > 0])))
+
+
+def not_found(problem: Problem, images: Group, residuals: Array) -> list[str]:
+    """Return why a camera must not be used whose residuals (2, n) are far larger than image points are wrong.
+
+    With `noise: estimated` they only make the noise larger: nothing else would contradict them. One image that is far
+    off, such as a mirrored one, pulls all others.
+    """
+    off, most = np.hypot(*residuals), max(problem.image_size)
+    typical, view = float(np.median(off)), images.observations.index[camera.VIEW]
+    if typical > _LOST * most:
+        network = problem.rig == "network"
+        closer = "closer places of the targets, or their right names" if network else "the right names of targets"
+        return [
+            f"half of the image points are off by more than {typical:.3g} px ({100 * typical / most:.2g} % of the "
+            "image): lens and poses were not found, or the lens model lacks distortion; "
+            f"what helps: {closer}, and `camera: f`"
+        ]
+    each = ((problem.sighted.images[i], float(np.median(off[view == i]))) for i in np.unique(view).tolist())
+    return strange_images(problem, images, residuals) or [
+        f"half of the points of image {name} are off by more than {size:.0f} px, those of all by {typical:.2g} px: "
+        "is it mirrored, or are its targets named otherwise? It pulls all other values: correct it or leave it out"
+        for name, size in each
+        if size > max(_LOST * most, _APART * typical)
+    ]

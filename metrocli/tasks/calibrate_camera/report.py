@@ -19,7 +19,7 @@ from metrocli.instruments.conventions import projection_range
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
-from metrocli.tasks.calibrate_camera.advice import strange_images, turned_too_little
+from metrocli.tasks.calibrate_camera.advice import not_found, seen_from_behind, turned_too_little
 from metrocli.tasks.calibrate_camera.coverage import coverage
 from metrocli.tasks.calibrate_camera.held_values import held_doubts
 from metrocli.tasks.calibrate_camera.length_errors import LengthErrors, length_errors
@@ -29,7 +29,6 @@ from metrocli.tasks.calibrate_camera.principal_point import PrincipalPoint, prin
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.settings import Camera, Settings
 from metrocli.tasks.calibrate_camera.uncontrolled import uncontrolled
-from metrocli.tasks.calibrate_camera.unknown_targets import not_found
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.camera_parameters import HIGH, POSE_UNITS, Parameters, parameters, unit_of
 from metrocli.tasks.shared.images.tables import (
@@ -260,7 +259,7 @@ def _warnings(solved: _Calibration, views: Table) -> list[str]:
         lines += suspect_images(problem.sighted.images, views.numbers("rms"), views.numbers("readings"))
     lines += suspect_readings(adjusted.suspects, adjusted.group)
     lines += _correlation_warnings(solved.delivered.high_correlations())
-    lines += turned_too_little(problem, solved.solution)
+    lines += turned_too_little(problem, solved.solution) + seen_from_behind(problem, solved.solution)
     lines += noise_warnings(solved.solution) if adjusted.noise is None else []
     lines += solved.centre.warnings() if solved.centre is not None else []
     return lines + [text for text, among in _folds(solved) if not among]
@@ -273,12 +272,11 @@ def _doubts(solved: _Calibration) -> list[str]:
     or the lens model maps two directions to one pixel among the readings, or some image points were not found.
     """
     problem, residuals = solved.problem, solved.adjusted.group.residuals(solved.solution.blocks)
-    lost = not_found(residuals, problem.image_size, problem.rig)
     centre = solved.centre.doubts() if solved.centre is not None else []
     near = too_near(problem, solved.adjusted, solved.settings.pixel_size)
     held = held_doubts(problem, solved.settings, solved.adjusted)
-    strange = strange_images(problem, solved.adjusted.group, residuals)
-    return [*lost, *strange, *centre, *held, *near, *(text for text, among in _folds(solved) if among)]
+    lost = not_found(problem, solved.adjusted.group, residuals)
+    return [*lost, *centre, *held, *near, *(text for text, among in _folds(solved) if among)]
 
 
 def _folds(solved: _Calibration) -> Iterator[tuple[str, bool]]:

@@ -5,7 +5,7 @@ Method: docs/algorithms/robust-start.md (unknown targets).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Protocol, Self, TypeVar
 
@@ -25,8 +25,6 @@ _AGAIN = 3
 _STEPS = 15
 """Most steps in which targets follow poses"""
 _FOCAL = ("f", "fx", "fy")
-_LOST = 0.003
-"""Median residual, as a share of the longer side of the image, beyond which lens and poses were not found"""
 
 
 class Calibration(Protocol):
@@ -127,18 +125,3 @@ def _strayed(problem: Calibration, name: str) -> Mask:
         return np.zeros(0, dtype=bool)
     far = np.bincount(index, gross(problem.images, problem.blocks) > 0, minlength=len(block.members))
     return np.asarray(block.free.any(axis=1) & (2 * far > np.bincount(index, minlength=len(block.members))))
-
-
-def not_found(residuals: Array, image_size: Sequence[int], rig: str) -> list[str]:
-    """Return why a camera must not be used whose residuals (2, n) are far larger than image points are wrong.
-
-    With `noise: estimated` they only make the noise larger: nothing else would contradict them.
-    """
-    typical, most = float(np.median(np.hypot(*residuals))), max(image_size)
-    if typical <= _LOST * most:
-        return []
-    closer = "closer places of the targets, or their right names" if rig == "network" else "the right names of targets"
-    return [
-        f"half of the image points are off by more than {typical:.3g} px ({100 * typical / most:.2g} % of the image): "
-        f"lens and poses were not found, or the lens model lacks distortion; what helps: {closer}, and `camera: f`"
-    ]

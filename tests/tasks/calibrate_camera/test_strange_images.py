@@ -1,4 +1,4 @@
-"""An image whose targets are named in another order is named, whatever it makes of the adjustment."""
+"""An image that is mirrored, or whose targets are in another order, is named, whatever it makes of the adjustment."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.halves import board_job, simulated
+from benchmarks.halves import board_job, selected, simulated
+from benchmarks.references import DATA, network_job
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.result import Result
 from metrocli.table import Table
@@ -62,3 +63,32 @@ def test_a_few_wrong_readings_make_no_image_strange() -> None:
     u[[5, 40, 300, 301, 500]] += [300.0, -200, 150, 400, -90]
     spoilt = replace(job, files=replace(job.files, observations=Table({**seen.columns, "u": u}, seen.units)))
     assert "fits no view" not in said(spoilt)
+
+
+def mirrored(job: Job[Settings, Files], one: str, width: int) -> Job[Settings, Files]:
+    """Return a job of which one image is mirrored."""
+    seen = job.files.observations
+    assert seen is not None
+    image, u = np.array(seen.texts("image")), seen.numbers("u")
+    turned = np.where(image == one, width - 1 - u, u)
+    return replace(job, files=replace(job.files, observations=Table({**seen.columns, "u": turned}, seen.units)))
+
+
+def test_a_mirrored_image_of_a_board_is_named() -> None:
+    """It fits the board seen from behind, so no residual tells."""
+    text = "image i05: the board is seen from the other side than in the others; mirrored?"
+    assert text in calibrate_camera.run(mirrored(measured(2, wrong=False), "i05", SIZE[0])).warnings
+    assert not [line for line in calibrate_camera.run(measured(2, wrong=False)).warnings if "other side" in line]
+
+
+@pytest.mark.skipif(not (DATA / "aicon-network").is_dir(), reason=f"no measured network at {DATA}")
+def test_a_mirrored_image_of_a_network_makes_it_doubtful() -> None:
+    """Every sixth image of a measured network: all other image points are off by 8 px with it."""
+    job = network_job()
+    seen = job.files.observations
+    assert seen is not None
+    image = np.array(seen.texts("image"))
+    few = replace(job, files=replace(job.files, observations=selected(seen, np.isin(image, np.unique(image)[::6]))))
+    assert not calibrate_camera.run(few).doubts
+    (doubt,) = calibrate_camera.run(mirrored(few, str(np.unique(image)[6]), 8688)).doubts
+    assert doubt.startswith(f"half of the points of image {np.unique(image)[6]} are off by more than")
