@@ -86,26 +86,36 @@ def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
     """Return the process that belongs to the noise beside which the effects of a selection hold; None if none shows.
 
     It is estimated beside the named effects, and beside fewer and fewer of them, where it stands instead of the others.
-    These with their counted choice are held against that by their evidence. Where structure is left beside the names,
-    each unit has such an error anyhow. It can look like a name at that unit, which then must have far more evidence; it
-    does not look the same in all units.
+    These with their counted choice are held against that by their evidence, and have beside them the process of the
+    largest likelihood, that one or another. Where structure is left beside the names, each unit has such an error
+    anyhow. It can look like a name at that unit, which then must have far more evidence; it does not look the same in
+    all units.
     """
     bases = list(process_bases(job, selection.test_set.system))
     named = selection.fitted(without=selection.unknown)
-    beside = _best(bases, named)
+    without = list(_without_names(job, selection, named, _apart(job, bases)))
+    # what stands for a name is tried beside it too, where its score need not be among the largest
+    same = {(one.scored.basis.name, one.scored.basis.by, one.scored.length): one for one, _, _ in without}
+    tried = (_best(bases, named), *(_beside(one, named) for one in same.values()))
+    beside = max((one for one in tried if one is not None), key=lambda one: one.gain, default=None)
     left = 0.0 if beside is None else beside.gain
-    ahead: list[tuple[float, _Tried]] = []
+    odds = _FAR_MORE if left > _GAIN else _MORE
+    ahead = [(one.gain - evidence - left + (0.0 if shared else odds), one) for one, evidence, shared in without]
+    most, instead = max(ahead, key=lambda one: one[0], default=(0.0, beside))
+    best = instead if most > 0 else beside
+    return best.process(len(bases)) if best is not None and best.gain > _GAIN else None
+
+
+def _without_names(
+    job: AdjustedJob, selection: Selection, named: FittedColumns, apart: Sequence[Functions]
+) -> Iterator[tuple[_Tried, float, bool]]:
+    """Yield the process that shows without some names, the evidence of these, and whether they act in all units."""
     for gone in _weakest_first(selection, named):
         bare = selection.fitted(without=[*gone, *selection.unknown])
-        instead = _best(_apart(job, bases), bare)
-        shared = all(_is_shared(job, selection.alternative(one)) for one in gone)
-        odds = 0.0 if shared else _FAR_MORE if left > _GAIN else _MORE
-        needed = evidence_of(selection, gone, bare, named) + left - odds
-        if instead is not None and instead.gain > max(_GAIN, needed):
-            ahead.append((instead.gain - needed, instead))
-    if ahead:
-        return max(ahead, key=lambda one: one[0])[1].process(len(bases))
-    return beside.process(len(bases)) if beside is not None and left > _GAIN else None
+        found = _best(apart, bare)
+        if found is not None and found.gain > _GAIN:
+            shared = all(_is_shared(job, selection.alternative(one)) for one in gone)
+            yield found, evidence_of(selection, gone, bare, named), shared
 
 
 def stands_for(job: AdjustedJob, selection: Selection, scatter: AllOfAKind) -> bool:
@@ -141,6 +151,12 @@ def _best(bases: Sequence[Functions], base: FittedColumns) -> _Tried | None:
     scored = [one for basis in bases for one in _scored(basis, base)]
     noticed = sorted((one for one in scored if one.excess > _NOTICED), key=lambda one: -one.excess)
     return max((one.estimated() for one in noticed[:_MOST_TRIED]), key=lambda one: one.gain, default=None)
+
+
+def _beside(process: _Tried, base: FittedColumns) -> _Tried:
+    """Return a process beside another fit, with the variances of the largest likelihood there."""
+    one = process.scored
+    return next(other for other in _scored(one.basis, base) if other.length == one.length).estimated()
 
 
 def _scored(basis: Functions, base: FittedColumns) -> Iterator[_Scored]:
