@@ -34,7 +34,6 @@ from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import noise_as_likely, noise_of
 from metrocli.diagnosis.power.alike import separations
-from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.residual_structure import (
     REPEATS,
     PureError,
@@ -46,6 +45,7 @@ from metrocli.diagnosis.residual_structure import (
 )
 from metrocli.diagnosis.searched import SEED, Searched, search_about_solution, with_scatters
 from metrocli.diagnosis.selection.confidence_set import NamedEffect, confidence_sets
+from metrocli.diagnosis.smooth_errors.process import Process
 from metrocli.diagnosis.wrong_readings import wrong_readings
 from metrocli.progress import SILENT, Progress
 

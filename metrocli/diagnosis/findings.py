@@ -13,7 +13,6 @@ from metrocli.diagnosis.extended_fit import (
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.noise import Noise, Unit
-from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.residual_structure import (
     PureError,
     RemainingStructure,
@@ -21,6 +20,7 @@ from metrocli.diagnosis.residual_structure import (
 from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.selection.all_of_a_kind import Instead
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
+from metrocli.diagnosis.smooth_errors.process import Process
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.frozen import dataclass
 

@@ -30,7 +30,6 @@ from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.linear.random_columns import beside_random_columns
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit, noise_instead, noisier_units, reweighted
-from metrocli.diagnosis.processes import Process, process_in, stands_for
 from metrocli.diagnosis.residual_structure import log_level_of_strongest
 from metrocli.diagnosis.selection.all_of_a_kind import (
     AllOfAKind,
@@ -43,6 +42,8 @@ from metrocli.diagnosis.selection.refined_scan import refined_scans
 from metrocli.diagnosis.selection.search import STRUCTURED, continued, search, transferred
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.diagnosis.selection.thresholds import has_dominant_effect
+from metrocli.diagnosis.smooth_errors.process import Process
+from metrocli.diagnosis.smooth_errors.race import process_in, stands_for
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.progress import Progress

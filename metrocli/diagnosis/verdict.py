@@ -18,10 +18,10 @@ from metrocli.diagnosis.laws.definition import written
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.mistakes import Mistaken
-from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.residual_structure import RemainingStructure
 from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.selection.confidence_set import Rival
+from metrocli.diagnosis.smooth_errors.process import Process
 from metrocli.diagnosis.status import candidates, delivered
 from metrocli.diagnosis.wrong_readings import Outlier
 
@@ -71,6 +71,7 @@ def _process(job: AdjustedJob, process: Process) -> dict[str, Any]:
         "of_each": process.by or None,
         "length": process.length,
         "std": {"value": value, "std": std, "unit": symbol},
+        "visible": process.visible,
         "p_value": float(np.exp(process.log_level)),
         "instead_of": [{"name": one.effect.name, "where": _where(one)} for one in process.instead_of],
         "in_uncertainties": job.noise_model == STRUCTURED,

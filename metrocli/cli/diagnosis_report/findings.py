@@ -20,8 +20,8 @@ from metrocli.diagnosis.findings import Diagnosis, Finding
 from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.noise import DECLARED_SIGMA
-from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.searched import Scatter
+from metrocli.diagnosis.smooth_errors.process import Process
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.project.diagnosed import Extended
 from metrocli.words import listed

@@ -14,8 +14,8 @@ from metrocli.diagnosis.laws.search import fits
 from metrocli.diagnosis.laws.steps import LEVEL, Search, forward, plain_tests, refined_step, tests_of_terms
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.score_tests import ScoreTests
-from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
+from metrocli.diagnosis.smooth_errors.process import Process
 
 _FAR_MORE = 5.0
 """A law replaces effects if ln of its evidence exceeds theirs by this"""

@@ -14,16 +14,16 @@ from functools import cached_property
 
 import numpy as np
 
-from metrocli import units
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood, gain_of_larger_noise, log_level_of
-from metrocli.diagnosis.process_columns import Functions, process_bases
 from metrocli.diagnosis.selection.all_of_a_kind import AllOfAKind, log_level_beside
 from metrocli.diagnosis.selection.backward_steps import evidence_of
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
+from metrocli.diagnosis.smooth_errors.functions import Functions, process_bases
+from metrocli.diagnosis.smooth_errors.process import Process
 from metrocli.frozen import dataclass
 
 _LENGTHS = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4)
@@ -40,46 +40,6 @@ _SWEEPS, _APART = 2, 1.5
 """Rounds in which the units' own variances are estimated, and the expected standard deviation of their logarithms"""
 _VISIBLE = 1e-3
 """Variance, relative to that of the noise, below which a direction of a process is left out"""
-
-
-@dataclass(frozen=True)
-class Process:
-    """A smooth random error of the readings."""
-
-    covariate: str
-    by: str
-    """Key of the units in which it is independent (tracer, image); empty if it is common to all readings"""
-    length: float
-    """Length of its correlation, as a share of the largest range of the covariate in a unit"""
-    std: float
-    """Its standard deviation, in the unit of the readings that show most of it"""
-    spread: float
-    """Standard uncertainty of `std`"""
-    unit: str
-    """Internal unit of these readings"""
-    log_level: float
-    """ln of the level against no such process, counted over the covariates that were tried"""
-    gain: float
-    """By how much it raises the log-likelihood, against readings that are all noisier by one factor"""
-    columns: Array
-    """Columns Z of its covariance `Z Z'` in units of the noise, (rows, k)"""
-    instead_of: tuple[Alternative, ...] = ()
-    """The effects that are named without it, and not beside it"""
-
-    def shown(self, unit: str, dimension: str) -> tuple[float, float, str]:
-        """Return its standard deviation, the standard uncertainty of that, and their unit: this one if it is theirs."""
-        if self.unit in ("", units.internal_unit(dimension)):
-            of_readings = units.find_unit(unit, dimension)
-            return of_readings.outside(self.std), of_readings.outside(self.spread), of_readings.symbol
-        size, symbol = units.column_unit(self.std, self.unit)
-        return self.std / size, self.spread / size, symbol
-
-    def sized(self, dimension: str) -> str:
-        """Return its standard deviation for sentences, in the unit that suits its size: "37 mm"."""
-        if self.unit in ("", units.internal_unit(dimension)):
-            return units.sized(self.std, dimension)
-        size, symbol = units.column_unit(self.std, self.unit)
-        return f"{units.two_digits(self.std / size)} {symbol}"
 
 
 def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
@@ -293,4 +253,7 @@ class _Tried:
         std = float(np.sqrt(means[unit] * seen.squares(self.log_ratio) / seen.dof)) * basis.sigmas[unit]
         level = min(log_level_of(self.gain) + float(np.log(tried)), 0.0)
         spread = std * seen.relative_spread(self.log_ratio)
-        return Process(basis.name, basis.by, one.length, std, spread, unit, level, self.gain, columns)
+        # the functions of a copy sum to 1 in its rows, so this is its deviation in each row before anything is absorbed
+        whole = basis.columns @ np.repeat(size, knots)
+        visible = float(np.sqrt(np.maximum(values, 0.0).sum() / (whole @ whole)))
+        return Process(basis.name, basis.by, one.length, std, spread, visible, unit, level, self.gain, columns)
