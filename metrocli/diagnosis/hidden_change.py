@@ -86,8 +86,7 @@ def _of_some(
     shift = _shifts(job, system, family.absorbed_by(system, at))
     shift *= np.where(_is_rounding(system, shift, scale), 0.0, 1 / scale)
     _without_moves(job, [family.alternatives[i] for i in at], scale, shift)
-    turned = np.ascontiguousarray(np.moveaxis(shift, 2, 0))
-    squares = np.swapaxes(turned, 2, 3) @ turned
+    squares = np.einsum("mckp,mckq->kmpq", shift, shift)
     # one bound is the lower one for any sizes: that of the readings, or the usual one where they show nothing
     narrow = seen.all(axis=1) & (np.linalg.eigvalsh(shown - usual) >= 0).all(axis=1)
     blind = ~seen.any(axis=1)
