@@ -189,7 +189,8 @@ def _smooth(process: Process) -> str:
 
 def _processes(diagnosis: Diagnosis) -> Iterator[str]:
     for one in diagnosis.processes:
-        yield f"{_smooth(one)}: {one.sized(diagnosis.job.reading[1])} (standard deviation)"
+        size, chance = one.sized(diagnosis.job.reading[1]), _chance(float(np.exp(one.log_level)))
+        yield f"{_smooth(one)}: {size} (standard deviation, {chance})"
         if one.instead_of:
             yield f"  Without it these would be named: {listed([str(each) for each in one.instead_of], _SHOWN)}."
     if diagnosis.processes:
