@@ -165,7 +165,7 @@ def turned_too_little(problem: Problem, solution: Solution) -> list[str]:
 def seen_from_behind(problem: Problem, solution: Solution) -> list[str]:
     """Return which images show a flat board from the other side than most: they may be mirrored.
 
-    A mirrored image of a board fits the board seen from behind, so no residual tells.
+    A mirrored image of a board fits the board seen from behind, so no residual shows it.
     """
     frame, planar = plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])
     if problem.rig != "board" or not planar:

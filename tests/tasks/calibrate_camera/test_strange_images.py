@@ -76,7 +76,7 @@ def mirrored(job: Job[Settings, Files], one: str, width: int) -> Job[Settings, F
 
 
 def test_a_mirrored_image_of_a_board_is_named() -> None:
-    """It fits the board seen from behind, so no residual tells."""
+    """It fits the board seen from behind, so no residual shows it."""
     text = "image i05: the board is seen from the other side than in the others; mirrored?"
     assert text in calibrate_camera.run(mirrored(measured(2, wrong=False), "i05", SIZE[0])).warnings
     assert not [line for line in calibrate_camera.run(measured(2, wrong=False)).warnings if "other side" in line]
