@@ -20,6 +20,8 @@ GATE = 0.2
 """Largest root mean square distance from a homography, in steps of the lattice; real lenses stay far below it."""
 BENT = 0.2
 """Largest distance of a point from the middle of its two neighbours, in steps of the lattice."""
+_ON_A_LINE = 1e-6
+"""Smallest singular value of a homography, relative to the largest, that is no rounding"""
 UNORDERED = "the order of the points is not that of a flat board"
 FEWEST = 0.75
 """Share of a board's points that must be found."""
@@ -28,18 +30,29 @@ FEWEST = 0.75
 def homography(plane: Array, uv: Array) -> Array:
     """Return the homography (3, 3) from plane (n, 2) to image (n, 2) by the normalised linear method (DLT)."""
     (a, plane_), (b, uv_) = _normalised(plane), _normalised(uv)
-    x, y = plane_.T
-    u, v = uv_.T
+    # four points give 8 rows of 9: the null vector is then only in the full matrix
+    h = np.linalg.svd(_linear(plane_, uv_), full_matrices=len(uv) < 5)[2][-1].reshape(3, 3)
+    return np.asarray(np.linalg.inv(b) @ h @ a)
+
+
+def _linear(plane: Array, uv: Array) -> Array:
+    """Return the linear equations (2n, 9) of a homography from plane (n, 2) to image (n, 2)."""
+    x, y = plane.T
+    u, v = uv.T
     one, zero = np.ones_like(x), np.zeros_like(x)
-    rows = np.concatenate(
+    return np.concatenate(
         [
             np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1),
             np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1),
         ]
     )
-    # four points give 8 rows of 9: the null vector is then only in the full matrix
-    h = np.linalg.svd(rows, full_matrices=len(x) < 5)[2][-1].reshape(3, 3)
-    return np.asarray(np.linalg.inv(b) @ h @ a)
+
+
+def determines_homography(plane: Array) -> bool:
+    """Return whether images of these points (n, 2) determine a homography: not where all but one lie on a line."""
+    own = _normalised(plane)[1]
+    size = np.linalg.svd(_linear(own, own), compute_uv=False)
+    return len(plane) >= 4 and bool(size[7] > _ON_A_LINE * size[0])
 
 
 def projected(h: Array, plane: Array) -> Array:

@@ -17,14 +17,17 @@ from metrocli.instruments.camera_start import plane_frame
 from metrocli.instruments.conventions import projection_range
 from metrocli.instruments.lens import RATIONAL
 from metrocli.table import Table
-from metrocli.targets.lattice import GATE, homography, projected
+from metrocli.targets.lattice import GATE, determines_homography, homography, projected
 from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.words import listed
 
 _PARALLEL = np.radians(3.0)
 _TURNED = np.radians(45.0)
 """Turn about the viewing axis between any two images from which an unknown board and the lens are distinguished"""
 _ENOUGH, _APART = 6, 5.0
 """Fewest readings of an image that a homography can contradict, and how many times as large its residuals are"""
+_SMOOTH = 10
+"""Coefficients of each image coordinate in the distortion of one image"""
 _LOST = 0.003
 """Median residual, as a share of the longer side of the image, beyond which lens and poses were not found"""
 _SHOWN = 4
@@ -145,8 +148,10 @@ def turned_too_little(problem: Problem, solution: Solution) -> list[str]:
     lens = solution.blocks[camera.LENS]
     if problem.rig != "board" or problem.datum is None or not lens.free[0, np.isin(lens.columns, ("cx", "cy"))].any():
         return []
-    rotation = poses.rotation_of(solution.blocks[camera.VIEW].values)
-    roll = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+    # an axis of the list may be the normal of the board: the longest axis of the board is in its plane
+    along = poses.rotation_of(plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])[0])[0]
+    across = poses.rotation_of(solution.blocks[camera.VIEW].values) @ along
+    roll = np.arctan2(across[:, 1], across[:, 0])
     turn = float(np.abs(np.angle(np.exp(1j * (roll - roll[:, None])))).max())
     if turn >= _TURNED:
         return []
@@ -160,23 +165,25 @@ def turned_too_little(problem: Problem, solution: Solution) -> list[str]:
 def seen_from_behind(problem: Problem, solution: Solution) -> list[str]:
     """Return which images show a flat board from the other side than most: they may be mirrored.
 
-    A mirrored image of a board fits the board seen from behind, so no residual tells.
+    A mirrored image of a board fits the board seen from behind, so no residual shows it.
     """
     frame, planar = plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])
     if problem.rig != "board" or not planar:
         return []
     behind = poses.apply(frame, poses.inverse(solution.blocks[camera.VIEW].values)[:, :3])[:, 2] > 0
     few = behind if 2 * behind.sum() <= len(behind) else ~behind
-    named = ", ".join(name for name, there in zip(problem.sighted.images, few, strict=True) if there)
-    return [f"image {named}: the board is seen from the other side than in the others; mirrored?"] if named else []
+    named = [name for name, there in zip(problem.sighted.images, few, strict=True) if there]
+    noun = "image" if len(named) == 1 else "images"
+    text = f"{noun} {listed(named)}: the board is seen from the other side than in the others; mirrored?"
+    return [text] if named else []
 
 
 def strange_images(problem: Problem, images: Group, residuals: Array | None = None) -> list[str]:
     """Return which images fit no view of a flat board, such as those whose targets are named in another order.
 
-    But for distortion, a homography takes the board to its image (docs/targets.md). Where this holds for half of the
-    images or fewer, the list is wrong rather than they, and none is returned. With residuals (2, n) only images whose
-    root mean square is far above that of the others are examined.
+    But for smooth distortion, a homography takes the board to its image (docs/targets.md). Where this holds for half
+    of the images or fewer, the list is wrong rather than they, and none is returned. With residuals (2, n) only images
+    whose root mean square is far above that of the others are examined.
     """
     rows = images.observations
     index, view = rows.index[camera.TARGET], rows.index[camera.VIEW]
@@ -186,11 +193,24 @@ def strange_images(problem: Problem, images: Group, residuals: Array | None = No
     plane, found = poses.apply(frame, problem.sighted.targets.points)[index, :2], []
     for i in np.flatnonzero(_examined(view, residuals)):
         mine, uv = plane[view == i], rows.readings[:, view == i].T
-        off = float(np.median(np.linalg.norm(projected(homography(mine, uv), mine) - uv, axis=1)))
+        off = _off_any_view(mine, uv) if determines_homography(mine) else 0.0
         if off > GATE * np.sqrt(np.ptp(uv, axis=0).prod() / len(uv)):
             name = f"image {problem.sighted.images[int(i)]}"
             found.append(f"{name} fits no view of a flat board, by {off:.0f} px: are its targets in another order?")
     return found if 2 * len(found) < len(np.unique(view)) else []
+
+
+def _off_any_view(plane: Array, uv: Array) -> float:
+    """Return the median distance [px] of image points (n, 2) from a homography of plane points and smooth distortion.
+
+    Distortion is a polynomial of the third degree where there are enough points: steps between these are short then.
+    """
+    off = projected(homography(plane, uv), plane) - uv
+    if len(uv) >= 2 * _SMOOTH:
+        x, y = ((plane - plane.mean(axis=0)) / np.ptp(plane, axis=0).max()).T
+        smooth = np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
+        off = off - smooth @ np.linalg.lstsq(smooth, off, rcond=None)[0]
+    return float(np.median(np.linalg.norm(off, axis=1)))
 
 
 def _examined(view: Index, residuals: Array | None) -> Mask:
@@ -221,7 +241,8 @@ def not_found(problem: Problem, images: Group, residuals: Array) -> list[str]:
     each = ((problem.sighted.images[i], float(np.median(off[view == i]))) for i in np.unique(view).tolist())
     return strange_images(problem, images, residuals) or [
         f"half of the points of image {name} are off by more than {size:.0f} px, those of all by {typical:.2g} px: "
-        "is it mirrored, or are its targets named otherwise? It pulls all other values: correct it or leave it out"
+        "is it mirrored, are its targets named otherwise, or does the lens model lack distortion that only it shows? "
+        "It pulls all other values: correct it, leave it out, or estimate more of the distortion"
         for name, size in each
         if size > max(_LOST * most, _APART * typical)
     ]

@@ -44,6 +44,13 @@ _ASTRAY = 0.05
 """A solution is wrong if the median point is farther from the mover's reading than this share of the volume"""
 _DOUBT = 0.05
 """Level of significance of the test of the remaining lengths at a point that lost some"""
+_NO_PLACES = (
+    "the adjustment ended in a wrong place, such as the mirror image; "
+    "give approximate places of the tracers in `inputs: tracers`"
+)
+_PLACES = "lengths, points and tracers do not belong together (units, axes, names)"
+_DELAY = ", or all lengths share a large error, such as a delay: `effects: [{name: length-offset}]` estimates it"
+"""Why points are far from their list: with and without listed places of all tracers, and if lengths are absolute"""
 _ROUNDS = 30
 """Largest number of adjustments while outliers are removed"""
 _POINTS_NEAR, _TRACERS_NEAR = 0.02, 0.5
@@ -198,10 +205,9 @@ def _must_be_near(network: Network, solution: Solution) -> None:
     away = np.linalg.norm(solution.blocks[t.POINT].values[seen] - network.nominal[seen], axis=1)
     middle = float(median(away))
     if middle > _ASTRAY * np.ptp(network.nominal[seen], axis=0).max() + _noise_of(network):
-        raise NotConvergedError(
-            f"the points found lie {middle:.3g} mm from their listed places (median): the adjustment ended in "
-            "a wrong place, such as the mirror image; give approximate places of the tracers in `inputs: tracers`"
-        )
+        placed = _PLACES + _DELAY * network.absolute
+        why = placed if np.isfinite(network.said).all() else _NO_PLACES
+        raise NotConvergedError(f"the points found lie {middle:.3g} mm from their listed places (median): {why}")
 
 
 def _noise_of(network: Network) -> float:

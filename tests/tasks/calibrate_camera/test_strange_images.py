@@ -10,6 +10,7 @@ import pytest
 from benchmarks.halves import board_job, selected, simulated
 from benchmarks.references import DATA, network_job
 from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
@@ -75,10 +76,69 @@ def mirrored(job: Job[Settings, Files], one: str, width: int) -> Job[Settings, F
 
 
 def test_a_mirrored_image_of_a_board_is_named() -> None:
-    """It fits the board seen from behind, so no residual tells."""
+    """It fits the board seen from behind, so no residual shows it."""
     text = "image i05: the board is seen from the other side than in the others; mirrored?"
     assert text in calibrate_camera.run(mirrored(measured(2, wrong=False), "i05", SIZE[0])).warnings
     assert not [line for line in calibrate_camera.run(measured(2, wrong=False)).warnings if "other side" in line]
+
+
+def near_and_far(seed: int, tilt: float, order: int, estimated: tuple[str, ...]) -> Job[Settings, Files]:
+    """Return a board of 48 x 32 targets, near in one image of nine and far in the others, behind a fisheye lens.
+
+    In the near image the targets are named from the one with the number `order` on.
+    """
+    rng = np.random.default_rng([145, seed])
+    x, y = (part.ravel() for part in np.meshgrid(np.arange(48) * 5.0, np.arange(32) * 5.0))
+    board, names = np.stack([x, y, 0 * x], axis=1), np.array([f"T{i:04d}" for i in range(len(x))])
+    parts = []
+    for i in range(9):
+        tilted = rotation_from_vector(np.append(rng.uniform(-tilt, tilt, 2), 0.0))
+        turn = tilted @ rotation_from_vector(np.array([0.0, 0.0, rng.uniform(0, 6)]))
+        seen = (board - board.mean(axis=0)) @ turn.T + [*rng.uniform(-20, 20, 2), rng.uniform(600, 900) if i else 220.0]
+        ray = seen[:, :2] / seen[:, 2:]
+        radius = np.linalg.norm(ray, axis=1, keepdims=True)
+        u, v = (500 * ray * np.arctan(radius) / radius + [319.5, 239.5] + rng.normal(0, 0.1, ray.shape)).T
+        shown = (u > 0) & (u < 639) & (v > 0) & (v < 479)
+        own = np.roll(names, 0 if i else order)[shown]
+        parts.append((np.full(shown.sum(), f"i{i}"), own, u[shown], v[shown]))
+    image, target, u, v = (np.concatenate(column) for column in zip(*parts, strict=True))
+    seen_targets = Table({"image": image, "target": target, "u": u, "v": v}, {"u": "px", "v": "px"})
+    job = board_job(
+        seen_targets, Table({"target": names, "x": x, "y": y, "z": 0 * x}, dict.fromkeys("xyz", "mm")), (640, 480)
+    )
+    settings = job.settings
+    camera = replace(settings.camera, estimate=estimated) if estimated else settings.camera
+    return replace(job, settings=replace(settings, camera=camera))
+
+
+def test_distortion_is_no_other_order() -> None:
+    """Targets stand so densely that distortion moves them by a large part of a step."""
+    parallel = said(near_and_far(8, 0.005, 0, ()))
+    assert "all views are parallel" in parallel and "fits no view" not in parallel
+    (doubt,) = said(near_and_far(9, 0.4, 0, ("f",))).splitlines()
+    assert doubt.startswith("half of the points of image i0 are off by more than") and "lack distortion" in doubt
+    assert "image i0 fits no view" in said(near_and_far(9, 0.4, 700, ()))
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_images_of_one_row_of_targets_are_in_no_other_order(more: int) -> None:
+    """No homography follows from targets on a line, nor from one more."""
+    job = near_and_far(10, 0.0, 0, ())
+    seen = job.files.observations
+    assert seen is not None
+    image, number = np.array(seen.texts("image")), np.array([int(name[1:]) for name in seen.texts("target")])
+    rows = (image > "i4") | ((number >= 480) & (number < 528)) | (number == 700) * bool(more)
+    few = replace(job, files=replace(job.files, observations=selected(seen, rows)))
+    text = said(few)
+    assert text and "fits no view" not in text
+
+
+def test_images_from_both_sides_are_listed() -> None:
+    job = measured(2, wrong=False)
+    for one in ("i01", "i05", "i06"):
+        job = mirrored(job, one, SIZE[0])
+    (text,) = [line for line in calibrate_camera.run(job).warnings if "other side" in line]
+    assert text.startswith("images i01, i05, i06: the board is seen")
 
 
 @pytest.mark.skipif(not (DATA / "aicon-network").is_dir(), reason=f"no measured network at {DATA}")

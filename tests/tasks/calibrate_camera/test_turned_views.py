@@ -16,8 +16,11 @@ from metrocli.tasks.calibrate_camera import task as calibrate_camera
 FOCAL, MIDDLE, NOISE = 900.0, np.array([319.5, 239.5]), 0.1
 
 
-def calibrated(turns: float, targets: str) -> Result:
-    """Calibrate with ten images of a board of 9 x 6 targets, turned about the viewing axis by up to `turns` degrees."""
+def calibrated(turns: float, targets: str, axes: str = "xyz") -> Result:
+    """Calibrate with ten images of a board of 9 x 6 targets, turned about the viewing axis by up to `turns` degrees.
+
+    The board is listed in the plane of the first two `axes`.
+    """
     rng = np.random.default_rng(145)
     x, y = (part.ravel() for part in np.meshgrid(np.arange(9) * 25.0, np.arange(6) * 25.0))
     board = np.stack([x, y, 0 * x], axis=1)
@@ -31,7 +34,7 @@ def calibrated(turns: float, targets: str) -> Result:
     names = np.array([f"T{i:02d}" for i in range(len(board))])
     image = np.repeat([f"i{i:02d}" for i in range(10)], len(board))
     observations = Table({"image": image, "target": np.tile(names, 10), "u": u, "v": v}, {"u": "px", "v": "px"})
-    listed = Table({"target": names, "x": x, "y": y, "z": 0 * x}, dict.fromkeys("xyz", "mm"))
+    listed = Table({"target": names, **dict(zip(axes, (x, y, 0 * x), strict=True))}, dict.fromkeys("xyz", "mm"))
     job = board_job(observations, listed, (640, 480))
     return calibrate_camera.run(replace(job, settings=replace(job.settings, targets=targets)))
 
@@ -45,6 +48,15 @@ def test_images_that_are_not_turned_are_reported_where_the_board_is_unknown(
     warnings = [line for line in calibrated(turns, targets).warnings if "about its viewing axis" in line]
     assert len(warnings) == told
     assert all("the camera is turned by at most 2" in line for line in warnings)
+
+
+def test_the_turn_does_not_depend_on_the_plane_of_the_list() -> None:
+    """In a list in the plane of y and z the axis x is the normal of the board, whose direction in an image is chance."""
+    of = [
+        [line for line in calibrated(20, "estimate", axes).warnings if "viewing axis" in line]
+        for axes in ("xyz", "yzx")
+    ]
+    assert of[0] == of[1] != []
 
 
 def test_turned_images_determine_the_principal_point_better() -> None:

@@ -279,3 +279,16 @@ def test_points_known_no_better_than_their_ranges_are_not_far_from_their_list() 
         built = build(job, rough.lengths(), rough.point_table(), beacons, None)
         astray[declared] = solve(built, remove=False).astray
     assert astray[25.0] < 0.7 < 1 < astray[1.0]
+
+
+@pytest.mark.parametrize("listed", [True, False])
+def test_points_far_from_their_list_are_explained_by_what_is_listed(listed: bool) -> None:
+    """Where all places of beacons are given, it does not help to give them."""
+    net = replace(network(30, 6, seed=149), dead=np.zeros(6)).read(np.random.default_rng(150))
+    beacons = net.tracer_table(0.0, sigma=np.zeros(6)) if listed else None
+    late = replace(net, readings=net.readings + 300.0)
+    built = build(settings(measures="absolute"), late.lengths(), late.point_table(), beacons, None)
+    with pytest.raises(NotConvergedError) as raised:
+        solve(replace(built, nominal=built.nominal + (0.0 if listed else 400.0)), remove=False)
+    assert ("length-offset" in str(raised.value)) == listed
+    assert ("inputs: tracers" in str(raised.value)) != listed
