@@ -97,8 +97,8 @@ class Basis:
 
     def grams(self, values: Array) -> Array:
         """Return `g' b b' g` of columns (rows, k, q), k at a time, (k, q, q): the squares that the unknowns absorb."""
-        if np.count_nonzero(self.member >= 0) == self.members:
-            # one row for each member: its column has the length of its row
+        if np.bincount(self.member + 1)[1:].max(initial=0) <= 1:
+            # one row for each member that is read: its column has the length of its row
             inside = np.linalg.norm(self.local, axis=1)[:, None, None] * values
             parts = [inside, np.tensordot(self.shared.T, values, 1)] if self.shared.shape[1] else [inside]
         else:

@@ -253,7 +253,7 @@ class _Tried:
         std = float(np.sqrt(means[unit] * seen.squares(self.log_ratio) / seen.dof)) * basis.sigmas[unit]
         level = min(log_level_of(self.gain) + float(np.log(tried)), 0.0)
         spread = std * seen.relative_spread(self.log_ratio)
-        # the functions of a copy sum to 1 in its rows, so this is its deviation in each row before anything is absorbed
+        # the functions of a copy sum to 1 in its rows: that is the stated deviation, which it has at the knots
         whole = basis.columns @ np.repeat(size, knots)
         visible = float(np.sqrt(np.maximum(values, 0.0).sum() / (whole @ whole)))
         return Process(basis.name, basis.by, one.length, std, spread, visible, unit, level, self.gain, columns)

@@ -122,3 +122,15 @@ def test_many_small_parts_give_the_products_of_each() -> None:
     kept = rng.random(ROWS) < 0.7
     there = np.where(np.append(kept, np.ones(5, dtype=bool))[:, None], vectors, 0.0)
     assert np.abs(columns.only(kept).products(there) - columns.at(kept).products(there)).max() < 1e-12
+
+
+def test_members_without_rows_are_not_taken_for_members_of_one_row() -> None:
+    """As many rows as members, but one has two of them and another none."""
+    rng = np.random.default_rng(8)
+    local = rng.normal(size=(3, 1))
+    local[:2] /= np.linalg.norm(local[:2])
+    local[2] /= abs(local[2])
+    own = Basis(local, np.array([0, 0, 1]), 3, np.zeros((3, 0)))
+    values = rng.normal(size=(3, 4, 2))
+    along = np.einsum("rb,rkq->kbq", own.rows(np.arange(3)), values)
+    assert np.allclose(own.grams(values), np.swapaxes(along, 1, 2) @ along, atol=1e-12)
