@@ -87,7 +87,7 @@ def _of_some(
     shift *= np.where(_is_rounding(system, shift, scale), 0.0, 1 / scale)
     _without_moves(job, [family.alternatives[i] for i in at], scale, shift)
     squares = np.einsum("mckp,mckq->kmpq", shift, shift)
-    # one bound is the lower one for any sizes: that of the readings, or the usual one where they show nothing
+    # one bound is the lowest: that of the readings where these show all directions well, the usual one where none
     narrow = seen.all(axis=1) & (np.linalg.eigvalsh(shown - usual) >= 0).all(axis=1)
     blind = ~seen.any(axis=1)
     best = _largest(squares[narrow], shown[None, narrow], least)

@@ -46,10 +46,10 @@ def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
     """Return the process that belongs to the noise beside which the effects of a selection hold; None if none shows.
 
     It is estimated beside the named effects, and beside fewer and fewer of them, where it stands instead of the others.
-    These with their counted choice are held against that by their evidence, and have beside them the process of the
-    largest likelihood, that one or another. Where structure is left beside the names, each unit has such an error
-    anyhow. It can look like a name at that unit, which then must have far more evidence; it does not look the same in
-    all units.
+    These with their counted choice are held against that by their evidence; the process of the largest likelihood
+    beside them, which may be another, counts for them. Where structure is left beside the names, each unit has such an
+    error anyhow. It can look like a name at that unit, which then must have far more evidence; it does not look the
+    same in all units.
     """
     bases = list(process_bases(job, selection.test_set.system))
     named = selection.fitted(without=selection.unknown)

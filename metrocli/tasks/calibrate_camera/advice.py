@@ -151,8 +151,9 @@ def turned_too_little(problem: Problem, solution: Solution) -> list[str]:
     # an axis of the list may be the normal of the board: the longest axis of the board is in its plane
     along = poses.rotation_of(plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])[0])[0]
     across = poses.rotation_of(solution.blocks[camera.VIEW].values) @ along
-    roll = np.arctan2(across[:, 1], across[:, 0])
-    turn = float(np.abs(np.angle(np.exp(1j * (roll - roll[:, None])))).max())
+    roll = np.sort(np.arctan2(across[:, 1], across[:, 0]))
+    # the arc that holds all of them is a turn without the largest gap
+    turn = 2 * np.pi - float(np.diff(roll, append=roll[0] + 2 * np.pi).max())
     if turn >= _TURNED:
         return []
     return [
