@@ -23,19 +23,19 @@ from typing import Any
 
 import numpy as np
 import yaml
+from metrocli.diagnosis.cross_validation import gain_of_model
+from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 
 from benchmarks.hidden.foreign import NOTHING, SIMULATED, Planted, planted
 from benchmarks.hidden.rates import Rate
-from metrocli.diagnosis.cross_validation import gain_of_model
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.job_entries import as_job, scatter_as_job
 from metrocli.diagnosis.laws.definition import as_define, as_wanted, written
 from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.search import Law
-from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
 from metrocli.diagnosis.linear.linearised import linearised
-from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.effects import wanted
 from metrocli.effects.own import define
 from metrocli.errors import MetrocliError
@@ -74,7 +74,7 @@ def outcome(one: Planted) -> Outcome:
     diagnosis = diagnose(one.job())
     law, noticed = diagnosis.law, diagnosis.verdict is not Verdict.CLEAN
     found = [str(finding.effect.alternative) for finding in diagnosis.findings]
-    names = ", ".join([*found, *(f"{one.found.effect.name} everywhere" for one in diagnosis.scatters)])
+    names = ", ".join([*found, *(f"{one.effect.name} everywhere" for one in diagnosis.scatters)])
     if law is None:
         return Outcome(f"- [{names}]" if names else "-", False, False, False, noticed)
     in_camera = law.terms[0].spot.acting.name == "point-in-camera" and one.kind == "calibrate-camera"

@@ -18,7 +18,6 @@ from benchmarks.hidden import stops
 from benchmarks.hidden.rates import Rate
 from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.searched import Scatter
 
 COUNT, SEED = 20, 470
 _DECLARED = 1e-3
@@ -27,7 +26,7 @@ _DECLARED = 1e-3
 
 def named(diagnosis: Diagnosis) -> Scatter | None:
     """Return the scatter of the stops, if it is named."""
-    return next((one for one in diagnosis.scatters if one.found.effect.name == "repeatability"), None)
+    return next((one for one in diagnosis.scatters if one.effect.name == "repeatability"), None)
 
 
 def detectable(m: stops.Measurement, rng: np.random.Generator) -> float:

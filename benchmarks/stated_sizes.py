@@ -30,10 +30,11 @@ from benchmarks.hidden.subjects import KINDS, Planted
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import design, needed
 from metrocli.diagnosis.diagnose import diagnose
-from metrocli.diagnosis.extended_fit import score_tests_of_job
+from metrocli.diagnosis.evidence.measurement import measurement_of
+from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.findings import Verdict
 from metrocli.diagnosis.linear.linearised import linearised
-from metrocli.diagnosis.linear.score_tests import quadratic
+from metrocli.diagnosis.linear.quadratics import quadratic
 
 COUNT = 40
 _ROUNDING = 1.01
@@ -63,8 +64,8 @@ def outcome(kind: str, number: int) -> Outcome:
     name = KINDS[kind].effects[number % len(KINDS[kind].effects)]
     read = KINDS[kind].subject(rng, name)
     quiet = read(None, None)
-    tests, not_tested = score_tests_of_job(quiet, {}, np.random.default_rng(number))
-    stated = [one for one in design(quiet, tests, not_tested).candidates if one.alternative.effect.name == name]
+    tests = measurement_of(quiet)
+    stated = [one for one in design(State.of(tests)).candidates if one.alternative.effect.name == name]
     candidate = stated[int(rng.integers(len(stated)))]
     family = tests.families[candidate.family]
     forms = [a for a in family.alternatives if a.instance == candidate.alternative.instance]

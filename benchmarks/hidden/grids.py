@@ -13,7 +13,7 @@ import numpy.typing as npt
 from benchmarks.hidden.case import Case, Hidden
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import needed
-from metrocli.diagnosis.extended_fit import score_tests_of_job
+from metrocli.diagnosis.evidence.measurement import measurement_of
 from metrocli.effects.wanted import Wanted
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import task as selfcal_grid
@@ -242,7 +242,7 @@ def _where(m: Measurement, name: str, places: Values) -> dict[str, str]:
 def stated(names: str, half: int, name: str) -> float:
     """Return the size, in standard deviations, at which `diagnose` is to find an effect with 80 % power."""
     adjusted = measurement(np.random.default_rng(5), names, half).adjusted()
-    field, _ = score_tests_of_job(adjusted, {}, np.random.default_rng(1))
+    field = measurement_of(adjusted)
     wanted = name if name in PARAMETERS else "drift-in-view"
     number = next(i for i, family in enumerate(field.families) if family.name == wanted)
     return float(np.sqrt(needed(field, number, len(PARAMETERS[wanted]))))

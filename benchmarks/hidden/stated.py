@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import needed
-from metrocli.diagnosis.extended_fit import score_tests_of_job
+from metrocli.diagnosis.evidence.measurement import measurement_of
 
 
 def stated(adjusted: AdjustedJob, name: str, parameters: int) -> float:
@@ -14,7 +12,7 @@ def stated(adjusted: AdjustedJob, name: str, parameters: int) -> float:
 
     For an effect that is in no table it is that of a family of as many parameters tried for each tracer.
     """
-    field, _ = score_tests_of_job(adjusted, {}, np.random.default_rng(1))
+    field = measurement_of(adjusted)
     known = [i for i, family in enumerate(field.families) if family.name == name]
     number = known[0] if known else next(i for i, f in enumerate(field.families) if f.name == "dead-path-drift")
     return needed(field, number, parameters)

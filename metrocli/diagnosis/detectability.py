@@ -1,6 +1,6 @@
 """What a measurement can see at all: of each candidate what is visible, how large it must be, and what it can hide.
 
-Method: docs/algorithms/selection-and-levels.md.
+Method: docs/algorithms/evidence.md.
 """
 
 from __future__ import annotations
@@ -11,20 +11,24 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.evidence.measurement import Measurement
+from metrocli.diagnosis.evidence.parts import READINGS
+from metrocli.diagnosis.evidence.prices import LEVEL
+from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.hidden_change import POWER, HiddenChange, forms_for, hidden_by_readings, hidden_change
 from metrocli.diagnosis.linear.candidates import Alternative, NotTested
 from metrocli.diagnosis.linear.distributions import noncentrality, single_level
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.quadratics import ranks_of, roots
 from metrocli.diagnosis.linear.scans import thinned
-from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.power.alike import Pair, pairs_of
 from metrocli.diagnosis.power.average_power import ScatterCandidate, scatter_candidates, size_found
-from metrocli.diagnosis.selection.thresholds import FIRST, WRONG_READING
 from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass
 
+LEAST_REDUNDANCY = 1e-3
+"""Smallest redundancy of a reading whose error shows"""
 _POWER = 0.8
 """Probability with which an effect of the least detectable size is found"""
 _FORMS = 60
@@ -56,6 +60,10 @@ class Candidate:
     absorbed_by: tuple[str, ...]
     missed: bool = False
     """Whether its scan is too coarse for the readings, so that a form between two of its values can be missed"""
+    upper: float = 0.0
+    """Upper bound (95 %) of its size beside all that was found"""
+    share: float = 1.0
+    """Share of what the unknowns leave of it that random parts and other effects leave, too"""
 
     @property
     def testable(self) -> bool:
@@ -114,36 +122,36 @@ class Design:
     scatters: tuple[ScatterCandidate, ...] = ()
 
 
-def design(job: AdjustedJob, test_set: ScoreTests, not_tested: Sequence[NotTested], noise: float = 1.0) -> Design:
-    """Return what a measurement can detect, for a noise in units of the declared one."""
-    candidates = tuple(_candidate(job, test_set, *spot, noise) for spot in _spots(test_set))
-    readings = tuple(_wrong_reading(job, test_set, e, noise) for e in job.effects if e.of_one_reading)
-    pairs, scatters = tuple(pairs_of(test_set, candidates, noise)), scatter_candidates(job, test_set, noise)
-    return Design(candidates, tuple(not_tested), pairs, readings, scatters)
+def design(state: State, noise: float = 1.0) -> Design:
+    """Return what a measurement can detect beside a state, for a noise in units of the declared one."""
+    job = state.measurement.job
+    candidates = tuple(_candidate(state, *spot, noise) for spot in _spots(state))
+    readings = tuple(_wrong_reading(state, e, noise) for e in job.effects if e.of_one_reading)
+    pairs, scatters = tuple(pairs_of(state, candidates, noise)), scatter_candidates(state, noise)
+    return Design(candidates, tuple(state.measurement.not_tested), pairs, readings, scatters)
 
 
-def _wrong_reading(job: AdjustedJob, test_set: ScoreTests, effect: Effect, noise: float) -> WrongReading:
+def _wrong_reading(state: State, effect: Effect, noise: float) -> WrongReading:
     """Return the smallest detectable error of a reading, `sqrt(lambda / r) sigma` (Baarda 1968)."""
-    system = test_set.system
-    level = single_level(single_level(WRONG_READING, test_set.causes), test_set.tests[-1])
-    rows = test_set.places[~test_set.excluded]
-    rows, rest = rows[rows >= 0], max(system.dof - 1, 1)
-    redundancy = 1 - system.basis.squares(rows)
+    m = state.measurement
+    level, first = _level(m, READINGS), m.places[:, 0]
+    redundancy = 1 - state.basis.squares(first)
+    checked = redundancy > LEAST_REDUNDANCY
+    rows = m.places[checked]
+    rows, rest = rows[rows >= 0], max(m.system.dof - 1, 1)
     # an error of a reading shows in its own residual by its redundancy only (Baarda)
-    unit = noise / np.sqrt(np.maximum(redundancy, 1e-12))
+    unit = noise / np.sqrt(np.maximum(1 - state.basis.squares(rows), 1e-12))
     least = np.sqrt(noncentrality(level, 1, rest, _POWER)) * unit
     hidden = np.sqrt(noncentrality(level, 1, rest, POWER)) * unit
-    sizes = least * system.scale[rows] if len(rows) else np.array([np.inf])
+    sizes = least * m.system.scale[rows] if len(rows) else np.array([np.inf])
     between = float(sizes.min()), float(sizes.max())
-    hides = hidden_by_readings(job, system, rows, hidden)
-    return WrongReading(effect, float(np.median(sizes)), between, hides, int(test_set.excluded.sum()))
+    hides = hidden_by_readings(m.job, m.system, rows, hidden)
+    return WrongReading(effect, float(np.median(sizes)), between, hides, int((~checked).sum()))
 
 
-def _spots(test_set: ScoreTests) -> Iterable[tuple[int, Sequence[int]]]:
+def _spots(state: State) -> Iterable[tuple[int, Sequence[int]]]:
     """Yield for each form of a cause at each place the number of its family and those of its alternatives."""
-    for number, family in enumerate(test_set.families):
-        if family.unknown:
-            continue
+    for number, family in enumerate(state.measurement.families):
         forms: dict[tuple[str, tuple[str, ...], str], list[int]] = {}
         for at, alternative in enumerate(family.alternatives):
             forms.setdefault(alternative.form, []).append(at)
@@ -151,53 +159,72 @@ def _spots(test_set: ScoreTests) -> Iterable[tuple[int, Sequence[int]]]:
             yield number, chosen
 
 
-def _candidate(job: AdjustedJob, test_set: ScoreTests, family: int, chosen: Sequence[int], noise: float) -> Candidate:
-    own = test_set.families[family]
-    gram = own.gram
+def _candidate(state: State, family: int, chosen: Sequence[int], noise: float) -> Candidate:
+    m = state.measurement
+    own, gram = m.families[family], state.left(family)[0]
     ranks = ranks_of(roots(gram[list(chosen)], own.raw[list(chosen)]))
     traces = np.where(ranks > 0, np.einsum("kqq->k", gram[list(chosen)]), 0.0)
     middle = int(np.argsort(traces, kind="stable")[len(traces) // 2])
     at, rank = chosen[middle], int(ranks[middle])
     alternative = own.alternatives[at]
-    raw = own.raw[at]
-    visible = float(np.sqrt(np.mean(np.diag(gram[at]) / np.where(raw > 0, raw, 1.0) ** 2)))
-    size = _size_found(test_set, family, chosen, ranks, alternative) * noise if rank else float("inf")
-    power = {int(q): needed(test_set, family, int(q), POWER) * noise**2 if q else 0.0 for q in np.unique(ranks)}
+    raw, bare = own.raw[at], own.gram[at]
+    visible = float(np.sqrt(np.mean(np.maximum(np.diag(bare), 0.0) / np.where(raw > 0, raw, 1.0) ** 2)))
+    share = float(np.trace(gram[at]) / np.trace(bare)) if rank and np.trace(bare) > 0 else 1.0
+    size = _size_found(state, family, chosen, ranks, alternative) * noise if rank else float("inf")
+    power = {int(q): needed(m, family, int(q), POWER) * noise**2 if q else 0.0 for q in np.unique(ranks)}
     # where even usual sizes stay unseen, the change is that of the size found with 95 % power
-    unseen = size * np.sqrt(power[rank] / needed(test_set, family, rank)) / noise if rank else 0.0
+    unseen = size * np.sqrt(power[rank] / needed(m, family, rank)) / noise if rank else 0.0
     assumed = max(alternative.effect.plausible, unseen)
     farthest = np.sqrt(own.columns.parameters) * assumed / alternative.effect.plausible
     reach = np.array([(power[q], farthest) for q in ranks.tolist()])
-    some = thinned(np.arange(float(len(chosen))), forms_for(test_set.system, own.columns.parameters)).astype(int)
-    hides = hidden_change(job, test_set.system, own, np.array(chosen)[some].tolist(), gram, reach[some])
-    absorbers = () if rank else _absorbers(test_set.system, _full(job, test_set.system, alternative))
-    return Candidate(
-        alternative, family, at, visible, size, hides, assumed, absorbers, own.has_gaps(test_set.system, chosen)
-    )
+    some = thinned(np.arange(float(len(chosen))), forms_for(m.system, own.columns.parameters)).astype(int)
+    hides = hidden_change(m.job, m.system, own, np.array(chosen)[some].tolist(), gram, reach[some])
+    absorbers = () if rank else _absorbers(m.system, _full(m.job, m.system, alternative))
+    missed = own.has_gaps(m.system, chosen)
+    upper = _upper(state, family, at)
+    return Candidate(alternative, family, at, visible, size, hides, assumed, absorbers, missed, upper, share)
+
+
+def _upper(state: State, family: int, number: int) -> float:
+    """Return the upper bound (95 %) of the size of an alternative that is not in a state.
+
+    It is `|theta| + 1.645 s` with the estimate theta beside all else and the mean s of the standard deviations.
+    """
+    gram, right = (values[number] for values in state.left(family))
+    scale = np.sqrt(np.maximum(np.diag(gram), 0.0))
+    seen = scale > 0
+    if not seen.any():
+        return float("inf")
+    unit = gram[np.ix_(seen, seen)] / scale[seen] / scale[seen][:, None]
+    inverse = np.linalg.pinv(unit, 1e-8, hermitian=True) / scale[seen] / scale[seen][:, None]
+    theta = inverse @ right[seen]
+    spread = np.sqrt(state.variance * max(float(np.mean(np.diag(inverse))), 0.0))
+    return float(np.sqrt(np.mean(theta**2)) + 1.645 * spread)
 
 
 def _full(job: AdjustedJob, system: System, alternative: Alternative) -> Array:
     return signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
 
 
-def _size_found(test_set: ScoreTests, family: int, chosen: Sequence[int], ranks: Array, median: Alternative) -> float:
+def _size_found(state: State, family: int, chosen: Sequence[int], ranks: Array, median: Alternative) -> float:
     """Return the size found with 80 % power, over the visible forms whose sizes mean the same as the median's."""
-    alternatives = test_set.families[family].alternatives
+    m = state.measurement
+    alternatives = m.families[family].alternatives
     own = (median.effect.by, median.parameters)
     forms = [i for i, at in enumerate(chosen) if (alternatives[at].effect.by, alternatives[at].parameters) == own]
     shown = thinned(np.array([i for i in forms if ranks[i] > 0]), _FORMS)
-    grams = test_set.families[family].gram[np.array(chosen)[shown]]
-    return size_found(grams, ranks[shown], _level(test_set, family), test_set.system.dof, _POWER)
+    grams = state.left(family)[0][np.array(chosen)[shown]]
+    return size_found(grams, ranks[shown], _level(m, family), m.system.dof, _POWER)
 
 
-def needed(test_set: ScoreTests, family: int, rank: int, power: float = _POWER) -> float:
+def needed(m: Measurement, family: int, rank: int, power: float = _POWER) -> float:
     """Return the non-centrality at which an alternative of a family is found with a power as a first effect."""
-    return noncentrality(_level(test_set, family), rank, max(test_set.system.dof - rank, 1), power)
+    return noncentrality(_level(m, family), rank, max(m.system.dof - rank, 1), power)
 
 
-def _level(test_set: ScoreTests, family: int) -> float:
+def _level(m: Measurement, family: int) -> float:
     """Return the level of a single test of a family for a first effect."""
-    return single_level(single_level(FIRST, test_set.causes), test_set.tests[family])
+    return single_level(LEVEL, m.prices.tests[family])
 
 
 def _absorbers(system: System, full: Array) -> tuple[str, ...]:

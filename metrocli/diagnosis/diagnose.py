@@ -1,6 +1,6 @@
 """The whole diagnosis of one adjusted job, from its linearised system to the verdict.
 
-Method: docs/algorithms/selection-and-levels.md.
+Method: docs/algorithms/evidence.md.
 """
 
 from __future__ import annotations
@@ -12,53 +12,37 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
-from metrocli.diagnosis.cross_validation import Gain, cross_validated
+from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Design, design
-from metrocli.diagnosis.extended_fit import (
-    readings_kept,
-    result_changes,
-    score_tests_after,
-    score_tests_of_job,
-    sizes,
-)
+from metrocli.diagnosis.evidence.folds import Gain, gains
+from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified
+from metrocli.diagnosis.evidence.measurement import measurement_of
+from metrocli.diagnosis.evidence.prices import LEVEL
+from metrocli.diagnosis.evidence.rounds import searched
+from metrocli.diagnosis.evidence.search import pruned
+from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.explanations import correlated_errors, random_effects
+from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, result_changes, sizes
 from metrocli.diagnosis.findings import Diagnosis, Finding
-from metrocli.diagnosis.fit_of_names import FitOfNames
-from metrocli.diagnosis.laws.imitations import without_imitations
-from metrocli.diagnosis.laws.library import Library
-from metrocli.diagnosis.laws.scatter_beside import explains_scatter, without_scatter
-from metrocli.diagnosis.laws.search import Law, laws_in
-from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
+from metrocli.diagnosis.laws.search import Law, with_laws
 from metrocli.diagnosis.linear.memory import as_fits
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.noise import noise_as_likely, noise_of
+from metrocli.diagnosis.noise import Unit, noise_of
 from metrocli.diagnosis.power.alike import separations
-from metrocli.diagnosis.residual_structure import (
-    REPEATS,
-    PureError,
-    RemainingStructure,
-    log_level_of_strongest,
-    other_shape_from,
-    pure_error,
-    remaining_structure,
-)
-from metrocli.diagnosis.searched import SEED, Searched, search_about_solution, with_scatters
-from metrocli.diagnosis.selection.confidence_set import NamedEffect, confidence_sets
-from metrocli.diagnosis.smooth_errors.process import Process
+from metrocli.diagnosis.residual_structure import REPEATS, PureError, RemainingStructure, pure_error
 from metrocli.diagnosis.wrong_readings import wrong_readings
 from metrocli.progress import SILENT, Progress
 
 Attended = Callable[[Callable[[], None]], AbstractContextManager[object]]
 """Takes what interrupts a search, and calls it if the user wants that within the context"""
-_PROCESS = 0.005
-"""Level below which a smooth process is reported as structure"""
+_CORRELATED = 0.005
+"""Level below which a correlated error is reported as structure"""
+_LEVEL = -float(np.log(LEVEL))
 _LACK_OF_FIT = 0.005
 """Level of the lack-of-fit test of repeated readings below which structure is reported"""
 LIMIT = 120.0
 """CPU time for all searches [s]"""
-_OF_EFFECTS = 0.75
-"""Share of it that the search of effects may take at most"""
 
 
 def no_interrupt(heeded: Callable[[], None]) -> AbstractContextManager[object]:
@@ -75,161 +59,112 @@ def diagnose(
 ) -> Diagnosis:
     """Return the diagnosis of an adjusted job; its searches take at most `limit` [s of CPU time].
 
-    The search of effects has three quarters of it, the searches of cross-validation what that leaves. A search whose
-    time is spent ends with what it has found; so does that for laws when its budget is interrupted within `attended`.
+    A search whose time is spent ends with what it has found; so does one that is interrupted within `attended`.
     `ordered` computes the folds of cross-validation, perhaps on other processors; the diagnosis is the same there.
     Raises UndeterminedError if the unknowns use up all readings, InputError if it needs more memory than there is.
     """
-    job = replace(as_fits(job), budget=Budget(_OF_EFFECTS * limit))
-    found = _diagnosed_again_if_suspect(job, progress, limit, attended, ordered)
-    # what to measure needs systems of its own, of many readings large ones: those of the search are gone by now
-    return replace(found, separate_by=_separate(found.job, [one.effect for one in found.findings]))
-
-
-def _diagnosed_again_if_suspect(
-    job: AdjustedJob, progress: Progress, limit: float, attended: Attended, ordered: Ordered
-) -> Diagnosis:
-    """Return the diagnosis of a job, or that without a noise that stands for a law or an effect."""
-
-    def diagnosed(job: AdjustedJob) -> tuple[Diagnosis, Searched]:
-        return _diagnosed(job, progress, limit, attended, ordered)
-
-    found, _ = diagnosed(job)
-    units, scattered = found.noisier_units, [one.found.effect.name for one in found.scatters]
-    suspect = found.law is not None or _in_noisy_unit(found)
-    plain = without_scatter(job, units, scattered) if suspect and not found.interrupted else None
-    if plain is None:
-        return found
-    progress.doing("diagnosing again without the noise that may stand for a law or an effect", job.budget.left())
-    again, searched = diagnosed(plain)
-    explains = explains_scatter(again.law, job, searched.selection, units, scattered)
-    return again if explains and (again.law is not None or again.findings) else found
-
-
-def _in_noisy_unit(found: Diagnosis) -> bool:
-    """Return whether an effect was found at a unit whose noise was taken for larger before."""
-    noisy = {(unit.key, unit.name) for unit in found.noisier_units}
-    return any(noisy & set(one.effect.alternative.where.items()) for one in found.findings)
-
-
-def _diagnosed(
-    job: AdjustedJob, progress: Progress, limit: float, attended: Attended, ordered: Ordered
-) -> tuple[Diagnosis, Searched]:
-    """Return the diagnosis of a job within its budget, and the search from which it follows."""
+    job = replace(as_fits(job), budget=Budget(limit))
     progress.doing("looking for structure", job.budget.left())
-    first = search_about_solution(job, progress)
-    job, searched, scatters = with_scatters(job, first, progress)
-    searched, library = _without_imitations(job, searched)
-    white = searched.beside_white_noise
-    names = confidence_sets(searched.selection)
-    left = (1 - _OF_EFFECTS) * limit + max(job.budget.left(), 0.0)
-    progress.doing("cross-validating: predicting parts of the readings from the others", left)
-    gains = cross_validated(searched.job, searched.selection, names, left, ordered) if names else []
-    kept = readings_kept(searched.selection)
-    fit = (searched.of_names.or_of if searched.of_names else FitOfNames.of)(job, names, kept).fit
-    shifts = result_changes(job, names, fit, kept)
-    tests, fitted = score_tests_after(fit, white, names, searched.units, np.random.default_rng(SEED))
-    structure, level = remaining_structure(white, names, tests, fitted)
-    repeats = pure_error(job, tests.system, fitted)
-    structure = structure or _structure_of_repeats(repeats)
-    laws: tuple[Law, ...] = ()
-    if job.places:
+    with attended(job.budget.interrupt):
+        first, state = searched(job)
+        job = state.measurement.job
         progress.doing("looking for a law in what no effect explains", job.budget.left())
-        with attended(job.budget.interrupt):
-            # beside a process, which explains the structure, a law has to show as one does without structure
-            laws = laws_in(library, searched.selection, bool(structure and not searched.processes), ordered)
-    before = _strongest_before(first.beside_white_noise.test_set)
-    structure = structure or _structure_of(laws) or _structure_of_processes(searched.processes, before)
-    # without an extended fit and processes the law is about the same linearised system; what it explains is no noise
-    law = next((one for one in laws if one.chosen and fit is None and not searched.processes), None)
-    explained = fitted.with_columns(law.columns) if law else fitted
-    # what a process explains is structure, and is in the tests: only the white part beside it is noise
-    noise = noise_of(searched.selection.fitted() if searched.processes else explained)
-    findings = tuple(_findings(job, searched, zip(names, gains, shifts, strict=False), tests, noise.ratio))
-    # of many readings their tables are large, and nothing below needs them
-    del tests, fitted, explained, library
+        found = with_laws(state, _in_white_noise(state), ordered)
+    state = found.state
+    names = all_identified(state)
+    progress.doing("cross-validating: predicting parts of the readings from the others", job.budget.left())
+    gained = gains(state, names, ordered) if names else []
+    kept = readings_kept(state)
+    fit = extended_fit(first.measurement.job, names, kept) if names else None
+    shifts = result_changes(first.measurement.job, names, fit, kept)
+    correlated, repeats = correlated_errors(state), pure_error(state)
+    noise = noise_of(float(state.residual @ state.residual) if not state.random else state.white_squares, state.noise_freedoms)
     progress.doing("computing what the measurement could not detect")
-    diagnosis = Diagnosis(
-        job=job,
+    return Diagnosis(
+        job=first.measurement.job,
         noise=noise,
-        noisier_units=searched.units,
-        outliers=wrong_readings(searched.selection),
-        findings=findings,
-        left=structure,
-        before=before,
-        after=level,
-        design=design(searched.job, searched.tests, searched.not_tested, noise.ratio),
-        separate_by=(),
+        noisier_units=_variance_groups(state),
+        outliers=wrong_readings(state),
+        findings=tuple(_findings(state, zip(names, gained, shifts, strict=False), noise.ratio)),
+        left=_left(state, correlated, found.laws, repeats),
+        before=strongest(first),
+        after=strongest(state),
+        design=design(state, noise.ratio),
+        separate_by=_separate(state.measurement.job, names),
         adjusts=fit is not None or not names,
-        together=gains[-1] if len(names) > 1 else None,
+        together=gained[-1] if len(names) > 1 else None,
         repeats=repeats,
-        scatters=scatters,
-        laws=laws,
-        processes=searched.processes,
+        scatters=random_effects(state),
+        laws=found.laws,
+        processes=correlated,
         limited=limit if job.budget.ended else None,
         interrupted=job.budget.interrupted,
     )
-    return diagnosis, searched
 
 
-def _without_imitations(job: AdjustedJob, searched: Searched) -> tuple[Searched, Library]:
-    """Return the search without names that stand for a law, and the library in which laws are sought after it."""
-    white = searched.beside_white_noise
-    library = Library(searched.job, white.test_set.system)
-    if not job.places:
-        return searched, library
-    only = without_imitations(library, white, searched.processes)
-    searched = searched if only is None else searched.with_white_noise(only)
-    if searched.processes:
-        library = Library(searched.job, searched.selection.test_set.system)
-    return searched, library
+def _in_white_noise(state: State) -> State:
+    """Return the identified effects and wrong readings of a state beside white noise, as the job declares it."""
+    if not state.random and not state.measurement.noise:
+        return state
+    return pruned(state.at(state.measurement.unweighted or state.measurement, random=False))
+
+
+def strongest(state: State) -> float:
+    """Return the level of the strongest candidate beside a state, counted over all."""
+    nets = [-_LEVEL]
+    for number in range(len(state.measurement.families)):
+        gain, price, _ = state.gains_of_family(number)
+        nets.append(float(np.max(np.where(gain > 0, gain - price, -np.inf), initial=-np.inf)))
+    gain, price, _ = state.gains_of_readings()
+    nets.append(float(np.max(np.where(gain > 0, gain - price, -np.inf), initial=-np.inf)))
+    return float(np.exp(-max(max(nets) + _LEVEL, 0.0)))
+
+
+def _variance_groups(state: State) -> tuple[Unit, ...]:
+    m = state.measurement
+    return tuple(Unit(*m.units[number][:2], ratio) for number, ratio in m.noise.items())
 
 
 def _findings(
-    job: AdjustedJob,
-    searched: Searched,
-    named: Iterable[tuple[NamedEffect, Gain, float | None]],
-    tests: ScoreTests,
-    noise: float,
+    state: State, named: Iterable[tuple[IdentifiedEffect, Gain, float | None]], noise: float
 ) -> Iterator[Finding]:
-    """Yield the findings of named effects, with the gain of each and the change of the result in the extended fit."""
-    for name, gain, shift in named:
-        change = _linear_change(searched.job, searched.tests.system, name) if shift is None else shift
-        as_likely = noise_as_likely(searched.job, searched.selection, name.chosen)
-        yield Finding(name, sizes(job, name), gain, change, other_shape_from(name, tests, noise), as_likely)
+    """Yield the findings of identified effects, the one with the largest held-out log score first."""
+    m = state.measurement
+    for name, gain, shift in sorted(named, key=lambda one: -one[1].log_score):
+        change = _linear_change(m.job, m.system, name) if shift is None else shift
+        yield Finding(name, sizes(m.job, name), gain, change, _other_shape_from(state, name, noise))
 
 
-def _structure_of_repeats(repeats: PureError | None) -> RemainingStructure | None:
-    """Return the structure that repeated readings show by their lack of fit."""
-    if repeats is None or repeats.lack_of_fit >= _LACK_OF_FIT:
-        return None
-    return RemainingStructure(repeats.lack_of_fit, (REPEATS,))
+def _other_shape_from(state: State, name: IdentifiedEffect, noise: float) -> float:
+    """Return the smallest relative difference in shape that shows as structure beside an identified effect.
 
-
-def _strongest_before(tests: ScoreTests) -> float:
-    return float(np.exp(log_level_of_strongest(tests, nothing_fitted(tests.system))))
-
-
-def _structure_of_processes(processes: Sequence[Process], before: float) -> RemainingStructure | None:
-    """Return the structure that smooth processes are, where smooth functions show none.
-
-    Where a process stands instead of effects, white noise alone does not explain the readings: its level is `before`.
+    It is `sqrt(lambda s^2 / |G theta|^2)`, lambda the gain in squares that the best single candidate needs.
     """
-    strongest = min(processes, key=lambda one: (not one.instead_of, one.log_level), default=None)
-    if strongest is None or not (strongest.instead_of or strongest.log_level < np.log(_PROCESS)):
-        return None
-    level = float(np.exp(strongest.log_level))
-    level = min(level, before) if strongest.instead_of else level
-    return RemainingStructure(level, (strongest.covariate,), (), 0.0)
+    from metrocli.diagnosis.linear.distributions import noncentrality, single_level
+
+    m = state.measurement
+    least = noncentrality(single_level(0.03, max(m.prices.tests[:-1], default=1.0)), 2, max(m.system.dof - 2, 1))
+    return float(np.sqrt(least) * noise / max(name.shows, 1e-300))
 
 
-def _structure_of(laws: Sequence[Law]) -> RemainingStructure | None:
-    """Return the structure that a law shows where smooth functions show none."""
+def _left(
+    state: State, correlated: Sequence[CorrelatedError], laws: Sequence[Law], repeats: PureError | None
+) -> RemainingStructure | None:
+    """Return what no identified effect explains: a law, a correlated error, or what repeated readings have in common."""
     law = next((one for one in laws if one.chosen), None)
-    if law is None:
-        return None
-    names = dict.fromkeys(name for term in law.terms for name in term.form.variables)
-    return RemainingStructure(law.p_value, tuple(names), tuple(name for _, name in law.terms[0].spot.where), law.size)
+    if law is not None:
+        names = dict.fromkeys(name for term in law.terms for name in term.form.variables)
+        where = tuple(name for _, name in law.terms[0].spot.where)
+        return RemainingStructure(law.p_value, tuple(names), where, law.size)
+    significant = [one for one in correlated if one.log_level < np.log(_CORRELATED)]
+    if significant:
+        best = min(significant, key=lambda one: one.log_level)
+        names = dict.fromkeys(one.covariate for one in significant)
+        where = (best.place,) if best.place else ()
+        return RemainingStructure(float(np.exp(best.log_level)), tuple(names), where, best.std * best.visible)
+    if repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
+        return RemainingStructure(repeats.lack_of_fit, (REPEATS,))
+    return None
 
 
 def what_can_be_seen(job: AdjustedJob) -> Design:
@@ -237,12 +172,10 @@ def what_can_be_seen(job: AdjustedJob) -> Design:
 
     Raises InputError if this needs more memory than there is.
     """
-    job = as_fits(job)
-    test_set, not_tested = score_tests_of_job(job, {}, np.random.default_rng(SEED))
-    return design(job, test_set, not_tested)
+    return design(State.of(measurement_of(as_fits(job))))
 
 
-def _linear_change(job: AdjustedJob, system: System, name: NamedEffect) -> float:
+def _linear_change(job: AdjustedJob, system: System, name: IdentifiedEffect) -> float:
     """Return the largest change of the delivered result by an effect, to first order."""
     alternative = name.alternative
     full = signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
@@ -251,7 +184,7 @@ def _linear_change(job: AdjustedJob, system: System, name: NamedEffect) -> float
     return float(np.sqrt((shift**2).sum(axis=(1, 2)).max(initial=0.0)))
 
 
-def _separate(job: AdjustedJob, names: Sequence[NamedEffect]) -> tuple[str, ...]:
-    """Return, in words, what to measure to distinguish the named effects from their best rivals."""
+def _separate(job: AdjustedJob, names: Sequence[IdentifiedEffect]) -> tuple[str, ...]:
+    """Return, in words, what to measure to distinguish the identified effects from their best rivals."""
     pairs = [(name.alternative, rival.alternative) for name in names for rival in name.rivals[:2]]
     return tuple(dict.fromkeys(words for found in separations(job, pairs) for words in found)) if pairs else ()

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.cross_validation import Gain
+from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Design
-from metrocli.diagnosis.extended_fit import (
-    Size,
-)
+from metrocli.diagnosis.evidence.folds import Gain
+from metrocli.diagnosis.evidence.identified import IdentifiedEffect
+from metrocli.diagnosis.extended_fit import Size
 from metrocli.diagnosis.laws.search import Law
+from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.noise import Noise, Unit
-from metrocli.diagnosis.residual_structure import (
-    PureError,
-    RemainingStructure,
-)
-from metrocli.diagnosis.searched import Scatter
-from metrocli.diagnosis.selection.all_of_a_kind import Instead
-from metrocli.diagnosis.selection.confidence_set import NamedEffect
-from metrocli.diagnosis.smooth_errors.process import Process
+from metrocli.diagnosis.residual_structure import PureError, RemainingStructure
 from metrocli.diagnosis.wrong_readings import Outlier
+from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass
 
 
@@ -41,10 +37,45 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True)
-class Finding:
-    """One effect that was named."""
+class Instead:
+    """An effect at all its places, or a larger noise of some readings, that explains the readings as well."""
 
-    effect: NamedEffect
+    name: str
+    """Of an effect at all its places, or `noise`"""
+    where: Mapping[str, str]
+    """The group of readings, or the place, that has a noise of its own; empty for an effect"""
+    odds: float
+    """Ratio of its likelihood to that of what was found"""
+
+    def __str__(self) -> str:
+        place = " ".join(name if key == READING else f"{key} {name}" for key, name in self.where.items())
+        return f"{self.name} of {place}" if self.where else f"{self.name} everywhere"
+
+
+@dataclass(frozen=True)
+class RandomEffect:
+    """An effect at all its places, with sizes that scatter about 0."""
+
+    effect: Effect
+    std: float
+    """Standard deviation of its parameters, in their internal unit"""
+    spread: float
+    """Standard uncertainty of `std`"""
+    log_level: float
+    """ln of the significance level against no such scatter"""
+    places: int
+    """Number of all its places"""
+    rivals: tuple[Instead, ...]
+    gain: Gain
+    shift: float
+    """Largest change of the delivered result when it is taken into the model"""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect that was identified."""
+
+    effect: IdentifiedEffect
     sizes: tuple[Size, ...]
     gain: Gain
     shift: float
@@ -82,11 +113,11 @@ class Diagnosis:
     """Gain of all named effects together, if there are several"""
     repeats: PureError | None = None
     """The noise found from repeated readings, if there are any"""
-    scatters: tuple[Scatter, ...] = ()
+    scatters: tuple[RandomEffect, ...] = ()
     """Effects at all places of a kind; all other findings are beside them"""
     laws: tuple[Law, ...] = ()
     """The simplest sums of terms that explain what no effect does, one for each number of terms"""
-    processes: tuple[Process, ...] = ()
+    processes: tuple[CorrelatedError, ...] = ()
     """Smooth random errors that belong to the noise; all effects are found beside them"""
     limited: float | None = None
     """The limit of CPU time [s], if the search ended there"""
@@ -114,5 +145,5 @@ class Diagnosis:
             return Verdict.UNEXPLAINED
         if not self.findings and not self.scatters:
             return Verdict.CLEAN
-        instead = [one.instead for one in self.findings] + [one.found.rivals for one in self.scatters]
+        instead = [one.instead for one in self.findings] + [one.rivals for one in self.scatters]
         return Verdict.INDISTINCT if any(instead) else Verdict.EXPLAINED

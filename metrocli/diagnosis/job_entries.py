@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.clusters.robust import ESTIMATED, FEWEST, FROM_RESIDUALS, STRUCTURED
-from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.searched import Scatter
-from metrocli.diagnosis.selection.confidence_set import NamedEffect
+from metrocli.diagnosis.evidence.identified import IdentifiedEffect
+from metrocli.diagnosis.findings import Diagnosis, RandomEffect
 from metrocli.effects.effect import Parameter
 from metrocli.nodes import Node
 from metrocli.units import parse_quantity
@@ -19,29 +18,29 @@ MODEL = "model"
 """Key beside the declared parts of a noise"""
 
 
-def declares(noise: Node | None, one: Scatter) -> bool:
+def declares(noise: Node | None, one: RandomEffect) -> bool:
     """Whether the noise of a job can declare a scatter: it has parts, and this part is a number or absent."""
-    key = one.found.effect.noise
+    key = one.effect.noise
     if not key or noise is None or noise.kind != "mapping":
         return False
     known = noise.get(key)
     return known is None or known.text != ESTIMATED
 
 
-def with_declared(noise: Node, one: Scatter) -> Node:
+def with_declared(noise: Node, one: RandomEffect) -> Node:
     """Return the noise of a job with a scatter beside what it declares, `sqrt(declared^2 + std^2)`."""
-    effect, known = one.found.effect, noise.get(one.found.effect.noise)
+    effect, known = one.effect, noise.get(one.effect.noise)
     before = parse_quantity(known.text, effect.parameters[0].dimension) if known is not None else 0.0
-    text = _size(effect.parameters[0], float(np.hypot(before, one.found.std)))
+    text = _size(effect.parameters[0], float(np.hypot(before, one.std)))
     plain = replace(noise, kind="scalar", entries=(), items=())
     kept = tuple(entry for entry in noise.entries if entry[0].text != effect.noise)
     return replace(noise, entries=(*kept, (replace(plain, text=effect.noise), replace(plain, text=text))))
 
 
-def scatter_as_job(one: Scatter) -> Mapping[str, str]:
+def scatter_as_job(one: RandomEffect) -> Mapping[str, str]:
     """Return the entry of an effect at all places of a kind in a job."""
-    effect = one.found.effect
-    return {"name": effect.name, "std": _size(effect.parameters[0], one.found.std)}
+    effect = one.effect
+    return {"name": effect.name, "std": _size(effect.parameters[0], one.std)}
 
 
 def proposed_noise(diagnosis: Diagnosis) -> str:
@@ -54,7 +53,7 @@ def proposed_noise(diagnosis: Diagnosis) -> str:
     return STRUCTURED if left and job.sharing >= FEWEST and job.noise_model != STRUCTURED else ""
 
 
-def as_job(name: NamedEffect) -> Mapping[str, str]:
+def as_job(name: IdentifiedEffect) -> Mapping[str, str]:
     """Return the entry of an effect in a job: to be estimated, with scanned parameters and those taken as 0."""
     alternative = name.alternative
     effect = alternative.effect

@@ -9,10 +9,10 @@ from typing import Any, Literal
 from metrocli import units
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
+from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.hidden_change import POWER, HiddenChange
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.power.average_power import ScatterCandidate
-from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.effects.effect import Effect
 
 
@@ -35,7 +35,7 @@ _SMALLEST = 0.01
 """Smallest number to which a usual size with a unit of its own is converted"""
 
 
-def status(candidate: Candidate, named: Iterable[NamedEffect]) -> str:
+def status(candidate: Candidate, named: Iterable[IdentifiedEffect]) -> str:
     """Return the status of a candidate; one in the confidence set of a named effect counts as named.
 
     So does another form of a named cause only if it explains the readings as well.
@@ -48,7 +48,7 @@ def status(candidate: Candidate, named: Iterable[NamedEffect]) -> str:
     return Status.EXCLUDED if seen else Status.CANNOT_SEE
 
 
-def spots(name: NamedEffect) -> set[tuple[str, tuple[str, ...]]]:
+def spots(name: IdentifiedEffect) -> set[tuple[str, tuple[str, ...]]]:
     """Return cause and place of a named effect and of all its rivals."""
     return {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
 
@@ -73,7 +73,7 @@ def reason_of_scatter(candidate: ScatterCandidate, word: str) -> str:
     return f"{said} a standard deviation of {least}"
 
 
-def _claims(name: NamedEffect, alternative: Alternative) -> bool:
+def _claims(name: IdentifiedEffect, alternative: Alternative) -> bool:
     own = {name.alternative.form, *(other.alternative.form for other in name.forms)}
     return alternative.form in own or alternative.spot in spots(name) - {name.alternative.spot}
 
@@ -141,7 +141,7 @@ def delivered(job: AdjustedJob, value: float) -> dict[str, Any]:
 
 
 def candidates(
-    job: AdjustedJob, design: Design, named: Iterable[NamedEffect], scattered: Sequence[str] = ()
+    job: AdjustedJob, design: Design, named: Iterable[IdentifiedEffect], scattered: Sequence[str] = ()
 ) -> list[dict[str, Any]]:
     """Return all candidates as plain data, tested or not; `scattered` are the effects named at all places."""
     names = list(named)

@@ -11,17 +11,16 @@ from metrocli import units
 from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.cross_validation import Gain
+from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Design
-from metrocli.diagnosis.findings import Diagnosis, Finding
+from metrocli.diagnosis.evidence.folds import Gain
+from metrocli.diagnosis.evidence.identified import Rival
+from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
 from metrocli.diagnosis.laws.definition import written
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.residual_structure import RemainingStructure
-from metrocli.diagnosis.searched import Scatter
-from metrocli.diagnosis.selection.confidence_set import Rival
-from metrocli.diagnosis.smooth_errors.process import Process
 from metrocli.diagnosis.status import candidates, delivered
 from metrocli.diagnosis.wrong_readings import Outlier
 
@@ -57,14 +56,14 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             diagnosis.job,
             diagnosis.design,
             [f.effect for f in diagnosis.findings],
-            [one.found.effect.name for one in diagnosis.scatters],
+            [one.effect.name for one in diagnosis.scatters],
         ),
         "alike": alike(diagnosis.design),
         "separate_by": list(diagnosis.separate_by),
     }
 
 
-def _process(job: AdjustedJob, process: Process) -> dict[str, Any]:
+def _process(job: AdjustedJob, process: CorrelatedError) -> dict[str, Any]:
     value, std, symbol = process.shown(*job.reading)
     return {
         "depends_on": process.covariate,
@@ -150,7 +149,7 @@ def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
         "forms": [{"by": form.alternative.effect.by, "odds": form.odds} for form in name.forms],
         "aliases": [
             {"parameter": key, "value": value, "odds": odds, "unit": units_of[key]}
-            for key, value, odds in name.chosen.aliases
+            for key, value, odds in name.aliases
         ],
         "other_shape_from": finding.other_shape_from,
         "gain": _gain(gain, job) | {"result_shift": delivered(job, finding.shift)},
@@ -167,16 +166,15 @@ def _outlier(one: Outlier) -> dict[str, Any]:
     }
 
 
-def _scatter(job: AdjustedJob, one: Scatter) -> dict[str, Any]:
+def _scatter(job: AdjustedJob, one: RandomEffect) -> dict[str, Any]:
     """Return an effect at all places of a kind: one entry without a place, with the standard deviation of its sizes."""
-    effect = one.found.effect
+    effect = one.effect
     return {
         "name": effect.name,
         "where": {},
-        "parameters": {"std": {"value": one.found.std, "std": one.found.spread, "unit": effect.parameters[0].unit}},
-        "p_value": float(np.exp(one.found.log_level)),
-        "alternatives": [asdict(rival) for rival in one.found.rivals],
-        "instead_of": list(one.found.instead_of),
+        "parameters": {"std": {"value": one.std, "std": one.spread, "unit": effect.parameters[0].unit}},
+        "p_value": float(np.exp(one.log_level)),
+        "alternatives": [asdict(rival) for rival in one.rivals],
         "other_shape_from": None,
         "gain": _gain(one.gain, job) | {"result_shift": delivered(job, one.shift)},
     }

@@ -1,6 +1,6 @@
-"""Wrong readings: each outlier of a selection with what is as likely instead: other readings, and effects at its place.
+"""Wrong readings, each with what is as likely instead: other readings, and effects at its place.
 
-Method: docs/algorithms/selection-and-levels.md.
+Method: docs/algorithms/evidence.md.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from itertools import combinations
 import numpy as np
 
 from metrocli.adjust.robust import as_likely
+from metrocli.diagnosis.evidence.measurement import Measurement
+from metrocli.diagnosis.evidence.parts import Fixed
+from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.candidates import Alternative
-from metrocli.diagnosis.linear.fitted_columns import FittedColumns
-from metrocli.diagnosis.linear.score_tests import ScoreTests
-from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from metrocli.frozen import dataclass
 
 Places = Mapping[frozenset[tuple[str, str]], list[tuple[int, int]]]
@@ -33,40 +33,40 @@ class Outlier:
     """Effects at the place of the reading, such as a bad pose, that would explain it about as well"""
 
 
-def wrong_readings(selection: Selection) -> tuple[Outlier, ...]:
-    """Return the outliers, the largest first, each with the test of it beside all else in the model."""
-    places = _places(selection.test_set) if selection.outliers else {}
-    return tuple(sorted((_outlier(selection, one, places) for one in selection.outliers), key=lambda one: -one.test))
+def wrong_readings(state: State) -> tuple[Outlier, ...]:
+    """Return the wrong readings of a state, the largest first, each with the test of it beside all else."""
+    places = _places(state.measurement) if state.readings else {}
+    return tuple(sorted((_outlier(state, one, places) for one in state.readings), key=lambda one: -one.test))
 
 
-def _outlier(selection: Selection, one: Chosen, places: Places) -> Outlier:
-    """Return an outlier with what would explain as much, beside all else in the model."""
-    test_set, fitted, without = selection.test_set, selection.fitted(), selection.fitted(without=[one])
-    variance, keys = fitted.squares / max(fitted.dof, 1), test_set.keys_of(one.number)
-    gain, rank = test_set.gains_of_readings(without)
+def _outlier(state: State, one: Fixed, places: Places) -> Outlier:
+    """Return a wrong reading with what would explain as much, beside all else."""
+    m, less = state.measurement, state.beside(one)
+    keys, variance = m.keys_of(one.number), state.variance
+    _, rank, explained = less.of_readings()
     # an error of several components can always explain more: only readings of its rank compare
-    squares = np.where(rank == rank[one.number], gain, 0.0) / variance
-    own = max(without.squares - fitted.squares, 0.0) / variance
-    taken = [other.number for other in selection.outliers]
+    squares = np.where(rank == rank[one.number], explained, 0.0) / variance
+    own = float(squares[one.number])
+    taken = [other.number for other in state.readings]
     rivals = [at for at in np.flatnonzero(as_likely(np.minimum(squares, own))).tolist() if at not in taken]
     rivals.sort(key=lambda at: -squares[at])
-    others = tuple(test_set.keys_of(at) for at in rivals)
-    effects = tuple(_at_its_place(test_set, without, places, keys, own, variance))
+    others = tuple(m.keys_of(at) for at in rivals)
+    effects = tuple(_at_its_place(less, places, keys, own, variance))
     return Outlier(keys, float(np.sqrt(own)), others, effects)
 
 
-def _places(test_set: ScoreTests) -> Places:
+def _places(m: Measurement) -> Places:
     """Return the alternatives of each place: family and number, by the names of what they act on."""
     found: dict[frozenset[tuple[str, str]], list[tuple[int, int]]] = {}
-    for family, one in enumerate(test_set.families):
-        for number, alternative in enumerate(() if one.unknown else one.alternatives):
+    for family, one in enumerate(m.families):
+        for number, alternative in enumerate(one.alternatives):
             place = zip(alternative.effect.keys, alternative.instance, strict=True)
             found.setdefault(frozenset(place), []).append((family, number))
     return found
 
 
 def _at_its_place(
-    test_set: ScoreTests, without: FittedColumns, places: Places, keys: Mapping[str, str], own: float, variance: float
+    less: State, places: Places, keys: Mapping[str, str], own: float, variance: float
 ) -> Iterator[Alternative]:
     """Yield the best form of each effect at the place of a reading that explains as much as the error of the reading.
 
@@ -78,6 +78,7 @@ def _at_its_place(
         for family, number in places.get(frozenset(place), ()):
             families.setdefault(family, []).append(number)
     for family, numbers in families.items():
-        score = test_set.score(family, without, numbers)
-        if as_likely(np.array([own, score.gain[score.best] / variance]))[1]:
-            yield test_set.alternative(family, numbers[score.best])
+        explained = less.of_family(family)[0][numbers] / variance
+        best = int(np.argmax(explained))
+        if as_likely(np.array([own, explained[best]]))[1]:
+            yield less.measurement.alternative((family, numbers[best]))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from metrocli.diagnosis.cross_validation import Gain
+from metrocli.diagnosis.evidence.folds import Gain
 from metrocli.diagnosis.extended_fit import result_change
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.laws.definition import written
@@ -151,7 +151,7 @@ def _parts(gained: Diagnosis) -> Iterator[tuple[str, float, Gain]]:
     for finding in gained.findings:
         yield str(finding.effect.alternative), float(np.exp(finding.effect.log_level)), finding.gain
     for one in gained.scatters:
-        yield f"{one.found.effect.name} everywhere", float(np.exp(one.found.log_level)), one.gain
+        yield f"{one.effect.name} everywhere", float(np.exp(one.log_level)), one.gain
     for law in gained.laws:
         place = " ".join(name for _, name in law.terms[0].spot.where)
         yield f"law {'; '.join(written(law).adds.values())} {place}".strip(), law.p_value, law.gain

@@ -9,9 +9,9 @@ from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis import status
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
+from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.hidden_change import HiddenChange
 from metrocli.diagnosis.power.average_power import ScatterCandidate
-from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.effects.effect import Parameter
 from metrocli.words import listed
 
@@ -21,7 +21,7 @@ _SEEN = {True: "seen", "part": "seen in part", False: "not seen", None: ""}
 
 
 def candidate_lines(
-    adjusted: AdjustedJob, design: Design, named: Sequence[NamedEffect] | None, scattered: Sequence[str] = ()
+    adjusted: AdjustedJob, design: Design, named: Sequence[IdentifiedEffect] | None, scattered: Sequence[str] = ()
 ) -> list[str]:
     """Return the table of candidates, with one line for all places of a cause that have the same status.
 

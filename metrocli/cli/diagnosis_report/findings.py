@@ -13,15 +13,14 @@ from metrocli.cli.diagnosis_report.laws import law_lines
 from metrocli.cli.diagnosis_report.noise import noise_lines, noisier
 from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Part
-from metrocli.diagnosis.cross_validation import Gain
+from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Design
+from metrocli.diagnosis.evidence.folds import Gain
 from metrocli.diagnosis.extended_fit import Size
-from metrocli.diagnosis.findings import Diagnosis, Finding
+from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
 from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.noise import DECLARED_SIGMA
-from metrocli.diagnosis.searched import Scatter
-from metrocli.diagnosis.smooth_errors.process import Process
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.project.diagnosed import Extended
 from metrocli.words import listed
@@ -70,7 +69,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None) -> str:
         )
     if extended is not None:
         parts.append([f"next: run {extended.path}, {_extension(diagnosis, extended.law)}"])
-    scattered = [one.found.effect.name for one in diagnosis.scatters]
+    scattered = [one.effect.name for one in diagnosis.scatters]
     parts.append(candidate_lines(job, diagnosis.design, [one.effect for one in findings], scattered))
     return "\n\n".join("\n".join(lines) for lines in parts)
 
@@ -181,7 +180,7 @@ def _included(diagnosis: Diagnosis) -> str:
     return f"The standard uncertainties of the result {include}{remedy}."
 
 
-def _smooth(process: Process) -> str:
+def _smooth(process: CorrelatedError) -> str:
     """Return a smooth random error in words."""
     each = f" of each {process.by} by itself" if process.by else ""
     return f"error that varies smoothly with {process.covariate}{each}"
@@ -207,7 +206,7 @@ def _about(finding: Finding) -> Iterator[str]:
     if name.forms:
         forms = ", ".join(f"`by: {form.alternative.effect.by}` (odds {form.odds:.2g})" for form in name.forms)
         yield f"  its size is that of `by: {name.alternative.effect.by}`; {forms} fits as well"
-    for key, value, odds in name.chosen.aliases:
+    for key, value, odds in name.aliases:
         scanned = next(one for one in name.alternative.effect.scanned if one.name == key)
         yield f"  {key} {value:.6g} {scanned.unit} fits as well (odds {odds:.2g}): the readings are spaced too evenly"
     if name.held:
@@ -221,23 +220,19 @@ def _about(finding: Finding) -> Iterator[str]:
     yield f"  not excluded: an unlisted cause{checked}"
 
 
-def _about_scatter(one: Scatter) -> Iterator[str]:
-    effect, key = one.found.effect, one.found.effect.keys[0]
-    yield f"{effect.name} at every {key} ({one.found.places}): {effect.of_all or effect.cause}"
-    if one.found.instead_of:
-        yield f"  one scatter of all explains more than single ones at {listed(one.found.instead_of, _SHOWN)}"
-    else:
-        yield "  none of them stands out of the scatter of all"
+def _about_scatter(one: RandomEffect) -> Iterator[str]:
+    effect, key = one.effect, one.effect.keys[0]
+    yield f"{effect.name} at every {key} ({one.places}): {effect.of_all or effect.cause}"
 
 
-def _row_of_scatter(one: Scatter, adjusted: AdjustedJob) -> tuple[str, ...]:
-    effect = one.found.effect
-    std = Size(effect.common or effect.parameters[0], one.found.std, one.found.spread)
+def _row_of_scatter(one: RandomEffect, adjusted: AdjustedJob) -> tuple[str, ...]:
+    effect = one.effect
+    std = Size(effect.common or effect.parameters[0], one.std, one.spread)
     return (
         f"{effect.name} at every {effect.keys[0]}",
         _parameter(std),
-        _chance(float(np.exp(one.found.log_level))),
-        ", ".join(map(str, one.found.rivals)),
+        _chance(float(np.exp(one.log_level))),
+        ", ".join(map(str, one.rivals)),
         _reduction(one.gain),
         _score(one.gain),
         units.sized(one.shift, adjusted.delivered.dimension),

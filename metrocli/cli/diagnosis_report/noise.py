@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from metrocli.adjust.clusters.robust import ESTIMATED
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.linear.projection import READING
-from metrocli.diagnosis.noise import APART, DECLARED_SIGMA, Unit
+from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA, Unit
 
 _HIGH_NOISE, _FEW_DOF = 2.0, 30
 """Noise ratio above which, with fewer degrees of freedom than this, several wrong readings may pass as noise"""
@@ -49,6 +49,6 @@ def noisier(unit: Unit) -> str:
 def _given(unit: Unit, found: float) -> str:
     """Return whether the residuals agree with the sigma of given values; `found` is the ratio of their noise to it."""
     what = f"The given values of each {unit.name.removeprefix('prior of ')}"
-    if 1 / APART < found < APART:
+    if 1 / AS_OTHERS < found < AS_OTHERS:
         return f"{what} agree with their sigma; the ratio is that of the readings alone."
     return f"{what} are off by {found:.2g} times their sigma: correct the sigma."

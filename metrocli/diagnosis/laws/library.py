@@ -16,6 +16,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.evidence.prices import Prices, counted
 from metrocli.diagnosis.laws.further_columns import kept
 from metrocli.diagnosis.laws.terms import Form, columns_of, forms_of
 from metrocli.diagnosis.linear.candidates import Alternative, Family
@@ -33,6 +34,7 @@ MOST_NUMBERS = 8_000_000
 """Largest number of elements of all columns"""
 _SAME = 1e-9
 """Two components of quantities act alike if their squared correlation is nearer to 1 than this"""
+_SEED = 17
 _EFFECT = Effect("law", "", (Parameter("size"),))
 
 
@@ -60,6 +62,10 @@ class Term:
     def place(self) -> tuple[str, Where]:
         """The quantity and the place; all terms of one law share it."""
         return self.spot.acting.name, self.spot.where
+
+    def is_like(self, other: Term) -> bool:
+        """Return whether another term differs in its scanned value at most."""
+        return (self.spot, self.form.kind, self.form.factors) == (other.spot, other.form.kind, other.form.factors)
 
     def at(self, scanned: float) -> Term:
         """Return the term with another scanned value."""
@@ -111,6 +117,11 @@ class Library:
             for kind, alike in groupby(sorted(forms, key=_kind_of), key=_kind_of):
                 by_kind.setdefault(kind, []).append((carrier, list(alike)))
         return tuple(self._family(*kind, items) for kind, items in by_kind.items())
+
+    @cached_property
+    def prices(self) -> Prices:
+        """What terms pay, by the number of independent tests of each form."""
+        return counted(self.system, self.families, 1, np.random.default_rng(_SEED))
 
     def _forms(self) -> list[tuple[_Carrier, list[Form]]]:
         for periods in (59, 29, 15, 7):

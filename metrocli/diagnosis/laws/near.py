@@ -8,23 +8,21 @@ from __future__ import annotations
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.quadratics import quadratic
-from metrocli.diagnosis.linear.score_tests import ScoreTests
 
 _LEAST, _MOST = 0.9, 2
 """Smallest cosine of an effect that is reported as nearly the law, and the largest number of them"""
 
 
-def near_effects(tests: ScoreTests, shown: Array) -> tuple[tuple[Alternative, float], ...]:
+def near_effects(state: State, shown: Array) -> tuple[tuple[Alternative, float], ...]:
     """Return the effects whose visible columns nearly contain what a law explains, (rows,), with the cosine.
 
     Each is at its best place and with its best scanned values; the nearest comes first.
     """
     size, found = float(shown @ shown), dict[str, tuple[Alternative, float]]()
-    for family in tests.families:
-        if family.unknown:
-            continue
+    for family in state.measurement.families:
         inside, _ = quadratic(family.gram, family.columns.products(shown[:, None])[:, :, 0], family.raw)
         best = int(np.argmax(inside))
         cosine = float(np.sqrt(min(inside[best] / max(size, 1e-300), 1.0)))

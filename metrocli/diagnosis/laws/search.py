@@ -5,31 +5,32 @@ Method: docs/algorithms/laws.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.diagnosis.adjusted_job import Budget, Ordered
-from metrocli.diagnosis.cross_validation import Gain, Held, folds_of, gain_of, held_out_errors, without
+from metrocli.diagnosis.adjusted_job import Ordered
+from metrocli.diagnosis.evidence.folds import Fold, Gain, Held, Model, Train, folds_of, gain_of
+from metrocli.diagnosis.evidence.parts import Fixed
+from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.library import Library, Term
 from metrocli.diagnosis.laws.near import near_effects
-from metrocli.diagnosis.laws.steps import LEVEL, Search, Step, forward, plain_tests, start_of, tests_of_terms
+from metrocli.diagnosis.laws.steps import Lawful, among_terms, columns_of_terms, forward
 from metrocli.diagnosis.laws.terms import columns_of
 from metrocli.diagnosis.linear.candidates import Alternative
-from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.frozen import dataclass
 
-_ALONE = 0.001
-"""Level at which a term enters where no structure was found"""
+TRACE = False
+_LAW = float(np.log(30.0))
+"""What a law pays beyond its tests: formulas are many, and a known cause, or chance, is likelier"""
+_SURELY = 5.5
+"""Net evidence from which a law of few readings need not be shown by held-out ones"""
 _MOST_ROWS = 25_000
 """Largest number of components of readings for which laws are sought: the columns of all terms are held at once"""
-_FEW = 50
-"""Fewest independent tests that any library amounts to"""
 _SEEN, _STEPS = 0.5, 400
 """Least change of a reading that is shown beside a law, of that of the most changed; steps of the curve of a law"""
 
@@ -68,14 +69,12 @@ class Law:
     """Coefficient of each factor of each term, in internal units"""
     stds: tuple[Array, ...]
     p_value: float
-    """Level of its least significant term beside the others, counted over all that was tried"""
+    """exp of minus the net evidence of its least term beside the others"""
     gain: Gain
     part_of_structure: float
-    """Share of the squares that it explains, of those that it and smooth functions explain together"""
+    """Share of the squares that it explains, of those above the noise"""
     size: float
     """Root mean square of what it explains over the readings on which it acts, in their unit"""
-    columns: Array
-    """Its visible columns in the linearised system, (rows, factors)"""
     data: LawData | None
     """None for a constant, which has no variable"""
     near: tuple[tuple[Alternative, float], ...] = ()
@@ -83,147 +82,143 @@ class Law:
     chosen: bool = False
 
 
-def laws_in(library: Library, selection: Selection, structured: bool, ordered: Ordered = map) -> tuple[Law, ...]:
-    """Return the laws in what the named effects and outliers of a selection leave: one for each number of terms.
+@dataclass(frozen=True)
+class Found:
+    """A state that holds where laws were sought, and the laws, one for each number of terms."""
 
-    The list is empty if no term is significant, if the measurement is too large or the time of the search is spent. The
-    law with the largest held-out log score is chosen. `structured` is whether smooth functions show structure. If they
-    do not, a law must be more significant, and its gain shown: it then is structure of its own, such as a wave that no
-    smooth function has. A search that is interrupted ends with the terms that it has found.
+    state: State
+    laws: tuple[Law, ...] = ()
+
+
+def with_laws(state: State, plain: State, ordered: Ordered = map) -> Found:
+    """Return the state with a law in it, where a law explains the readings better than what it replaces.
+
+    Effects, correlated errors and noise of variance groups can imitate a law: three jumps do a saturation, an error
+    along the time does a step. So laws are sought beside the effects alone, and beside nothing, with `plain` the state
+    of the same effects in white noise. The law has to exceed the score of the state by a price of its own.
     """
-    if selection.test_set.budget.ended or not fits(selection.test_set.system):
-        return ()
-    level = LEVEL if structured else _ALONE
-    if not library.families or not _worth_counting(selection, library, level):
-        return ()
-    tests, start = tests_of_terms(selection, library)
-    steps = forward(Search(tests, start, library), level)
-    if not steps:
-        return ()
-    gains = _gains(Search(tests, start, library), steps, ordered)
-    smooth = _smooth(selection, start)
-    found = [_law(library, start, steps[:count], gain, smooth) for count, gain in enumerate(gains, 1)]
-    best = max(found, key=lambda one: one.gain.log_score)
-    if not structured and not best.gain.shown:
-        return ()
-    return tuple(
-        replace(
-            one,
-            near=near_effects(selection.test_set, one.columns @ np.concatenate(one.sizes)),
-            chosen=one is best and one.gain.log_score > 0,
-        )
-        for one in found
-    )
+    m = state.measurement
+    if not m.job.places or m.system.rows > _MOST_ROWS or m.job.budget.ended:
+        return Found(state)
+    library = Library(m.job, plain.measurement.system)
+    best: tuple[Lawful, State] | None = None
+    for base in _bases(plain):
+        start = among_terms(base, library)
+        lawful = None if start is None else forward(start, 0.0)
+        if lawful is not None and lawful.steps and (best is None or lawful.state.score > best[0].state.score):
+            best = lawful, base
+    if TRACE and best: print('LAW', best[0].state.score-state.score, [t.form for t in best[0].terms], state.score)
+    if best is None or best[0].state.score < state.score + _LAW:
+        return Found(state)
+    lawful, base = best
+    gains = _gains(lawful, base, ordered)
+    found = [_law(lawful.first(count), base, gain, state) for count, gain in enumerate(gains, 1)]
+    chosen = max(found, key=lambda one: one.gain.log_score)
+    if TRACE: print('gain',chosen.gain.log_score,chosen.gain.log_score_std)
+    surely = best[0].state.score > state.score + _SURELY and chosen.gain.log_score > 0
+    if not (chosen.gain.shown or surely):
+        return Found(state)
+    laws = tuple(replace(one, chosen=one is chosen) for one in found)
+    terms = [one for _, one in lawful.steps[: len(chosen.terms)]]
+    return Found(State.of(base.measurement, (*base.fixed, *terms), base.random, base.logs, 0), laws)
 
 
-def fits(system: System) -> bool:
-    """Return whether a system is small enough for the columns of all terms."""
-    return system.rows <= _MOST_ROWS
+def _bases(plain: State) -> Iterator[State]:
+    yield plain
+    if plain.named:
+        yield plain.minus(plain.named)
 
 
-def _worth_counting(selection: Selection, library: Library, level: float) -> bool:
-    """Return whether a term could be significant if the terms of its kind were few independent ones.
-
-    That spares the simulated noise of the exact count where nothing is near significance.
-    """
-    fitted, tests = plain_tests(selection, library)
-    least = min(float(tests.score(number, fitted).log_p.min()) for number in range(len(tests.families)))
-    return bool(least + np.log(_FEW) < np.log(level))
-
-
-def _gains(search: Search, found: Sequence[Step], ordered: Ordered) -> list[Gain]:
-    """Return the held-out gain of the laws of 1, 2, ... terms; each fold has the laws found without it."""
-    rows = folds_of(search.library.job, search.tests)
+def _gains(lawful: Lawful, base: State, ordered: Ordered) -> list[Gain]:
+    """Return the held-out gain of the laws of 1, 2, ... terms; each fold has the laws that the others choose."""
+    rows = folds_of(base.measurement)
     numbers = sorted({*rows.tolist()} - {-1})
-    budget = search.tests.budget
-    pairs = [*ordered(_Folds(search, tuple(found), rows, budget.left() / len(numbers)), numbers)]
-    budget.ended |= any(ended for _, ended in pairs)
-    return [gain_of(one) for one in zip(*(held for held, _ in pairs), strict=True)]
+    pairs = [*ordered(_Folds(lawful, base, rows), numbers)]
+    return [gain_of(one) for one in zip(*pairs, strict=True)]
 
 
 @dataclass(frozen=True)
 class _Folds:
     """What is compared in each fold. It travels to other processors, so it has no more than that."""
 
-    search: Search
-    found: tuple[Step, ...]
+    lawful: Lawful
+    base: State
     rows: Index
     """Fold of each row"""
-    seconds: float
-    """Time for the search without a fold [s of CPU time]"""
 
-    def __call__(self, fold: int) -> tuple[list[tuple[Held, Held]], bool]:
-        """Return the predictions of a fold without and with laws of 1, 2, ... terms, and whether time was spent.
+    def __call__(self, number: int) -> list[tuple[Held, Held]]:
+        """Return the predictions of a fold without and with laws of 1, 2, ... terms."""
+        state, m = self.lawful.state, self.lawful.state.measurement
+        fold = Fold(m, np.flatnonzero(self.rows == number))
+        terms = {id(one) for _, one in self.lawful.steps}
+        bare = Model(tuple(one for one in state.fixed if id(one) not in terms), state.random, state.logs)
+        before, model, pairs = fold.predicted(bare), bare, list[tuple[Held, Held]]()
+        for count in range(len(self.lawful.steps)):
+            if len(model.fixed) == len(bare.fixed) + count:
+                one = self._chosen(fold, model, count)
+                model = model if one is None else model.with_fixed((*model.fixed, one))
+            pairs.append((before, fold.predicted(model) if len(model.fixed) > len(bare.fixed) else before))
+        return pairs
 
-        After an interruption it has the laws found with it: their sizes are still estimated without the fold.
-        """
-        tests, library = self.search.tests, self.search.library
-        out = np.flatnonzero(self.rows == fold)
-        budget = Budget(self.seconds, tests.budget)
-        steps = self.found if tests.budget.interrupted else self._found_without(out, budget)
-        before = start_of(tests, nothing_fitted(tests.system))
-        base, pairs = held_out_errors(tests, before, out), []
-        for count in range(1, len(self.found) + 1):
-            columns = [library.system.seen(library.columns(one.term)) for one in steps[:count]]
-            after = before.with_columns(np.concatenate(columns, axis=1)) if columns else before
-            pairs.append((base, held_out_errors(tests, after, out)))
-        return pairs, budget.ended
-
-    def _found_without(self, out: Index, budget: Budget) -> Sequence[Step]:
-        trained, start = without(self.search.tests, out)
-        trained = replace(trained, budget=budget)
-        return forward(Search(trained, start_of(trained, start), self.search.library, out), LEVEL, len(self.found))
-
-
-def _smooth(selection: Selection, start: FittedColumns) -> FittedColumns:
-    """Return the fit of the smooth functions that the selection holds, beside what was named."""
-    columns = [one.columns for one in selection.unknown]
-    return start.with_columns(np.concatenate(columns, axis=1)) if columns else start
+    def _chosen(self, fold: Fold, model: Model, count: int) -> Fixed | None:
+        """Return the term that the other readings choose; None if they choose none."""
+        found, library = self.lawful, self.lawful.library
+        train = Train.of(fold, model, found.state)
+        place = found.terms[0].place
+        best, chosen = 0.0, None
+        for number, terms in enumerate(library.terms):
+            net = train.nets(number)
+            if count:
+                net = np.where([term.place == place for term in terms], net, -np.inf)
+            if len(net) and net.max() > best:
+                best, chosen = float(net.max()), (number, int(np.argmax(net)))
+        # the refined term has a value between those of the scan, which is better where its neighbours are chosen
+        term, one = found.steps[count]
+        if chosen is not None and library.terms[chosen[0]][chosen[1]].is_like(term):
+            return one
+        if chosen is None:
+            return None
+        price = found.state.measurement.prices.of_columns(chosen[0], 1)
+        return found.state.measurement.term(library.columns(library.terms[chosen[0]][chosen[1]]), chosen, price)
 
 
-def _law(
-    library: Library,
-    start: FittedColumns,
-    steps: Sequence[Step],
-    gain: Gain,
-    smooth: FittedColumns,
-) -> Law:
-    system, terms = library.system, [one.term for one in steps]
-    parts = [system.seen(library.columns(term)) for term in terms]
-    columns = np.concatenate(parts, axis=1)
-    beside = start.beside(columns)
-    scale = np.maximum(np.linalg.norm(beside, axis=0), 1e-300)
-    inverse = np.linalg.pinv((beside / scale).T @ (beside / scale), rcond=1e-10, hermitian=True)
-    sizes = inverse @ ((beside / scale).T @ start.residual) / scale
-    stds = np.sqrt(np.diag(inverse)) / scale
-    cuts = np.cumsum([part.shape[1] for part in parts])[:-1]
-    after = start.with_columns(columns)
-    acting = np.concatenate([library.columns(term) for term in terms], axis=1).any(axis=1)
-    shown = np.where(acting & system.alike, (start.residual - after.residual) * system.scale, 0.0)
-    explained = start.squares - after.squares
-    together = start.squares - smooth.with_columns(columns).squares
+def _law(lawful: Lawful, base: State, gain: Gain, instead: State) -> Law:
+    library, terms, state = lawful.library, lawful.terms, lawful.state
+    system = base.measurement.system
+    whole = columns_of_terms(library, terms)
+    left = base.seen(whole)
+    scale = np.maximum(np.sqrt(np.maximum((whole * left).sum(axis=0), 0.0)), 1e-300)
+    inverse = np.linalg.pinv((whole / scale).T @ (left / scale), rcond=1e-10, hermitian=True)
+    sizes = inverse @ ((whole / scale).T @ base.residual) / scale
+    stds = np.sqrt(np.maximum(np.diag(inverse), 0.0) * state.variance) / scale
+    cuts = np.cumsum([len(term.form.factors) for term in terms])[:-1]
+    acting = whole.any(axis=1)
+    shown = np.where(acting & system.alike, (base.residual - state.residual) * system.scale, 0.0)
+    noise = min(state.variance, instead.variance) * base.freedoms
+    part = (base.fit.squares - state.fit.squares) / max(base.fit.squares - noise, 1e-300)
+    nets = state.without_fixed()[-len(terms) :]
     return Law(
-        tuple(terms),
+        terms,
         tuple(np.split(sizes, cuts)),
         tuple(np.split(stds, cuts)),
-        float(np.exp(max(one.log_level for one in steps))),
+        float(np.exp(-max(float(nets.min()), 0.0))),
         gain,
-        float(np.clip(explained / max(together, 1e-300), 0.0, 1.0)),
+        float(np.clip(part, 0.0, 1.0)),
         float(np.sqrt((shown[shown != 0] ** 2).mean())) if shown.any() else 0.0,
-        columns,
-        _data(library, terms, sizes, after),
+        _data(library, terms, sizes, state.residual),
+        near_effects(base, left @ sizes),
     )
 
 
-def _data(library: Library, terms: Sequence[Term], sizes: Array, after: FittedColumns) -> LawData | None:
-    """Return a law over its variable, beside the readings on which it acts."""
+def _data(library: Library, terms: Sequence[Term], sizes: Array, after: Array) -> LawData | None:
+    """Return a law over its variable, beside the readings on which it acts; `after` is the residual with it (rows,)."""
     system, spot = library.system, terms[0].spot
     variables = {name for term in terms for name in term.form.variables}
     if not variables:
         return None
-    adds = np.concatenate([library.columns(term) for term in terms], axis=1)
+    adds = columns_of_terms(library, terms)
     law = (adds @ sizes) * system.scale
-    residual = law + after.residual * system.scale
+    residual = law + after * system.scale
     unit_of_readings, showing = _showing(system, adds @ sizes)
     if len(variables) > 1 or any(term.spot.component != spot.component for term in terms):
         rows = np.flatnonzero(adds.any(axis=1) & showing)

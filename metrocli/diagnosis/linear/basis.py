@@ -164,6 +164,29 @@ class Basis:
         """Return the basis with further orthonormal columns (rows, k)."""
         return replace(self, shared=np.concatenate([self.shared, columns], axis=1)) if columns.shape[1] else self
 
+    def weighted(self, factor: Array) -> tuple[Basis, float]:
+        """Return the basis of columns whose rows are multiplied by a factor (rows,), and ln of the determinant.
+
+        The determinant is that of the Gram matrix of the multiplied columns, by which the new basis is orthonormal.
+        """
+        local = self.local * factor[:, None]
+        there = self.member >= 0
+        gram = np.zeros((self.members + 1, local.shape[1], local.shape[1]))
+        np.add.at(gram, self.member, local[:, :, None] * local[:, None, :])
+        nothing = np.einsum("mqq->mq", gram) == 0
+        lower = np.linalg.cholesky(gram + np.eye(local.shape[1]) * nothing[:, :, None])
+        log_det = 2 * float(np.log(np.einsum("mqq->mq", lower)).sum())
+        inverse = np.linalg.inv(lower)
+        own = np.where(there[:, None], np.einsum("rq,rpq->rp", local, inverse[self.member]), 0.0)
+        bare = replace(self, local=own, shared=np.zeros((len(own), 0)))
+        shared = self.shared * factor[:, None]
+        shared = shared - bare.combined(bare.coordinates(shared))
+        if shared.shape[1]:
+            lower = np.linalg.cholesky(shared.T @ shared)
+            log_det += 2 * float(np.log(np.diag(lower)).sum())
+            shared = np.linalg.solve(lower, shared.T).T
+        return replace(bare, shared=np.ascontiguousarray(shared)), log_det
+
     def rows(self, rows: Index) -> Array:
         """Return some rows of all columns, (rows, columns)."""
         return np.concatenate([self._sparse[rows].toarray(), self.shared[rows]], axis=1)

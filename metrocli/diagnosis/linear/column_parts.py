@@ -40,11 +40,11 @@ class ColumnPart(Protocol):
     def dense(self, at: Index | slice = ...) -> Array:
         """Return the columns of some alternatives at the rows, (r, alternatives, parameters)."""
 
-    def norms(self, kept: Mask | None) -> Array:
-        """Return the norm of each column at the kept rows, (alternatives, parameters)."""
+    def norms(self) -> Array:
+        """Return the norm of each column, (alternatives, parameters)."""
 
-    def grams(self, basis: Basis, kept: Mask | None) -> Array:
-        """Return `g' M g` of each alternative with zeros at rows that are not kept (r,), M without a basis."""
+    def grams(self, basis: Basis) -> Array:
+        """Return `g' (I - b b') g` of each alternative, (alternatives, parameters, parameters)."""
 
     def cut(self, there: Mask) -> ColumnPart:
         """Return the part at some of its rows (r,)."""
@@ -52,8 +52,9 @@ class ColumnPart(Protocol):
     def numbered(self, rows: Index, numbers: Index) -> ColumnPart:
         """Return the part with other numbers of its rows and its alternatives."""
 
-    def turned(self, turn: Array) -> ColumnPart:
-        """Return the columns times a matrix for each alternative of the family, (all, parameters, parameters)."""
+
+    def weighted(self, factor: Array) -> ColumnPart:
+        """Return the columns with their rows multiplied by a factor (all rows,)."""
 
 
 @dataclass(frozen=True)
@@ -146,17 +147,16 @@ class Part:
         """Return the columns of some alternatives at the rows, (r, alternatives, parameters)."""
         return self.values[:, at]
 
-    def norms(self, kept: Mask | None) -> Array:
-        """Return the norm of each column at the kept rows, (alternatives, parameters)."""
-        values = kept_of(self.values, kept)
-        return np.asarray(np.sqrt(np.einsum("raq,raq->aq", values, values)))
+    def norms(self) -> Array:
+        """Return the norm of each column, (alternatives, parameters)."""
+        return np.asarray(np.sqrt(np.einsum("raq,raq->aq", self.values, self.values)))
 
-    def grams(self, basis: Basis, kept: Mask | None) -> Array:
-        """Return `g' M g` of each alternative with zeros at rows that are not kept (r,), M without a basis."""
+    def grams(self, basis: Basis) -> Array:
+        """Return `g' (I - b b') g` of each alternative, (alternatives, parameters, parameters)."""
         _, count, q = self.values.shape
         step, absorbs, found = max(_AT_ONCE // max(q, 1), 1), basis.at(self.rows), np.zeros((count, q, q))
         for start in range(0, count, step):
-            values = kept_of(self.values[:, start : start + step], kept)
+            values = self.values[:, start : start + step]
             turned = np.ascontiguousarray(np.moveaxis(values, 1, 0))
             found[start : start + step] = np.matmul(np.swapaxes(turned, 1, 2), turned) - absorbs.grams(values)
         return found
@@ -170,9 +170,10 @@ class Part:
         """Return the part with other numbers of its rows and its alternatives."""
         return Part(rows, self.values, numbers)
 
-    def turned(self, turn: Array) -> Part:
-        """Return the columns times a matrix for each alternative of the family, (all, parameters, parameters)."""
-        return Part(self.rows, np.einsum("rak,akj->raj", self.values, turn[self.numbers]), self.numbers)
+
+    def weighted(self, factor: Array) -> Part:
+        """Return the columns with their rows multiplied by a factor (all rows,)."""
+        return Part(self.rows, self.values * factor[self.rows, None, None], self.numbers)
 
 
 @dataclass(frozen=True)
@@ -230,14 +231,14 @@ class Steps:
         later = np.arange(len(self.rows))[:, None] >= self.begins[at]
         return np.asarray(self.course.values[:, None] * later[:, :, None])
 
-    def norms(self, kept: Mask | None) -> Array:
-        """Return the norm of each column at the kept rows, (alternatives, parameters)."""
-        squares = kept_of(self.course.values, kept) ** 2
+    def norms(self) -> Array:
+        """Return the norm of each column, (alternatives, parameters)."""
+        squares = self.course.values**2
         return np.asarray(np.sqrt(self._from_each_on(self._sums(squares, np.ones((len(squares), 1))))[:, :, 0]))
 
-    def grams(self, basis: Basis, kept: Mask | None) -> Array:
-        """Return `g' M g` of each alternative with zeros at rows that are not kept (r,), M without a basis."""
-        values = kept_of(self.course.values, kept)
+    def grams(self, basis: Basis) -> Array:
+        """Return `g' (I - b b') g` of each alternative, (alternatives, parameters, parameters)."""
+        values = self.course.values
         along = self._from_each_on(self._sums(values, basis.shared[self.rows]))
         half = self._from_each_on(self._sums(values, basis.growth_of_local_grams(self.rows, values)))
         absorbed = half + np.swapaxes(half, 1, 2) + along @ np.swapaxes(along, 1, 2)
@@ -254,11 +255,8 @@ class Steps:
         """Return the part with other numbers of its rows and its alternatives."""
         return Steps(Course(rows, self.course.values), self.begins, numbers)
 
-    def turned(self, turn: Array) -> Part:
-        """Return the columns times a matrix for each alternative of the family, (all, parameters, parameters)."""
-        return Part(self.rows, self.dense(), self.numbers).turned(turn)
 
-
-def kept_of(values: Array, kept: Mask | None) -> Array:
-    """Return values (r, ...) with zeros at the rows that are not kept (r,); None keeps all."""
-    return values if kept is None else values * kept.reshape(-1, *[1] * (values.ndim - 1))
+    def weighted(self, factor: Array) -> Steps:
+        """Return the columns with their rows multiplied by a factor (all rows,)."""
+        course = Course(self.course.rows, self.course.values * factor[self.course.rows, None])
+        return Steps(course, self.begins, self.numbers)

@@ -7,7 +7,7 @@ and only those that enter a model are projected. Method: docs/algorithms/selecti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -17,17 +17,12 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.linear.basis import Basis
-from metrocli.diagnosis.linear.column_parts import ColumnPart, Own, Part, Step, Steps, kept_of
-from metrocli.diagnosis.linear.smooth.recomputed_terms import Terms
+from metrocli.diagnosis.linear.column_parts import ColumnPart, Own, Part, Step, Steps
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
 
-INSIDE = 0.5
-"""An effect lies in smooth terms if they contain at least this share of its sum of squares"""
-_MOST_REMEMBERED = 4_000_000
-"""Numbers of visible columns that are kept"""
 _MANY, _SMALL = 12, 2000
 """Number of parts from which those with fewer rows are held as one sparse matrix: one product instead of many"""
 
@@ -75,10 +70,8 @@ class Columns:
     parameters: int
     """Number of columns of each"""
     parts: tuple[ColumnPart, ...]
-    kept: Mask | None = None
-    """The rows at which they are not zero (rows,), None for all; shared by the folds without a copy of the values"""
     stacked: list[Stacked] = field(default_factory=list, compare=False, repr=False)
-    """Cache: many small parts as one sparse matrix; shared by the folds"""
+    """Cache: many small parts as one sparse matrix"""
 
     @classmethod
     def of(cls, values: Array) -> Columns:
@@ -128,36 +121,31 @@ class Columns:
         """Return the whole columns of some alternatives, (rows, alternatives, parameters)."""
         full = np.zeros((rows, len(numbers), self.parameters))
         for part, own, at in self._among(numbers):
-            full[np.ix_(part.rows, np.flatnonzero(own))] = kept_of(part.dense(at), self._kept_of(part))
+            full[np.ix_(part.rows, np.flatnonzero(own))] = part.dense(at)
         return full
 
     def grams(self, basis: Basis) -> Array:
         """Return `g' M g` of each alternative, (alternatives, parameters, parameters), M without a basis."""
         found = np.zeros((self.count, self.parameters, self.parameters))
         for part in self.parts:
-            found[part.numbers] = part.grams(basis, self._kept_of(part))
+            found[part.numbers] = part.grams(basis)
         return found
 
     def norms(self) -> Array:
         """Return the norm of each whole column, (alternatives, parameters)."""
         found = np.zeros((self.count, self.parameters))
         for part in self.parts:
-            found[part.numbers] = part.norms(self._kept_of(part))
+            found[part.numbers] = part.norms()
         return found
-
-    def only(self, kept: Mask) -> Columns:
-        """Return the columns with zeros at the rows that are not kept; visible vectors are zero there as well."""
-        return replace(self, kept=kept if self.kept is None else self.kept & kept)
 
     def at(self, rows: Mask) -> Columns:
         """Return the columns at some rows only, which keep their numbers."""
         cut = (part.cut(there) for part in self.parts if (there := rows[part.rows]).any())
         return replace(self, parts=tuple(part for part in cut if len(part.numbers)), stacked=[])
 
-    def turned(self, turn: Array) -> Columns:
-        """Return the columns of each alternative times a matrix of its own, (alternatives, parameters, parameters)."""
-        parts = (part.turned(turn) for part in self.parts)
-        return replace(self, parts=tuple(parts), stacked=[])
+    def weighted(self, factor: Array) -> Columns:
+        """Return the columns with their rows multiplied by a factor (rows,)."""
+        return replace(self, parts=tuple(part.weighted(factor) for part in self.parts), stacked=[])
 
     def of_rows(self, rows: Mask) -> Columns:
         """Return the columns of a system that has some rows only, which are numbered anew."""
@@ -166,9 +154,6 @@ class Columns:
         parts = tuple(part.numbered(new[part.rows], part.numbers) for part in cut.parts)
         return replace(cut, parts=parts, stacked=[])
 
-    def _kept_of(self, part: ColumnPart) -> Mask | None:
-        return None if self.kept is None else self.kept[part.rows]
-
     def followed_by(self, values: Array) -> Columns:
         """Return the columns with one alternative more, of columns (rows, parameters)."""
         rows = np.flatnonzero(values.any(axis=1))
@@ -176,29 +161,7 @@ class Columns:
         return replace(self, count=self.count + 1, parts=(*self.parts, part), stacked=[])
 
 
-@dataclass
-class Remembered:
-    """Visible columns of candidates, and effects in smooth terms, as far as known; empty on another processor."""
-
-    lying_in: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict)
-    visible: dict[tuple[int, int], Array] = field(default_factory=dict)
-    products: dict[tuple[int, int], Mapping[tuple[int, int], Array]] = field(default_factory=dict)
-    """Products of all candidates with the visible columns of some, (alternatives, q, p)"""
-
-    def columns(self, key: tuple[int, int], computed: Callable[[], Array]) -> Array:
-        """Return visible columns, computed if they are not remembered; the oldest are forgotten for new ones."""
-        found = self.visible.pop(key, None)
-        found = computed() if found is None else found
-        self.visible[key] = found
-        while sum(one.size for one in self.visible.values()) > _MOST_REMEMBERED and len(self.visible) > 1:
-            del self.visible[next(iter(self.visible))]
-        return found
-
-    def __reduce__(self) -> tuple[type[Remembered], tuple[()]]:
-        return Remembered, ()
-
-
-def gathered(items: Iterable[tuple[object, Own | Step | Terms]]) -> Columns:
+def gathered(items: Iterable[tuple[object, Own | Step]]) -> Columns:
     """Return the columns of alternatives, each with a label.
 
     Alternatives of equal labels, such as the periods of a wave in one tracer, share a part with the rows of all of
@@ -209,9 +172,7 @@ def gathered(items: Iterable[tuple[object, Own | Step | Terms]]) -> Columns:
     parts: list[ColumnPart] = []
     count = 0
     for number, (label, one) in enumerate(items):
-        if isinstance(one, Terms):
-            parts.append(replace(one, numbers=np.array([number])))
-        elif isinstance(one, Step):
+        if isinstance(one, Step):
             by_course.setdefault(id(one.course), []).append((number, one))
         else:
             by_label.setdefault(label, []).append((number, one))
@@ -246,10 +207,3 @@ def joined(several: Sequence[Columns]) -> Columns:
         parts += [part.numbered(part.rows, part.numbers + count) for part in one.parts]
         count += one.count
     return Columns(count, several[0].parameters, tuple(parts))
-
-
-def lies_in(columns: Columns, gram: Array, basis: Array) -> Mask:
-    """Return for columns and their Gram matrices whether they lie mostly inside a visible basis, (alternatives,)."""
-    along = columns.products(basis)
-    inside = np.einsum("kqm,kqm->k", along, along)
-    return np.asarray(inside > INSIDE * np.einsum("kqq->k", gram))

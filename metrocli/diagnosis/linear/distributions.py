@@ -53,19 +53,19 @@ def noncentrality(level: float, q: int, rest: float, power: float = 0.8) -> floa
     """Return the non-centrality at which an F test of a level has a power (Baarda 1968 for q = 1, infinite rest)."""
     from scipy.special import ncfdtrinc
 
-    critical = _critical(level, q, rest)
-    found = float(ncfdtrinc(q, rest, 1 - power, critical))
-    return found if np.isfinite(found) and found > 0 else float(q * critical)
+    bound = critical(level, q, rest)
+    found = float(ncfdtrinc(q, rest, 1 - power, bound))
+    return found if np.isfinite(found) and found > 0 else float(q * bound)
 
 
 def power(level: float, q: int, rest: float, noncentralities: Array) -> Array:
     """Return the power of an F test of a level at non-centralities."""
     from scipy.special import ncfdtr
 
-    return np.asarray(1 - ncfdtr(q, rest, noncentralities, _critical(level, q, rest)))
+    return np.asarray(1 - ncfdtr(q, rest, noncentralities, critical(level, q, rest)))
 
 
-def _critical(level: float, q: int, rest: float) -> float:
+def critical(level: float, q: int, rest: float) -> float:
     """Return the critical F; for a level that can be below rounding by bisection of the logarithm of the tail."""
     from scipy.special import fdtri
 

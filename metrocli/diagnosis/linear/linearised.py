@@ -17,8 +17,8 @@ from metrocli.adjust.model.groups import Linear
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout, single_touch, without_elimination
 from metrocli.diagnosis.linear.basis import Basis, members_of_equal_size
-from metrocli.diagnosis.linear.fitted_columns import orthonormalised
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS, System, by_rows, scatter
+from metrocli.diagnosis.linear.quadratics import orthonormalised
 from metrocli.diagnosis.linear.solver import Solver
 from metrocli.effects.model import Model
 from metrocli.errors import InputError

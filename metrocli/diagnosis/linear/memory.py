@@ -20,7 +20,6 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob, Part
 from metrocli.diagnosis.linear.linearised import local_members, shared_unknowns
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS
 from metrocli.diagnosis.linear.scans import most_tried
-from metrocli.diagnosis.linear.smooth_terms import columns_of_smooth
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model
 from metrocli.errors import InputError
@@ -114,8 +113,8 @@ def needed(job: AdjustedJob) -> float:
     factors are those of measured networks of 10,000 and 100,000 points.
     """
     rows = sum(group.observations.readings.size for group in job.model.groups)
-    columns = columns_of_smooth(job) + _columns_of_effects(job, rows)
-    return _FIXED + 8.0 * rows * (_COPIES * shared_unknowns(job.model) + _HELD * columns)
+    columns = _columns_of_effects(job, rows)
+    return float(_FIXED + 8.0 * rows * (_COPIES * shared_unknowns(job.model) + _HELD * columns))
 
 
 def _columns_of_effects(job: AdjustedJob, rows: int) -> int:

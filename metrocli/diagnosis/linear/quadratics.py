@@ -81,3 +81,23 @@ def whitening(gram: Array, bound: float) -> tuple[Array, bool]:
     kept = values > bound
     step = vectors[:, kept] / np.sqrt(values[kept])
     return step, not kept.any() or bool(values[kept][0] > _EVEN * values[-1])
+
+
+def orthonormal(columns: Array, least: float) -> Array:
+    """Return an orthonormal basis of the span of columns (rows, q), of singular values above `least`."""
+    return orthonormalised(columns, least)[0]
+
+
+def orthonormalised(columns: Array, least: float) -> tuple[Array, Array]:
+    """Return an orthonormal basis (rows, k) of the span of columns (rows, q), and the turn (q, k) that gives it.
+
+    It uses the eigenvectors of the Gram matrix (as Cholesky QR does), which is far faster than an SVD for many rows;
+    twice where their sizes differ much. Directions of singular values below `least` are left out.
+    """
+    bound, turn = least**2, np.eye(columns.shape[1])
+    for _ in range(2):
+        step, even = whitening(columns.T @ columns, bound)
+        columns, turn, bound = columns @ step, turn @ step, 0.0
+        if even:
+            break
+    return columns, turn

@@ -19,7 +19,6 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.extended_fit import weights_of
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.linearised import linearised
@@ -27,7 +26,7 @@ from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.quadratics import roots
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.next_readings.proposals import Proposal, with_proposals
-from metrocli.diagnosis.noise import Unit
+from metrocli.diagnosis.noise import Unit, weights_of
 from metrocli.effects.extension import with_effect
 from metrocli.frozen import dataclass
 

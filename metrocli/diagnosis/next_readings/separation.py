@@ -9,10 +9,9 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
-from metrocli.diagnosis.linear.distributions import log_levels
+from metrocli.diagnosis.evidence.identified import explains_as_well
 from metrocli.diagnosis.linear.quadratics import ranks_of, roots
 from metrocli.diagnosis.next_readings.pool import Pool
-from metrocli.diagnosis.selection.confidence_set import Compared, explains_as_well
 from metrocli.frozen import dataclass
 
 _DRAWS, _SEED = 2000, 105
@@ -56,7 +55,7 @@ def chance_to_separate(now: Pool, then: Pool, columns: int, odds: float) -> floa
         both = [_fits(then, own, right) for own in (named, rival)]
         more = [one.evidence(squares, then.dof) for one in both]
         log_odds = (more[0] - more[1] - counted) * (1 if true else -1)
-        left = ~_explains(then, both[true], both[1 - true], (part, (rival, named)[true]), right, squares, log_odds)
+        left = ~_explains(then, both[true], both[1 - true], (part, (rival, named)[true]), squares, log_odds)
         found += weight * float((left & (log_odds < 0)).mean())
     return found
 
@@ -68,15 +67,10 @@ def _fits(pool: Pool, own: slice, right: Array) -> _Fits:
 
 
 def _explains(
-    pool: Pool, one: _Fits, other: _Fits, parts: tuple[slice, slice], right: Array, squares: Array, log_odds: Array
+    pool: Pool, one: _Fits, other: _Fits, parts: tuple[slice, slice], squares: Array, log_odds: Array
 ) -> Mask:
-    """Return in which draws another effect explains the readings as well as one that is named, (draws,)."""
-    together = _fits(pool, slice(0, len(pool.gram)), right)
+    """Return in which draws another effect explains the readings as well as one that is identified, (draws,)."""
     across = one.root.T @ pool.gram[parts[0], parts[1]] @ other.root
-    cosines = np.linalg.norm(one.along @ across, axis=1) / np.sqrt(np.maximum(one.gains, 1e-300))
-    only, more = np.maximum(together.gains - other.gains, 0.0), together.rank - other.rank
-    share = only / (squares - other.gains)
-    needed = log_levels(share, np.full(len(share), more), pool.dof - other.rank)
+    cosines2 = ((one.along @ across) ** 2).sum(axis=1) / np.maximum(one.gains, 1e-300)
     variance = (squares - one.gains) / max(pool.dof - one.rank, 1)
-    compared = Compared(np.minimum(cosines, 1.0), needed, np.full(len(share), other.rank))
-    return explains_as_well(compared, one.gains / variance, one.rank, log_odds)
+    return explains_as_well(log_odds, np.minimum(cosines2, 1.0), one.gains / variance)

@@ -1,6 +1,6 @@
 """Candidates whose visible signatures are alike, and what to measure to distinguish two of them.
 
-Method: docs/algorithms/selection-and-levels.md.
+Method: docs/algorithms/evidence.md.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.power.average_power import size_separated
 from metrocli.frozen import dataclass
@@ -74,12 +74,12 @@ class Pair:
         return self.correlation > _SAME
 
 
-def pairs_of(test_set: ScoreTests, candidates: Sequence[Candidate], noise: float) -> Iterable[Pair]:
+def pairs_of(state: State, candidates: Sequence[Candidate], noise: float) -> Iterable[Pair]:
     """Yield the pairs of testable candidates of different causes or places that correlate by more than 0.9."""
     testable = [one for one in candidates if one.testable]
-    ends = np.cumsum([0, *(test_set.families[one.family].columns.parameters for one in testable)])
+    ends = np.cumsum([0, *(state.measurement.families[one.family].columns.parameters for one in testable)])
     own = [slice(int(first), int(last)) for first, last in itertools.pairwise(ends)]
-    gram = _visible_products(test_set, testable, own)
+    gram = _visible_products(state, testable, own)
     turns = [_unit(gram[its, its]) for its in own]
     for i, one in enumerate(testable):
         for j in range(i):
@@ -93,21 +93,22 @@ def pairs_of(test_set: ScoreTests, candidates: Sequence[Candidate], noise: float
                 yield Pair(one.name, testable[j].name, min(rho, 1.0), size, one.unit, one.dimension)
 
 
-def _visible_products(test_set: ScoreTests, candidates: Sequence[Candidate], own: Sequence[slice]) -> Array:
+def _visible_products(state: State, candidates: Sequence[Candidate], own: Sequence[slice]) -> Array:
     """Return the products of the visible columns of candidates, each at its own place, some of them at once."""
     gram = np.empty((own[-1].stop,) * 2) if own else np.empty((0, 0))
-    together = max(_MOST_NUMBERS // test_set.system.rows, 1)
+    m = state.measurement
+    together = max(_MOST_NUMBERS // m.system.rows, 1)
     by_family: dict[int, list[int]] = {}
     for at, one in enumerate(candidates):
         by_family.setdefault(one.family, []).append(at)
     for _, some in itertools.groupby(range(len(candidates)), lambda at: own[at].start // together):
         chosen = list(some)
         its = slice(own[chosen[0]].start, own[chosen[-1]].stop)
-        whole = [test_set.whole(candidates[at].family, candidates[at].number) for at in chosen]
-        columns = test_set.system.seen(np.concatenate(whole, axis=1))
+        whole = [m.whole(candidates[at].family, candidates[at].number) for at in chosen]
+        columns = state.seen(np.concatenate(whole, axis=1))
         for family, members in by_family.items():
             numbers = [candidates[at].number for at in members]
-            for at, products in zip(members, test_set.families[family].columns.products(columns, numbers), strict=True):
+            for at, products in zip(members, m.families[family].columns.products(columns, numbers), strict=True):
                 gram[own[at], its] = products
     # a column that is not visible is a rounding error where it is not projected
     gram[np.diag(gram) == 0] = 0.0

@@ -1,7 +1,7 @@
 """The sizes at which an effect is found, and is distinguished from another, on average over its directions and forms.
 
 Also the standard deviation at which a scatter of sizes at all places is found. Method:
-docs/algorithms/selection-and-levels.md (smallest detectable size; all of a kind).
+docs/algorithms/evidence.md (what can be detected).
 """
 
 from __future__ import annotations
@@ -11,14 +11,11 @@ from collections.abc import Callable
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.evidence.parts import scatter
+from metrocli.diagnosis.evidence.prices import LEVEL
+from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.hidden_change import HiddenChange, hidden_by_scatter
 from metrocli.diagnosis.linear.distributions import noncentrality, power
-from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
-from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood
-from metrocli.diagnosis.linear.score_tests import ScoreTests
-from metrocli.diagnosis.selection.all_of_a_kind import columns_of, may_scatter
-from metrocli.diagnosis.selection.thresholds import LATER
 from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass
 
@@ -31,6 +28,8 @@ _SMALLEST = 1e-3
 """The size over that at which every test is certain, at least"""
 _HALVINGS = 25
 _NOTHING = 1e-12
+_SEEN = 1e-4
+"""Smallest eigenvalue of a direction that counts, relative to the largest"""
 _EIGHTY, _NINETY_FIVE = 0.84, 1.64
 """By how much the root of twice the gain must exceed what is needed, so that so many of 100 cases do"""
 _STEPS, _WIDEST = 200, 1e4
@@ -127,24 +126,27 @@ class ScatterCandidate:
         return f"it looks like noise of the readings; it would show by {self.effect.reveal}"
 
 
-def scatter_candidates(job: AdjustedJob, test_set: ScoreTests, noise: float = 1.0) -> tuple[ScatterCandidate, ...]:
+def scatter_candidates(state: State, noise: float = 1.0) -> tuple[ScatterCandidate, ...]:
     """Return what can be detected of effects that are sought throughout, for a noise in units of the declared one."""
+    m = state.measurement
     return tuple(
-        _candidate(job, test_set, one, noise)
-        for one in job.effects
-        if one.throughout and one.name not in job.not_sought and test_set.system.dof > 1
+        _candidate(state, one, noise)
+        for one in m.job.effects
+        if one.throughout and one.name not in m.job.not_sought and m.system.dof > 1
     )
 
 
-def _candidate(job: AdjustedJob, test_set: ScoreTests, effect: Effect, noise: float) -> ScatterCandidate:
-    own = [family for family in test_set.throughout if family.name == effect.name]
-    if not own or not may_scatter(test_set, effect.name):
+def _candidate(state: State, effect: Effect, noise: float) -> ScatterCandidate:
+    m = state.measurement
+    number = next((i for i, own in enumerate(m.scatters) if own[0].name == effect.name), None)
+    if number is None:
         return ScatterCandidate(effect, float("inf"), HiddenChange(0.0))
-    base = nothing_fitted(test_set.system)
-    scatter = RestrictedLikelihood.beside(base, columns_of(test_set, effect)[0])
-    seen = scatter.eigenvalues, base.dof, effect.plausible / noise
+    one = scatter(m, number)
+    left = one.columns.T @ state.seen(one.columns) * one.unit**-2
+    eigenvalues = np.linalg.eigvalsh(left)
+    seen = eigenvalues[eigenvalues > _SEEN * eigenvalues[-1]], m.dof, effect.plausible / noise
     size, hidden = (_scatter_found(*seen, beyond) * noise for beyond in (_EIGHTY, _NINETY_FIVE))
-    hides = hidden_by_scatter(job, test_set.system, own, hidden if np.isfinite(hidden) else effect.plausible)
+    hides = hidden_by_scatter(m.job, m.system, m.scatters[number], hidden if np.isfinite(hidden) else effect.plausible)
     return ScatterCandidate(effect, size, hides)
 
 
@@ -159,6 +161,6 @@ def _scatter_found(eigenvalues: Array, dof: float, usual: float, beyond: float) 
     tried = usual * np.geomspace(1 / _WIDEST, _WIDEST, _STEPS)
     shown = tried[:, None] ** 2 * eigenvalues
     gain = (dof * np.log1p(shown.sum(axis=1) / dof) - np.log1p(shown).sum(axis=1)) / 2
-    needed = max(float(-ndtri(LATER)), float(np.sqrt(np.log(dof)))) + beyond
+    needed = float(-ndtri(LEVEL)) + beyond
     enough = np.flatnonzero(np.sqrt(np.maximum(2 * gain, 0.0)) > needed)
     return float(tried[enough[0]]) if enough.size else float("inf")

@@ -1,9 +1,8 @@
-"""A smooth random error of the readings, as a diagnosis states it."""
+"""A correlated error of the readings, as a diagnosis states it."""
 
 from __future__ import annotations
 
 from metrocli import units
-from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.frozen import dataclass
 
@@ -12,8 +11,8 @@ _MOSTLY = 0.5
 
 
 @dataclass(frozen=True)
-class Process:
-    """A smooth random error of the readings."""
+class CorrelatedError:
+    """A random error of the readings that varies smoothly with a covariate."""
 
     covariate: str
     by: str
@@ -32,8 +31,8 @@ class Process:
     """ln of the level against no such process, counted over the covariates that were tried"""
     gain: float
     """By how much it raises the log-likelihood, against readings that are all noisier by one factor"""
-    columns: Array
-    """Columns Z of its covariance `Z Z'` in units of the noise, (rows, k)"""
+    place: str = ""
+    """The unit that alone has it; empty for all"""
     instead_of: tuple[Alternative, ...] = ()
     """The effects that are named without it, and not beside it"""
 

@@ -1,6 +1,6 @@
 """The columns of smooth processes: functions of a covariate between knots, for each unit and component of the readings.
 
-Method: docs/algorithms/selection-and-levels.md (smooth processes).
+Method: docs/algorithms/evidence.md (correlated errors).
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
+from metrocli.diagnosis.evidence.knots import Numbers, around_circle, between_knots, lowest_and_spans
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.smooth.knots import Numbers, around_circle, between_knots, lowest_and_spans
 from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
@@ -46,6 +46,8 @@ class Functions:
     """Between knots, as shares of the range, (knots, knots)"""
     units: tuple[str, ...]
     """Internal unit of the readings of each component and unit, (copies,)"""
+    count: int
+    """Number of units, 1 without a key"""
     sigmas: Mapping[str, float]
     """Median of the declared standard deviations of the readings of each internal unit"""
     columns: csr_matrix
@@ -102,7 +104,7 @@ def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> F
     columns = csr_matrix((terms.ravel(), numbers.ravel(), ends), shape=(system.rows, copies * count))
     gram = _gram(terms, numbers, copies * count) - system.basis.gram_of(columns)
     sigmas = {unit: _typical(job, unit) for unit in of_copies}
-    return Functions(covariate.name, by, distances, tuple(of_copies), sigmas, columns, gram)
+    return Functions(covariate.name, by, distances, tuple(of_copies), units, sigmas, columns, gram)
 
 
 def _gram(terms: Array, numbers: Numbers, count: int) -> Array:

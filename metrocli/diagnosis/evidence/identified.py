@@ -1,0 +1,182 @@
+"""Identified effects: sizes with their covariance, level of the test, and the rivals that explain the readings as well.
+
+Method: docs/algorithms/evidence.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Mask
+from metrocli.diagnosis.evidence.parts import Fixed
+from metrocli.diagnosis.evidence.prices import gain_of_columns
+from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.distributions import log_family, log_tail
+from metrocli.diagnosis.linear.projection import FLAT, VISIBLE
+from metrocli.diagnosis.linear.quadratics import quadratic
+from metrocli.frozen import dataclass
+
+_ODDS = float(np.log(20.0))
+"""ln of the odds against another effect up to which it explains the readings as well"""
+_NOT_APART, _WIDE = 6.6, 0.3
+"""Non-centrality below which two effects cannot be distinguished, and the least cosine for that"""
+_SHOWS = 1.0
+"""Least gain of an effect that explains as well as another"""
+_BLIND = 1e-2
+"""Smallest part of a parameter in an unseen direction that leaves the parameter undetermined"""
+
+Alias = tuple[str, float, float]
+"""Another value of a scanned parameter that fits alike: its name, the value, and the odds against the chosen one"""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another effect that would explain the readings as well."""
+
+    alternative: Alternative
+    correlation: float
+    """Cosine between the fitted signature of the identified effect and the span of the rival's columns"""
+    odds: float
+    """Ratio of its evidence to that of the identified effect"""
+
+
+@dataclass(frozen=True)
+class IdentifiedEffect:
+    """An effect that the readings require, with the rivals that explain them as well."""
+
+    key: tuple[int, int]
+    """Family and number among the candidates"""
+    alternative: Alternative
+    log_level: float
+    """ln of the level of its test beside all else, counted over all tests"""
+    values: Array
+    """Estimated parameters (one-step, linear)"""
+    covariance: Array
+    """Covariance of the parameters with the estimated noise"""
+    seen: Mask
+    """Which parameters the readings determine together; the others are taken as 0"""
+    apart: Mask
+    """Which parameters have no part in an unseen direction; the others are not determined individually"""
+    rivals: tuple[Rival, ...]
+    forms: tuple[Rival, ...]
+    """Other forms of the same cause that explain the readings as well: by temperature for by time"""
+    shows: float
+    """Norm of its visible part in the readings, in standard deviations of the declared noise"""
+    aliases: tuple[Alias, ...] = ()
+
+    def is_at(self, other: IdentifiedEffect) -> bool:
+        """Return whether another is the same effect with the same parameters."""
+        return self.alternative == other.alternative and np.array_equal(self.values, other.values)
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """The parameters taken as 0, because the readings do not determine them beside the others."""
+        return tuple(name for name, free in zip(self.alternative.parameters, self.seen, strict=True) if not free)
+
+    @property
+    def known(self) -> dict[str, float]:
+        """The parameters that are not estimated: the scanned ones, and those taken as 0."""
+        return {**dict(self.alternative.scanned), **dict.fromkeys(self.held, 0.0)}
+
+
+def identified(state: State, one: Fixed, with_rivals: bool = True) -> IdentifiedEffect:
+    """Return an effect of a state with its sizes beside all else."""
+    m = state.measurement
+    family = m.families[one.family]
+    less = state.beside(one)
+    gram, right = (values[one.number] for values in less.left(one.family))
+    raw = family.raw[one.number]
+    seen, apart = determined(gram, raw)
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))[seen]
+    inverse = np.linalg.pinv(gram[np.ix_(seen, seen)] / scale / scale[:, None], 1e-11, hermitian=True)
+    covariance = np.zeros(gram.shape)
+    covariance[np.ix_(seen, seen)] = inverse / scale / scale[:, None]
+    values = covariance @ right
+    share = np.array(min(float(values @ right) / less.fit.squares, 1.0))
+    rank = int(seen.sum())
+    single = float(log_tail(share, rank, max(less.freedoms - rank, 1.0)))
+    level = float(log_family(single, m.prices.tests[one.family]))
+    others = _rivals(less, one, values, state.variance) if with_rivals else ()
+    own = m.alternative(one.key)
+    return IdentifiedEffect(
+        one.key,
+        own,
+        level,
+        values,
+        covariance * state.variance,
+        seen,
+        apart,
+        tuple(rival for rival in others if rival.alternative.spot != own.spot),
+        tuple(rival for rival in others if rival.alternative.spot == own.spot),
+        float(np.sqrt(max(values @ family.gram[one.number] @ values, 0.0))),
+        one.aliases,
+    )
+
+
+def all_identified(state: State, with_rivals: bool = True) -> tuple[IdentifiedEffect, ...]:
+    """Return the identified effects of a state, in their order."""
+    return tuple(identified(state, one, with_rivals) for one in state.named)
+
+
+def determined(gram: Array, raw: Array) -> tuple[Mask, Mask]:
+    """Return which parameters (q,) can be estimated together, and which have no part in an unseen direction.
+
+    While a direction of the parameters is unseen, the parameter with the largest part in it is removed. `raw` are the
+    norms of the whole columns, `gram` are the products of what is left of them.
+    """
+    size = np.where(raw > 0, raw, 1.0)
+    scaled = gram / size / size[:, None]
+    seen = np.ones(len(raw), dtype=bool)
+    values, vectors = np.linalg.eigh(scaled)
+    open_ones = values <= max(VISIBLE**2, FLAT * values[-1])
+    apart = np.linalg.norm(vectors[:, open_ones], axis=1) < _BLIND
+    while seen.sum() > 1:
+        values, vectors = np.linalg.eigh(scaled[np.ix_(seen, seen)])
+        if values[0] > max(VISIBLE**2, FLAT * values[-1]):
+            break
+        seen[np.flatnonzero(seen)[int(np.argmax(np.abs(vectors[:, 0])))]] = False
+    return seen, np.asarray(apart)
+
+
+def explains_as_well(log_odds: Array, cosines2: Array, shown: Array | float) -> Mask:
+    """Return which rivals explain the readings as well as an identified effect, (k,).
+
+    `log_odds` is ln of the ratio of the evidence of each to its own, `cosines2` are the squared cosines of what both
+    explain, `shown` is what the effect takes off the squares, over the variance: a rival has nearly as much evidence,
+    or the readings cannot tell the two apart.
+    """
+    return np.asarray((log_odds > -_ODDS) | ((cosines2 > _WIDE**2) & ((1 - cosines2) * shown < _NOT_APART)))
+
+
+def _rivals(less: State, one: Fixed, values: Array, variance: float) -> tuple[Rival, ...]:
+    """Return the best form of each other effect and place that explains as well as an effect, and its other forms.
+
+    `less` is the state without it. A rival has nearly as much evidence, or the readings cannot tell the two apart.
+    """
+    m = less.measurement
+    own, squares, dof = m.alternative(one.key), less.fit.squares, less.freedoms
+    t, q = (found[one.number] for found in less.of_family(one.family))
+    mine = float(gain_of_columns(t, q, squares, dof)) - np.log(m.prices.tests[one.family])
+    whole = m.families[one.family].columns.whole([one.number], m.system.rows)[:, 0] @ values
+    visible = less.seen(whole)
+    shown = max(float(whole @ visible), 1e-300)
+    taken = {m.alternative(other.key).spot for other in less.named}
+    best: dict[object, Rival] = {}
+    for number, family in enumerate(m.families):
+        gram, _ = less.left(number)
+        explained, rank = less.of_family(number)
+        gain = gain_of_columns(explained, rank, squares, dof)
+        along = family.columns.products(visible[:, None])[:, :, 0]
+        cosine2 = np.clip(quadratic(gram, along, family.raw)[0] / shown, 0.0, 1.0)
+        odds = gain - np.log(m.prices.tests[number]) - mine
+        for at in np.flatnonzero((gain > _SHOWS) & explains_as_well(odds, cosine2, t / variance)).tolist():
+            other = family.alternatives[at]
+            if other.form == own.form or (other.spot != own.spot and other.spot in taken):
+                continue
+            key = other.form if other.spot == own.spot else other.spot
+            found = Rival(other, float(np.sqrt(cosine2[at])), float(np.exp(np.clip(odds[at], -700, 700))))
+            if key not in best or best[key].odds < found.odds:
+                best[key] = found
+    return tuple(sorted(best.values(), key=lambda rival: -rival.odds))

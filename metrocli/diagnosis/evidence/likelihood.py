@@ -1,0 +1,237 @@
+"""The restricted likelihood of a state: unknowns, random effects and fixed columns beside white noise.
+
+Errors of single units (images, beacons) are eliminated unit by unit, like the unknowns of these. What remains is one
+small system of the unknowns that all readings share, the random effects that act in several units, and the fixed
+columns. Method: docs/algorithms/evidence.md.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
+from metrocli.frozen import dataclass
+
+_STEPS, _FAR, _STILL = 12, 2.0, 0.01
+"""Steps of the sizes at most, the largest step of ln of a variance, and the change of the likelihood that ends them"""
+_LEAST = -25.0
+"""Least ln of a variance ratio: nothing"""
+
+
+@dataclass(frozen=True)
+class Products:
+    """Products of all columns of a state, free of the local unknowns, from which its likelihood follows at any sizes.
+
+    The shared columns stand in the order unknowns, random, fixed.
+    """
+
+    gram: Array
+    """Of the shared columns, (p, p)"""
+    right: Array
+    """Of these with the residual, (p,)"""
+    squares: float
+    """Of the residual, with those that the declared noise counts for"""
+    dof: float
+    unknowns: int
+    """Number of the shared unknowns"""
+    of_shared: Index
+    """Number of the random component of each shared column, -1 for the others, (p,)"""
+    of_local: Index
+    """Number of the random component of each local column, (k,)"""
+    own: Array
+    """Of the local columns of each member, (members, k, k)"""
+    mixed: Array
+    """Of these with the shared columns, (members, k, p)"""
+    along: Array
+    """Of these with the residual, (members, k)"""
+
+    @cached_property
+    def counts(self) -> Array:
+        """Number of columns of each random component."""
+        most = int(max(self.of_shared.max(initial=-1), self.of_local.max(initial=-1))) + 1
+        of_members = np.bincount(self.of_local, minlength=most) * len(self.own)
+        return np.asarray(np.bincount(self.of_shared[self.of_shared >= 0], minlength=most) + of_members, dtype=float)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A state at some sizes of its random components."""
+
+    products: Products
+    logs: Array
+    """ln of the variance of each random component, in that of the noise"""
+    log_det: float
+    """ln of the determinants that the restricted likelihood has, of unknowns and random components"""
+    lower: Array
+    """Cholesky factor of the shared system, (p, p)"""
+    sought: Array
+    """`lower^-1` of its right side, (p,)"""
+    squares: float
+    """What all columns leave of the squares"""
+    half: Array
+    """`L^-1` of each member's local columns, (members, k, k), with `L L' = I + D C'C D`"""
+    shown: Array
+    """`L^-1 D C'X` of the shared columns, then of the residual, (members, k, p + 1)"""
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom beside unknowns and random components."""
+        return self.products.dof
+
+    @property
+    def fixed(self) -> int:
+        """The first fixed column."""
+        kinds = self.products.of_shared
+        return self.products.unknowns + int((kinds >= 0).sum())
+
+    @cached_property
+    def likelihood(self) -> float:
+        """The restricted log-likelihood, of the readings beside which fixed columns are estimated."""
+        return -(self.dof * float(np.log(self.squares)) + self.log_det) / 2
+
+    @cached_property
+    def inverse(self) -> Array:
+        """Inverse of the shared system, (p, p)."""
+        root = _inverse_lower(self.lower)
+        return np.asarray(root.T @ root)
+
+    @cached_property
+    def sizes(self) -> Array:
+        """Estimated coefficients of the shared columns, (p,)."""
+        return np.asarray(_inverse_lower(self.lower).T @ self.sought)
+
+    @cached_property
+    def slopes(self) -> tuple[Array, Array]:
+        """What is found and what is expected of each random component, and the bend of the likelihood by its ln.
+
+        The derivative of the likelihood by ln of a variance is half of found less expected: `nu u'u/(g S)` and the
+        effective number of its coefficients. The bend is half the sum of squares of their shares.
+        """
+        products, scale = self.products, self.dof / self.squares
+        count = len(self.logs)
+        inverse, sizes, variance = self.inverse, self.sizes, np.exp(self.logs)
+        found, free, bend = np.zeros(count), np.zeros(count), np.zeros(count)
+        for j in range(count):
+            at = np.flatnonzero(products.of_shared == j)
+            if at.size:
+                share = np.eye(len(at)) - inverse[np.ix_(at, at)] / variance[j]
+                found[j] += float(sizes[at] @ sizes[at]) / variance[j]
+                free[j] += float(np.trace(share))
+                bend[j] += float((share**2).sum())
+        if len(products.own) and products.of_local.size:
+            left = np.swapaxes(self.half, 1, 2)
+            coefficients = left @ self.shown
+            u = coefficients[:, :, -1] - coefficients[:, :, :-1] @ sizes
+            posterior = left @ self.half
+            root = _inverse_lower(self.lower).T
+            turned = coefficients[:, :, :-1] @ root
+            posterior = posterior + turned @ np.swapaxes(turned, 1, 2)
+            for j in range(count):
+                at = np.flatnonzero(products.of_local == j)
+                if at.size:
+                    share = np.eye(len(at)) - posterior[:, at[:, None], at]
+                    found[j] += float((u[:, at] ** 2).sum())
+                    free[j] += float(np.einsum("mkk->", share))
+                    bend[j] += float((share**2).sum())
+        return found * scale, np.stack([free, bend])
+
+
+def fit_at(products: Products, logs: Array) -> Fit:
+    """Return a state at ln of the variances of its random components."""
+    gram, right, squares = products.gram, products.right, products.squares
+    root = np.exp(np.asarray(logs) / 2)
+    log_det, p = 0.0, len(right)
+    half, shown = np.zeros((len(products.own), 0, 0)), np.zeros((len(products.own), 0, p + 1))
+    if products.of_local.size and len(products.own):
+        scale = root[products.of_local]
+        own = products.own * scale[:, None] * scale
+        own = own + np.eye(len(scale))
+        lower = np.linalg.cholesky(own)
+        log_det += 2 * float(np.log(np.einsum("mkk->mk", lower)).sum())
+        half = np.linalg.inv(lower)
+        both = np.concatenate([products.mixed, products.along[:, :, None]], axis=2) * scale[:, None]
+        shown = half @ both
+        flat = shown.reshape(-1, p + 1)
+        taken = flat.T @ flat
+        gram = gram - taken[:p, :p]
+        right = right - taken[:p, p]
+        squares = squares - float(taken[p, p])
+    kinds = products.of_shared
+    random = kinds >= 0
+    if random.any():
+        gram = gram.copy()
+        at = np.flatnonzero(random)
+        gram[at, at] += np.exp(-np.asarray(logs)[kinds[at]])
+        log_det += float(np.asarray(logs)[kinds[at]].sum())
+    lower = _cholesky(gram)
+    fixed = products.unknowns + int(random.sum())
+    log_det += 2 * float(np.log(np.diag(lower)[:fixed]).sum())
+    sought = _solved(lower, right)
+    return Fit(
+        products,
+        np.asarray(logs, dtype=float),
+        log_det,
+        lower,
+        sought,
+        max(squares - float(sought @ sought), 1e-300),
+        half,
+        shown,
+    )
+
+
+def likeliest(products: Products, logs: Array, most: Array, steps: int = _STEPS) -> Fit:
+    """Return the state at the sizes of the largest likelihood, from some on; ln of a variance is `most` at most.
+
+    Each step is Newton's for each size alone. One after which the likelihood is smaller is halved.
+    """
+    fit = fit_at(products, np.minimum(logs, most))
+    for _ in range(steps if len(logs) else 0):
+        found, (free, bend) = fit.slopes
+        step = np.clip((found - free) / np.maximum(bend, 1e-9), -_FAR, _FAR)
+        # where almost nothing is expected, the ratio of found to expected is the better guide
+        ratio = np.log(np.maximum(found, 1e-12) / np.maximum(free, 1e-12))
+        step = np.where(np.abs(step) > np.abs(ratio), np.sign(ratio) * np.maximum(np.abs(ratio), np.abs(step) / 2), step)
+        step = np.clip(step, -_FAR, _FAR)
+        for _ in range(6):
+            after = fit_at(products, np.clip(fit.logs + step, _LEAST, most))
+            if after.likelihood >= fit.likelihood - 1e-9:
+                break
+            step = step / 3
+        else:
+            return fit
+        gained, fit = after.likelihood - fit.likelihood, after
+        if gained < _STILL:
+            break
+    return fit
+
+
+def _cholesky(gram: Array) -> Array:
+    """Return the factor of a Gram matrix; a column that depends on those before it counts as nearly free."""
+    if not len(gram):
+        return gram
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    unit = gram / scale / scale[:, None]
+    bump = 1e-13
+    while True:
+        try:
+            return np.asarray(np.linalg.cholesky(unit + bump * np.eye(len(unit))) * scale[:, None])
+        except np.linalg.LinAlgError:
+            bump *= 100
+            if bump > 1e-3:
+                raise
+
+
+def _solved(lower: Array, right: Array) -> Array:
+    from scipy.linalg import solve_triangular
+
+    return np.asarray(solve_triangular(lower, right, lower=True, check_finite=False)) if len(lower) else right
+
+
+def _inverse_lower(lower: Array) -> Array:
+    from scipy.linalg import solve_triangular
+
+    eye = np.eye(len(lower))
+    return np.asarray(solve_triangular(lower, eye, lower=True, check_finite=False)) if len(lower) else eye

@@ -1,0 +1,305 @@
+"""A job linearised about a solution, with all that can explain its residuals.
+
+Method: docs/algorithms/evidence.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import field, replace
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index, Mask
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.evidence.functions import process_bases
+from metrocli.diagnosis.evidence.parts import (
+    CORRELATED,
+    LARGEST,
+    MOTION,
+    READING,
+    READINGS,
+    TERM,
+    Fixed,
+    Knots,
+    Random,
+    fixed,
+    kernel,
+)
+from metrocli.diagnosis.evidence.prices import OF_ALL, OF_UNITS, Prices, counted, price_of_variance
+from metrocli.diagnosis.linear.basis import Basis
+from metrocli.diagnosis.linear.candidates import Alternative, Family, NotTested, families_of, families_throughout
+from metrocli.diagnosis.linear.linearised import linearised
+from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.signatures import signature
+from metrocli.diagnosis.noise import variance_groups
+from metrocli.frozen import dataclass
+
+LENGTHS = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4)
+"""Lengths of correlation that are tried, as shares of the largest range of a unit: what is slower is a drift"""
+_RESOLVED = 0.6
+"""Least length of correlation, in distances of the knots"""
+_PLACES = 6
+"""Fewest places of an effect that acts at all of them at once"""
+_MOST = 2e10
+"""Largest product of rows and squared columns for that"""
+_REDUNDANT = 1e-3
+"""Smallest redundancy of a reading whose error shows"""
+_MOST_DENSE = 10_000_000
+"""Numbers of the columns of a family that are held as one table"""
+SEED = 20
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A job linearised about a solution, with all that can explain its residuals."""
+
+    job: AdjustedJob
+    system: System
+    families: tuple[Family, ...]
+    """Candidates: the effects at their places"""
+    not_tested: list[NotTested]
+    scatters: tuple[tuple[Family, ...], ...]
+    """Families of each effect that may act at all its places at once"""
+    knots: tuple[Knots, ...]
+    """Functions of the covariates with which errors may be correlated"""
+    motions: tuple[tuple[str, Array], ...]
+    """Changes of the readings (rows, k) by an unknown motion in proportion to a covariate, with the name of that"""
+    places: Index
+    """Rows of each reading, (readings, d), -1 if it has fewer components"""
+    units: tuple[tuple[str, str, Mask], ...]
+    """Variance groups: kind, name and rows"""
+    prices: Prices
+    noise: Mapping[int, float] = field(default_factory=dict)
+    """Noise of variance groups relative to the declared one, by their number, where it is not 1"""
+    log_scale: float = 0.0
+    """ln of the determinants by which their weights change the likelihood"""
+    unweighted: Measurement | None = None
+    """The measurement with the declared noise of all readings; None if it is this one"""
+    held: dict[object, Array] = field(default_factory=dict, compare=False, repr=False)
+    """Cache of columns and products"""
+
+    @cached_property
+    def squares(self) -> float:
+        """Squares of the residual, with those that the declared noise counts for."""
+        r = float(self.system.residual @ self.system.residual)
+        return r + 2.0 * min(1.0, r / max(self.system.dof, 1))
+
+    @cached_property
+    def dof(self) -> float:
+        """Degrees of freedom, with those that the declared noise counts for."""
+        return self.system.dof + 2.0
+
+    @cached_property
+    def by_member(self) -> tuple[Index, Index]:
+        """Rows in the order of their local members, and where each member begins among them, (members + 1,)."""
+        member, members = self.system.basis.member, self.system.basis.members
+        order = np.argsort(member, kind="stable")
+        return order, np.searchsorted(member[order], np.arange(members + 1))
+
+    def is_local(self, knots: Knots) -> bool:
+        """Whether each unit of a covariate lies in one local member, so that its errors are eliminated with it."""
+        member, by = self.system.basis.member, knots.functions.by
+        there = knots.component >= 0
+        if not by or self.system.basis.members < 2 or (member[there] < 0).any():
+            return False
+        pairs = np.unique(np.stack([knots.unit[there], member[there]]), axis=1)
+        return bool(len(np.unique(pairs[0])) == pairs.shape[1])
+
+    @cached_property
+    def local(self) -> tuple[bool, ...]:
+        """Of each covariate, whether its units lie in one local member each."""
+        return tuple(map(self.is_local, self.knots))
+
+    def lengths(self, number: int) -> list[float]:
+        """Return the lengths of correlation that the knots of a covariate resolve."""
+        distances = self.knots[number].functions.distances
+        least = _RESOLVED * float(np.min(distances[distances > 0]))
+        return [one for one in LENGTHS if one >= least]
+
+    def kernel(self, number: int, length: float) -> Array:
+        """Return the root of the covariance between the knots of a covariate."""
+        key = "kernel", number, length
+        if key not in self.held:
+            self.held[key] = kernel(self.knots[number].functions.distances, length)
+        return self.held[key]
+
+    @cached_property
+    def tried(self) -> float:
+        """Number of correlated errors that are tried: covariates and lengths, of which neighbours are alike."""
+        return max(sum(len(self.lengths(i)) for i in range(len(self.knots))) / 3, 1.0)
+
+    def price_of_correlated(self, number: int, unit: int) -> float:
+        """Return the price of an error correlated over a covariate, of all units together or of one of them."""
+        functions = self.knots[number].functions
+        copies = functions.count if unit >= 0 else 1
+        each = bool(functions.by) and unit < 0
+        return price_of_variance(self.tried * copies) + (OF_UNITS if each else OF_ALL)
+
+    @property
+    def price_of_scatter(self) -> float:
+        """The price of an effect at all its places."""
+        return price_of_variance(len(self.scatters))
+
+    @property
+    def price_of_noise(self) -> float:
+        """The price of a variance group of its own."""
+        return price_of_variance(len(self.units))
+
+    def alternative(self, key: tuple[int, int]) -> Alternative:
+        """Return an alternative by its family and number."""
+        return self.families[key[0]].alternatives[key[1]]
+
+    def whole(self, family: int, number: int) -> Array:
+        """Return the whole columns of an alternative, (rows, parameters)."""
+        return self.families[family].columns.whole([number], self.system.rows)[:, 0]
+
+    def dense(self, family: int) -> Array | None:
+        """Return the whole columns of a family, (rows, alternatives*parameters); None if they are too many."""
+        columns = self.families[family].columns
+        if columns.count * columns.parameters * self.system.rows > _MOST_DENSE:
+            return None
+        key = "dense", family, columns.count
+        if key not in self.held:
+            self.held[key] = columns.whole(range(columns.count), self.system.rows).reshape(self.system.rows, -1)
+        return self.held[key]
+
+    def whole_grams(self, family: int) -> Array:
+        """Return the Gram matrices of the whole columns of a family, (alternatives, parameters, parameters)."""
+        columns = self.families[family].columns
+        key = "grams", family, columns.count
+        if key not in self.held:
+            nothing = Basis(np.zeros((self.system.rows, 0)), np.full(self.system.rows, -1), 0, np.zeros((self.system.rows, 0)))
+            self.held[key] = columns.grams(nothing)
+        return self.held[key]
+
+    def effect(self, family: int, number: int) -> Fixed:
+        """Return an effect at a place as fixed columns."""
+        whole = self.whole(family, number)
+        one = fixed(whole, self.system.seen(whole), (family, number), 0.0)
+        return replace(one, price=self.prices.of_columns(family, max(one.rank, 1)))
+
+    def term(self, whole: Array, key: tuple[int, int], price: float) -> Fixed:
+        """Return the whole columns of a term of a law (rows, factors) as fixed columns."""
+        return fixed(whole, self.system.seen(whole), key, price, TERM)
+
+    def reading(self, number: int) -> Fixed:
+        """Return the error of one reading as fixed columns."""
+        rows = self.places[number][self.places[number] >= 0]
+        whole = np.zeros((self.system.rows, len(rows)))
+        whole[rows, np.arange(len(rows))] = 1.0
+        one = fixed(whole, self.system.seen(whole), (READINGS, number), 0.0, READING)
+        return replace(one, price=self.prices.of_columns(READINGS, max(one.rank, 1)))
+
+    def correlated(self, number: int, length: float, unit: int) -> Random:
+        """Return an error that is correlated over a covariate."""
+        key, turn = (number, LENGTHS.index(length), unit), self.kernel(number, length)
+        local = self.local[number] and unit < 0
+        own = self.knots[number]
+        columns = own.compact(turn, unit) if local or unit >= 0 else own.spread(turn)
+        price = self.price_of_correlated(number, unit)
+        return Random(CORRELATED, key, columns, local, price, LARGEST)
+
+    def motion(self, number: int) -> Random:
+        """Return an unknown motion in proportion to a covariate, of the same variance along all directions."""
+        columns = self.motions[number][1]
+        typical = float(np.median(np.linalg.norm(columns, axis=0)))
+        return Random(MOTION, (number, 0, -1), columns / typical, False, self.price_of_motion, 30.0, 1 / typical)
+
+    @property
+    def price_of_motion(self) -> float:
+        """The price of an unknown motion."""
+        return price_of_variance(len(self.motions)) + OF_ALL
+
+    def keys_of(self, reading: int) -> dict[str, str]:
+        """Return the keys that identify a reading, with its component if the components are tested one by one."""
+        row, first = int(self.places[reading][0]), self.system.first
+        groups = self.system.model.readings
+        group = next(g for g in groups if 0 <= row - first[g.name] < g.observations.readings.size)
+        observations = group.observations
+        at, component = divmod(row - first[group.name], len(observations.readings))
+        keys = {key: values[at] for key, values in observations.keys.items()}
+        single = len(observations.readings) > 1 and self.places.shape[1] == 1
+        return keys | ({"component": observations.components[component]} if single else {})
+
+
+def measurement_of(
+    job: AdjustedJob, weights: Mapping[str, Array] | None = None, like: Measurement | None = None
+) -> Measurement:
+    """Return a job linearised about its solution; one `like` it, of the same candidates, gives the numbers of tests."""
+    system = _with_standing(job, linearised(job.model, weights or {}))
+    families, not_tested = families_of(job, system)
+    every = [*families, *families_throughout(job, system)]
+    places = _places(system, job.single_components)
+    readings = int((1 - system.basis.squares(places[:, 0]) > _REDUNDANT).sum())
+    same = like is not None and [one.form for one in like.families] == [one.form for one in families]
+    prices = like.prices if same and like else counted(system, families, readings, np.random.default_rng(SEED))
+    return Measurement(
+        job,
+        system,
+        tuple(families),
+        not_tested,
+        tuple(_scatters(job, system, every)),
+        tuple(Knots.of(one) for one in process_bases(job, system)),
+        tuple(_motions(job, system)),
+        places,
+        tuple(variance_groups(job, system)),
+        prices,
+    )
+
+
+def _motions(job: AdjustedJob, system: System) -> Iterator[tuple[str, Array]]:
+    """Yield the covariates whose coordinates are the changes of the readings themselves, whitened."""
+    for covariate in job.covariates:
+        if covariate.together:
+            found = np.zeros((system.rows, len(next(iter(covariate.values.values())))))
+            for group in job.model.readings:
+                d, n = group.observations.readings.shape
+                rows = slice(system.first[group.name], system.first[group.name] + d * n)
+                found[rows] = np.repeat(covariate.values[group.name].T, d, axis=0) / system.scale[rows][:, None]
+            yield covariate.name, found
+
+
+def _places(system: System, apart: bool) -> Index:
+    """Return the rows of each reading of the measured groups; with `apart`, those of each component by itself."""
+    groups = system.model.readings
+    most = max(len(group.observations.readings) for group in groups)
+    parts = []
+    for group in groups:
+        d, n = group.observations.readings.shape
+        rows = np.full((n, most), -1, dtype=np.intp)
+        rows[:, :d] = system.first[group.name] + d * np.arange(n)[:, None] + np.arange(d)
+        parts.append(rows)
+    found = np.concatenate(parts)
+    return found[found >= 0][:, None] if apart else found
+
+
+def _scatters(job: AdjustedJob, system: System, families: Sequence[Family]) -> list[tuple[Family, ...]]:
+    """Return the families of each effect that usually acts at all its places, if it has enough of them."""
+    from metrocli.effects.extension import can_act_everywhere
+
+    by_name: dict[str, list[Family]] = {}
+    for family in families:
+        effect = family.alternatives[0].effect if family.alternatives else None
+        if effect is not None and effect.of_all and can_act_everywhere(system.model, effect):
+            by_name.setdefault(family.name, []).append(family)
+    found = []
+    for own in by_name.values():
+        places = sum(one.columns.count for one in own)
+        columns = sum(one.columns.count * one.columns.parameters for one in own)
+        if places >= _PLACES and system.rows * columns**2 <= _MOST:
+            found.append(tuple(own))
+    return found
+
+
+def _with_standing(job: AdjustedJob, system: System) -> System:
+    """Return a system with the residuals that it would have without the effects at fixed sizes in its model.
+
+    Their contribution is linear about their sizes theta: `r + G theta`.
+    """
+    residual = system.residual
+    for one in job.standing:
+        residual = residual + signature(job.model, system, one.effect, one.instance, {}) @ np.array(one.sizes)
+    return replace(system, residual=system.seen(residual)) if job.standing else system

@@ -1,0 +1,163 @@
+"""The parts of a state: fixed columns (identified effects, wrong readings) and random effects (scatters, correlated errors).
+
+Method: docs/algorithms/evidence.md.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
+from metrocli.diagnosis.evidence.functions import Functions
+from metrocli.frozen import dataclass
+
+if TYPE_CHECKING:
+    from metrocli.diagnosis.evidence.measurement import Measurement
+
+READINGS = -1
+"""Family of the errors of single readings"""
+EFFECT, READING, TERM, HELD_OUT = "effect", "reading", "term of a law", "held-out readings"
+"""Sorts of fixed columns"""
+SCATTER, CORRELATED, MOTION = "scatter", "correlated", "motion"
+_SEEN = 1e-4
+"""Smallest singular value of unit columns, relative to the largest, that counts as a column"""
+_RICH = 0.02
+"""Smallest eigenvalue of a covariance of knots, relative to the largest, that counts"""
+LARGEST = 2 * float(np.log(10.0))
+"""ln of the largest variance of a correlated error, in that of the noise: ten times the declared one"""
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """An effect at a place, an error of one reading or a term of a law, whose sizes are estimated without a prior."""
+
+    family: int
+    number: int
+    columns: Array
+    """Whitened, (rows, rank)"""
+    turn: Array
+    """Its parameters from the sizes of these columns, (parameters, rank)"""
+    price: float
+    sort: str = EFFECT
+    aliases: tuple[tuple[str, float, float], ...] = ()
+    """Other values of a scanned parameter that fit alike: its name, the value, and the odds against the chosen one"""
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """Family and number."""
+        return self.family, self.number
+
+    @property
+    def rank(self) -> int:
+        """Number of its columns that the readings show."""
+        return int(self.columns.shape[1])
+
+    @property
+    def is_reading(self) -> bool:
+        """Whether it is an error of one reading."""
+        return self.sort == READING
+
+
+@dataclass(frozen=True)
+class Random:
+    """Columns whose coefficients scatter about 0 with one unknown variance."""
+
+    kind: str
+    key: tuple[int, int, int]
+    """Number of its covariate or effect, number of its length, and the unit of a single one or -1"""
+    columns: Array
+    """Whitened, (rows, k): those of the row's own unit if it is local"""
+    local: bool
+    """Whether it is independent in each local member (image), with columns of its own in each"""
+    price: float
+    most: float
+    """Largest ln of its variance ratio"""
+    unit: float = 1.0
+    """Size of what it stands for at a coefficient of 1: a parameter of an effect, or the declared noise"""
+
+
+def fixed(whole: Array, seen: Array, key: tuple[int, int], price: float, sort: str = EFFECT) -> Fixed:
+    """Return fixed columns of whole signatures (rows, q), whose visible parts are `seen`: those that are seen apart."""
+    size = np.maximum(np.linalg.norm(seen, axis=0), 1e-300)
+    values, vectors = np.linalg.eigh((seen / size).T @ (seen / size))
+    kept = values > _SEEN**2 * max(float(values[-1]), 1e-300)
+    turn = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
+    return Fixed(*key, whole @ turn, turn, price, sort)
+
+
+def kernel(distances: Array, length: float) -> Array:
+    """Return V, (knots, k), with `V V'` the Matern covariance (3/2) of unit variance between knots at some distances."""
+    x = np.sqrt(3) * distances / length
+    values, vectors = np.linalg.eigh((1 + x) * np.exp(-x))
+    kept = values > _RICH * values[-1]
+    return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
+
+
+@dataclass(frozen=True)
+class Knots:
+    """The functions of a covariate, each row with those of its own unit and component."""
+
+    functions: Functions
+    values: Array
+    """Values of the functions that are not 0 at each row, (rows, m)"""
+    numbers: Index
+    """Their knots, (rows, m)"""
+    component: Index
+    """Component (of all groups) of each row, -1 where it has none"""
+    unit: Index
+    """Unit of each row"""
+    components: int
+
+    @classmethod
+    def of(cls, functions: Functions) -> Knots:
+        """Return the functions of a covariate row by row."""
+        matrix = functions.columns
+        rows, knots = matrix.shape[0], len(functions.distances)
+        m = matrix.nnz // rows
+        values, numbers = matrix.data.reshape(rows, m), matrix.indices.reshape(rows, m).astype(np.intp)
+        copy = numbers[:, 0] // knots
+        units = functions.count
+        idle = ~values.any(axis=1)
+        return cls(
+            functions,
+            values,
+            numbers % knots,
+            np.where(idle, -1, copy // units),
+            copy % units,
+            len(functions.units) // units,
+        )
+
+    def compact(self, turn: Array, unit: int = -1) -> Array:
+        """Return the columns of each row's own unit, (rows, components*k), of a turn of the knots (knots, k)."""
+        k = turn.shape[1]
+        found = np.zeros((len(self.values), self.components, k))
+        mixed = np.einsum("rm,rmk->rk", self.values, turn[self.numbers])
+        there = self.component >= 0
+        if unit >= 0:
+            there &= self.unit == unit
+        rows = np.flatnonzero(there)
+        found[rows, self.component[rows]] = mixed[rows]
+        return found.reshape(len(found), -1)
+
+    def spread(self, turn: Array, unit: int = -1) -> Array:
+        """Return the columns of all units side by side, (rows, components*units*k), or those of one unit."""
+        own = self.compact(turn, unit)
+        if unit >= 0 or self.functions.count == 1:
+            return own
+        found = np.zeros((len(own), self.functions.count, own.shape[1]))
+        found[np.arange(len(own)), self.unit] = own
+        return found.reshape(len(own), -1)
+
+
+def scatter(measurement: Measurement, number: int) -> Random:
+    """Return an effect at all its places, with sizes of one variance in the unit of its parameters."""
+    families = measurement.scatters[number]
+    rows = measurement.system.rows
+    columns = [one.columns.whole(range(one.columns.count), rows).reshape(rows, -1) for one in families]
+    every = np.concatenate(columns, axis=1)
+    norms = np.linalg.norm(every, axis=0)
+    typical = float(np.median(norms[norms > 0])) if norms.any() else 1.0
+    return Random(SCATTER, (number, 0, -1), every / typical, False, measurement.price_of_scatter, 30.0, 1 / typical)

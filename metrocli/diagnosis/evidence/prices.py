@@ -1,0 +1,92 @@
+"""The prices of explanations: what an explanation must gain in evidence, by the number of tests of its kind.
+
+Method: docs/algorithms/evidence.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import field
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.evidence.counting import effective_number_of_tests, smallest_of_family
+from metrocli.diagnosis.linear.candidates import Family
+from metrocli.diagnosis.linear.distributions import critical, log_family, single_level
+from metrocli.diagnosis.linear.projection import System
+from metrocli.frozen import dataclass
+
+LEVEL = 0.03
+"""Share of measurements of white noise in which an effect is named"""
+FURTHER = float(np.log(3.0))
+"""What a further effect pays beyond the first: a third of the level"""
+OF_UNITS = -2.0
+"""What errors of each unit pay beyond their tests: real readings nearly always have them, prior odds of e^2"""
+OF_ALL = 2.0
+"""What errors that all readings share pay beyond their tests: that is what effects are"""
+PRIOR = 2.0
+"""The declared noise in degrees of freedom"""
+DRAWS = 300
+"""Draws of white noise by which dependent tests are counted"""
+
+
+def gain_of_columns(explained: Array, rank: Array, squares: float, dof: float) -> Array:
+    """Return ln of the evidence of columns at their likeliest size, beside a fit with some squares and freedoms.
+
+    The size has a g-prior. With `f = (T/q)/((S - T)/(nu - q))`, T the squares explained and q the rank, it is
+    `(nu ln(S (nu - q)/((S - T) nu)) - q ln f)/2` for f > 1, else 0.
+    """
+    t, q = np.minimum(explained, squares * (1 - 1e-12)), np.asarray(rank, dtype=float)
+    with np.errstate(all="ignore"):
+        f = (t / q) / ((squares - t) / (dof - q))
+        gain = (dof * np.log(squares * (dof - q) / ((squares - t) * dof)) - q * np.log(f)) / 2
+    return np.where((q > 0) & (dof > q) & (f > 1), gain, 0.0)
+
+
+@dataclass(frozen=True)
+class Prices:
+    """What each kind of explanation pays in ln of the evidence."""
+
+    tests: tuple[float, ...]
+    """Effective number of tests of each family, counted over all families; then that of single readings"""
+    dof: float
+    held: dict[tuple[int, int], float] = field(default_factory=dict, compare=False, repr=False)
+
+    def of_columns(self, family: int, rank: int) -> float:
+        """Return the gain at which the F test of a family has the level of all: about ln(tests) + 0.5, at any rank."""
+        key = family, rank
+        if key not in self.held:
+            q, rest = float(rank), max(self.dof - rank, 1.0)
+            f = critical(single_level(LEVEL, self.tests[family]), rank, rest)
+            share = q * f / (rest + q * f)
+            self.held[key] = float(gain_of_columns(np.array(share), np.array(q), 1.0, self.dof))
+        return self.held[key]
+
+    def of_ranks(self, family: int, ranks: Array) -> Array:
+        """Return the prices of the alternatives of a family by their ranks; 0 for rank 0."""
+        found = np.zeros(len(ranks))
+        for rank in np.unique(ranks[ranks > 0]).tolist():
+            found[ranks == rank] = self.of_columns(family, int(rank))
+        return found
+
+
+def price_of_variance(tests: float, level: float = LEVEL) -> float:
+    """Return the gain of the likelihood at which one variance, of so many tested, has a level: half a chi-squared."""
+    from scipy.special import ndtri
+
+    return float(ndtri(level / max(tests, 1.0)) ** 2 / 2)
+
+
+def counted(system: System, families: Sequence[Family], readings: int, rng: np.random.Generator) -> Prices:
+    """Return the prices, with the effective numbers of tests from simulated white noise.
+
+    Errors of single readings are nearly independent tests, so their number is that of the readings.
+    """
+    noise = system.seen(rng.normal(size=(system.rows, DRAWS)))
+    squares, dof = (noise**2).sum(axis=0) + rng.chisquare(PRIOR, DRAWS), system.dof + PRIOR
+    least = [smallest_of_family(one.columns, one.gram, one.raw, noise, squares, dof) for one in families]
+    counts = [effective_number_of_tests(one) for one in least]
+    levels = [log_family(one, count) for one, count in zip(least, counts, strict=True)]
+    causes = (effective_number_of_tests(np.min(levels, axis=0)) if levels else 0.0) + 1.0
+    return Prices((*(causes * count for count in counts), causes * max(readings, 1)), dof)

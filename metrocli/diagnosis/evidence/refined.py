@@ -1,0 +1,201 @@
+"""Scanned parameters of identified effects, between the best value of a coarse scan and its neighbours.
+
+Method: docs/algorithms/evidence.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.evidence.identified import Alias
+from metrocli.diagnosis.evidence.measurement import Measurement
+from metrocli.diagnosis.evidence.parts import Fixed
+from metrocli.diagnosis.evidence.prices import gain_of_columns
+from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.linear.candidates import Alternative, Family
+from metrocli.diagnosis.linear.column_parts import Own
+from metrocli.diagnosis.linear.quadratics import quadratic
+from metrocli.diagnosis.linear.scans import is_filled, thinned
+from metrocli.diagnosis.linear.signatures import signature
+from metrocli.effects.links.own import NoValueAtReadingError
+from metrocli.frozen import dataclass
+
+_TRIED = 40
+_ROUNDS = 2
+_ALIKE, _APART = float(np.log(1 / 20)), 0.02
+"""ln of the odds from which another value of a scan explains the readings as well, and how far off it is, relatively"""
+_NEAR, _STARTS = 0.7, 5
+"""Values of a scan that explain at least this share of what its best one does are refined too, at most so many"""
+
+
+def refined(state: State) -> State:
+    """Return the state with the scanned parameters of its effects at their best values beside all else.
+
+    The price of an effect stays that of the scan, which counts the values tried.
+    """
+    for _ in range(_ROUNDS):
+        before = state
+        for number in range(len(state.fixed)):
+            one = state.fixed[number]
+            if one.is_reading:
+                continue
+            for parameter in state.measurement.alternative(one.key).effect.scanned:
+                if parameter.grid is not None:
+                    state = _closer(state, number, parameter.name)
+        if state is before:
+            break
+    return state
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """An alternative with what it explains beside a state, and its whole columns."""
+
+    alternative: Alternative
+    explained: float
+    rank: int
+    whole: Array
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """A scanned parameter of an effect, beside all else."""
+
+    less: State
+    one: Fixed
+    name: str
+
+    @property
+    def family(self) -> Family:
+        """The family of the effect."""
+        return self.less.measurement.families[self.one.family]
+
+    def tried(self, alternative: Alternative) -> _Tried | None:
+        """Return what an alternative explains; None if it has no value at some reading."""
+        m = self.less.measurement
+        try:
+            whole = signature(
+                m.job.model, m.system, alternative.effect, alternative.instance, dict(alternative.scanned)
+            )
+        except NoValueAtReadingError:
+            return None
+        left = self.less.seen(whole)
+        gram, right = whole.T @ left, whole.T @ self.less.residual
+        (t,), (q,) = quadratic(gram[None], right[None], np.linalg.norm(whole, axis=0)[None])
+        return _Tried(alternative, float(t), int(q), whole)
+
+    def at(self, start: Alternative, value: float) -> _Tried | None:
+        """Return what an alternative with another value of the parameter explains."""
+        scanned = tuple((key, value if key == self.name else old) for key, old in start.scanned)
+        return self.tried(replace(start, scanned=scanned))
+
+    def value(self, tried: _Tried) -> float:
+        """Return the value of the parameter."""
+        return dict(tried.alternative.scanned)[self.name]
+
+    def peaks(self) -> list[_Tried]:
+        """Return the best value about each start, between its neighbours in the scan."""
+        found = []
+        for start in self._starts():
+            near = [one for value in self._between(start).tolist() if (one := self.at(start, value)) is not None]
+            found += [max(near, key=lambda one: one.explained)] if near else []
+        return found
+
+    def _starts(self) -> list[Alternative]:
+        """Return the alternatives that differ in the parameter only and are nearly as good, the best first.
+
+        Of neighbours in the scan only the better one is a start.
+        """
+        chosen = self.family.alternatives[self.one.number]
+        alike = [i for i, other in enumerate(self.family.alternatives) if _differs_in(chosen, other, self.name)]
+        alike.sort(key=lambda i: dict(self.family.alternatives[i].scanned)[self.name])
+        gains = self.less.of_family(self.one.family)[0][alike]
+        higher = np.concatenate([[-np.inf], gains, [-np.inf]])
+        peaks = (gains >= higher[:-2]) & (gains >= higher[2:]) & (gains > _NEAR * gains.max(initial=0.0))
+        ranked = sorted(np.flatnonzero(peaks).tolist(), key=lambda at: -gains[at])[:_STARTS]
+        return [self.family.alternatives[alike[at]] for at in ranked]
+
+    def _between(self, start: Alternative) -> Array:
+        """Return values of the parameter between the tried neighbours of one."""
+        parameter = next(p for p in start.effect.scanned if p.name == self.name)
+        if parameter.grid is None:
+            return np.zeros(0)
+        here = (one for one in self.family.alternatives if one.instance == start.instance)
+        tried = np.unique([dict(one.scanned)[self.name] for one in here])
+        own = dict(start.scanned)[self.name]
+        low, high = tried[tried < own].max(initial=-np.inf), tried[tried > own].min(initial=np.inf)
+        conditions = self.less.measurement.job.model.readings[0].observations.conditions
+        values = np.sort(parameter.grid(conditions))
+        inside = np.flatnonzero((values > low) & (values < high))
+        if start.effect.is_step or not len(inside):
+            return thinned(values[inside][values[inside] != own], _TRIED)
+        # a grid can be coarser than the readings tell
+        return np.interp(np.linspace(inside[0], inside[-1], _TRIED), np.arange(len(values)), values)
+
+    def aliases(self, peaks: Sequence[_Tried], best: _Tried) -> list[Alias]:
+        """Return the values of other peaks that fit as well, with their odds.
+
+        Between two values of one broad peak the readings are explained as well.
+        """
+        if not is_filled(best.alternative.effect):
+            return []
+        found = []
+        for one in peaks:
+            value, here = self.value(one), self.value(best)
+            if abs(value - here) > _APART * abs(here) and self._odds(one, best) > _ALIKE:
+                middle = self.at(best.alternative, (value + here) / 2)
+                if middle is not None and self._odds(middle, best) < _ALIKE:
+                    found.append((self.name, value, float(np.exp(self._odds(one, best)))))
+        return found
+
+    def _odds(self, one: _Tried, best: _Tried) -> float:
+        """Return ln of the odds of one value against another."""
+        explained, rank = np.array([one.explained, best.explained]), np.array([one.rank, best.rank])
+        gains = gain_of_columns(explained, rank, self.less.fit.squares, self.less.freedoms)
+        return float(gains[0] - gains[1])
+
+
+def _closer(state: State, number: int, name: str) -> State:
+    """Return the state with one scanned parameter of an effect at its best value.
+
+    The best value need not lie beside the best one of the scan: it lies beside one that is nearly as good.
+    """
+    one = state.fixed[number]
+    less = state.beside(one)
+    scan = _Scan(less, one, name)
+    known = float(less.of_family(one.family)[0][one.number])
+    held = _Tried(scan.family.alternatives[one.number], known, one.rank, np.zeros((0, 0)))
+    peaks = scan.peaks()
+    best = max(peaks, key=lambda each: each.explained, default=held)
+    best = best if best.explained > held.explained * (1 + 1e-9) else held
+    others = tuple(alias for alias in one.aliases if alias[0] != name)
+    aliases = (*others, *scan.aliases(peaks, best))
+    if best is held:
+        return state if aliases == one.aliases else state.with_fixed(number, replace(one, aliases=aliases))
+    grown = _with_alternative(state.measurement, one.family, best.alternative, best.whole)
+    new = replace(grown.effect(one.family, len(scan.family.alternatives)), aliases=aliases, price=one.price)
+    return replace(state, measurement=grown).with_fixed(number, new)
+
+
+def _differs_in(one: Alternative, other: Alternative, name: str) -> bool:
+    """Return whether two alternatives of a cause differ in one scanned parameter at most."""
+    others = [{key: value for key, value in each.scanned if key != name} for each in (one, other)]
+    return one.like(other) and others[0] == others[1]
+
+
+def _with_alternative(m: Measurement, number: int, alternative: Alternative, whole: Array) -> Measurement:
+    """Return a measurement with one more alternative of a family, of whole columns."""
+    family, seen = m.families[number], m.system.seen(whole)
+    grown = replace(
+        family,
+        alternatives=(*family.alternatives, alternative),
+        columns=family.columns.followed_by(whole),
+        raw=np.concatenate([family.raw, np.linalg.norm(whole, axis=0)[None]]),
+        gram=np.concatenate([family.gram, (seen.T @ seen)[None]]),
+        whole={**family.whole, family.columns.count: Own(np.arange(len(whole)), whole)},
+    )
+    return replace(m, families=(*m.families[:number], grown, *m.families[number + 1 :]))

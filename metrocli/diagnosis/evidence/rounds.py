@@ -1,0 +1,61 @@
+"""Rounds: the job is adjusted with the effects that dominate, and the search begins again about that solution.
+
+Method: docs/algorithms/evidence.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.evidence.identified import all_identified
+from metrocli.diagnosis.evidence.measurement import measurement_of
+from metrocli.diagnosis.evidence.refined import refined
+from metrocli.diagnosis.evidence.search import forward, swapped
+from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.extended_fit import extended_fit, relinearised
+from metrocli.errors import UndeterminedError
+
+_ROUNDS = 4
+_DOMINANT, _MANY = 4.0, 50
+"""Effects are dominant if they lower the mean square by this factor, with at least so many degrees of freedom"""
+
+
+def is_dominated(state: State) -> bool:
+    """Return whether most of the misfit comes from effects with which the unknowns are not adjusted yet.
+
+    Signatures are derivatives. The higher-order terms of a large effect would look like other effects, so the search
+    stops until the unknowns are adjusted with it.
+    """
+    m = state.measurement
+    new = [one for one in state.named if m.alternative(one.key).spot not in m.job.adjusted]
+    if not new or m.dof < _MANY:
+        return False
+    old = [one for one in state.named if one not in new]
+    return State.of(m, old).variance > _DOMINANT * State.of(m, state.named).variance
+
+
+def searched(job: AdjustedJob) -> tuple[State, State]:
+    """Return the state of a job as it is, and that of the search about the solution with its dominant effects.
+
+    Raises UndeterminedError if no reading is redundant.
+    """
+    m = measurement_of(job)
+    if m.system.dof < 1:
+        raise UndeterminedError(
+            "the job has no redundant reading, so no reading can contradict its model\n"
+            "measure more; `metrocli diagnose --design` shows what a measurement can detect"
+        )
+    first = state = State.of(m)
+    for left in reversed(range(_ROUNDS)):
+        state = forward(State.of(m), stop=is_dominated if left else None)
+        if not left or not is_dominated(state):
+            break
+        names = all_identified(state, with_rivals=False)
+        kept = {group.name: np.ones(group.observations.count, dtype=bool) for group in job.model.readings}
+        fit = extended_fit(job, names, kept)
+        if fit is None:
+            state = forward(state)
+            break
+        m = measurement_of(relinearised(job, names, fit), None, m)
+    return first, refined(swapped(state))

@@ -1,0 +1,234 @@
+"""The search: the moves that raise the score of a state, until none does.
+
+Method: docs/algorithms/evidence.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.diagnosis.evidence.parts import CORRELATED, Fixed, Random
+from metrocli.diagnosis.evidence.state import State, at_sizes
+from metrocli.diagnosis.evidence.variances import Found, correlated_errors, noisier_groups, scattered
+from metrocli.diagnosis.evidence.weights import with_noise
+from metrocli.diagnosis.noise import AS_OTHERS
+from metrocli.frozen import dataclass
+
+_MOST = 60
+_CORRELATED = 4
+"""Largest number of correlated errors: what more of them explain is small beside these"""
+_SURE = 2.5
+"""Net evidence below which a part is left out on trial"""
+_APART = 0.3
+"""Largest correlation of wrong readings that are taken in one step"""
+_NEAR = 3.0
+"""Moves whose quick net gain is so near to the best are tried"""
+_MOST_TRIED = 3
+_SWAPS, _CERTAIN, _TRIED = 3, 30.0, 3
+"""Rounds of swaps, the net evidence beyond which a part is not tried to be replaced, and by how many others"""
+_MASKED, _TOGETHER = 2.0, 8
+"""Variance of the noise, in that declared, from which several wrong readings are sought together, and how many"""
+TRACE = False
+
+
+@dataclass(frozen=True)
+class Move:
+    """Parts that may enter, with their quick net gain."""
+
+    net: float
+    fixed: tuple[Fixed, ...] = ()
+    found: Found | None = None
+    noise: Mapping[int, float] | None = None
+
+    @property
+    def keys(self) -> tuple[tuple[int, ...], ...]:
+        """Keys of the parts that enter."""
+        return (*(one.key for one in self.fixed), *(() if self.found is None else (self.found.key,)))
+
+    def made(self, state: State) -> State:
+        """Return the state after the move."""
+        if self.noise is not None:
+            return state.at(with_noise(state.measurement, self.noise))
+        if self.found is not None:
+            return state.plus(random=[self.found.part(state.measurement)], logs=[self.found.log])
+        return state.plus(self.fixed)
+
+
+def moves(state: State) -> list[Move]:
+    """Return what may enter a state, the best first."""
+    found = [*_names(state), *_readings(state), *_masked_readings(state)]
+    random = scattered(state)[:1]
+    if sum(one.kind == CORRELATED for one in state.random) < _CORRELATED:
+        random += correlated_errors(state)
+    found += [Move(one.net, found=one) for one in random]
+    found += _noise(state)
+    return sorted((one for one in found if one.net > -1), key=lambda one: -one.net)
+
+
+def _noise(state: State) -> list[Move]:
+    """Return the noisier variance groups of one step: those of the kind of the most certain that are nearly as certain."""
+    groups = [one for one in noisier_groups(state) if one[0] > 0 and not 1 / AS_OTHERS < one[2] < AS_OTHERS]
+    if not groups:
+        return []
+    kind = state.measurement.units[groups[0][1]][0]
+    alike = [one for one in groups if state.measurement.units[one[1]][0] == kind and one[0] > groups[0][0] / 2]
+    return [Move(groups[0][0], noise={number: ratio for _, number, ratio in alike})]
+
+
+def _names(state: State, most: int = 2) -> list[Move]:
+    m = state.measurement
+    taken = {m.alternative(one.key).form for one in state.named}
+    found: list[tuple[float, int, int]] = []
+    for family in range(len(m.families)):
+        gain, price, _ = state.gains_of_family(family)
+        net = gain - price
+        for at in np.argsort(-net)[:4].tolist():
+            if gain[at] > 0 and m.alternative((family, at)).form not in taken:
+                found.append((float(net[at]), family, at))
+    found.sort(reverse=True)
+    return [Move(net, (m.effect(family, at),)) for net, family, at in found[:most]]
+
+
+def _readings(state: State) -> list[Move]:
+    """Return the wrong readings of one step: the most certain, and others nearly as bad that it does not imitate."""
+    m = state.measurement
+    gain, price, t = state.gains_of_readings()
+    net = gain - price
+    taken = {one.number for one in state.readings}
+    order = [i for i in np.argsort(-net)[:40].tolist() if net[i] > 0 and i not in taken]
+    order = [i for i in order if t[i] > t[order[0]] / 4]
+    chosen: list[Fixed] = []
+    for i in order:
+        one = m.reading(i)
+        if all(np.abs(other.columns.T @ m.system.seen(one.columns)).max(initial=0.0) < _APART for other in chosen):
+            chosen.append(one)
+    return [Move(float(net[order[0]]), tuple(chosen))] if chosen else []
+
+
+def _masked_readings(state: State) -> list[Move]:
+    """Return the wrong readings that show only together: each of them passes for noise beside the others.
+
+    They are sought where the noise is larger than declared: the worst is taken out, and so on.
+    """
+    if state.variance < _MASKED or state.random:
+        return []
+    best, at = state, state
+    most = min(_TOGETHER, len(state.measurement.places) // 4)
+    for _ in range(most):
+        gain, _, t = at.gains_of_readings()
+        worst = int(np.argmax(np.where(gain > 0, t, -np.inf)))
+        if gain[worst] <= 0 or worst in {one.number for one in at.readings}:
+            break
+        at = at.plus([state.measurement.reading(worst)])
+        best = at if at.score > best.score else best
+    new = best.fixed[len(state.fixed) :]
+    return [Move(best.score - state.score, new)] if len(new) > 1 else []
+
+
+def forward(
+    state: State, most: int = _MOST, stop: Callable[[State], bool] | None = None, without: tuple[int, ...] = ()
+) -> State:
+    """Return the state after the moves that raise its score, each the best of those tried, until none does."""
+    for _ in range(most):
+        possible = [one for one in moves(state) if without not in one.keys]
+        if not possible or possible[0].net <= 0:
+            break
+        best = _best(state, possible)
+        if best is None or best.score <= state.score + 1e-3:
+            break
+        state = pruned(best.settled())
+        if TRACE:
+            import time
+
+            print(f"   F {state.score:.1f} s2 {state.variance:.3f} t {time.process_time():.2f}", words(state), flush=True)
+        if stop is not None and stop(state):
+            break
+    return state
+
+
+def _best(state: State, possible: Sequence[Move]) -> State | None:
+    """Return the best of the states after moves; where sizes stay as they are, the quick gains are exact."""
+    first = possible[0].net
+    tried: list[State] = []
+    for move in possible[:_MOST_TRIED]:
+        if move.net < first - max(_NEAR, 0.3 * first):
+            break
+        tried.append(move.made(state))
+        if not state.random and move.fixed:
+            break
+    return max(tried, key=lambda one: one.score, default=None)
+
+
+def pruned(state: State) -> State:
+    """Return the state without the parts that no longer pay, the weakest first."""
+    while state.fixed or state.random:
+        nets = state.without_fixed()
+        weak: list[tuple[float, Fixed | Random]] = [
+            (float(net), one) for net, one in zip(nets, state.fixed, strict=True) if net < (_SURE if state.random else 0.0)
+        ]
+        # without its random part the others change, so that is estimated
+        less = [(state.score - state.minus([one]).score, one) for j, one in enumerate(state.random) if _quick(state, j) < 2 * _SURE]
+        weak += [pair for pair in less if pair[0] < 0]
+        for _, one in sorted(weak, key=lambda pair: pair[0]):
+            other = state.minus([one])
+            if other.score >= state.score:
+                state = other
+                break
+        else:
+            return state
+    return state
+
+
+def swapped(state: State) -> State:
+    """Return the best state after each random part, and each name, was left out in turn and the search went on without.
+
+    A correlated error of each unit can stand for one cause at one unit, and enters before it.
+    """
+    for _ in range(_SWAPS):
+        better = None
+        parts: list[Fixed | Random] = [*state.random, *state.named]
+        for one in parts:
+            less = state.minus([one])
+            own = state.score - less.score
+            if own > _CERTAIN or _first_moves(less, one) < own / 2:
+                continue
+            other = forward(less, 3, without=one.key)
+            if other.score > state.score + 1e-3:
+                better = other
+                break
+        if better is None:
+            return state
+        state = forward(better)
+    return state
+
+
+def _first_moves(state: State, but: Fixed | Random) -> float:
+    """Return the net gain of the first moves of a state, without those of a part that it has lost."""
+    return sum(one.net for one in moves(state)[:_TRIED] if one.net > 0 and but.key not in one.keys)
+
+
+def _quick(state: State, number: int) -> float:
+    """Return what a random part adds to the score, at the same sizes of the others: at least what it does."""
+    logs = state.logs.copy()
+    logs[number] = -25.0
+    return state.score - replace(state, fit=at_sizes(state, logs), held={}).score - state.random[number].price
+
+
+def words(state: State) -> list[str]:
+    """Return the parts of a state in words."""
+    m = state.measurement
+    found = [str(m.alternative(one.key)) for one in state.named]
+    found += [f"noise {m.units[n][0]} {m.units[n][1]} x{q:.2f}" for n, q in m.noise.items()]
+    found += [f"{len(state.readings)} readings"] if state.readings else []
+    for one, log in zip(state.random, state.logs, strict=True):
+        if one.kind == "motion":
+            found.append(f"motion {m.motions[one.key[0]][0]} g {log:.2f}")
+        elif one.kind == "scatter":
+            found.append(f"{m.scatters[one.key[0]][0].name} everywhere g {log:.2f}")
+        else:
+            f = m.knots[one.key[0]].functions
+            found.append(f"correlated {f.name} by {f.by or '-'} {one.key[1:]} g {log:.2f}")
+    return found

@@ -1,0 +1,212 @@
+"""Quick scores of random parts that a state lacks: correlated errors, effects at all places, noise of variance groups.
+
+A score is the likelihood of one more variance, the others held. The best few are then tried with all sizes estimated
+anew. Method: docs/algorithms/evidence.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
+from metrocli.diagnosis.evidence.parts import CORRELATED, LARGEST, MOTION, SCATTER, Random, scatter
+from metrocli.diagnosis.evidence.state import State
+from metrocli.frozen import dataclass
+
+_NOTICED = 1.0
+"""Least score of a variance, in its standard deviations, at which its likelihood is computed"""
+_GRID, _ROUNDS = 60, 3
+FEWEST = 10
+"""Fewest freedoms beside all sizes of an effect at all its places: of fewer it looks like larger noise"""
+
+
+def gain_of_variance(
+    eigenvalues: Array, squares: Array, rest: float, dof: float, most: float = np.inf
+) -> tuple[float, float]:
+    """Return the largest gain of the likelihood by one variance, and ln of that.
+
+    `squares` are those of the residual along directions of some eigenvalues, `rest` all squares.
+    """
+    seen = eigenvalues > 1e-6 * max(float(eigenvalues.max(initial=0.0)), 1e-300)
+    d, y2 = eigenvalues[seen], squares[seen]
+    if not len(d):
+        return 0.0, -30.0
+    left = max(rest - float(y2.sum()), 1e-300)
+    grid = np.minimum(np.linspace(-9, 14, _GRID) - np.log(np.median(d)), most)
+    best, at = np.zeros(0), 0
+    for _ in range(_ROUNDS):
+        grown = 1 + np.exp(grid)[:, None] * d
+        best = -(dof * np.log((y2 / grown).sum(axis=1) + left) + np.log(grown).sum(axis=1)) / 2
+        at = int(np.argmax(best))
+        low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
+        kept, grid = float(grid[at]), np.linspace(low, high, 9)
+    return float(best[at] + dof * np.log(rest) / 2), kept
+
+
+@dataclass(frozen=True)
+class Found:
+    """A random part that may enter, with its quick net gain."""
+
+    net: float
+    kind: str
+    key: tuple[int, int, int]
+    log: float
+
+    def part(self, m: Measurement) -> Random:
+        """Return its columns."""
+        if self.kind != CORRELATED:
+            return scatter(m, self.key[0]) if self.kind == SCATTER else m.motion(self.key[0])
+        return m.correlated(self.key[0], LENGTHS[self.key[1]], self.key[2])
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Products of the functions of a covariate with each other and with the residual, beside a state."""
+
+    gram: Array
+    """Those of each unit, or of all units at once, (units, components*knots, components*knots)"""
+    right: Array
+    """(units, components*knots)"""
+    components: int
+
+    def turned(self, turn: Array) -> tuple[Array, Array]:
+        """Return them for a turn of the knots (knots, k)."""
+        units, size, _ = self.gram.shape
+        knots, k = turn.shape
+        c = size // knots
+        half = self.gram.reshape(units, size, c, knots) @ turn
+        whole = turn.T @ half.reshape(units, c, knots, c * k)
+        right = (self.right.reshape(units, c, knots) @ turn).reshape(units, c * k)
+        return whole.reshape(units, c * k, c * k), right
+
+
+def _blocks(state: State, number: int) -> _Blocks:
+    """Return the products of the functions of a covariate beside a state, unit by unit."""
+    m, own = state.measurement, state.measurement.knots[number]
+    knots, count = len(own.functions.distances), own.functions.count
+    residual, basis = state.residual, state.basis
+    if m.local[number]:
+        key = "compact", number
+        if key not in m.held:
+            m.held[key] = own.compact(np.eye(knots))
+        columns = m.held[key]
+        order, begins = m.by_member
+        size = columns.shape[1]
+        gram, right = np.zeros((count, size, size)), np.zeros((count, size))
+        for a, b in pairwise(begins):
+            rows = order[a:b]
+            rows = rows[own.component[rows] >= 0]
+            if len(rows):
+                c, unit = columns[rows], own.unit[rows[0]]
+                inside = np.concatenate([basis.local[rows], basis.shared[rows]], axis=1).T @ c
+                gram[unit] += c.T @ c - inside.T @ inside
+                right[unit] += c.T @ residual[rows]
+        return _Blocks(gram, right, own.components)
+    matrix = own.functions.columns
+    along = np.asarray(matrix.T @ residual)
+    if state._alone:
+        gram = own.functions.gram
+        if state._since.shape[1]:
+            inside = np.asarray(matrix.T @ state._since)
+            gram = gram - inside @ inside.T
+    else:
+        if ("spread", number) not in m.held:
+            m.held["spread", number] = matrix.toarray()
+        columns = m.held["spread", number]
+        inside = state.inside(columns)
+        gram = columns.T @ columns - inside.T @ inside
+    # from component, unit, knot to unit, component, knot
+    each = own.components
+    gram = gram.reshape(each, count, knots, each, count, knots).transpose(1, 0, 2, 4, 3, 5)
+    size = each * knots
+    right = along.reshape(each, count, knots).transpose(1, 0, 2).reshape(count, size)
+    return _Blocks(gram.reshape(count * size, count * size)[None], right.reshape(1, -1), each * count)
+
+
+def correlated_errors(state: State, most: int = 3) -> list[Found]:
+    """Return the correlated errors with the largest quick net gains, the best first."""
+    m, scale = state.measurement, state.fit.dof / state.fit.squares
+    held = {one.key for one in state.random if one.kind == CORRELATED}
+    scored: list[tuple[float, tuple[int, int, int], Array, Array]] = []
+    for number, own in enumerate(m.knots):
+        blocks = _blocks(state, number)
+        for length in m.lengths(number):
+            at = LENGTHS.index(length)
+            gram, right = blocks.turned(m.kernel(number, length))
+            z = float((right**2).sum()) * scale - float(np.einsum("ukk->", gram))
+            z /= np.sqrt(2 * float((gram**2).sum()) + 1e-300)
+            scored.append((z, (number, at, -1), gram, right))
+            if own.functions.count > 1:
+                scored += _singles(gram, right, scale, (number, at), own.functions.count)
+    scored = [one for one in scored if one[0] > _NOTICED and one[1] not in held]
+    several = sorted((one for one in scored if one[1][2] < 0), key=lambda one: -one[0])[: 2 * most]
+    single = sorted((one for one in scored if one[1][2] >= 0), key=lambda one: -one[0])[:most]
+    found = []
+    for _, key, gram, right in (*several, *single):
+        d, vectors = np.linalg.eigh(gram)
+        along = np.einsum("ukd,uk->ud", vectors, right) ** 2 / np.maximum(d, 1e-300)
+        gain, log = gain_of_variance(d.ravel(), along.ravel(), state.fit.squares, state.fit.dof, LARGEST)
+        found.append(Found(gain - m.price_of_correlated(key[0], key[2]), CORRELATED, key, log))
+    return sorted(found, key=lambda one: -one.net)[:most]
+
+
+def _singles(
+    gram: Array, right: Array, scale: float, key: tuple[int, int], count: int
+) -> Iterator[tuple[float, tuple[int, int, int], Array, Array]]:
+    """Yield the unit whose own variance scores most, with its products."""
+    if len(gram) == 1:
+        size = gram.shape[1] // count
+        every = np.arange(count)
+        gram = gram[0].reshape(count, size, count, size)[every, :, every]
+        right = right.reshape(count, size)
+    z = (right**2).sum(axis=1) * scale - np.einsum("ukk->u", gram)
+    z /= np.sqrt(2 * (gram**2).sum(axis=(1, 2)) + 1e-300)
+    at = int(np.argmax(z))
+    yield float(z[at]), (*key, at), gram[[at]], right[[at]]
+
+
+def scattered(state: State) -> list[Found]:
+    """Return the effects at all their places, and the unknown motions, with their quick net gains, the best first."""
+    m = state.measurement
+    tried = [(SCATTER, number, m.price_of_scatter) for number in range(len(m.scatters))]
+    tried += [(MOTION, number, m.price_of_motion) for number in range(len(m.motions))]
+    held, found = {(one.kind, one.key[0]) for one in state.random}, list[Found]()
+    for kind, number, price in tried:
+        if (kind, number) in held:
+            continue
+        if (kind, number) not in m.held:
+            m.held[kind, number] = (scatter(m, number) if kind == SCATTER else m.motion(number)).columns
+        columns = m.held[kind, number]
+        inside = state.inside(columns)
+        d, vectors = np.linalg.eigh(columns.T @ columns - inside.T @ inside)
+        along = (vectors.T @ (columns.T @ state.residual)) ** 2 / np.maximum(d, 1e-300)
+        kept = d > 1e-4 * max(float(d[-1]), 1e-300)
+        if state.freedoms - 2 - kept.sum() >= FEWEST:
+            gain, log = gain_of_variance(d[kept], along[kept], state.fit.squares, state.fit.dof)
+            found.append(Found(gain - price, kind, (number, 0, -1), log))
+    return sorted(found, key=lambda one: -one.net)
+
+
+def noisier_groups(state: State) -> list[tuple[float, int, float]]:
+    """Return the variance groups with quick net gains of a variance of their own: net, number, ratio of deviations.
+
+    With nu_u = tr P_uu freedoms and squares S_u in the group, of nu and S in all, the gain is
+    `(nu ln(S/nu) - nu_u ln(S_u/nu_u) - (nu - nu_u) ln((S - S_u)/(nu - nu_u)))/2` (Bartlett).
+    """
+    m, found = state.measurement, []
+    if len(m.units) < 2:
+        return []
+    taken, r = state.basis.squares(), state.residual
+    dof, squares = state.freedoms, state.fit.squares
+    for number, (_, _, rows) in enumerate(m.units):
+        own = float(rows.sum()) - float(taken[rows].sum())
+        s = float(r[rows] @ r[rows])
+        rest, left = dof - own, squares - s
+        if own >= 1 and rest >= 1 and left > 0 and s > 0:
+            gain = (dof * np.log(squares / dof) - own * np.log(s / own) - rest * np.log(left / rest)) / 2
+            found.append((gain - m.price_of_noise, number, float(np.sqrt(s / own / (left / rest)))))
+    return sorted(found, reverse=True)

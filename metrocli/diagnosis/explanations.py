@@ -1,0 +1,139 @@
+"""Random parts of a state as a diagnosis states them: effects at all their places, and correlated errors.
+
+Method: docs/algorithms/evidence.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from metrocli.diagnosis.correlated_error import CorrelatedError
+from metrocli.diagnosis.evidence.folds import gain_between
+from metrocli.diagnosis.evidence.measurement import LENGTHS
+from metrocli.diagnosis.evidence.parts import MOTION, SCATTER, Random
+from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.extended_fit import readings_kept, result_change, with_random_effect
+from metrocli.diagnosis.findings import Instead, RandomEffect
+from metrocli.diagnosis.linear.projection import READING
+
+AS_LIKELY = float(np.log(20.0))
+"""Difference of log-likelihoods up to which two variances explain the readings alike"""
+
+
+def log_level_of(gain: float) -> float:
+    """Return ln of the level of a gain by one variance: half a chi-squared with one degree of freedom."""
+    from scipy.special import log_ndtr
+
+    return float(log_ndtr(-np.sqrt(max(2 * gain, 0.0))))
+
+
+def likelihood_gain(state: State, one: Random) -> float:
+    """Return by how much a random part raises the likelihood, all other sizes estimated anew without it."""
+    return state.score + one.price - state.minus([one]).score
+
+
+def random_effects(state: State) -> tuple[RandomEffect, ...]:
+    """Return the effects at all their places."""
+    return tuple(_random_effect(state, j) for j, one in enumerate(state.random) if one.kind == SCATTER)
+
+
+def _random_effect(state: State, number: int) -> RandomEffect:
+    m, one = state.measurement, state.random[number]
+    families = m.scatters[one.key[0]]
+    effect, less = families[0].alternatives[0].effect, state.minus([one])
+    std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * one.unit
+    wider = with_random_effect(m.job, effect, std, readings_kept(state))
+    return RandomEffect(
+        effect,
+        std,
+        std * relative_spread(state, number),
+        log_level_of(state.score + one.price - less.score) + float(np.log(len(m.scatters))),
+        sum(family.columns.count for family in families),
+        _as_likely(state, less),
+        gain_between(less, state),
+        0.0 if wider is None else result_change(m.job, wider),
+    )
+
+
+def _as_likely(state: State, less: State) -> tuple[Instead, ...]:
+    """Return the noise of a group of readings that explains as much as a random effect, of which `less` is without."""
+    from metrocli.diagnosis.evidence.weights import with_noise
+
+    found = []
+    for number, (key, name, _) in enumerate(state.measurement.units):
+        if key == READING and number not in state.measurement.noise:
+            ratio = less.ratio_of(number)
+            other = less.at(with_noise(less.measurement, {number: ratio}))
+            ahead = other.score - state.score
+            if ahead > -AS_LIKELY:
+                found.append(Instead("noise", {READING: name}, float(np.exp(min(ahead, 700.0)))))
+    return tuple(found)
+
+
+def relative_spread(state: State, number: int) -> float:
+    """Return the relative standard uncertainty of the standard deviation of a random part, from the likelihood's bend."""
+    bend = float(state.fit.slopes[1][1][number])
+    return float(1 / np.sqrt(max(2 * bend, 1e-12)))
+
+
+def correlated_errors(state: State) -> tuple[CorrelatedError, ...]:
+    """Return the correlated errors of a state, those of the largest gain first."""
+    found = (_correlated(state, j) for j, one in enumerate(state.random) if one.kind != SCATTER)
+    return tuple(sorted(found, key=lambda one: -one.gain))
+
+
+def _correlated(state: State, number: int) -> CorrelatedError:
+    m, one = state.measurement, state.random[number]
+    gain = likelihood_gain(state, one)
+    if one.kind == MOTION:
+        return _motion(state, number, gain)
+    functions = m.knots[one.key[0]].functions
+    unit = next(iter(functions.sigmas))
+    std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * functions.sigmas[unit]
+    count = m.tried * (functions.count if one.key[2] >= 0 else 1)
+    level = min(log_level_of(gain) + float(np.log(count)), 0.0)
+    place = m.job.model.places[functions.by].names[one.key[2]] if one.key[2] >= 0 else ""
+    return CorrelatedError(
+        functions.name,
+        functions.by,
+        LENGTHS[one.key[1]],
+        std,
+        std * relative_spread(state, number),
+        _visible(state, one),
+        unit,
+        level,
+        gain,
+        place=place,
+    )
+
+
+def _motion(state: State, number: int, gain: float) -> CorrelatedError:
+    """Return an unknown motion, with its root mean square change of the readings."""
+    m, one = state.measurement, state.random[number]
+    std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof))
+    changed = np.sqrt((one.columns**2).sum(axis=1)) * m.system.scale
+    level = min(log_level_of(gain) + float(np.log(len(m.motions))), 0.0)
+    size = std * float(np.sqrt((changed[m.system.alike] ** 2).mean()))
+    unit = m.job.model.readings[0].observations.unit
+    spread = size * relative_spread(state, number)
+    return CorrelatedError(m.motions[one.key[0]][0], "", 1.0, size, spread, _visible(state, one), unit, level, gain)
+
+
+def _visible(state: State, one: Random) -> float:
+    """Return the share of a correlated error that the unknowns leave in the readings (root mean square)."""
+    m = state.measurement
+    basis = replace(m.system.basis, shared=np.zeros((m.system.rows, 0)))
+    whole = float((one.columns**2).sum())
+    order, begins = m.by_member
+    if one.local:
+        inside = 0.0
+        for a, b in pairwise(begins):
+            rows = order[a:b]
+            both = np.concatenate([basis.local[rows], m.system.basis.shared[rows]], axis=1)
+            inside += float(((both.T @ one.columns[rows]) ** 2).sum())
+    else:
+        inside = float((m.system.basis.coordinates(one.columns) ** 2).sum())
+    return float(np.sqrt(max(1 - inside / max(whole, 1e-300), 0.0)))
