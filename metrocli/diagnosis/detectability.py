@@ -12,7 +12,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.measurement import Measurement
-from metrocli.diagnosis.evidence.parts import READINGS
+from metrocli.diagnosis.evidence.parts import CORRELATED, READINGS
 from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.hidden_change import POWER, HiddenChange, forms_for, hidden_by_readings, hidden_change
@@ -120,6 +120,8 @@ class Design:
     pairs: tuple[Pair, ...]
     readings: tuple[WrongReading, ...] = ()
     scatters: tuple[ScatterCandidate, ...] = ()
+    structure: tuple[str, ...] = ()
+    """Covariates of the correlated errors beside which all this holds"""
 
 
 def design(state: State, noise: float = 1.0) -> Design:
@@ -128,7 +130,9 @@ def design(state: State, noise: float = 1.0) -> Design:
     candidates = tuple(_candidate(state, *spot, noise) for spot in _spots(state))
     readings = tuple(_wrong_reading(state, e, noise) for e in job.effects if e.of_one_reading)
     pairs, scatters = tuple(pairs_of(state, candidates, noise)), scatter_candidates(state, noise)
-    return Design(candidates, tuple(state.measurement.not_tested), pairs, readings, scatters)
+    number = (one.key[0] for one in state.random if one.kind == CORRELATED)
+    structure = tuple(dict.fromkeys(state.measurement.knots[one].functions.name for one in number))
+    return Design(candidates, tuple(state.measurement.not_tested), pairs, readings, scatters, structure)
 
 
 def _wrong_reading(state: State, effect: Effect, noise: float) -> WrongReading:
@@ -152,6 +156,8 @@ def _wrong_reading(state: State, effect: Effect, noise: float) -> WrongReading:
 def _spots(state: State) -> Iterable[tuple[int, Sequence[int]]]:
     """Yield for each form of a cause at each place the number of its family and those of its alternatives."""
     for number, family in enumerate(state.measurement.families):
+        if family.unknown:
+            continue
         forms: dict[tuple[str, tuple[str, ...], str], list[int]] = {}
         for at, alternative in enumerate(family.alternatives):
             forms.setdefault(alternative.form, []).append(at)

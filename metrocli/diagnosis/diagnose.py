@@ -15,15 +15,16 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Design, design
 from metrocli.diagnosis.evidence.folds import Gain, gains
-from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified
+from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified, identified
 from metrocli.diagnosis.evidence.measurement import measurement_of
+from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.evidence.rounds import searched
 from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.explanations import correlated_errors, random_effects
+from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects
 from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, result_changes, sizes
-from metrocli.diagnosis.findings import Diagnosis, Finding
+from metrocli.diagnosis.findings import Diagnosis, Finding, Unconfirmed
 from metrocli.diagnosis.laws.search import Law, with_laws
 from metrocli.diagnosis.linear.memory import as_fits
 from metrocli.diagnosis.linear.projection import System
@@ -70,10 +71,8 @@ def diagnose(
         job = state.measurement.job
         progress.doing("looking for a law in what no effect explains", job.budget.left())
         found = with_laws(state, _in_white_noise(state), ordered)
-    state = found.state
-    names = all_identified(state)
     progress.doing("cross-validating: predicting parts of the readings from the others", job.budget.left())
-    gained = gains(state, names, ordered) if names else []
+    state, names, gained, unconfirmed = _confirmed(found.state, ordered)
     kept = readings_kept(state)
     fit = extended_fit(first.measurement.job, names, kept) if names else None
     shifts = result_changes(first.measurement.job, names, fit, kept)
@@ -95,11 +94,36 @@ def diagnose(
         together=gained[-1] if len(names) > 1 else None,
         repeats=repeats,
         scatters=random_effects(state),
+        unconfirmed=unconfirmed,
         laws=found.laws,
         processes=correlated,
         limited=limit if job.budget.ended else None,
         interrupted=job.budget.interrupted,
     )
+
+
+def _confirmed(
+    state: State, ordered: Ordered
+) -> tuple[State, tuple[IdentifiedEffect, ...], list[Gain], tuple[Unconfirmed, ...]]:
+    """Return the state without what held-out readings speak against, its effects with their gains, and what it lost.
+
+    The log score of held-out readings and the net evidence of all are both logarithms of odds: an effect stays while
+    their sum is positive. Folds that lie between others show little of a jump, whose evidence is large.
+    """
+    lost: list[Unconfirmed] = []
+    while True:
+        names = all_identified(state)
+        gained = gains(state, names, ordered) if names else []
+        nets = dict(zip((one.key for one in state.fixed), state.without_fixed().tolist(), strict=True))
+        against = [
+            (one, name, gain)
+            for one, name, gain in zip(state.named, names, gained, strict=False)
+            if gain.log_score + nets[one.key] <= 0
+        ]
+        if not against:
+            return state, names, gained, tuple(lost)
+        lost += [Unconfirmed(str(name.alternative), gain.log_score) for _, name, gain in against]
+        state = state.minus([one for one, _, _ in against])
 
 
 def _in_white_noise(state: State) -> State:
@@ -132,7 +156,9 @@ def _findings(
     m = state.measurement
     for name, gain, shift in sorted(named, key=lambda one: -one[1].log_score):
         change = _linear_change(m.job, m.system, name) if shift is None else shift
-        yield Finding(name, sizes(m.job, name), gain, change, _other_shape_from(state, name, noise))
+        one = next(one for one in state.named if one.key == name.key)
+        instead = noise_instead(state, one)
+        yield Finding(name, sizes(m.job, name), gain, change, _other_shape_from(state, name, noise), instead)
 
 
 def _other_shape_from(state: State, name: IdentifiedEffect, noise: float) -> float:
@@ -156,6 +182,10 @@ def _left(
         names = dict.fromkeys(name for term in law.terms for name in term.form.variables)
         where = tuple(name for _, name in law.terms[0].spot.where)
         return RemainingStructure(law.p_value, tuple(names), where, law.size)
+    for one in state.unknown:
+        name = identified(state, one, with_rivals=False)
+        size = _size(state, one)
+        return RemainingStructure(float(np.exp(name.log_level)), (state.measurement.families[one.family].unknown,), (), size)
     significant = [one for one in correlated if one.log_level < np.log(_CORRELATED)]
     if significant:
         best = min(significant, key=lambda one: one.log_level)
@@ -167,12 +197,21 @@ def _left(
     return None
 
 
+def _size(state: State, one: Fixed) -> float:
+    """Return the root mean square of what a fixed part explains in the readings whose unit is reported."""
+    system = state.measurement.system
+    change = (state.beside(one).residual - state.residual) * system.scale
+    shown = change[(change != 0) & system.alike]
+    return float(np.sqrt((shown**2).mean())) if len(shown) else 0.0
+
+
 def what_can_be_seen(job: AdjustedJob) -> Design:
     """Return what a measurement can detect; it does not depend on the residuals.
 
     Raises InputError if this needs more memory than there is.
     """
-    return design(State.of(measurement_of(as_fits(job))))
+    m = measurement_of(as_fits(job))
+    return design(State.of(replace(m, system=replace(m.system, residual=np.zeros(m.system.rows)))))
 
 
 def _linear_change(job: AdjustedJob, system: System, name: IdentifiedEffect) -> float:

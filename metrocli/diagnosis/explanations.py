@@ -13,14 +13,19 @@ import numpy as np
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.folds import gain_between
 from metrocli.diagnosis.evidence.measurement import LENGTHS
-from metrocli.diagnosis.evidence.parts import MOTION, SCATTER, Random
+from metrocli.diagnosis.evidence.parts import CORRELATED, SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.extended_fit import readings_kept, result_change, with_random_effect
 from metrocli.diagnosis.findings import Instead, RandomEffect
 from metrocli.diagnosis.linear.projection import READING
+from metrocli.diagnosis.noise import AS_OTHERS
 
 AS_LIKELY = float(np.log(20.0))
 """Difference of log-likelihoods up to which two variances explain the readings alike"""
+
+_MOST_ROWS = 8
+"""Largest number of rows of a unit, for each parameter of an effect at it, whose noise can imitate the effect"""
 
 
 def log_level_of(gain: float) -> float:
@@ -60,8 +65,6 @@ def _random_effect(state: State, number: int) -> RandomEffect:
 
 def _as_likely(state: State, less: State) -> tuple[Instead, ...]:
     """Return the noise of a group of readings that explains as much as a random effect, of which `less` is without."""
-    from metrocli.diagnosis.evidence.weights import with_noise
-
     found = []
     for number, (key, name, _) in enumerate(state.measurement.units):
         if key == READING and number not in state.measurement.noise:
@@ -73,6 +76,23 @@ def _as_likely(state: State, less: State) -> tuple[Instead, ...]:
     return tuple(found)
 
 
+def noise_instead(state: State, one: Fixed) -> tuple[Instead, ...]:
+    """Return the larger noise of the unit at which an effect acts, if it explains the readings as well.
+
+    That of a unit of few readings, such as an image of three targets, can look like a bad pose of it.
+    """
+    m = state.measurement
+    where, found = m.alternative(one.key).where, list[Instead]()
+    for number, (key, name, rows) in enumerate(m.units):
+        if where.get(key) == name and rows.sum() <= _MOST_ROWS * one.rank and number not in m.noise:
+            less = state.minus([one])
+            other = less.at(with_noise(m, {number: max(less.ratio_of(number), AS_OTHERS)}))
+            ahead = other.score - state.score
+            if ahead > -AS_LIKELY:
+                found.append(Instead("noise", {key: name}, float(np.exp(min(ahead, 700.0)))))
+    return tuple(found)
+
+
 def relative_spread(state: State, number: int) -> float:
     """Return the relative standard uncertainty of the standard deviation of a random part, from the likelihood's bend."""
     bend = float(state.fit.slopes[1][1][number])
@@ -81,15 +101,13 @@ def relative_spread(state: State, number: int) -> float:
 
 def correlated_errors(state: State) -> tuple[CorrelatedError, ...]:
     """Return the correlated errors of a state, those of the largest gain first."""
-    found = (_correlated(state, j) for j, one in enumerate(state.random) if one.kind != SCATTER)
+    found = (_correlated(state, j) for j, one in enumerate(state.random) if one.kind == CORRELATED)
     return tuple(sorted(found, key=lambda one: -one.gain))
 
 
 def _correlated(state: State, number: int) -> CorrelatedError:
     m, one = state.measurement, state.random[number]
     gain = likelihood_gain(state, one)
-    if one.kind == MOTION:
-        return _motion(state, number, gain)
     functions = m.knots[one.key[0]].functions
     unit = next(iter(functions.sigmas))
     std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * functions.sigmas[unit]
@@ -108,18 +126,6 @@ def _correlated(state: State, number: int) -> CorrelatedError:
         gain,
         place=place,
     )
-
-
-def _motion(state: State, number: int, gain: float) -> CorrelatedError:
-    """Return an unknown motion, with its root mean square change of the readings."""
-    m, one = state.measurement, state.random[number]
-    std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof))
-    changed = np.sqrt((one.columns**2).sum(axis=1)) * m.system.scale
-    level = min(log_level_of(gain) + float(np.log(len(m.motions))), 0.0)
-    size = std * float(np.sqrt((changed[m.system.alike] ** 2).mean()))
-    unit = m.job.model.readings[0].observations.unit
-    spread = size * relative_spread(state, number)
-    return CorrelatedError(m.motions[one.key[0]][0], "", 1.0, size, spread, _visible(state, one), unit, level, gain)
 
 
 def _visible(state: State, one: Random) -> float:

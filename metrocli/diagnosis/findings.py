@@ -72,6 +72,15 @@ class RandomEffect:
 
 
 @dataclass(frozen=True)
+class Unconfirmed:
+    """An effect that the readings seem to require, but that predicts held-out readings no better."""
+
+    name: str
+    """Of the effect, with its place"""
+    log_score: float
+
+
+@dataclass(frozen=True)
 class Finding:
     """One effect that was identified."""
 
@@ -84,6 +93,11 @@ class Finding:
     """Relative difference in shape from which another cause would have been detected beside it (80 % power)"""
     noise: tuple[Instead, ...] = ()
     """Larger noise of the readings at its place, such as its image, that explains them as well"""
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether held-out readings confirm it; what they do not is in no extended job."""
+        return self.gain.log_score > 0
 
     @property
     def instead(self) -> tuple[str, ...]:
@@ -115,6 +129,8 @@ class Diagnosis:
     """The noise found from repeated readings, if there are any"""
     scatters: tuple[RandomEffect, ...] = ()
     """Effects at all places of a kind; all other findings are beside them"""
+    unconfirmed: tuple[Unconfirmed, ...] = ()
+    """Effects that held-out readings do not confirm; they are not in the model"""
     laws: tuple[Law, ...] = ()
     """The simplest sums of terms that explain what no effect does, one for each number of terms"""
     processes: tuple[CorrelatedError, ...] = ()
@@ -146,4 +162,5 @@ class Diagnosis:
         if not self.findings and not self.scatters:
             return Verdict.CLEAN
         instead = [one.instead for one in self.findings] + [one.rivals for one in self.scatters]
-        return Verdict.INDISTINCT if any(instead) else Verdict.EXPLAINED
+        confirmed = self.scatters or any(one.confirmed for one in self.findings)
+        return Verdict.INDISTINCT if any(instead) or not confirmed else Verdict.EXPLAINED

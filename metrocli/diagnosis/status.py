@@ -21,31 +21,48 @@ class Status(StrEnum):
 
     NAMED = "named"
     EXCLUDED = "excluded"
-    """Not found, although one of the largest usual size would have been (power at least 80 %)"""
+    """Not found, although one of the largest usual size would have been (power at least 80 %), and its bound is below it"""
     CANNOT_SEE = "cannot-see"
     """Its smallest detectable size is larger than usual, or its scan too coarse for the readings"""
     NOT_TESTABLE = "not-testable"
     """The unknowns of the job absorb it"""
     NOT_TESTED = "not-tested"
     """A column is missing"""
+    NOT_DECIDED = "not-decided"
+    """The search ended before it was compared with all else"""
 
 
 UNCHECKED = "no reading is checked by the others"
+_SWALLOWED = 0.1
+"""Share of a signature that correlated errors and other effects must leave, so that it can be told from them"""
 _SMALLEST = 0.01
 """Smallest number to which a usual size with a unit of its own is converted"""
 
 
-def status(candidate: Candidate, named: Iterable[IdentifiedEffect]) -> str:
-    """Return the status of a candidate; one in the confidence set of a named effect counts as named.
+def status(candidate: Candidate, named: Iterable[IdentifiedEffect], decided: bool = True) -> str:
+    """Return the status of a candidate; one in the confidence set of an identified effect counts as named.
 
-    So does another form of a named cause only if it explains the readings as well.
+    So does another form of a named cause only if it explains the readings as well. `decided` is whether the search came
+    to its end.
     """
     if any(_claims(name, candidate.alternative) for name in named):
         return Status.NAMED
     if not candidate.testable:
         return Status.NOT_TESTABLE
-    seen = candidate.detectable <= candidate.plausible and not candidate.missed
+    if not decided:
+        return Status.NOT_DECIDED
+    seen = excluded_above(candidate) <= candidate.plausible and not candidate.missed and not is_swallowed(candidate)
     return Status.EXCLUDED if seen else Status.CANNOT_SEE
+
+
+def excluded_above(candidate: Candidate) -> float:
+    """Return the size above which an effect is excluded: the one that is detected, and the upper bound of its estimate."""
+    return max(candidate.detectable, candidate.upper)
+
+
+def is_swallowed(candidate: Candidate) -> bool:
+    """Whether what was found besides the unknowns leaves too little of a signature to tell it apart."""
+    return candidate.share < _SWALLOWED
 
 
 def spots(name: IdentifiedEffect) -> set[tuple[str, tuple[str, ...]]]:
@@ -88,14 +105,19 @@ def usual_seen(candidate: Candidate) -> bool | Literal["part"] | None:
     return "part" if candidate.detectable <= usual[1] else False
 
 
-def reason(candidate: Candidate, word: str) -> str:
-    """Return the reason for a candidate's status, in words."""
+def reason(candidate: Candidate, word: str, structure: Sequence[str] = ()) -> str:
+    """Return the reason for a candidate's status, in words; `structure` are the covariates of correlated errors."""
     effect = candidate.alternative.effect
     parameter = effect.parameters[0]
     plausible, at = parameter.readable(candidate.plausible)
     if word == Status.NOT_TESTABLE:
         return f"absorbed by {', '.join(candidate.absorbed_by)}; `hides` is for {plausible:.3g} {at}".rstrip()
-    size, unit = parameter.readable(candidate.detectable)
+    if word == Status.NOT_DECIDED:
+        return "the search ended before this was decided"
+    size, unit = parameter.readable(excluded_above(candidate))
+    if word == Status.CANNOT_SEE and is_swallowed(candidate):
+        what = f"structure in {' and '.join(structure)}" if structure else "what was found"
+        return f"cannot be separated from {what}: sizes up to {f'{size:.3g} {unit}'.strip()} are possible"
     if word == Status.CANNOT_SEE and candidate.missed:
         name = effect.scanned[0].name
         return f"missed between values of {name}, which are further apart than the readings tell: scan a smaller range"
@@ -141,11 +163,16 @@ def delivered(job: AdjustedJob, value: float) -> dict[str, Any]:
 
 
 def candidates(
-    job: AdjustedJob, design: Design, named: Iterable[IdentifiedEffect], scattered: Sequence[str] = ()
+    job: AdjustedJob,
+    design: Design,
+    named: Iterable[IdentifiedEffect],
+    scattered: Sequence[str] = (),
+    decided: bool = True,
 ) -> list[dict[str, Any]]:
     """Return all candidates as plain data, tested or not; `scattered` are the effects named at all places."""
     names = list(named)
-    tested = [_candidate(job, candidate, status(candidate, names)) for candidate in design.candidates]
+    words = ((one, status(one, names, decided)) for one in design.candidates)
+    tested = [_candidate(job, candidate, word, design.structure) for candidate, word in words]
     readings = [_wrong_reading(job, one) for one in design.readings]
     missing = [_open(one.effect, one.where, Status.NOT_TESTED, one.reason) for one in design.not_tested]
     return tested + [_throughout(job, one, scattered) for one in design.scatters] + readings + missing
@@ -175,9 +202,9 @@ def _wrong_reading(job: AdjustedJob, one: WrongReading) -> dict[str, Any]:
     }
 
 
-def _candidate(job: AdjustedJob, candidate: Candidate, word: str) -> dict[str, Any]:
+def _candidate(job: AdjustedJob, candidate: Candidate, word: str, structure: Sequence[str]) -> dict[str, Any]:
     own = candidate.alternative
-    return _open(own.effect, own.where, word, reason(candidate, word)) | {
+    return _open(own.effect, own.where, word, reason(candidate, word, structure)) | {
         "visible_share": candidate.visible,
         **_sizes(candidate),
         "hides": _hides(job, candidate.hides),
@@ -187,10 +214,11 @@ def _candidate(job: AdjustedJob, candidate: Candidate, word: str) -> dict[str, A
 def _sizes(candidate: Candidate) -> dict[str, Any]:
     """Return the size from which a candidate is excluded, and its usual sizes."""
     least = {"value": candidate.detectable, "unit": candidate.unit} if candidate.testable else None
+    above = {"value": excluded_above(candidate), "unit": candidate.unit} if candidate.testable else None
     usual = candidate.alternative.effect.usual_sizes
     return {
         "minimal_detectable": least,
-        "above": least,
+        "above": above,
         "usual": None if usual is None else {"from": usual[0], "to": usual[1], "unit": candidate.unit},
         "usual_seen": usual_seen(candidate),
     }

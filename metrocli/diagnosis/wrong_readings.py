@@ -59,7 +59,7 @@ def _places(m: Measurement) -> Places:
     """Return the alternatives of each place: family and number, by the names of what they act on."""
     found: dict[frozenset[tuple[str, str]], list[tuple[int, int]]] = {}
     for family, one in enumerate(m.families):
-        for number, alternative in enumerate(one.alternatives):
+        for number, alternative in enumerate(() if one.unknown else one.alternatives):
             place = zip(alternative.effect.keys, alternative.instance, strict=True)
             found.setdefault(frozenset(place), []).append((family, number))
     return found

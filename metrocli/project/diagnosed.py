@@ -157,7 +157,8 @@ def write_extended(
     to lead to the same files.
     """
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
-    others = bool(diagnosis.findings or diagnosis.scatters or proposed_noise(diagnosis))
+    confirmed = any(one.confirmed for one in diagnosis.findings)
+    others = bool(confirmed or diagnosis.scatters or proposed_noise(diagnosis))
     if not others and diagnosis.law is None:
         return None
     if not force:
@@ -193,7 +194,7 @@ def _write(job: JobFile, diagnosis: Diagnosis, law: Law | None, place: tuple[Pat
     """Write the extended job, with a law or without, to a path; its result has the path beside it, or the usual one."""
     path, result = place
     scatters = [one for one in diagnosis.scatters if not declares(job.root.get("noise"), one)]
-    named = [*map(scatter_as_job, scatters), *(as_job(one.effect) for one in diagnosis.findings)]
+    named = [*map(scatter_as_job, scatters), *(as_job(one.effect) for one in diagnosis.findings if one.confirmed)]
     called = _free_name(diagnosis)
     new = [_node(job, entry) for entry in (*named, *([] if law is None else [as_wanted(law, called)]))]
     defined = [] if law is None else [_node(job, as_define(law, called))]

@@ -30,8 +30,8 @@ def test_a_machine_that_is_off_in_every_pose_is_one_finding(distances: bool) -> 
     found = unit(3, distances, off=0.03)
     assert found.verdict == "explained" and not found.findings
     (one,) = found.scatters
-    assert one.found.effect.name == "bad-pose" and not one.found.rivals
-    assert abs(one.found.std - 0.03) < 3 * one.found.spread < 0.02
+    assert one.effect.name == "bad-pose" and not one.rivals
+    assert abs(one.std - 0.03) < 3 * one.spread < 0.02
     text = of_diagnosis(found, None)
     assert "bad-pose at every pose" in text and "the machine's repeatability" in text
 
@@ -67,7 +67,7 @@ def test_a_part_seen_from_poses_that_are_off(which: str) -> None:
     uv = scene.predicted(scene.start(), poses if which == "poses" else targets)
     found = diagnose(images.Images(scene, uv + rng.normal(0, scene.noise, uv.shape)).adjusted())
     assert found.verdict == "explained" and found.noise.as_declared
-    assert [one.found.effect.name for one in found.scatters] == ["bad-pose" if which == "poses" else "moved-target"]
+    assert [one.effect.name for one in found.scatters] == ["bad-pose" if which == "poses" else "moved-target"]
 
 
 @pytest.mark.parametrize("distances", [False, True])

@@ -21,19 +21,23 @@ _SEEN = {True: "seen", "part": "seen in part", False: "not seen", None: ""}
 
 
 def candidate_lines(
-    adjusted: AdjustedJob, design: Design, named: Sequence[IdentifiedEffect] | None, scattered: Sequence[str] = ()
+    adjusted: AdjustedJob,
+    design: Design,
+    named: Sequence[IdentifiedEffect] | None,
+    scattered: Sequence[str] = (),
+    decided: bool = True,
 ) -> list[str]:
     """Return the table of candidates, with one line for all places of a cause that have the same status.
 
     Without `named` nothing was looked for yet: what residuals would exclude is `detectable`. `scattered` are the
-    effects that are named at all places.
+    effects that are named at all places; `decided` is whether the search came to its end.
     """
     rows: dict[tuple[str, str], list[Candidate]] = {}
     for candidate in design.candidates:
-        word = str(status.status(candidate, named or ()))
+        word = str(status.status(candidate, named or (), decided))
         word = "detectable" if named is None and word == status.Status.EXCLUDED else word
         rows.setdefault((candidate.alternative.effect.form, word), []).append(candidate)
-    lines = [_line(adjusted, name, word, found) for (name, word), found in rows.items()]
+    lines = [_line(adjusted, design, name, word, found) for (name, word), found in rows.items()]
     lines += [_of_scatter(adjusted, one, named is None, scattered) for one in design.scatters]
     lines += [_of_readings(adjusted, one, named is None) for one in design.readings]
     lines += [
@@ -43,18 +47,25 @@ def candidate_lines(
     return text_table(_HEAD, lines)
 
 
-def _line(adjusted: AdjustedJob, name: str, word: str, found: Sequence[Candidate]) -> tuple[str, ...]:
+def _line(
+    adjusted: AdjustedJob, design: Design, name: str, word: str, found: Sequence[Candidate]
+) -> tuple[str, ...]:
     places = ["/".join(one.alternative.instance) for one in found if one.alternative.instance]
     where = listed(places, _SHOWN)
     effect = found[0].alternative.effect
-    sizes = [one.detectable for one in found if one.testable]
+    excluded = word == status.Status.EXCLUDED
+    sizes = [status.excluded_above(one) if excluded else one.detectable for one in found if one.testable]
     why = ""
     if word == status.Status.NOT_TESTABLE:
         why = f"absorbed by {', '.join(found[0].absorbed_by)}; {_off(found)}"
     elif word == status.Status.CANNOT_SEE and any(one.missed for one in found):
         sizes, why = [], status.reason(next(one for one in found if one.missed), word)
+    elif word == status.Status.CANNOT_SEE and any(map(status.is_swallowed, found)):
+        sizes, why = [], status.reason(next(filter(status.is_swallowed, found)), word, design.structure)
     elif word == status.Status.CANNOT_SEE:
         why = _off(found)
+    elif word == status.Status.NOT_DECIDED:
+        sizes, why = [], status.reason(found[0], word)
     seen = {status.usual_seen(one) for one in found}
     beside = status.usual_beside(effect, min(sizes, default=found[0].plausible))
     usual = f"{beside}: {_SEEN[seen.pop() if len(seen) == 1 else 'part']}" if beside else ""

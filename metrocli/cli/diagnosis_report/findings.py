@@ -70,7 +70,8 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None) -> str:
     if extended is not None:
         parts.append([f"next: run {extended.path}, {_extension(diagnosis, extended.law)}"])
     scattered = [one.effect.name for one in diagnosis.scatters]
-    parts.append(candidate_lines(job, diagnosis.design, [one.effect for one in findings], scattered))
+    decided = not diagnosis.ended_early
+    parts.append(candidate_lines(job, diagnosis.design, [one.effect for one in findings], scattered, decided))
     return "\n\n".join("\n".join(lines) for lines in parts)
 
 

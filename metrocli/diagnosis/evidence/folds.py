@@ -22,7 +22,7 @@ from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.evidence.likelihood import Fit, Products, fit_at
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import HELD_OUT, Fixed, Random
-from metrocli.diagnosis.evidence.prices import FURTHER, gain_of_columns
+from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL, gain_of_columns
 from metrocli.diagnosis.evidence.state import State, local_columns, products_of, shared_columns
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.projection import VISIBLE
@@ -231,8 +231,8 @@ class _Nested:
         spots = {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
         train = Train.of(fold, others, self.state)
         best, at = -np.inf, (0, 0)
-        for number in range(len(m.families)):
-            net = train.nets(number)
+        for number, family in enumerate(m.families):
+            net = train.nets(number) - (OF_ALL if family.unknown else 0.0)
             if len(net) and net.max() > best:
                 best, at = float(net.max()), (number, int(np.argmax(net)))
         if best <= (FURTHER if others.fixed else 0.0) or m.alternative(at).spot not in spots:

@@ -165,6 +165,8 @@ def _rivals(less: State, one: Fixed, values: Array, variance: float) -> tuple[Ri
     taken = {m.alternative(other.key).spot for other in less.named}
     best: dict[object, Rival] = {}
     for number, family in enumerate(m.families):
+        if family.unknown:
+            continue
         gram, _ = less.left(number)
         explained, rank = less.of_family(number)
         gain = gain_of_columns(explained, rank, squares, dof)

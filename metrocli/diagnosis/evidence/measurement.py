@@ -5,7 +5,7 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from functools import cached_property
 
@@ -17,11 +17,12 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.functions import process_bases
 from metrocli.diagnosis.evidence.parts import (
     CORRELATED,
+    EFFECT,
     LARGEST,
-    MOTION,
     READING,
     READINGS,
     TERM,
+    UNKNOWN,
     Fixed,
     Knots,
     Random,
@@ -29,6 +30,7 @@ from metrocli.diagnosis.evidence.parts import (
     kernel,
 )
 from metrocli.diagnosis.evidence.prices import OF_ALL, OF_UNITS, Prices, counted, price_of_variance
+from metrocli.diagnosis.evidence.unknown import unknown_families
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.candidates import Alternative, Family, NotTested, families_of, families_throughout
 from metrocli.diagnosis.linear.linearised import linearised
@@ -65,8 +67,6 @@ class Measurement:
     """Families of each effect that may act at all its places at once"""
     knots: tuple[Knots, ...]
     """Functions of the covariates with which errors may be correlated"""
-    motions: tuple[tuple[str, Array], ...]
-    """Changes of the readings (rows, k) by an unknown motion in proportion to a covariate, with the name of that"""
     places: Index
     """Rows of each reading, (readings, d), -1 if it has fewer components"""
     units: tuple[tuple[str, str, Mask], ...]
@@ -178,8 +178,13 @@ class Measurement:
     def effect(self, family: int, number: int) -> Fixed:
         """Return an effect at a place as fixed columns."""
         whole = self.whole(family, number)
-        one = fixed(whole, self.system.seen(whole), (family, number), 0.0)
-        return replace(one, price=self.prices.of_columns(family, max(one.rank, 1)))
+        unknown = bool(self.families[family].unknown)
+        one = fixed(whole, self.system.seen(whole), (family, number), 0.0, UNKNOWN if unknown else EFFECT)
+        return replace(one, price=self.price_of(family, max(one.rank, 1)))
+
+    def price_of(self, family: int, rank: int) -> float:
+        """Return the price of an alternative of a family by its rank."""
+        return self.prices.of_columns(family, rank) + (OF_ALL if self.families[family].unknown else 0.0)
 
     def term(self, whole: Array, key: tuple[int, int], price: float) -> Fixed:
         """Return the whole columns of a term of a law (rows, factors) as fixed columns."""
@@ -202,17 +207,6 @@ class Measurement:
         price = self.price_of_correlated(number, unit)
         return Random(CORRELATED, key, columns, local, price, LARGEST)
 
-    def motion(self, number: int) -> Random:
-        """Return an unknown motion in proportion to a covariate, of the same variance along all directions."""
-        columns = self.motions[number][1]
-        typical = float(np.median(np.linalg.norm(columns, axis=0)))
-        return Random(MOTION, (number, 0, -1), columns / typical, False, self.price_of_motion, 30.0, 1 / typical)
-
-    @property
-    def price_of_motion(self) -> float:
-        """The price of an unknown motion."""
-        return price_of_variance(len(self.motions)) + OF_ALL
-
     def keys_of(self, reading: int) -> dict[str, str]:
         """Return the keys that identify a reading, with its component if the components are tested one by one."""
         row, first = int(self.places[reading][0]), self.system.first
@@ -232,6 +226,7 @@ def measurement_of(
     system = _with_standing(job, linearised(job.model, weights or {}))
     families, not_tested = families_of(job, system)
     every = [*families, *families_throughout(job, system)]
+    families += unknown_families(job, system)
     places = _places(system, job.single_components)
     readings = int((1 - system.basis.squares(places[:, 0]) > _REDUNDANT).sum())
     same = like is not None and [one.form for one in like.families] == [one.form for one in families]
@@ -243,23 +238,10 @@ def measurement_of(
         not_tested,
         tuple(_scatters(job, system, every)),
         tuple(Knots.of(one) for one in process_bases(job, system)),
-        tuple(_motions(job, system)),
         places,
         tuple(variance_groups(job, system)),
         prices,
     )
-
-
-def _motions(job: AdjustedJob, system: System) -> Iterator[tuple[str, Array]]:
-    """Yield the covariates whose coordinates are the changes of the readings themselves, whitened."""
-    for covariate in job.covariates:
-        if covariate.together:
-            found = np.zeros((system.rows, len(next(iter(covariate.values.values())))))
-            for group in job.model.readings:
-                d, n = group.observations.readings.shape
-                rows = slice(system.first[group.name], system.first[group.name] + d * n)
-                found[rows] = np.repeat(covariate.values[group.name].T, d, axis=0) / system.scale[rows][:, None]
-            yield covariate.name, found
 
 
 def _places(system: System, apart: bool) -> Index:

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 READINGS = -1
 """Family of the errors of single readings"""
-EFFECT, READING, TERM, HELD_OUT = "effect", "reading", "term of a law", "held-out readings"
+EFFECT, READING, UNKNOWN, TERM, HELD_OUT = "effect", "reading", "unknown cause", "term of a law", "held-out readings"
 """Sorts of fixed columns"""
-SCATTER, CORRELATED, MOTION = "scatter", "correlated", "motion"
+SCATTER, CORRELATED = "scatter", "correlated"
 _SEEN = 1e-4
 """Smallest singular value of unit columns, relative to the largest, that counts as a column"""
 _RICH = 0.02

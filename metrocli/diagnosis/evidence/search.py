@@ -10,16 +10,22 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli.adjust.robust import SAME
 from metrocli.diagnosis.evidence.parts import CORRELATED, Fixed, Random
 from metrocli.diagnosis.evidence.state import State, at_sizes
-from metrocli.diagnosis.evidence.variances import Found, correlated_errors, noisier_groups, scattered
+from metrocli.diagnosis.evidence.variances import Found, correlated_errors, noisier_groups, scattered_effects
 from metrocli.diagnosis.evidence.weights import with_noise
-from metrocli.diagnosis.noise import AS_OTHERS
+from metrocli.diagnosis.linear.projection import READING
+from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA
 from metrocli.frozen import dataclass
 
 _MOST = 60
 _CORRELATED = 4
 """Largest number of correlated errors: what more of them explain is small beside these"""
+_GAINED = 1e-3
+"""Least gain of the score by a move: less is rounding"""
+_AT_ONCE = 60
+"""Wrong readings of one step, at most"""
 _SURE = 2.5
 """Net evidence below which a part is left out on trial"""
 _APART = 0.3
@@ -29,6 +35,10 @@ _NEAR = 3.0
 _MOST_TRIED = 3
 _SWAPS, _CERTAIN, _TRIED = 3, 30.0, 3
 """Rounds of swaps, the net evidence beyond which a part is not tried to be replaced, and by how many others"""
+_ESTIMATES, _STAYS = 6, 1.03
+"""Largest number of estimates of the noise of a group, and the ratio of two that ends them"""
+_ALIKE = float(np.log(20.0))
+"""Difference of scores up to which two causes explain the readings alike"""
 _MASKED, _TOGETHER = 2.0, 8
 """Variance of the noise, in that declared, from which several wrong readings are sought together, and how many"""
 TRACE = False
@@ -42,6 +52,8 @@ class Move:
     fixed: tuple[Fixed, ...] = ()
     found: Found | None = None
     noise: Mapping[int, float] | None = None
+    given: bool = False
+    """Whether the noise is that of prior values, whose stated sigma is wrong"""
 
     @property
     def keys(self) -> tuple[tuple[int, ...], ...]:
@@ -51,18 +63,30 @@ class Move:
     def made(self, state: State) -> State:
         """Return the state after the move."""
         if self.noise is not None:
-            return state.at(with_noise(state.measurement, self.noise))
+            return _with_noise(state, self.noise)
         if self.found is not None:
             return state.plus(random=[self.found.part(state.measurement)], logs=[self.found.log])
         return state.plus(self.fixed)
 
 
-def moves(state: State) -> list[Move]:
-    """Return what may enter a state, the best first."""
+def _with_noise(state: State, noise: Mapping[int, float]) -> State:
+    """Return a state whose variance groups have a noise of their own, estimated until it stays."""
+    for _ in range(_ESTIMATES):
+        after = state.at(with_noise(state.measurement, noise))
+        if after.score < state.score and state.measurement.noise:
+            return state
+        state, noise = after, {number: after.ratio_of(number) for number in noise}
+        if all(1 / _STAYS < ratio < _STAYS for ratio in noise.values()):
+            break
+    return state
+
+
+def moves(state: State, quiet: set[int] | None = None) -> list[Move]:
+    """Return what may enter a state, the best first; `quiet` are covariates that showed nothing before."""
     found = [*_names(state), *_readings(state), *_masked_readings(state)]
-    random = scattered(state)[:1]
+    random = scattered_effects(state)[:1]
     if sum(one.kind == CORRELATED for one in state.random) < _CORRELATED:
-        random += correlated_errors(state)
+        random += correlated_errors(state, quiet)
     found += [Move(one.net, found=one) for one in random]
     found += _noise(state)
     return sorted((one for one in found if one.net > -1), key=lambda one: -one.net)
@@ -70,23 +94,36 @@ def moves(state: State) -> list[Move]:
 
 def _noise(state: State) -> list[Move]:
     """Return the noisier variance groups of one step: those of the kind of the most certain that are nearly as certain."""
-    groups = [one for one in noisier_groups(state) if one[0] > 0 and not 1 / AS_OTHERS < one[2] < AS_OTHERS]
+    of_readings = [one[0] not in (READING, DECLARED_SIGMA) for one in state.measurement.units]
+    # one of many units that is quieter than the others is no cause for anything
+    groups = [
+        one
+        for one in noisier_groups(state)
+        if one[0] > 0 and (one[2] > AS_OTHERS or (one[2] < 1 / AS_OTHERS and not of_readings[one[1]]))
+    ]
     if not groups:
         return []
     kind = state.measurement.units[groups[0][1]][0]
     alike = [one for one in groups if state.measurement.units[one[1]][0] == kind and one[0] > groups[0][0] / 2]
-    return [Move(groups[0][0], noise={number: ratio for _, number, ratio in alike})]
+    return [Move(groups[0][0], noise={number: ratio for _, number, ratio in alike}, given=kind == DECLARED_SIGMA)]
 
 
 def _names(state: State, most: int = 2) -> list[Move]:
+    """Return the effects, and unknown causes, of the largest net gains.
+
+    Left out is what the error of one reading explains as well: beside its dead path, a jump after the first reading of
+    a tracer is an error of that reading. How many readings there are is no evidence for the jump.
+    """
     m = state.measurement
-    taken = {m.alternative(one.key).form for one in state.named}
+    _, rank, by_readings = state.of_readings()
+    taken = {m.alternative(one.key).form for one in (*state.named, *state.unknown)}
     found: list[tuple[float, int, int]] = []
     for family in range(len(m.families)):
-        gain, price, _ = state.gains_of_family(family)
+        gain, price, explained = state.gains_of_family(family)
         net = gain - price
+        single = by_readings[rank <= m.families[family].columns.parameters].max(initial=0.0)
         for at in np.argsort(-net)[:4].tolist():
-            if gain[at] > 0 and m.alternative((family, at)).form not in taken:
+            if gain[at] > 0 and single < SAME * explained[at] and m.alternative((family, at)).form not in taken:
                 found.append((float(net[at]), family, at))
     found.sort(reverse=True)
     return [Move(net, (m.effect(family, at),)) for net, family, at in found[:most]]
@@ -98,14 +135,23 @@ def _readings(state: State) -> list[Move]:
     gain, price, t = state.gains_of_readings()
     net = gain - price
     taken = {one.number for one in state.readings}
-    order = [i for i in np.argsort(-net)[:40].tolist() if net[i] > 0 and i not in taken]
-    order = [i for i in order if t[i] > t[order[0]] / 4]
+    order = [i for i in np.argsort(-net)[:_AT_ONCE].tolist() if net[i] > 0 and i not in taken]
     chosen: list[Fixed] = []
-    for i in order:
+    for i in (i for i in order if t[i] > t[order[0]] / 4):
         one = m.reading(i)
         if all(np.abs(other.columns.T @ m.system.seen(one.columns)).max(initial=0.0) < _APART for other in chosen):
             chosen.append(one)
     return [Move(float(net[order[0]]), tuple(chosen))] if chosen else []
+
+
+def _with_all_readings(state: State) -> State:
+    """Return the state with the wrong readings that show at the same sizes of the random parts, step by step."""
+    while found := _readings(state):
+        other = state.plus(found[0].fixed, steps=0)
+        if other.score <= state.score:
+            break
+        state = other
+    return state
 
 
 def _masked_readings(state: State) -> list[Move]:
@@ -132,14 +178,15 @@ def forward(
     state: State, most: int = _MOST, stop: Callable[[State], bool] | None = None, without: tuple[int, ...] = ()
 ) -> State:
     """Return the state after the moves that raise its score, each the best of those tried, until none does."""
+    quiet: set[int] = set()
     for _ in range(most):
-        possible = [one for one in moves(state) if without not in one.keys]
-        if not possible or possible[0].net <= 0:
-            break
-        best = _best(state, possible)
-        if best is None or best.score <= state.score + 1e-3:
-            break
-        state = pruned(best.settled())
+        best = _best(state, [one for one in moves(state, quiet) if without not in one.keys])
+        if best is None or best.score <= state.score + _GAINED:
+            whole = without_weak_random(state)
+            if whole is state or whole.score <= state.score + _GAINED:
+                break
+            best = whole
+        state = without_weak_fixed(best.settled())
         if TRACE:
             import time
 
@@ -151,34 +198,52 @@ def forward(
 
 def _best(state: State, possible: Sequence[Move]) -> State | None:
     """Return the best of the states after moves; where sizes stay as they are, the quick gains are exact."""
-    first = possible[0].net
-    tried: list[State] = []
+    if not possible or possible[0].net <= 0:
+        return None
+    first, tried = possible[0].net, list[State]()
     for move in possible[:_MOST_TRIED]:
         if move.net < first - max(_NEAR, 0.3 * first):
             break
-        tried.append(move.made(state))
+        made = move.made(state)
+        tried.append(_with_all_readings(made) if any(one.is_reading for one in move.fixed) else made)
         if not state.random and move.fixed:
             break
-    return max(tried, key=lambda one: one.score, default=None)
+    best = max(tried, key=lambda one: one.score)
+    # a sigma that the job states explains as much as an effect at all places: it is what can be corrected
+    given = (one for one, move in zip(tried, possible, strict=False) if move.given and one.score > best.score - _ALIKE)
+    return next(given, best)
 
 
 def pruned(state: State) -> State:
     """Return the state without the parts that no longer pay, the weakest first."""
-    while state.fixed or state.random:
+    return without_weak_random(without_weak_fixed(state))
+
+
+def without_weak_fixed(state: State) -> State:
+    """Return the state without the effects and wrong readings that no longer pay, the weakest first."""
+    while state.fixed:
         nets = state.without_fixed()
-        weak: list[tuple[float, Fixed | Random]] = [
-            (float(net), one) for net, one in zip(nets, state.fixed, strict=True) if net < (_SURE if state.random else 0.0)
-        ]
-        # without its random part the others change, so that is estimated
-        less = [(state.score - state.minus([one]).score, one) for j, one in enumerate(state.random) if _quick(state, j) < 2 * _SURE]
-        weak += [pair for pair in less if pair[0] < 0]
-        for _, one in sorted(weak, key=lambda pair: pair[0]):
-            other = state.minus([one])
-            if other.score >= state.score:
-                state = other
-                break
-        else:
-            return state
+        worst = int(np.argmin(nets))
+        if nets[worst] > (_SURE if state.random else 0.0):
+            break
+        other = state.minus([state.fixed[worst]])
+        if other.score < state.score:
+            break
+        state = other
+    return state
+
+
+def without_weak_random(state: State) -> State:
+    """Return the state without the random parts that no longer pay, the weakest first.
+
+    Without one of them the sizes of the others change, so these are estimated.
+    """
+    while state.random:
+        weak = [j for j in range(len(state.random)) if _quick(state, j) < 2 * _SURE]
+        fewer = max((state.minus([state.random[j]]) for j in weak), key=lambda one: one.score, default=state)
+        if fewer.score < state.score or fewer is state:
+            break
+        state = fewer
     return state
 
 
@@ -220,13 +285,11 @@ def _quick(state: State, number: int) -> float:
 def words(state: State) -> list[str]:
     """Return the parts of a state in words."""
     m = state.measurement
-    found = [str(m.alternative(one.key)) for one in state.named]
+    found = [str(m.alternative(one.key)) for one in state.named] + [m.families[one.family].name for one in state.unknown]
     found += [f"noise {m.units[n][0]} {m.units[n][1]} x{q:.2f}" for n, q in m.noise.items()]
     found += [f"{len(state.readings)} readings"] if state.readings else []
     for one, log in zip(state.random, state.logs, strict=True):
-        if one.kind == "motion":
-            found.append(f"motion {m.motions[one.key[0]][0]} g {log:.2f}")
-        elif one.kind == "scatter":
+        if one.kind == "scatter":
             found.append(f"{m.scatters[one.key[0]][0].name} everywhere g {log:.2f}")
         else:
             f = m.knots[one.key[0]].functions

@@ -15,8 +15,8 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.evidence.likelihood import Fit, Products, fit_at, likeliest
 from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
-from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, HELD_OUT, READINGS, SCATTER, Fixed, Random, scatter
-from metrocli.diagnosis.evidence.prices import FURTHER, PRIOR, gain_of_columns
+from metrocli.diagnosis.evidence.parts import EFFECT, HELD_OUT, READINGS, SCATTER, UNKNOWN, Fixed, Random, scatter
+from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL, PRIOR, gain_of_columns
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.frozen import dataclass
@@ -60,6 +60,11 @@ class State:
     def named(self) -> tuple[Fixed, ...]:
         """The identified effects."""
         return tuple(one for one in self.fixed if one.sort == EFFECT)
+
+    @property
+    def unknown(self) -> tuple[Fixed, ...]:
+        """What varies with a covariate for a cause that is not known."""
+        return tuple(one for one in self.fixed if one.sort == UNKNOWN)
 
     @property
     def readings(self) -> tuple[Fixed, ...]:
@@ -280,8 +285,9 @@ class State:
         t, q = self.of_family(family)
         gain = gain_of_columns(t, q, self.fit.squares, self.freedoms)
         price = self.measurement.prices.of_ranks(family, q)
-        named = len(self.named) + (1 if self.readings else 0)
-        return gain, price + (FURTHER if named else 0.0), t
+        if self.measurement.families[family].unknown:
+            return gain, price + OF_ALL, t
+        return gain, price + (FURTHER if self.named or self.readings else 0.0), t
 
     def gains_of_readings(self) -> tuple[Array, Array, Array]:
         """Return the gain of an error of each reading, its price, and the squares that it explains."""
@@ -348,7 +354,7 @@ def shared_columns(m: Measurement, fixed: Sequence[Fixed], random: Sequence[Rand
 
     Without the unknowns the others are free of these as well.
     """
-    others = [((one.kind, one.key), one.columns) for one in random if not one.local]
+    others: list[tuple[object, Array]] = [((one.kind, one.key), one.columns) for one in random if not one.local]
     others += [((one.sort, one.key), one.columns) for one in fixed]
     parts = [m.system.basis.shared if unknowns else np.zeros((m.system.rows, 0))]
     for key, columns in others:
@@ -405,9 +411,7 @@ def products_of(
 
 def remade(m: Measurement, one: Random) -> Random:
     """Return a random part of another linearisation in this one."""
-    if one.kind == CORRELATED:
-        return m.correlated(one.key[0], LENGTHS[one.key[1]], one.key[2])
-    return scatter(m, one.key[0]) if one.kind == SCATTER else m.motion(one.key[0])
+    return scatter(m, one.key[0]) if one.kind == SCATTER else m.correlated(one.key[0], LENGTHS[one.key[1]], one.key[2])
 
 
 def at_sizes(state: State, logs: Array) -> Fit:

@@ -13,7 +13,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
-from metrocli.diagnosis.evidence.parts import CORRELATED, LARGEST, MOTION, SCATTER, Random, scatter
+from metrocli.diagnosis.evidence.parts import CORRELATED, LARGEST, SCATTER, Random, scatter
 from metrocli.diagnosis.evidence.state import State
 from metrocli.frozen import dataclass
 
@@ -58,8 +58,8 @@ class Found:
 
     def part(self, m: Measurement) -> Random:
         """Return its columns."""
-        if self.kind != CORRELATED:
-            return scatter(m, self.key[0]) if self.kind == SCATTER else m.motion(self.key[0])
+        if self.kind == SCATTER:
+            return scatter(m, self.key[0])
         return m.correlated(self.key[0], LENGTHS[self.key[1]], self.key[2])
 
 
@@ -127,13 +127,19 @@ def _blocks(state: State, number: int) -> _Blocks:
     return _Blocks(gram.reshape(count * size, count * size)[None], right.reshape(1, -1), each * count)
 
 
-def correlated_errors(state: State, most: int = 3) -> list[Found]:
-    """Return the correlated errors with the largest quick net gains, the best first."""
+def correlated_errors(state: State, quiet: set[int] | None = None, most: int = 3) -> list[Found]:
+    """Return the correlated errors with the largest quick net gains, the best first.
+
+    Covariates that show nothing are added to `quiet`, and those that are there are not looked at again.
+    """
+    quiet = set() if quiet is None else quiet
     m, scale = state.measurement, state.fit.dof / state.fit.squares
     held = {one.key for one in state.random if one.kind == CORRELATED}
     scored: list[tuple[float, tuple[int, int, int], Array, Array]] = []
     for number, own in enumerate(m.knots):
-        blocks = _blocks(state, number)
+        if number in quiet:
+            continue
+        blocks, before = _blocks(state, number), len(scored)
         for length in m.lengths(number):
             at = LENGTHS.index(length)
             gram, right = blocks.turned(m.kernel(number, length))
@@ -142,6 +148,8 @@ def correlated_errors(state: State, most: int = 3) -> list[Found]:
             scored.append((z, (number, at, -1), gram, right))
             if own.functions.count > 1:
                 scored += _singles(gram, right, scale, (number, at), own.functions.count)
+        if max((one[0] for one in scored[before:]), default=0.0) < _NOTICED:
+            quiet.add(number)
     scored = [one for one in scored if one[0] > _NOTICED and one[1] not in held]
     several = sorted((one for one in scored if one[1][2] < 0), key=lambda one: -one[0])[: 2 * most]
     single = sorted((one for one in scored if one[1][2] >= 0), key=lambda one: -one[0])[:most]
@@ -169,25 +177,23 @@ def _singles(
     yield float(z[at]), (*key, at), gram[[at]], right[[at]]
 
 
-def scattered(state: State) -> list[Found]:
-    """Return the effects at all their places, and the unknown motions, with their quick net gains, the best first."""
+def scattered_effects(state: State) -> list[Found]:
+    """Return the effects at all their places with their quick net gains, the best first."""
     m = state.measurement
-    tried = [(SCATTER, number, m.price_of_scatter) for number in range(len(m.scatters))]
-    tried += [(MOTION, number, m.price_of_motion) for number in range(len(m.motions))]
-    held, found = {(one.kind, one.key[0]) for one in state.random}, list[Found]()
-    for kind, number, price in tried:
-        if (kind, number) in held:
+    held, found = {one.key[0] for one in state.random if one.kind == SCATTER}, list[Found]()
+    for number in range(len(m.scatters)):
+        if number in held:
             continue
-        if (kind, number) not in m.held:
-            m.held[kind, number] = (scatter(m, number) if kind == SCATTER else m.motion(number)).columns
-        columns = m.held[kind, number]
+        if (SCATTER, number) not in m.held:
+            m.held[SCATTER, number] = scatter(m, number).columns
+        columns = m.held[SCATTER, number]
         inside = state.inside(columns)
         d, vectors = np.linalg.eigh(columns.T @ columns - inside.T @ inside)
         along = (vectors.T @ (columns.T @ state.residual)) ** 2 / np.maximum(d, 1e-300)
         kept = d > 1e-4 * max(float(d[-1]), 1e-300)
         if state.freedoms - 2 - kept.sum() >= FEWEST:
             gain, log = gain_of_variance(d[kept], along[kept], state.fit.squares, state.fit.dof)
-            found.append(Found(gain - price, kind, (number, 0, -1), log))
+            found.append(Found(gain - m.price_of_scatter, SCATTER, (number, 0, -1), log))
     return sorted(found, key=lambda one: -one.net)
 
 

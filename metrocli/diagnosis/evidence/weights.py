@@ -39,7 +39,6 @@ def with_noise(measurement: Measurement, ratios: Mapping[int, float]) -> Measure
         families=tuple(_weighted(one, weighted, factor) for one in measurement.families),
         scatters=tuple(tuple(_weighted(one, weighted, factor) for one in own) for own in measurement.scatters),
         knots=tuple(_knots(one, weighted, factor) for one in measurement.knots),
-        motions=tuple((name, columns * factor[:, None]) for name, columns in measurement.motions),
         noise=known,
         unweighted=measurement.unweighted or measurement,
         log_scale=measurement.log_scale + float(np.log(factor).sum()) - log_det / 2,

@@ -22,7 +22,7 @@ def near_effects(state: State, shown: Array) -> tuple[tuple[Alternative, float],
     Each is at its best place and with its best scanned values; the nearest comes first.
     """
     size, found = float(shown @ shown), dict[str, tuple[Alternative, float]]()
-    for family in state.measurement.families:
+    for family in (one for one in state.measurement.families if not one.unknown):
         inside, _ = quadratic(family.gram, family.columns.products(shown[:, None])[:, :, 0], family.raw)
         best = int(np.argmax(inside))
         cosine = float(np.sqrt(min(inside[best] / max(size, 1e-300), 1.0)))

@@ -89,7 +89,7 @@ class Family:
     gram: Array
     """`G'MG` of each alternative, (alternatives, parameters, parameters)"""
     unknown: str = ""
-    """Covariate of a family of smooth functions, whose cause is not known; "" for effects"""
+    """Covariate of a family whose cause is not known; "" for effects"""
     whole: Mapping[int, Own | Step] = field(default_factory=dict)
     """Whole signatures of the alternatives whose columns are their visible parts"""
 

@@ -35,9 +35,9 @@ def test_stops_that_scatter_are_one_finding(scatter: float, declared: float | No
     found = diagnose(made(1, scatter).adjusted(declared))
     assert (found.verdict, found.findings, found.noise.as_declared) == ("explained", (), True)
     (one,) = found.scatters
-    assert one.found.effect.name == "repeatability"
+    assert one.effect.name == "repeatability"
     more = np.sqrt(scatter**2 - (declared or 0.0) ** 2)
-    assert abs(one.found.std - more) < 3 * one.found.spread < 0.5 * more
+    assert abs(one.std - more) < 3 * one.spread < 0.5 * more
 
 
 def test_stops_as_declared_are_no_finding() -> None:
