@@ -44,7 +44,7 @@ def write(folder: Path, noise: float, scatter: float) -> Path:
     return folder / "job.yaml"
 
 
-@pytest.mark.parametrize("noise", [0.6, 2.0])
+@pytest.mark.parametrize("noise", [0.6, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_a_right_sigma_of_targets_is_not_called_wrong(noise: float, tmp_path: Path, metrocli: Metrocli) -> None:
     out = metrocli("diagnose", write(tmp_path, noise * DECLARED, SIGMA)).out
     (line,) = [one for one in out.splitlines() if one.startswith("noise: ")]

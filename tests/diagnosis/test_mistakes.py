@@ -83,6 +83,7 @@ def test_a_job_without_mistakes_is_left_alone() -> None:
     assert len(calls) == 1
 
 
+@pytest.mark.slow
 def test_of_equally_good_corrections_that_of_the_fewest_columns_is_first(
     tmp_path: Path, metrocli: Callable[..., Any]
 ) -> None:
@@ -100,6 +101,7 @@ def test_of_equally_good_corrections_that_of_the_fewest_columns_is_first(
     assert "write distance_m in the heading; as good" in ran.err
 
 
+@pytest.mark.slow
 def test_a_list_whose_frame_is_unknown_is_mirrored_in_any_axis(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
     shutil.copytree(SAMPLES / "raw-part", tmp_path / "part")
     targets = tmp_path / "part" / "cmm" / "targets.csv"

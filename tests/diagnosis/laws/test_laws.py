@@ -114,6 +114,7 @@ def test_a_column_of_the_data_keeps_its_name_beside_those_of_a_law(found: Diagno
     assert set(shown.parameters) == {"a2", "a3", "a4"} and set(shown.scan) == {"s2"}
 
 
+@pytest.mark.slow
 def test_folds_that_travel_give_the_same_law(found: Diagnosis) -> None:
     cloudpickle = pytest.importorskip("cloudpickle", reason="the extra 'cluster' is not installed")
     sent = []

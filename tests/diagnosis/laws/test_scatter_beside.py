@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from benchmarks.hidden.foreign import planted
 from benchmarks.hidden.lengths import Measurement
 from metrocli.diagnosis.diagnose import diagnose
 
 
+@pytest.mark.slow
 def test_a_wave_in_one_tracer_is_not_noise_of_it() -> None:
     hidden = planted("multilaterate", 6)
     found = diagnose(hidden.job())
@@ -28,6 +30,7 @@ def test_a_wave_in_the_image_is_not_a_scatter_of_the_targets() -> None:
     assert found.noise.as_declared
 
 
+@pytest.mark.slow
 def test_a_noisier_tracer_stays_beside_a_law_in_another() -> None:
     hidden = planted("multilaterate", 1)
     m = hidden.measured
