@@ -177,7 +177,7 @@ def test_where_nothing_is_hidden_it_says_so(folder: Path, metrocli: Metrocli) ->
 
 
 def test_without_times_their_effects_are_not_tested(folder: Path, metrocli: Metrocli) -> None:
-    data = json.loads(metrocli("diagnose", write(folder, measured(), times=False), "--json").out)
+    data = json.loads(metrocli("diagnose", write(folder, measured(), times=False), "--design", "--json").out)
     missing = {one["name"]: one["reason"] for one in data["candidates"] if one["status"] == "not-tested"}
     assert set(missing) == {
         "refraction-drift",
