@@ -145,16 +145,6 @@ def test_the_results_are_those_of_this_computer(
     assert metrocli("run", "--scheduler", file).code == 0
     assert contents() == local
 
-    job = write(project, measured("tracer-drift"))
-    with with_package(tmp_path / "packages"):
-        lacking = metrocli("diagnose", job, "--scheduler", file)
-    told = ["no package with the effect 'bow', and this is", "lab-effects 1.0 (module", "install the same versions"]
-    assert (lacking.code, [words in lacking.err for words in told]) == (3, [True] * 3), lacking.err
-    diagnosed = [metrocli("diagnose", job, "--json", *more) for more in ([], ["--force", "--scheduler", file])]
-    assert [(one.code, one.err) for one in diagnosed] == [(0, "")] * 2
-    assert diagnosed[0].out == diagnosed[1].out
-    assert json.loads(diagnosed[0].out)["effects"], "without a finding nothing is cross-validated"
-
     os.kill(processes[1].pid, signal.SIGKILL)
     for path in Path("results").glob("*.h5"):
         path.unlink()
@@ -169,6 +159,22 @@ def test_the_results_are_those_of_this_computer(
     assert (gone.code, "--scheduler" in gone.err) == (3, True)
     assert len(contents()) == COUNT - 1
     assert metrocli("run").out.count(": ran") == 1
+
+
+@pytest.mark.slow
+def test_a_diagnosis_is_that_of_this_computer(
+    cluster: tuple[Path, list[subprocess.Popen[bytes]]], project: Path, metrocli: Callable[..., Any], tmp_path: Path
+) -> None:
+    file, _ = cluster
+    job = write(project, measured("tracer-drift"))
+    with with_package(tmp_path / "packages"):
+        lacking = metrocli("diagnose", job, "--scheduler", file)
+    told = ["no package with the effect 'bow', and this is", "lab-effects 1.0 (module", "install the same versions"]
+    assert (lacking.code, [words in lacking.err for words in told]) == (3, [True] * 3), lacking.err
+    diagnosed = [metrocli("diagnose", job, "--json", *more) for more in ([], ["--force", "--scheduler", file])]
+    assert [(one.code, one.err) for one in diagnosed] == [(0, "")] * 2
+    assert diagnosed[0].out == diagnosed[1].out
+    assert json.loads(diagnosed[0].out)["effects"], "without a finding nothing is cross-validated"
 
 
 def test_a_scheduler_that_dies_in_a_run_keeps_what_is_finished(

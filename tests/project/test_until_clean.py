@@ -69,6 +69,7 @@ def test_with_a_limit_of_extensions_it_ends_there(hall: Path, capsys: pytest.Cap
     assert "--most" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_interrupted_search_ends_it_with_the_steps_so_far(
     hall: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

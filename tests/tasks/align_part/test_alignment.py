@@ -16,6 +16,7 @@ def found() -> dict[str, alignment.Array]:
     return alignment.repeatability(60)
 
 
+@pytest.mark.slow
 def test_every_coordinate_improves_by_the_published_factor_or_reaches_the_image_noise(
     found: dict[str, alignment.Array],
 ) -> None:

@@ -58,8 +58,12 @@ def job(drift: Drift, runs: int = 4, once: tuple[str, ...] = (), warming: bool =
     "drift, name, value",
     [
         (lambda axis, t, warmer, way: 8e-3 / HOUR * t * (axis == "y"), "laser-dead-path-drift L1", 8e-3 / HOUR),
-        (lambda axis, t, warmer, way: 9e-6 / HOUR * t * way, "laser-refraction-drift", 9e-6 / HOUR),
-        (lambda axis, t, warmer, way: 1.5e-6 * warmer * way, "laser-refraction-drift", 1.5e-6),
+        pytest.param(
+            lambda axis, t, warmer, way: 9e-6 / HOUR * t * way, "laser-refraction-drift", 9e-6 / HOUR, marks=pytest.mark.slow
+        ),
+        pytest.param(
+            lambda axis, t, warmer, way: 1.5e-6 * warmer * way, "laser-refraction-drift", 1.5e-6, marks=pytest.mark.slow
+        ),
     ],
     ids=["dead path", "air by time", "air by temperature"],
 )
@@ -71,6 +75,7 @@ def test_a_drift_is_named(drift: Drift, name: str, value: float) -> None:
     assert size.std < value / 4
 
 
+@pytest.mark.slow
 def test_nothing_is_named_where_nothing_drifts() -> None:
     assert not diagnose(job(none)).findings
 
@@ -85,6 +90,7 @@ def test_on_a_line_that_is_run_once_a_drift_of_the_zero_is_a_positioning_error()
     assert shown.detectable < 1e-3 / 60 / 5
 
 
+@pytest.mark.slow
 def test_growth_of_a_scale_and_drift_of_the_air_are_two_names_where_one_line_shows_them() -> None:
     """The other lines are run once: what grows with time and distance there is a positioning error."""
 

@@ -50,6 +50,7 @@ def found(diagnosis: Diagnosis, name: str, place: tuple[str, ...], truth: list[f
         assert size.std < abs(value) / 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLANTED)
 def test_a_tracker_shows_it(name: str) -> None:
     change, place, truth = PLANTED[name]
@@ -79,6 +80,7 @@ def of_lines(table: Table) -> Diagnosis:
     return diagnose(calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, lines=table)))
 
 
+@pytest.mark.slow
 def test_a_laser_reads_the_shift() -> None:
     def change(axis: str, sense: Array) -> Array:
         return np.outer([0, 0, 0.004, 0, 0, 0], sense / 2) * (axis == "x")
@@ -87,6 +89,7 @@ def test_a_laser_reads_the_shift() -> None:
     found(of_lines(along_lines(change)), "straightness-reversal", ("xz",), [0.004])
 
 
+@pytest.mark.slow
 def test_a_laser_reads_the_tilt() -> None:
     """The receiver is at the tool, with no lever on the axis z, the last of the chain."""
 
