@@ -428,7 +428,9 @@ def test_the_worst_place_of_a_volume_and_the_largest_contributor_are_named() -> 
 
 
 def test_what_is_to_be_typed_is_marked_in_doubts_too() -> None:
-    page = page_of(without_figures(), record=replace(RECORD, doubts=('sigma0 = 9; `require: {sigma0: "< 10"}` allows it',)))
+    page = page_of(
+        without_figures(), record=replace(RECORD, doubts=('sigma0 = 9; `require: {sigma0: "< 10"}` allows it',))
+    )
     assert "`" not in page.text
 
 

@@ -108,7 +108,9 @@ def test_results_are_shown(spindle: Path, metrocli: Metrocli) -> None:
 @pytest.mark.parametrize(
     ("sample", "jobs"),
     [
-        pytest.param("otf-tracker", {f"feed-{feed}": 12 for feed in (2500, 5000, 10000, 15000)}, marks=pytest.mark.slow),
+        pytest.param(
+            "otf-tracker", {f"feed-{feed}": 12 for feed in (2500, 5000, 10000, 15000)}, marks=pytest.mark.slow
+        ),
         ("machine-lengths", {"lengths": 18, "one-tool": 12}),
     ],
 )

@@ -64,7 +64,9 @@ def test_corners_know_their_scatter(pattern: Pattern) -> None:
     assert 0.85 < np.sqrt(np.mean(((found.uv - true[rows]) / found.sigma[:, None]) ** 2)) < 1.2
 
 
-@pytest.mark.parametrize(("columns", "rows"), [(8, 6), *(pytest.param(*size, marks=pytest.mark.slow) for size in ((9, 5), (8, 5)))])
+@pytest.mark.parametrize(
+    ("columns", "rows"), [(8, 6), *(pytest.param(*size, marks=pytest.mark.slow) for size in ((9, 5), (8, 5)))]
+)
 def test_a_part_of_a_chessboard_is_not_taken_for_the_board(columns: int, rows: int) -> None:
     rng = np.random.default_rng(9)
     image, _ = seen(CHESS, rng, Look(noise=2.0))

@@ -59,7 +59,10 @@ def job(drift: Drift, runs: int = 4, once: tuple[str, ...] = (), warming: bool =
     [
         (lambda axis, t, warmer, way: 8e-3 / HOUR * t * (axis == "y"), "laser-dead-path-drift L1", 8e-3 / HOUR),
         pytest.param(
-            lambda axis, t, warmer, way: 9e-6 / HOUR * t * way, "laser-refraction-drift", 9e-6 / HOUR, marks=pytest.mark.slow
+            lambda axis, t, warmer, way: 9e-6 / HOUR * t * way,
+            "laser-refraction-drift",
+            9e-6 / HOUR,
+            marks=pytest.mark.slow,
         ),
         pytest.param(
             lambda axis, t, warmer, way: 1.5e-6 * warmer * way, "laser-refraction-drift", 1.5e-6, marks=pytest.mark.slow

@@ -36,7 +36,7 @@ def test_with_five_tracers_a_coin_is_not_tossed() -> None:
     assert shares[False] >= 3
 
 
-@pytest.mark.parametrize(("m", "least"), [(6, 0.88), (8, 0.95)])
+@pytest.mark.parametrize(("m", "least"), [(6, 0.88), pytest.param(8, 0.95, marks=pytest.mark.slow)])
 def test_errors_of_2_um_are_put_on_the_right_length(m: int, least: float) -> None:
     """The rates of 500 cases are those of `python -m benchmarks.blunders`; of 60 a binomial spread is allowed for."""
     found = blunders.rates(m, 2e-3, 60)
@@ -146,6 +146,7 @@ def test_the_least_detectable_error_is_detected_in_80_of_100() -> None:
     assert np.mean(hits) == pytest.approx(0.8, abs=3 * np.sqrt(0.8 * 0.2 / 100))
 
 
+@pytest.mark.slow
 def test_the_least_detectable_error_counts_noise_that_is_larger_than_declared() -> None:
     """Lengths with 1.7 times the declared noise: the size that each result states is found in 80 of 100."""
     net, rng, hits = network(12, 6, seed=6, noise=0.0), np.random.default_rng(1), []
