@@ -91,6 +91,7 @@ def test_a_shutter_in_every_image_is_one_effect_with_a_standard_deviation() -> N
     assert 0.6 < np.sqrt((off**2).mean()) < 1.5
 
 
+@pytest.mark.slow
 def test_one_motion_in_all_images_is_a_skew_and_an_aspect_of_the_lens() -> None:
     """The page: it cannot be told from them."""
     rng = np.random.default_rng(35)
