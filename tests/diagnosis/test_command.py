@@ -407,13 +407,6 @@ def test_an_effect_listed_twice_is_a_fault_of_the_job(folder: Path, metrocli: Me
     assert ran.code == 3 and "dead-path-drift is listed twice" in ran.err
 
 
-def test_an_effect_that_the_unknowns_absorb_is_refused_with_the_reason(folder: Path, metrocli: Metrocli) -> None:
-    job = write(folder, measured())
-    job.write_text(job.read_text() + "effects: [{name: reflector-incidence}]\n")
-    ran = metrocli("multilaterate", job)
-    assert ran.code == 4 and "reflector-incidence cannot be separated from the other unknowns" in ran.err
-
-
 def one_target_an_image(folder: Path, off: tuple[float, float]) -> Path:
     """Write an alignment by eight images of one target each; the machine stood elsewhere for one of them."""
     rng = np.random.default_rng(5)

@@ -76,9 +76,8 @@ def reported(job: AdjustedJob, letter: str) -> np.ndarray:
     return values
 
 
-@pytest.mark.parametrize(
-    "axis", [pytest.param("x", marks=pytest.mark.slow), "y", pytest.param("z", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_tables_count_as_they_are_reported_where_no_knot_is_at_the_zero_of_the_axis(axis: str) -> None:
     m = machine.measurement(np.random.default_rng(23), (4, 80))
     found = next(

@@ -26,7 +26,7 @@ Spoil = Callable[[str], str]
 def network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A network of lengths from plain formulas, with the listed places of points and tracers."""
     monkeypatch.chdir(tmp_path)
-    m = lengths.measurement(np.random.default_rng(58), 12)
+    m = lengths.measurement(np.random.default_rng(58), 9)
     constant, proportional = lengths.NOISE
     Path("job.yaml").write_text(NETWORK % (constant, proportional * 1000))
     rows = [f"P{p},T{t},{length!r}" for p, t, length in zip(m.point, m.tracer, m.length.tolist(), strict=True)]
@@ -128,6 +128,7 @@ def test_an_overload_marker_is_no_wrong_unit(tmp_path: Path, metrocli: Callable[
     assert '"verdict": "mistaken"' not in told.out
 
 
+@pytest.mark.slow
 def test_a_list_in_another_order_makes_the_result_doubtful(tmp_path: Path, metrocli: Callable[..., object]) -> None:
     """Probing points in the reverse order: lengths fit, and each correction is that of another point."""
     assert metrocli("init", tmp_path / "gear", "--sample", "gear-m3d3").code == 0

@@ -16,21 +16,20 @@ from benchmarks.hidden_effects import KINDS
 from metrocli.diagnosis.findings import Verdict
 
 LONG = {"calibrate-machine", "six-dof"}
-KNOWN = [pytest.param(kind, marks=pytest.mark.slow if kind == "six-dof" else ()) for kind in KINDS]
-CLEAN = [pytest.param(kind, marks=pytest.mark.slow if kind in LONG else ()) for kind in KINDS]
+EACH_KIND = [pytest.param(kind, marks=pytest.mark.slow if kind in LONG else ()) for kind in KINDS]
 
 
 def cases(kind: str, scenario: str) -> Iterator[Case]:
     return KINDS[kind].cases(count(), scenario, small=True)
 
 
-@pytest.mark.parametrize("kind", CLEAN)
+@pytest.mark.parametrize("kind", EACH_KIND)
 def test_where_nothing_is_hidden_the_verdict_is_clean(kind: str) -> None:
     found = rates.found(next(cases(kind, "nothing")))
     assert found.diagnosis.verdict == Verdict.CLEAN and not found.diagnosis.findings
 
 
-@pytest.mark.parametrize("kind", KNOWN)
+@pytest.mark.parametrize("kind", EACH_KIND)
 def test_a_known_effect_is_named(kind: str) -> None:
     case = next(case for case in cases(kind, "an effect of 3x") if case.hidden[0].distinct)
     found = rates.found(case)

@@ -114,6 +114,7 @@ def contents() -> dict[str, str]:
     return {path.stem: hdf5.read_label(path).content for path in sorted(Path("results").glob("*.h5"))}
 
 
+@pytest.mark.slow
 def test_large_files_travel_without_advice_to_programmers(
     cluster: tuple[Path, list[subprocess.Popen[bytes]]], project: Path, metrocli: Callable[..., Any]
 ) -> None:
@@ -177,6 +178,7 @@ def test_a_diagnosis_is_that_of_this_computer(
     assert json.loads(diagnosed[0].out)["effects"], "without a finding nothing is cross-validated"
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_dies_in_a_run_keeps_what_is_finished(
     cluster: tuple[Path, list[subprocess.Popen[bytes]]], project: Path
 ) -> None:

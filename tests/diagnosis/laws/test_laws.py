@@ -209,6 +209,7 @@ def test_a_law_stands_beside_its_readings(found: Diagnosis) -> None:
         assert (off - off.mean()).std() < bound * planted.std(), (off - off.mean()).std() / planted.std()
 
 
+@pytest.mark.slow
 def test_a_law_of_distances_stands_beside_distances() -> None:
     """The other readings are angles, which show nothing of it: +-30 um that go with the temperature."""
     m = launch.measurement(np.random.default_rng(2), True)

@@ -22,6 +22,7 @@ def test_a_wave_in_one_tracer_is_not_noise_of_it() -> None:
     assert found.noise.as_declared
 
 
+@pytest.mark.slow
 def test_a_wave_in_the_image_is_not_a_scatter_of_the_targets() -> None:
     found = diagnose(planted("calibrate-camera", 0).job())
     assert found.law is not None

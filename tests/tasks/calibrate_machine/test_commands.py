@@ -196,6 +196,7 @@ def test_time_of_a_laser_shows_drift_and_what_it_cannot_see_is_told(folder: Path
     assert ran.code == 3 and "tracker-scale has no influence on the readings" in ran.err
 
 
+@pytest.mark.slow
 def test_backlash_needs_the_side_of_its_own_axis_only(folder: Path, metrocli: Metrocli) -> None:
     """Sides of X alone are enough for X; Y and Z are said to be not tested, each with its column."""
     job = made(folder, STANDSTILL, metrocli)
@@ -327,6 +328,7 @@ def test_numbers_that_are_none_in_the_stream_are_told_with_their_line(folder: Pa
     assert "track.csv:401:1: error: column 'x_mm': 'nan' is not a finite number" in ran.err
 
 
+@pytest.mark.slow
 def test_files_are_whole_though_nobody_reads_the_output(folder: Path, metrocli: Metrocli) -> None:
     """`metrocli plan JOB | head -1` ends the output, not the files."""
     job = made(folder, FLIGHT, metrocli)

@@ -92,6 +92,7 @@ def test_the_way_since_a_turn_on_a_path() -> None:
     assert found["since_y"].tolist() == [np.inf, 5.0, 40.0, 40.0]
 
 
+@pytest.mark.slow
 def test_sides_that_contradict_the_order_are_not_a_way() -> None:
     m = machine.measurement(np.random.default_rng(123), (3, 160))
     m.came[:, 1] *= -1

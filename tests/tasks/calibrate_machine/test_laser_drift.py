@@ -54,6 +54,7 @@ def job(drift: Drift, runs: int = 4, once: tuple[str, ...] = (), warming: bool =
     return calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, lines=table))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "drift, name, value",
     [
@@ -83,6 +84,7 @@ def test_nothing_is_named_where_nothing_drifts() -> None:
     assert not diagnose(job(none)).findings
 
 
+@pytest.mark.slow
 def test_on_a_line_that_is_run_once_a_drift_of_the_zero_is_a_positioning_error() -> None:
     """Its change over the line is one of EXX, which `hides` states: 1 um/min for the 160 s of the line."""
     seen = what_can_be_seen(job(none, once=("x",))).candidates

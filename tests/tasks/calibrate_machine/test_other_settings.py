@@ -86,6 +86,7 @@ def test_a_tool_with_the_wrong_sign_is_refused(job: Path, metrocli: Metrocli) ->
     assert "x of T2 has the wrong sign" in ran.err
 
 
+@pytest.mark.slow
 def test_a_model_that_does_not_fit_is_not_called_undetermined(job: Path, metrocli: Metrocli) -> None:
     """A repeatability as large as the residuals leaves nothing determined; the cause is what the message states."""
     ran = metrocli("calibrate-machine", job, "--set", "machine.tools.T2=[110 mm, 20 mm, 152 mm]")

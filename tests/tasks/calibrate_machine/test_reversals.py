@@ -99,6 +99,7 @@ def test_a_laser_reads_the_tilt() -> None:
     found(of_lines(along_lines(change)), "angular-reversal", ("z",), [4e-6, -8e-6, 6e-6])
 
 
+@pytest.mark.slow
 def test_points_approached_from_one_side_do_not_show_it() -> None:
     """It is the same at all points then, and the tables stay as they are."""
     m = machine.measurement(np.random.default_rng(83), FEW)
@@ -109,6 +110,7 @@ def test_points_approached_from_one_side_do_not_show_it() -> None:
     assert max(one.hides.size for one in unseen.values()) < 1e-6
 
 
+@pytest.mark.slow
 def test_a_shift_and_a_tilt_are_not_told_apart_with_one_tool_on_the_last_axis() -> None:
     """The lever of z, the last axis of the chain, is the tool alone."""
     whole = machine.measurement(np.random.default_rng(84), (3, 420))

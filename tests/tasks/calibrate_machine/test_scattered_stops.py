@@ -30,6 +30,7 @@ def row_of(job: AdjustedJob) -> dict[str, Any]:
     return row
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scatter", "declared"), [(2e-3, None), pytest.param(3e-3, 1e-3, marks=pytest.mark.slow)])
 def test_stops_that_scatter_are_one_finding(scatter: float, declared: float | None) -> None:
     found = diagnose(made(1, scatter).adjusted(declared))
