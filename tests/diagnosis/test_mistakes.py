@@ -60,7 +60,9 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if "x and z" in name else ()) for name in WRONG]
+)
 def test_the_mistake_is_told(name: str) -> None:
     key, spoil, words = WRONG[name]
     inputs = files()

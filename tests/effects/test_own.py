@@ -332,6 +332,7 @@ def test_noise_of_the_tracer_in_which_a_wave_is_found_does_not_stay_beside_it(
     assert data["noise"]["as_declared"] and data["noise"]["apart"] == []
 
 
+@pytest.mark.slow
 def test_a_step_is_not_tried_at_the_time_of_a_reading(shop: Path, capsys: pytest.CaptureFixture[str]) -> None:
     step = """define:
   - {name: slip, acts_on: length, adds: "a*(1 + (t - at)/abs(t - at))/2", where: [tracer],

@@ -176,6 +176,7 @@ def test_a_diagnosis_has_causes_without_the_machine_and_is_clean_with_it(
     assert json.loads(ran.out)["verdict"] == "clean"
 
 
+@pytest.mark.slow
 def test_an_axis_that_grew_since_its_calibration_is_named_on_top_of_the_tables(
     tmp_path: Path, metrocli: Metrocli, machine: sim.Machine, result: Result
 ) -> None:

@@ -115,6 +115,7 @@ def by_hand(one: Casting, errors: Array, near: Array) -> Array:
     return pose
 
 
+@pytest.mark.slow
 def test_the_largest_least_overstock_scatters_as_stated_while_its_points_change(tmp_path: Path) -> None:
     """Where other points come to hold the pose: a derivative with the same points is too small by half."""
     one, part = casting(EXCHANGED), file_of(tmp_path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -73,7 +74,9 @@ def test_distances_on_some_poses_only() -> None:
     assert np.diag(result.covariance)[:3].sum() < np.diag(without.covariance)[:3].sum()
 
 
-@pytest.mark.parametrize(("n", "distances"), [(3, False), (5, True), pytest.param(20, False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("n", "distances"), [(3, False), *(pytest.param(*one, marks=pytest.mark.slow) for one in ((5, True), (20, False)))]
+)
 def test_the_covariance_is_honest(n: int, distances: bool) -> None:
     """150 draws: chi-square of the error in the stated covariance, and sigma0, are as they should be."""
     exact = anywhere(n, 11, distances)
@@ -151,8 +154,8 @@ def test_outliers_are_named() -> None:
 
 
 def test_readings_without_fault_raise_no_alarm() -> None:
-    named = sum(len(located(anywhere(15, 500 + seed, True).noisy(RNG)).tables["outliers"]) > 0 for seed in range(100))
-    assert named <= 12  # 5 % of 100 and what chance adds
+    named = sum(len(located(anywhere(15, 500 + seed, True).noisy(RNG)).tables["outliers"]) > 0 for seed in range(40))
+    assert named <= 6  # 5 % of 40 and what chance adds
 
 
 def test_receivers_whose_place_is_uncertain() -> None:
@@ -185,20 +188,16 @@ def test_three_methods_side_by_side() -> None:
 
 
 def test_the_least_detectable_error_of_an_encoder_is_detected_in_80_of_100() -> None:
-    """An error of the size in /angles, on one reading, against the bound of the test that the job makes."""
+    """The size in /angles, on one reading, shifts the test value to where normal noise exceeds its bound in 80 %."""
     exact = anywhere(8, 23, distances=True)
     table = located(exact).tables["angles"]
     row = int(np.argmin(np.abs(table.numbers("redundancy") - np.median(table.numbers("redundancy")))))
     encoder, pose = int(table.texts("reading")[row][-1]) - 1, row_of(table.texts("pose"), table.texts("pose")[row])
-    rng = np.random.default_rng(80)
-    hits = []
-    for _ in range(150):
-        noisy = exact.noisy(rng)
-        angles = noisy.angles.copy()
-        angles[encoder, pose] += table.numbers("detectable")[row]
-        result = located(replace(noisy, angles=angles))
-        hits.append(abs(result.tables["angles"].numbers("normalised")[row]) > result.statistics["critical_w"])
-    assert np.mean(hits) == pytest.approx(0.8, abs=3.3 * np.sqrt(0.8 * 0.2 / 150))
+    angles = exact.angles.copy()
+    angles[encoder, pose] += table.numbers("detectable")[row]
+    result = located(replace(exact, angles=angles))
+    w = abs(result.tables["angles"].numbers("normalised")[row])
+    assert NormalDist().cdf(w - result.statistics["critical_w"]) == pytest.approx(0.8, abs=0.002)
 
 
 @pytest.mark.slow

@@ -50,6 +50,7 @@ def test_its_uncertainty_is_that_of_the_full_covariance(known: bool, scale: floa
         assert found.std == pytest.approx(np.sqrt(e @ full @ e), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_it_covers_the_truth() -> None:
     rng = np.random.default_rng(3)
     net = network(25, 4, seed=4)

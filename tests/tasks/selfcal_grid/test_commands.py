@@ -269,6 +269,7 @@ def test_diagnosis_needs_more_readings_than_unknowns(project: Path, metrocli: Me
     assert "no more readings than unknowns" in ran.err
 
 
+@pytest.mark.slow
 def test_a_view_of_one_ball_is_no_disturbed_datum(project: Path, metrocli: Metrocli) -> None:
     rows = (project / "data" / "views.csv").read_text().splitlines()
     kept = [row for row in rows if row[0] != "4" or row.startswith("4,0,0,0,")]

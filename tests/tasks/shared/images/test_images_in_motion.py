@@ -76,6 +76,7 @@ def test_the_job_that_names_it_finds_its_size(kind: str) -> None:
     assert np.all(np.abs(found) > 5 * std)
 
 
+@pytest.mark.slow
 def test_a_shutter_in_every_image_is_one_effect_with_a_standard_deviation() -> None:
     rng = np.random.default_rng(25)
     scene = board_scene(rng)
@@ -131,6 +132,7 @@ def test_a_motion_during_the_exposure_is_taken_in_by_the_poses() -> None:
     assert diagnose(job).verdict == "clean"
 
 
+@pytest.mark.slow
 def test_an_image_that_is_noisier_along_its_motion_is_reported_as_noisier() -> None:
     rng = np.random.default_rng(75)
     scene = board_scene(rng)
