@@ -2,8 +2,11 @@
 PYTHON ?= python3
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+LAWS := layers words docs kinds links algorithm_pages
+QUICK := $(addprefix tests/,units settings adjust geometry formats tasks/test_small_jobs.py) $(LAWS:%=tests/laws/test_%.py)
 
-.PHONY: demo test lint docs bench fuzz lock clean
+.PHONY: demo quick test lint docs bench fuzz lock clean
 
 demo: .venv/installed
 	rm -rf demo
@@ -12,8 +15,14 @@ demo: .venv/installed
 	$(BIN)/metrocli show demo/results/camera.h5
 	$(BIN)/metrocli show demo/results/part.h5
 
+# For those who change the program: in a minute, whether the engine, the formats and a job of each kind still work.
+quick: .venv/installed
+	$(BIN)/ruff check
+	$(PYTEST) $(QUICK)
+
+# All but the slow tests, which `python -m benchmarks slow_tests` runs.
 test: lint
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(PYTEST) --durations=10
 
 lint: .venv/installed
 	$(BIN)/ruff check

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import pytest
 
 from metrocli import tasks
 
+LONGEST = 8.0
+"""CPU seconds of a test from which it is to be marked slow"""
 READINGS = "point,x_mm,y_um\na,0,1000\nb,1000,2000\nc,2000,3100\nd,3000,3900\n"
 JOB = "metrocli: 1\njob: straight-line\ninputs: {readings: readings.csv}\nnoise: 0.1 mm\n"
 
@@ -52,3 +55,21 @@ def job(tmp_path: Path, straight_line: str, monkeypatch: pytest.MonkeyPatch) -> 
     (tmp_path / "line.yaml").write_text(JOB)
     monkeypatch.chdir(tmp_path)
     return Path("line.yaml")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Note the CPU seconds of a test beside its outcome."""
+    before = time.process_time()
+    try:
+        return (yield)
+    finally:
+        item.user_properties.append(("cpu", time.process_time() - before))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """List tests that take long and are not marked slow."""
+    for report in terminalreporter.getreports("passed"):
+        seconds = dict(report.user_properties).get("cpu", 0.0)
+        if report.when == "call" and "slow" not in report.keywords and seconds > LONGEST:
+            terminalreporter.write_line(f"{report.nodeid} took {seconds:.0f} s of CPU: shorten it, or mark it slow")

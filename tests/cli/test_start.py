@@ -43,7 +43,9 @@ def test_a_network_of_lengths_loads_no_scipy(tmp_path: Path) -> None:
     assert (done.stderr.splitlines()[-1], done.returncode) == ("[]", 0)
 
 
-@pytest.mark.parametrize("name", ["calibrate-machine, lengths", "calibrate-machine, standstill"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("calibrate-machine, lengths", marks=pytest.mark.slow), "calibrate-machine, standstill"]
+)
 def test_a_small_calibration_of_a_machine_loads_no_scipy(name: str, tmp_path: Path) -> None:
     job = tmp_path / "job.yaml"
     job.write_text(small_jobs.SIMULATED[name])

@@ -91,7 +91,7 @@ def affine(moved: np.ndarray) -> np.ndarray:
     return np.asarray(columns @ np.linalg.lstsq(columns, moved, rcond=None)[0])
 
 
-@pytest.mark.parametrize("places", [(17,), (8, 29)])
+@pytest.mark.parametrize("places", [(17,), pytest.param((8, 29), marks=pytest.mark.slow)])
 def test_few_moved_targets_are_named_one_by_one(
     measured: Callable[[np.ndarray, int], Path], metrocli: Metrocli, places: tuple[int, ...]
 ) -> None:

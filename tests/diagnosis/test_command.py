@@ -66,9 +66,11 @@ def test_json_has_the_keys_of_the_contract(folder: Path, metrocli: Metrocli) -> 
     ran = metrocli("diagnose", job, "--json")
     assert ran.code == 0, ran.err
     data = json.loads(ran.out)
-    assert data["verdict"] in ("explained", "indistinct")
+    assert data["verdict"] == "indistinct"
+    assert any("all around the tracers" in words for words in data["separate_by"])
     assert data["noise"]["declared"] == "0.1 um, 0.1 um/m"
     assert data["noise"]["interval"][0] < data["noise"]["ratio"] < data["noise"]["interval"][1]
+    assert data["noise"]["as_declared"] is True and data["limited"] is None
     (effect,) = data["effects"]
     assert effect["name"] == "dead-path-drift"
     assert set(effect["where"]) == {"tracer"}
@@ -76,6 +78,7 @@ def test_json_has_the_keys_of_the_contract(folder: Path, metrocli: Metrocli) -> 
     assert effect["parameters"]["rate"]["unit"] == "mm/s"
     assert effect["p_value"] < 0.01
     assert all({"name", "where", "correlation", "odds"} <= set(other) for other in effect["alternatives"])
+    assert "tracer-drift" in {other["name"] for other in effect["alternatives"]}
     gain = effect["gain"]
     assert gain["shown"] and gain["unit"] == "um" and gain["holdout_after"] < gain["holdout_before"]
     assert np.isclose(gain["reduction_percent"], 100 * (1 - gain["holdout_after"] / gain["holdout_before"]))
@@ -129,18 +132,17 @@ def test_an_extended_job_that_was_edited_is_kept_unless_forced(folder: Path, met
     job, extended = write(folder, measured("tracer-scale")), folder / "job.extended.yaml"
     assert metrocli("diagnose", job, "--quiet").code == 0
     written = extended.read_text()
-    assert metrocli("diagnose", job, "--quiet").err == "", "what diagnose wrote it replaces without asking"
     edited = written.replace("metrocli: 1", "metrocli: 1\ntitle: with my own changes")
     extended.write_text(edited)
     ran = metrocli("diagnose", job, "--json")
     assert (ran.code, json.loads(ran.out)["extended_job"], extended.read_text()) == (0, None, edited)
     assert "job.extended.yaml: error: the extended job is not as diagnose wrote it" in ran.err
     assert "give another --output, or replace it with --force" in ran.err
-    assert metrocli("diagnose", job, "--output", extended).code == 3
     assert json.loads(metrocli("diagnose", job, "--json", "--force").out)["extended_job"] == "job.extended.yaml"
     assert extended.read_text() == written
 
 
+@pytest.mark.slow
 def test_a_jump_keeps_its_time_in_the_extended_job(folder: Path, metrocli: Metrocli) -> None:
     job = write(folder, measured("dead-path-jump", 4.0))
     metrocli("diagnose", job)
@@ -175,7 +177,7 @@ def test_where_nothing_is_hidden_it_says_so(folder: Path, metrocli: Metrocli) ->
 
 
 def test_without_times_their_effects_are_not_tested(folder: Path, metrocli: Metrocli) -> None:
-    data = json.loads(metrocli("diagnose", write(folder, measured(), times=False), "--json").out)
+    data = json.loads(metrocli("diagnose", write(folder, measured(), times=False), "--design", "--json").out)
     missing = {one["name"]: one["reason"] for one in data["candidates"] if one["status"] == "not-tested"}
     assert set(missing) == {
         "refraction-drift",
@@ -215,14 +217,6 @@ def test_the_design_is_told_before_there_are_readings(folder: Path, metrocli: Me
     assert metrocli("diagnose", job).code == 3
 
 
-def test_inseparable_names_come_with_what_tells_them_apart(folder: Path, metrocli: Metrocli) -> None:
-    data = json.loads(metrocli("diagnose", write(folder, measured("dead-path-drift")), "--json").out)
-    assert data["verdict"] == "indistinct"
-    told = {data["effects"][0]["name"], *(other["name"] for other in data["effects"][0]["alternatives"])}
-    assert {"dead-path-drift", "tracer-drift"} <= told
-    assert any("all around the tracers" in words for words in data["separate_by"])
-
-
 @pytest.mark.parametrize(
     ("text", "code", "words"), [("straight-line", 2, "cannot be diagnosed"), ("nothing", 3, "job")]
 )
@@ -254,6 +248,7 @@ def test_beside_a_very_large_effect_the_next_is_named_too_and_the_extended_job_i
     assert (again["verdict"], again["effects"]) == ("clean", [])
 
 
+@pytest.mark.slow
 def test_of_two_large_effects_that_are_alike_neither_takes_the_place_of_the_other(
     folder: Path, metrocli: Metrocli
 ) -> None:
@@ -284,13 +279,12 @@ def test_a_report_says_how_far_the_shape_of_an_effect_was_checked() -> None:
         assert words in " ".join(diagnosis_report.of_diagnosis(told, None).split())
 
 
-def test_an_extended_job_takes_the_place_of_an_older_one_and_of_no_other_file(folder: Path, metrocli: Metrocli) -> None:
+def test_an_extended_job_takes_the_place_of_no_other_file(folder: Path, metrocli: Metrocli) -> None:
     job = write(folder, measured("dead-path-drift", 6.0))
     before = (folder / "lengths.csv").read_bytes()
     ran = metrocli("diagnose", job, "--output", "lengths.csv")
     assert (ran.code, "is not an extended job" in ran.err) == (3, True)
     assert (folder / "lengths.csv").read_bytes() == before
-    assert [metrocli("diagnose", job, "--output", "new.yaml").code for _ in range(2)] == [0, 0]
 
 
 def test_a_noise_that_the_job_estimates_is_not_called_declared() -> None:
@@ -303,6 +297,7 @@ def test_a_noise_that_the_job_estimates_is_not_called_declared() -> None:
     assert ("times the noise that the job estimates" in text, "declared" in text) == (True, False)
 
 
+@pytest.mark.slow
 def test_a_repeatability_that_the_job_estimates_is_not_called_declared(metrocli: Metrocli, tmp_path: Path) -> None:
     assert metrocli("init", tmp_path / "m", "--sample", "machine-lengths").code == 0
     job, lengths_file = tmp_path / "m/jobs/lengths.yaml", tmp_path / "m/data/lengths.csv"
@@ -359,7 +354,7 @@ def known(folder: Path, true: float, stated: float, seed: int = 4, name: str = "
     return job
 
 
-@pytest.mark.parametrize(("true", "stated"), [(1e-3, 4e-3), (2e-3, 5e-4), (1e-3, 1e-3), (1e-2, 1e-3), (0.1, 1e-3)])
+@pytest.mark.parametrize(("true", "stated"), [(1e-3, 4e-3), (1e-3, 1e-3), (0.1, 1e-3)])
 def test_a_wrong_sigma_of_known_points_is_told_as_that(
     folder: Path, metrocli: Metrocli, true: float, stated: float
 ) -> None:
@@ -381,6 +376,7 @@ def test_a_gain_that_is_small_beside_other_errors_is_told_as_that(folder: Path, 
     assert " unchanged " in row and " +" in row and "not shown" not in row and "0 %" not in row
 
 
+@pytest.mark.slow
 def test_known_points_are_no_hindrance_to_what_tells_two_names_apart(folder: Path, metrocli: Metrocli) -> None:
     m = measured("dead-path-drift", 2.0)
     job = write(folder, replace(m, nominal=m.points))
@@ -409,16 +405,6 @@ def test_an_effect_listed_twice_is_a_fault_of_the_job(folder: Path, metrocli: Me
     job.write_text(job.read_text() + f"effects: [{one}, {one}]\n")
     ran = metrocli("diagnose", job)
     assert ran.code == 3 and "dead-path-drift is listed twice" in ran.err
-
-
-@pytest.mark.parametrize("command", ["multilaterate", "diagnose"])
-def test_an_effect_that_the_unknowns_absorb_is_refused_with_the_reason(
-    folder: Path, metrocli: Metrocli, command: str
-) -> None:
-    job = write(folder, measured())
-    job.write_text(job.read_text() + "effects: [{name: reflector-incidence}]\n")
-    ran = metrocli(command, job)
-    assert ran.code == 4 and "reflector-incidence cannot be separated from the other unknowns" in ran.err
 
 
 def one_target_an_image(folder: Path, off: tuple[float, float]) -> Path:
@@ -461,10 +447,8 @@ def test_a_direction_of_an_effect_that_nothing_shows_is_held_and_told(folder: Pa
 
 
 def test_noise_that_is_not_as_declared_stands_in_the_first_line(folder: Path, metrocli: Metrocli) -> None:
-    """The same measurement with its noise as it is, and declared as a fifth of that."""
+    """The noise is declared as a fifth of what it is; the test of the keys has the noise as it is."""
     job = write(folder, measured())
-    assert metrocli("diagnose", job).out.startswith("verdict: clean\n")
-    assert json.loads(metrocli("diagnose", job, "--json").out)["noise"]["as_declared"] is True
     fifth = ("--set", "noise.constant=0.02 um", "--set", "noise.proportional=0.02 um/m")
     data = json.loads(metrocli("diagnose", job, "--json", *fifth).out)
     assert (data["verdict"], data["noise"]["as_declared"]) == ("clean", False)
@@ -506,10 +490,9 @@ def with_wrong_length(folder: Path, count: int, point: str, at: str) -> Path:
     return write(folder, replace(m, length=m.length + 2e-2 * wrong))
 
 
-@pytest.mark.parametrize("tracer", ["T0", "T1", "T2", "T3"])
-def test_with_four_tracers_a_wrong_length_cannot_be_identified(folder: Path, metrocli: Metrocli, tracer: str) -> None:
+def test_with_four_tracers_a_wrong_length_cannot_be_identified(folder: Path, metrocli: Metrocli) -> None:
     """One degree of freedom at each point: the tests of its four lengths are the same."""
-    ran = metrocli("diagnose", with_wrong_length(folder, 4, "P7", tracer), "--json")
+    ran = metrocli("diagnose", with_wrong_length(folder, 4, "P7", "T1"), "--json")
     (wrong,) = json.loads(ran.out)["outliers"]
     assert wrong["w"] > 4
     named = [wrong["observation"], *wrong["or"]]
@@ -545,11 +528,9 @@ def test_a_status_has_a_size_and_compares_it_with_the_usual_sizes(folder: Path, 
 def test_the_exit_code_is_0_whatever_the_verdict_unless_clean_is_required(folder: Path, metrocli: Metrocli) -> None:
     job = write(folder, measured("dead-path-drift", 30.0))
     assert metrocli("multilaterate", job).code == 6  # doubtful
-    assert metrocli("diagnose", job).code == 0
     required = metrocli("diagnose", job, "--require", "clean", "--json")
     assert (required.code, json.loads(required.out)["verdict"]) == (6, "explained")
-    clean = write(folder, measured())
-    assert metrocli("diagnose", clean, "--require", "clean").code == 0
+    assert metrocli("diagnose", write(folder, measured()), "--require", "clean").code == 0
 
 
 def test_a_search_ends_at_its_limit_with_what_it_has_found(folder: Path, metrocli: Metrocli) -> None:
@@ -562,7 +543,6 @@ def test_a_search_ends_at_its_limit_with_what_it_has_found(folder: Path, metrocl
     assert "The search ended at the limit of 0.001 s" in ended.out
     # a verdict that counts would need all that was to be tried
     assert ended.code == 6 and "so far (limit of 0.001 s)" in ended.out.splitlines()[0]
-    assert json.loads(metrocli("diagnose", job, "--json").out)["limited"] is None
 
 
 @pytest.mark.parametrize("limit", ["60", "0 s", "soon"])
@@ -574,10 +554,8 @@ def test_a_limit_is_a_time(folder: Path, metrocli: Metrocli, limit: str) -> None
 def test_the_diagnosis_is_kept_beside_the_result(folder: Path, metrocli: Metrocli) -> None:
     job, kept = write(folder, measured()), Path("results/points.diagnosis.json")
     assert metrocli("multilaterate", job, "--quiet").code == 0
-    printed = metrocli("diagnose", job, "--json").out
-    assert not kept.exists()
     assert f"diagnosis: {kept}, shown by metrocli report results/points.h5" in metrocli("diagnose", job).out
-    assert json.loads(kept.read_text()) == json.loads(printed)
+    assert json.loads(kept.read_text())["verdict"] == "clean"
     metrocli("report", "results/points.h5")
     assert "Verdict: clean: the residuals are what noise produces." in Path("results/points.html").read_text(
         encoding="utf-8"
@@ -585,4 +563,3 @@ def test_the_diagnosis_is_kept_beside_the_result(folder: Path, metrocli: Metrocl
     kept.write_text("{}")  # a file of one's own stays
     ran = metrocli("diagnose", job)
     assert ran.code == 0 and "the diagnosis was not kept" in ran.err and kept.read_text() == "{}"
-    assert metrocli("diagnose", job, "--force").code == 0 and kept.read_text() == printed

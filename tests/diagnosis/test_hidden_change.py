@@ -35,6 +35,7 @@ def candidate(m: Measurement, name: str, place: str) -> Candidate:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "parameters"), [("dead-path-drift", ("rate",)), ("tracer-drift", ("vx", "vy", "vz"))])
 def test_what_is_not_found_moves_no_point_farther_than_stated(name: str, parameters: tuple[str, ...]) -> None:
     rng = np.random.default_rng([21, len(parameters)])
@@ -75,6 +76,7 @@ def reported(job: AdjustedJob, letter: str) -> np.ndarray:
     return values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_tables_count_as_they_are_reported_where_no_knot_is_at_the_zero_of_the_axis(axis: str) -> None:
     m = machine.measurement(np.random.default_rng(23), (4, 80))

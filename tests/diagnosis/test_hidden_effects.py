@@ -14,6 +14,7 @@ from benchmarks.hidden import rates
 from benchmarks.hidden.case import Found
 from benchmarks.hidden_effects import KINDS, results
 
+pytestmark = pytest.mark.slow
 COUNT = 20
 """One case of each scenario"""
 SMALL = ("calibrate-camera", "multilaterate", "selfcal-grid")
@@ -21,7 +22,7 @@ SMALL = ("calibrate-camera", "multilaterate", "selfcal-grid")
 MORE = {"align-part": 40}
 """Kinds of which more cases are needed: in most of them some other cause looks nearly like the hidden one"""
 TRIED = [kind for kind in KINDS if kind != "calibrate-machine"]
-"""A round of machines takes minutes; single ones are in test_cases"""
+"""A round of machines takes minutes; single ones are in test_verdicts"""
 
 
 @cache

@@ -56,6 +56,7 @@ def test_part_of_the_points_is_a_measurement_of_its_own(monkeypatch: pytest.Monk
         )
 
 
+@pytest.mark.slow
 def test_a_second_linearisation_changes_nothing_where_the_model_is_linear(monkeypatch: pytest.MonkeyPatch) -> None:
     network = job(60, drift=True, wrong=0.01)
     once = diagnose.diagnose(network)

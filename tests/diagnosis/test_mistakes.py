@@ -60,7 +60,9 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if "x and z" in name else ()) for name in WRONG]
+)
 def test_the_mistake_is_told(name: str) -> None:
     key, spoil, words = WRONG[name]
     inputs = files()
@@ -83,6 +85,7 @@ def test_a_job_without_mistakes_is_left_alone() -> None:
     assert len(calls) == 1
 
 
+@pytest.mark.slow
 def test_of_equally_good_corrections_that_of_the_fewest_columns_is_first(
     tmp_path: Path, metrocli: Callable[..., Any]
 ) -> None:
@@ -100,6 +103,7 @@ def test_of_equally_good_corrections_that_of_the_fewest_columns_is_first(
     assert "write distance_m in the heading; as good" in ran.err
 
 
+@pytest.mark.slow
 def test_a_list_whose_frame_is_unknown_is_mirrored_in_any_axis(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
     shutil.copytree(SAMPLES / "raw-part", tmp_path / "part")
     targets = tmp_path / "part" / "cmm" / "targets.csv"

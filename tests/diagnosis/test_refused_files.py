@@ -26,7 +26,7 @@ Spoil = Callable[[str], str]
 def network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A network of lengths from plain formulas, with the listed places of points and tracers."""
     monkeypatch.chdir(tmp_path)
-    m = lengths.measurement(np.random.default_rng(58), 12)
+    m = lengths.measurement(np.random.default_rng(58), 9)
     constant, proportional = lengths.NOISE
     Path("job.yaml").write_text(NETWORK % (constant, proportional * 1000))
     rows = [f"P{p},T{t},{length!r}" for p, t, length in zip(m.point, m.tracer, m.length.tolist(), strict=True)]
@@ -45,11 +45,11 @@ SPOILT = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SPOILT)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if "tracers" in name else ()) for name in SPOILT]
+)
 def test_a_list_with_a_wrong_heading_is_refused(name: str, network: Path, metrocli: Callable[..., object]) -> None:
     file, old, new, words, write = SPOILT[name]
-    assert metrocli("multilaterate", network).code == 0
-    Path("out.h5").unlink()
     Path(file).write_text(Path(file).read_text().replace(old, new))
     ran = metrocli("multilaterate", network)
     assert ran.code == 3, (ran.out, ran.err)
@@ -112,6 +112,7 @@ def test_poses_in_metres_under_millimetres_are_refused(
     assert "distance_mm is in um" in ran.err, "readings that are all of one unit: nothing distinguishes which is wrong"
 
 
+@pytest.mark.slow
 def test_an_overload_marker_is_no_wrong_unit(tmp_path: Path, metrocli: Callable[..., object]) -> None:
     """One of four distances is beyond all: all lengths a thousand times smaller would only take it out of the fit."""
     assert metrocli("init", tmp_path / "unit", "--sample", "xm60-launch-unit").code == 0
@@ -127,6 +128,7 @@ def test_an_overload_marker_is_no_wrong_unit(tmp_path: Path, metrocli: Callable[
     assert '"verdict": "mistaken"' not in told.out
 
 
+@pytest.mark.slow
 def test_a_list_in_another_order_makes_the_result_doubtful(tmp_path: Path, metrocli: Callable[..., object]) -> None:
     """Probing points in the reverse order: lengths fit, and each correction is that of another point."""
     assert metrocli("init", tmp_path / "gear", "--sample", "gear-m3d3").code == 0
@@ -137,4 +139,3 @@ def test_a_list_in_another_order_makes_the_result_doubtful(tmp_path: Path, metro
     ran = metrocli("multilaterate", job)
     assert ran.code == 6, (ran.out, ran.err)
     assert "rows in another order" in ran.out + ran.err
-    assert '"verdict": "mistaken"' in metrocli("diagnose", job, "--json").out

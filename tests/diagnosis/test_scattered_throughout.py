@@ -24,7 +24,7 @@ def unit(seed: int, distances: bool, off: float = 0.0, noisier: tuple[float, ...
     return diagnose(replace(m, read=true.predicted() + noise).adjusted())
 
 
-@pytest.mark.parametrize("distances", [False, True])
+@pytest.mark.parametrize("distances", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_machine_that_is_off_in_every_pose_is_one_finding(distances: bool) -> None:
     """30 um in each pose: no pose stands out of the others, and the residuals passed for noise or a squareness."""
     found = unit(3, distances, off=0.03)
@@ -70,10 +70,9 @@ def test_a_part_seen_from_poses_that_are_off(which: str) -> None:
     assert [one.effect.name for one in found.scatters] == ["bad-pose" if which == "poses" else "moved-target"]
 
 
-@pytest.mark.parametrize("distances", [False, True])
-def test_one_bad_pose_and_none_are_no_scatter(distances: bool) -> None:
+def test_one_bad_pose_and_none_are_no_scatter() -> None:
     rng = np.random.default_rng(6)
-    m = launch.measurement(rng, distances)
+    m = launch.measurement(rng, True)
     assert not diagnose(m.adjusted()).scatters
     off = np.zeros(m.receivers.shape)
     off[7] = [0.3, -0.2, 0.3]

@@ -50,6 +50,7 @@ def hall(metrocli: Metrocli, tmp_path: Path) -> Path:
     return made(CASES["multilaterate"], metrocli, tmp_path)
 
 
+@pytest.mark.slow
 def test_the_extended_job_and_its_result_keep_the_definition(hall: Path, metrocli: Metrocli) -> None:
     extended = Path(json.loads(metrocli("diagnose", hall, "--json").out)["extended_job"])
     ran = metrocli("multilaterate", extended)

@@ -27,7 +27,7 @@ def hall(metrocli: Metrocli, tmp_path: Path) -> Path:
 
 
 def not_tested(metrocli: Metrocli, job: Path) -> dict[str, str]:
-    ran = metrocli("diagnose", job, "--json")
+    ran = metrocli("diagnose", job, "--design", "--json")
     assert ran.code == 0, ran.err
     every = json.loads(ran.out)["candidates"]
     return {one["name"]: one["reason"] for one in every if one["status"] == "not-tested"}
@@ -110,11 +110,11 @@ def test_sizes_without_a_dimension_are_told_in_the_unit_of_their_definition(hall
     loads = np.random.default_rng(3).uniform(0.2, 1.4, len(rows)).round(4)
     cells = [f"{row},{load}" for row, load in zip(rows, loads.tolist(), strict=True)]
     lengths.write_text("\n".join([f"{head},load_kN", *cells]) + "\n")
-    every = json.loads(metrocli("diagnose", hall, "--json").out)["candidates"]
+    every = json.loads(metrocli("diagnose", hall, "--design", "--json").out)["candidates"]
     (reason,) = [one["reason"] for one in every if one["name"] == "load-error"]
     assert re.fullmatch(r"excluded above \S+ um/kN; larger than 30 um/kN is not plausible", reason), reason
-    (line,) = [one for one in metrocli("diagnose", hall).out.splitlines() if one.startswith("load-error")]
-    assert re.search(r"excluded above \S+ um/kN", line), line
+    (line,) = [one for one in metrocli("diagnose", hall, "--design").out.splitlines() if one.startswith("load-error")]
+    assert re.search(r"detectable from \S+ um/kN", line), line
     hall.write_text(f"{hall.read_text()}effects: [{{name: load-error}}]\n")
     ran = json.loads(metrocli("multilaterate", hall, "--force", "--json").out)
     page = hall.parent / "page.html"

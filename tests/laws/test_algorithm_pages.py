@@ -6,7 +6,6 @@ import ast
 import re
 from pathlib import Path
 
-import pytest
 from places import DOCS, ROOT
 
 import metrocli
@@ -30,36 +29,38 @@ def pages_named_by(path: Path) -> set[str]:
 NAMED = {path: pages for path in MODULES if (pages := pages_named_by(path))}
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_a_module_names_the_page(page: str) -> None:
-    assert any(page in pages for pages in NAMED.values())
+def page_of(name: str) -> str:
+    return (FOLDER / f"{name}.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("path", NAMED, ids=lambda path: str(path.relative_to(ROOT)))
-def test_pages_that_a_module_names_exist(path: Path) -> None:
-    assert NAMED[path] <= set(PAGES)
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_the_page_is_listed(page: str) -> None:
-    assert f"[{page}]({page}.md)" in (FOLDER / "README.md").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_the_page_is_complete(page: str) -> None:
-    text = (FOLDER / f"{page}.md").read_text(encoding="utf-8")
-    assert [part for part in PARTS if part not in text] == []
-
-
-@pytest.mark.parametrize("page", [*(f"algorithms/{page}" for page in PAGES), "algorithms/README", "adding"])
-def test_paths_in_the_page_exist(page: str) -> None:
+def absent_paths(text: str) -> list[str]:
     """Names in capitals, as in metrocli/tasks/KIND/task.py, stand for what is added."""
-    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
-    found = [path for path in PATH.findall(text) if not re.search(r"[A-Z]{3}", path.removesuffix("README.md"))]
-    assert [path for path in found if not (ROOT / path).exists()] == []
+    named = [path for path in PATH.findall(text) if not re.search(r"[A-Z]{3}", path.removesuffix("README.md"))]
+    return [path for path in named if not (ROOT / path).exists()]
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_links_of_the_page_lead_somewhere(page: str) -> None:
-    links = re.findall(r"\]\(([^)#:]+)", (FOLDER / f"{page}.md").read_text(encoding="utf-8"))
-    assert [link for link in links if not (FOLDER / link).exists()] == []
+def dead_links(text: str) -> list[str]:
+    return [link for link in re.findall(r"\]\(([^)#:]+)", text) if not (FOLDER / link).exists()]
+
+
+def test_modules_name_every_page_and_no_other() -> None:
+    assert set().union(*NAMED.values()) == set(PAGES)
+
+
+def test_each_page_is_listed() -> None:
+    listed = page_of("README")
+    assert not [page for page in PAGES if f"[{page}]({page}.md)" not in listed]
+
+
+def test_each_page_is_complete() -> None:
+    assert not [(page, part) for page in PAGES for part in PARTS if part not in page_of(page)]
+
+
+def test_paths_in_pages_exist() -> None:
+    assert not [(page, absent) for page in [*PAGES, "README", "../adding"] if (absent := absent_paths(page_of(page)))]
+    assert absent_paths("metrocli/tasks/KIND/task.py and metrocli/table.py, metrocli/no.py") == ["metrocli/no.py"]
+
+
+def test_links_of_pages_lead_somewhere() -> None:
+    assert not [(page, dead) for page in PAGES if (dead := dead_links(page_of(page)))]
+    assert dead_links(f"[a]({PAGES[0]}.md#x) and [b](no.md)") == ["no.md"]

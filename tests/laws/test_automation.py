@@ -56,6 +56,7 @@ def commands(value: Any) -> Iterator[str]:
             yield from commands(one)
 
 
+@pytest.mark.slow
 def test_the_commands_of_ci_jobs_run(project: Path) -> None:
     jobs = [list(commands(yaml.safe_load(text))) for kind, text in BLOCKS if kind == "yaml"]
     wanted = [[one for one in job if one.startswith("metrocli")] for job in jobs]

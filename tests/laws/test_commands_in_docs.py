@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 from places import DOCS, ROOT, SAMPLES
 
@@ -28,6 +29,8 @@ SAMPLE = {
 COMPARED: set[tuple[str, ...]] = set()
 """Comparisons that have run: the same on two pages runs once"""
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md")), *sorted(SAMPLES.rglob("README.md"))]
+SHORT = {"README.md", "docs/tasks/report-uncertainty.md"}
+"""Pages whose commands always run; the others are slow, since their samples run"""
 COMMAND = re.compile(r"^ {4}((?:metrocli|cd|cat|make|python -m benchmarks) .*)$")
 INLINE = re.compile(r"`((?:metrocli [a-z-]+ |make |python -m benchmarks)[^`]*)`", re.DOTALL)
 
@@ -99,7 +102,51 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Path], None]
     return copied
 
 
-@pytest.mark.parametrize("page", PAGES, ids=shown)
+def is_known(words: list[str]) -> bool:
+    """Whether a command exists and takes its options and arguments."""
+    first, *rest = words
+    if first == "make":
+        return bool(re.search(f"^{rest[0]}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    if first == "python":
+        return (ROOT / "benchmarks" / f"{[*rest, '__main__'][2]}.py").exists()
+    return first != "metrocli" or rest[0].startswith("-") or _is_parsed(rest)
+
+
+def _is_parsed(words: list[str]) -> bool:
+    from metrocli.cli.commands import commands as metrocli
+
+    try:
+        name, command, rest = metrocli.resolve_command(click.Context(metrocli), words)
+        assert command is not None
+        command.make_context(name, rest)
+    except click.exceptions.Exit:  # --help
+        return True
+    except click.ClickException:
+        return False
+    return True
+
+
+def words_of(page: Path) -> Iterator[list[str]]:
+    """Yield the words of each command of a page."""
+    wanted = list(commands(page))
+    kind = kind_of(page, wanted)
+    yield from (meant(command, kind, number) for number, (command, _) in enumerate(wanted))
+
+
+def test_each_command_of_all_pages_is_known() -> None:
+    assert not [(shown(page), words) for page in PAGES for words in words_of(page) if not is_known(words)]
+    for words in ("metrocli run --no-such-option", "metrocli no-such", "make no-such", "python -m benchmarks no_such"):
+        assert not is_known(words.split()), words
+
+
+def _page(page: Path) -> Any:
+    return pytest.param(page, marks=() if shown(page) in SHORT else pytest.mark.slow, id=shown(page))
+
+
+WITH_COMMANDS = [page for page in PAGES if any(words[0] == "metrocli" for words in words_of(page))]
+
+
+@pytest.mark.parametrize("page", [*map(_page, WITH_COMMANDS)])
 def test_the_commands_of_a_page_run(
     page: Path,
     metrocli: Callable[..., Any],
@@ -119,11 +166,7 @@ def test_the_commands_of_a_page_run(
             monkeypatch.chdir(rest[0])
         elif first == "cat":
             assert "\n".join(quoted) in Path(rest[0]).read_text(encoding="utf-8")
-        elif first == "make":
-            assert re.search(f"^{rest[0]}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
-        elif first == "python":
-            assert (ROOT / "benchmarks" / f"{[*rest, '__main__'][2]}.py").exists(), command
-        elif quoted or "--compare" not in rest or (first, *rest) not in COMPARED:
+        elif first == "metrocli" and (quoted or "--compare" not in rest or (first, *rest) not in COMPARED):
             COMPARED.add((first, *rest))
             done = metrocli(*rest)
             assert done.code == exit_code(page, command), (command, done.err)

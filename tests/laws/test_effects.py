@@ -70,38 +70,66 @@ def test_each_kind_with_effects_is_under_the_laws() -> None:
     assert set(TABLES) == set(MEASURED)
 
 
-def test_an_entry_is_complete(entry: tuple[str, Effect]) -> None:
-    _, effect = entry
-    assert effect.cause and effect.source and effect.reveal
-    assert effect.parameters
-    assert (effect.link is None) == bool(effect.columns_of)
-    assert all(p.dimension in DIMENSIONS or not p.dimension for p in effect.all_parameters)
-    assert all(p.plausible > 0 for p in effect.parameters)
-    assert effect.by in ("", *DRIVERS)
+EFFECTS = [(kind, effect) for kind, effects in TABLES.items() for effect in effects]
+HEADINGS = ("## Cause", "## Formula", "## Size", "## Confused with", "## What to measure", "## Source")
 
 
-def test_names_it_is_confused_with_exist(entry: tuple[str, Effect]) -> None:
-    kind, effect = entry
-    assert set(effect.confused_with) <= {other.name for other in TABLES[kind]} - {effect.name}
+@cache
+def page_of(effect: Effect) -> str:
+    return (PAGES / f"{effect.name}.md").read_text(encoding="utf-8")
 
 
-def test_it_has_a_page(entry: tuple[str, Effect]) -> None:
-    kind, effect = entry
-    text = (PAGES / f"{effect.name}.md").read_text(encoding="utf-8")
-    for word in (kind, *(p.name for p in effect.all_parameters), *effect.confused_with, *effect.where):
-        assert word in text, word
-    for heading in ("## Cause", "## Formula", "## Size", "## Confused with", "## What to measure", "## Source"):
-        assert heading in text
+def is_complete(effect: Effect) -> bool:
+    return bool(
+        effect.cause
+        and effect.source
+        and effect.reveal
+        and effect.parameters
+        and (effect.link is None) == bool(effect.columns_of)
+        and all(p.dimension in DIMENSIONS or not p.dimension for p in effect.all_parameters)
+        and all(p.plausible > 0 for p in effect.parameters)
+        and effect.by in ("", *DRIVERS)
+    )
 
 
-def test_its_page_states_the_usual_sizes(entry: tuple[str, Effect]) -> None:
-    _, effect = entry
-    text = (PAGES / f"{effect.name}.md").read_text(encoding="utf-8")
-    size = " ".join(text.partition("## Size")[2].partition("## ")[0].split())
-    assert effect.usual in size
+def states_usual_sizes(effect: Effect) -> bool:
+    size = " ".join(page_of(effect).partition("## Size")[2].partition("## ")[0].split())
     least, most = effect.usual_sizes or (0.0, 1.0)
-    assert 0 <= least < most
-    assert effect.usual or effect.of_one_reading
+    return effect.usual in size and 0 <= least < most and bool(effect.usual or effect.of_one_reading)
+
+
+def test_each_entry_is_complete() -> None:
+    assert not [(kind, effect.name) for kind, effect in EFFECTS if not is_complete(effect)]
+
+
+def test_effects_that_they_are_confused_with_exist() -> None:
+    names = {kind: {effect.name for effect in effects} for kind, effects in TABLES.items()}
+    unknown = [
+        (kind, effect.name, other)
+        for kind, effect in EFFECTS
+        for other in set(effect.confused_with) - (names[kind] - {effect.name})
+    ]
+    assert not unknown
+
+
+def test_each_has_a_page() -> None:
+    lacking = [
+        (effect.name, word)
+        for kind, effect in EFFECTS
+        for word in (
+            kind,
+            *(p.name for p in effect.all_parameters),
+            *effect.confused_with,
+            *effect.where,
+            *HEADINGS,
+        )
+        if word not in page_of(effect)
+    ]
+    assert not lacking
+
+
+def test_each_page_states_the_usual_sizes() -> None:
+    assert not [(kind, effect.name) for kind, effect in EFFECTS if not states_usual_sizes(effect)]
 
 
 def test_at_zero_it_changes_nothing(entry: tuple[str, Effect]) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -90,32 +92,41 @@ def part_of(path: Path) -> str:
     return path.relative_to(ROOT).parts[0].removesuffix(".py")
 
 
-def imports(path: Path) -> Iterator[str]:
-    """Yield the full names of what a module imports, wherever in it the import stands."""
+@cache
+def imports(path: Path) -> list[str]:
+    """Return the full names of what a module imports, wherever in it the import stands."""
+    found = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (name.name for name in node.names)
+            found += [name.name for name in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
-            yield from (f"{node.module}.{name.name}" for name in node.names)
+            found += [f"{node.module}.{name.name}" for name in node.names]
+    return found
 
 
 def named(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-@pytest.mark.parametrize("path", MODULES, ids=named)
-def test_imports_go_downwards(path: Path) -> None:
+def wrong_imports(path: Path) -> Iterator[str]:
+    """What a module imports from its own layer or from above, or files where tasks are pure."""
     here = part_of(path)
-    assert here in LEVEL, f"{here} has no layer"
     for name in imports(path):
         if not name.startswith("metrocli."):
             continue
         there = name.split(".")[1]
-        if there not in LEVEL:
-            there = "__init__"
+        there = there if there in LEVEL else "__init__"
         inside = there == here or (here, there) in ALLOWED_WITHIN
-        assert inside or LEVEL[there] > LEVEL[here], f"{here} imports {name}"
-        assert there != "formats" or here not in NOT_FORMATS, f"{here} imports {name}: tasks are pure"
+        if not (inside or LEVEL[there] > LEVEL[here]) or (there == "formats" and here in NOT_FORMATS):
+            yield f"{named(path)} imports {name}"
+
+
+def test_each_part_has_a_layer() -> None:
+    assert {part_of(path) for path in MODULES} <= set(LEVEL)
+
+
+def test_imports_go_downwards() -> None:
+    assert not [wrong for path in MODULES for wrong in wrong_imports(path)]
 
 
 def test_no_module_imports_itself_in_a_circle() -> None:
@@ -128,13 +139,17 @@ def test_no_module_imports_itself_in_a_circle() -> None:
     assert not open_names, f"circles among {sorted(open_names)}"
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "tasks").rglob("*.py")), ids=named)
-def test_no_kind_imports_another(path: Path) -> None:
+def other_kinds(path: Path) -> Iterator[str]:
+    """What a module of a kind imports from other kinds."""
     own = path.relative_to(ROOT / "tasks").parts[0].removesuffix(".py")
     for name in imported_modules(path):
         parts = name.split(".")
-        if parts[:2] == ["metrocli", "tasks"] and len(parts) > 2:
-            assert parts[2] == own or parts[2] in NOT_KINDS - {"__init__"}, f"{named(path)} imports {name}"
+        if parts[:2] == ["metrocli", "tasks"] and len(parts) > 2 and parts[2] not in {own, *NOT_KINDS} - {"__init__"}:
+            yield f"{named(path)} imports {name}"
+
+
+def test_no_kind_imports_another() -> None:
+    assert not [wrong for path in sorted((ROOT / "tasks").rglob("*.py")) for wrong in other_kinds(path)]
 
 
 @pytest.mark.parametrize("package", INSIDE)
@@ -151,31 +166,41 @@ def test_imports_inside_a_package_go_downwards(package: str) -> None:
                 assert below >= 0, f"{name} imports {other}"
 
 
-@pytest.mark.parametrize("folder", sorted({path.parent for path in MODULES}), ids=named)
-def test_no_folder_is_crowded(folder: Path) -> None:
-    assert len(list(folder.glob("*.py"))) <= MOST_MODULES
+def test_no_folder_is_crowded() -> None:
+    folders = Counter(path.parent for path in MODULES)
+    assert not {named(folder): modules for folder, modules in folders.items() if modules > MOST_MODULES}
 
 
-@pytest.mark.parametrize("path", MODULES, ids=named)
-def test_no_module_is_long(path: Path) -> None:
-    assert len(path.read_text(encoding="utf-8").splitlines()) <= MOST_LINES
+def test_no_module_is_long() -> None:
+    lines = {named(path): len(path.read_text(encoding="utf-8").splitlines()) for path in MODULES}
+    assert not {name: length for name, length in lines.items() if length > MOST_LINES}
 
 
-@pytest.mark.parametrize("path", MODULES, ids=named)
-def test_each_library_has_its_place(path: Path) -> None:
+def misplaced_libraries(path: Path) -> Iterator[str]:
     places = {part_of(path), named(path).removesuffix(".py")}
     for name in imports(path):
         library = name.split(".")[0]
-        assert library not in ONLY_IN or places & ONLY_IN[library], f"{named(path)} imports {library}"
-        assert not any(name.startswith(module) for module in FORBIDDEN), f"{named(path)} imports {name}"
+        if library in ONLY_IN and not places & ONLY_IN[library]:
+            yield f"{named(path)} imports {library}"
+        if any(name.startswith(module) for module in FORBIDDEN):
+            yield f"{named(path)} imports {name}"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=named)
-def test_names_say_something(path: Path) -> None:
-    assert path.stem not in VAGUE
+def test_each_library_has_its_place() -> None:
+    assert not [wrong for path in MODULES for wrong in misplaced_libraries(path)]
 
 
-def test_a_wrong_import_is_found(tmp_path: Path) -> None:
-    file = tmp_path / "x.py"
-    file.write_text("def f():\n    from metrocli.cli import main\n    import scipy.stats\n")
-    assert list(imports(file)) == ["metrocli.cli.main", "scipy.stats"]
+def test_names_say_something() -> None:
+    assert not [named(path) for path in MODULES if path.stem in VAGUE]
+
+
+def test_offenders_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(globals(), "ROOT", tmp_path)
+    (tmp_path / "table.py").write_text("def f():\n    from metrocli.cli import main\n    import scipy.stats, h5py\n")
+    assert imports(tmp_path / "table.py") == ["metrocli.cli.main", "scipy.stats", "h5py"]
+    assert list(wrong_imports(tmp_path / "table.py")) == ["table.py imports metrocli.cli.main"]
+    assert list(misplaced_libraries(tmp_path / "table.py")) == ["table.py imports scipy.stats", "table.py imports h5py"]
+    kind = tmp_path / "tasks/align_part"
+    kind.mkdir(parents=True)
+    (kind / "task.py").write_text("from metrocli.tasks.selfcal_grid import task\nfrom metrocli.tasks import kind\n")
+    assert list(other_kinds(kind / "task.py")) == ["tasks/align_part/task.py imports metrocli.tasks.selfcal_grid.task"]

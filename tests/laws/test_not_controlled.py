@@ -142,7 +142,13 @@ def test_a_wrong_vector_of_the_only_tool_is_not_controlled() -> None:
     assert 0 < hidden(before, "only tool") < 0.1 * 1e-3  # angles of the machine are below 1 mrad
 
 
-@pytest.mark.parametrize(("aim", "minimum"), [("even", 0.5), ("even", 2.3), ("least-motion", 0.5), ("most", 0.5)])
+@pytest.mark.parametrize(
+    ("aim", "minimum"),
+    [
+        ("even", 0.5),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in (("even", 2.3), ("least-motion", 0.5), ("most", 0.5))),
+    ],
+)
 def test_the_scale_of_a_raw_part_is_not_controlled(tmp_path: Path, aim: str, minimum: float) -> None:
     (tmp_path / "part.yaml").write_text(nominal())
     one, part = casting(48), file_of(tmp_path)

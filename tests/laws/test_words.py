@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import ast
-import io
 import re
-import tokenize
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
-import pytest
 from places import DOCS, ROOT
 
 import metrocli
@@ -29,17 +27,22 @@ def shown(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-def texts_of_module(path: Path) -> Iterator[str]:
+@cache
+def texts_of_module(path: Path) -> list[str]:
     """Docstrings, messages and comments."""
-    source = path.read_text(encoding="utf-8")
-    for node in ast.walk(ast.parse(source)):
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.JoinedStr):
-            yield "".join(str(part.value) if isinstance(part, ast.Constant) else "x" for part in node.values)
+            found.append("".join(str(part.value) if isinstance(part, ast.Constant) else "x" for part in node.values))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            yield node.value
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type == tokenize.COMMENT:
-            yield token.string.lstrip("# ")
+            found.append(node.value)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return found + [line.partition("# ")[2] for line in lines if "# " in line]
+
+
+def texts(paths: Iterable[Path]) -> Iterator[tuple[Path, str]]:
+    for path in paths:
+        yield from ((path, text) for text in texts_of_module(path))
 
 
 def paragraphs(text: str) -> Iterator[str]:
@@ -58,26 +61,33 @@ def prose(path: Path) -> str:
     return NOT_PROSE.sub("x", path.read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("path", [*MODULES, *BENCHMARKS], ids=shown)
-def test_modules_speak_plainly(path: Path) -> None:
-    odd = [text for text in texts_of_module(path) if ODD.search(text)]
-    assert not odd, odd
+def odd_words(text: str) -> list[str]:
+    return [text[max(hit.start() - 40, 0) : hit.end() + 20] for hit in ODD.finditer(text)]
 
 
-@pytest.mark.parametrize("path", MODULES, ids=shown)
-def test_sentences_of_modules_are_short(path: Path) -> None:
-    found = [one for text in texts_of_module(path) for one in sentences(text) if len(one.split()) > MOST_WORDS]
-    assert not found, found
+def long_sentences(text: str) -> list[str]:
+    return [sentence for sentence in sentences(text) if len(sentence.split()) > MOST_WORDS]
 
 
-@pytest.mark.parametrize("path", PAGES, ids=shown)
-def test_pages_speak_plainly(path: Path) -> None:
-    text = path.read_text(encoding="utf-8")
-    odd = [text[max(hit.start() - 40, 0) : hit.end() + 20] for hit in ODD.finditer(text)]
-    assert not odd, odd
+def test_modules_speak_plainly() -> None:
+    assert not [(shown(path), odd) for path, text in texts(MODULES + BENCHMARKS) if (odd := odd_words(text))]
 
 
-@pytest.mark.parametrize("path", PAGES, ids=shown)
-def test_sentences_of_pages_are_short(path: Path) -> None:
-    found = [one for one in sentences(prose(path)) if len(one.split()) > MOST_WORDS]
-    assert not found, found
+def test_sentences_of_modules_are_short() -> None:
+    assert not [(shown(path), long) for path, text in texts(MODULES) if (long := long_sentences(text))]
+
+
+def test_pages_speak_plainly() -> None:
+    assert not [(shown(path), odd) for path in PAGES if (odd := odd_words(path.read_text(encoding="utf-8")))]
+
+
+def test_sentences_of_pages_are_short() -> None:
+    assert not [(shown(path), long) for path in PAGES if (long := long_sentences(prose(path)))]
+
+
+def test_odd_words_and_long_sentences_are_found(tmp_path: Path) -> None:
+    module = tmp_path / "x.py"
+    module.write_text(f'def f(x):\n    # it tells\n    return f"{{x}} is none"\n\n\n"""{"word " * 41}"""\n')
+    found = [text for _, text in texts([module])]
+    assert sorted(odd_words(text) for text in found if odd_words(text)) == [[" is none"], ["it tells"], ["x is none"]]
+    assert [len(long_sentences(text)) for text in found if long_sentences(text)] == [1]

@@ -114,6 +114,7 @@ def contents() -> dict[str, str]:
     return {path.stem: hdf5.read_label(path).content for path in sorted(Path("results").glob("*.h5"))}
 
 
+@pytest.mark.slow
 def test_large_files_travel_without_advice_to_programmers(
     cluster: tuple[Path, list[subprocess.Popen[bytes]]], project: Path, metrocli: Callable[..., Any]
 ) -> None:
@@ -145,16 +146,6 @@ def test_the_results_are_those_of_this_computer(
     assert metrocli("run", "--scheduler", file).code == 0
     assert contents() == local
 
-    job = write(project, measured("tracer-drift"))
-    with with_package(tmp_path / "packages"):
-        lacking = metrocli("diagnose", job, "--scheduler", file)
-    told = ["no package with the effect 'bow', and this is", "lab-effects 1.0 (module", "install the same versions"]
-    assert (lacking.code, [words in lacking.err for words in told]) == (3, [True] * 3), lacking.err
-    diagnosed = [metrocli("diagnose", job, "--json", *more) for more in ([], ["--force", "--scheduler", file])]
-    assert [(one.code, one.err) for one in diagnosed] == [(0, "")] * 2
-    assert diagnosed[0].out == diagnosed[1].out
-    assert json.loads(diagnosed[0].out)["effects"], "without a finding nothing is cross-validated"
-
     os.kill(processes[1].pid, signal.SIGKILL)
     for path in Path("results").glob("*.h5"):
         path.unlink()
@@ -171,6 +162,23 @@ def test_the_results_are_those_of_this_computer(
     assert metrocli("run").out.count(": ran") == 1
 
 
+@pytest.mark.slow
+def test_a_diagnosis_is_that_of_this_computer(
+    cluster: tuple[Path, list[subprocess.Popen[bytes]]], project: Path, metrocli: Callable[..., Any], tmp_path: Path
+) -> None:
+    file, _ = cluster
+    job = write(project, measured("tracer-drift"))
+    with with_package(tmp_path / "packages"):
+        lacking = metrocli("diagnose", job, "--scheduler", file)
+    told = ["no package with the effect 'bow', and this is", "lab-effects 1.0 (module", "install the same versions"]
+    assert (lacking.code, [words in lacking.err for words in told]) == (3, [True] * 3), lacking.err
+    diagnosed = [metrocli("diagnose", job, "--json", *more) for more in ([], ["--force", "--scheduler", file])]
+    assert [(one.code, one.err) for one in diagnosed] == [(0, "")] * 2
+    assert diagnosed[0].out == diagnosed[1].out
+    assert json.loads(diagnosed[0].out)["effects"], "without a finding nothing is cross-validated"
+
+
+@pytest.mark.slow
 def test_a_scheduler_that_dies_in_a_run_keeps_what_is_finished(
     cluster: tuple[Path, list[subprocess.Popen[bytes]]], project: Path
 ) -> None:

@@ -447,7 +447,7 @@ def test_no_process_outlives_a_run_that_is_killed_alone(project: Path) -> None:
     assert run.pid not in groups_at_work()
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_kill_at_any_moment_loses_nothing_that_was_finished(jobs: int, project: Path) -> None:
     command = [sys.executable, "-m", "metrocli", "run", "--jobs", str(jobs)]
     moments = [0.5, 1.0]

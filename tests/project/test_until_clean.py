@@ -36,6 +36,7 @@ def test_one_effect_makes_the_job_clean(hall: Path, capsys: pytest.CaptureFixtur
     assert Path(step["job"]) == hall / "jobs" / "hall.step1.yaml"
 
 
+@pytest.mark.slow
 def test_without_the_cause_a_law_makes_it_clean(hall: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (hall / "metrocli.yaml").write_text("project: hall\njobs: [jobs/hall.yaml]\n")
     assert run(["diagnose", str(hall / "jobs" / "hall.yaml"), "--until-clean", "--json"]) == 0
@@ -69,6 +70,7 @@ def test_with_a_limit_of_extensions_it_ends_there(hall: Path, capsys: pytest.Cap
     assert "--most" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_interrupted_search_ends_it_with_the_steps_so_far(
     hall: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

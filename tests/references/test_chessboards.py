@@ -93,7 +93,7 @@ def test_the_minimum_is_opencvs_or_lower(name: str, model: str, tmp_path: Path, 
     assert found["statistics"]["unknowns"] == 4 + len(MODELS[model].split()) + 6 * found["statistics"]["images"]
 
 
-@pytest.fixture(scope="module", params=["left", "left_SB"])
+@pytest.fixture(scope="module", params=[pytest.param(name, marks=pytest.mark.slow) for name in ("left", "left_SB")])
 def compared(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Points, dict[str, Any]]:
     """A set of points and the rows of --compare, by model."""
     import contextlib
@@ -137,6 +137,7 @@ def test_no_model_beyond_tangential_terms_is_chosen(compared: tuple[Points, dict
     assert rows[chosen[0]]["camera_moves"] == 0
 
 
+@pytest.mark.slow
 def test_a_pole_of_the_rational_model_inside_the_image_is_refused(tmp_path: Path, metrocli: Metrocli) -> None:
     job = job_of_points(tmp_path, SETS["left"], "k1 k2 p1 p2 k3 k4 k5 k6")
     ran = metrocli("calibrate-camera", job)
@@ -146,6 +147,7 @@ def test_a_pole_of_the_rational_model_inside_the_image_is_refused(tmp_path: Path
     assert not (tmp_path / "camera.h5").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compared", ["left"], indirect=True)
 def test_compare_says_that_the_rational_model_is_not_determined(compared: tuple[Points, dict[str, Any]]) -> None:
     _, rows = compared
@@ -165,7 +167,7 @@ def test_the_outlier_view_of_the_left_camera_is_named(tmp_path: Path, metrocli: 
     ]
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("side", ["left", pytest.param("right", marks=pytest.mark.slow)])
 def test_every_board_is_read_from_the_images(side: str, tmp_path: Path, metrocli: Metrocli) -> None:
     """findChessboardCornersSB misses left05 and cornerSubPix spoils left02; here both fit as well as the others."""
     job = job_of_images(tmp_path, f"{BOARDS}/{side}*.jpg", CHESSBOARD)

@@ -30,6 +30,7 @@ def names(effect: dict[str, Any]) -> set[str]:
     return {effect["name"], *(one["name"] for one in effect["alternatives"])}
 
 
+@pytest.mark.slow
 def test_radial_terms_the_bend_of_the_board_and_decentring_are_named_on_real_views(
     metrocli: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -28,7 +28,10 @@ output: result.h5
 """
 
 
-@pytest.mark.parametrize(("run", "before", "after"), [("plaza1", "0.83 m", "0.36 m"), ("plaza2", "1.34 m", "0.38 m")])
+@pytest.mark.parametrize(
+    ("run", "before", "after"),
+    [pytest.param("plaza1", "0.83 m", "0.36 m", marks=pytest.mark.slow), ("plaza2", "1.34 m", "0.38 m")],
+)
 def test_the_scale_of_the_ranges_is_named_first(run: str, before: str, after: str, tmp_path: Path) -> None:
     path = tmp_path / "job.yaml"
     path.write_text(JOB.format(run=DATA.resolve() / run))

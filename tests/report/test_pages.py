@@ -80,6 +80,10 @@ def lens() -> Result:
     return results.camera(rng.random((400, 2)) * [640, 480], rng.normal(size=(400, 2)) * 0.1)
 
 
+def without_figures() -> Result:
+    return replace(lens(), tables={})
+
+
 @pytest.mark.parametrize(
     "result", [lens(), results.network(), results.machine(), results.budget()], ids=lambda r: r.kind
 )
@@ -215,14 +219,14 @@ def test_notes_are_broken_into_lines_and_their_tables_are_not() -> None:
 
 
 def test_a_doubtful_result_cannot_be_overlooked() -> None:
-    page = page_of(lens(), record=replace(RECORD, doubts=("sigma0 = 7",)))
+    page = page_of(without_figures(), record=replace(RECORD, doubts=("sigma0 = 7",)))
     assert "Doubtful: do not use this result. sigma0 = 7" in page.text
     assert {"class": "verdict bad"} in page.named("div")
-    assert {"class": "verdict good"} in page_of(lens()).named("div")
-    warned = page_of(replace(lens(), warnings=("correlations",)))
+    assert {"class": "verdict good"} in page_of(without_figures()).named("div")
+    warned = page_of(replace(without_figures(), warnings=("correlations",)))
     assert {"class": "verdict warned"} in warned.named("div") and "Done, with 1 warning." in warned.text
     unmet = replace(RECORD, verdicts=(Verdict("sigma0", "< 0.5", 1.0, "", False),))
-    assert "does not meet its requirements" in page_of(lens(), record=unmet).text
+    assert "does not meet its requirements" in page_of(without_figures(), record=unmet).text
 
 
 def test_what_comes_from_files_is_escaped() -> None:
@@ -268,11 +272,11 @@ def test_figures_follow_the_theme_of_the_page() -> None:
 
 
 def test_traceability() -> None:
-    text = page_of(lens()).text
+    text = page_of(without_figures()).text
     assert "The result rests on a.csv, whose digest is below." in text
     assert "Certificate numbers of references are not recorded" in text
     stated = replace(RECORD, certificate={"references": {"a.csv": "PTB-1"}})
-    text = Page(result_page(Content(lens(), stated, "r.h5"))).text
+    text = Page(result_page(Content(without_figures(), stated, "r.h5"))).text
     assert "a.csv: certificate PTB-1" in text and "not recorded" not in text
 
 
@@ -290,11 +294,15 @@ def test_traceability() -> None:
     ],
 )  # fmt: skip
 def test_the_diagnosis_decides_what_is_next(data: dict[str, Any], words: list[str]) -> None:
-    text = page_of(lens(), diagnosis=Diagnosis(data, "d.json", True)).text
+    text = page_of(without_figures(), diagnosis=Diagnosis(data, "d.json", True)).text
     assert all(one in text for one in words), text[:900]
-    other = page_of(lens(), diagnosis=Diagnosis(data, "d.json", False)).text
+    other = page_of(without_figures(), diagnosis=Diagnosis(data, "d.json", False)).text
     assert "d.json is the diagnosis of another job, or of other inputs" in other and words[0] not in other
-    assert "Next: Check the model by metrocli diagnose" in other
+
+
+def test_without_a_diagnosis_of_its_own_a_diagnosis_is_next() -> None:
+    text = page_of(lens(), diagnosis=Diagnosis({"verdict": "clean"}, "d.json", False)).text
+    assert "Next: Check the model by metrocli diagnose" in text
 
 
 ENTRIES = (
@@ -420,7 +428,9 @@ def test_the_worst_place_of_a_volume_and_the_largest_contributor_are_named() -> 
 
 
 def test_what_is_to_be_typed_is_marked_in_doubts_too() -> None:
-    page = page_of(lens(), record=replace(RECORD, doubts=('sigma0 = 9; `require: {sigma0: "< 10"}` allows it',)))
+    page = page_of(
+        without_figures(), record=replace(RECORD, doubts=('sigma0 = 9; `require: {sigma0: "< 10"}` allows it',))
+    )
     assert "`" not in page.text
 
 

@@ -71,17 +71,14 @@ def test_the_board_camera_is_the_true_one(board: Path) -> None:
     assert_true(board / "jobs" / "calibrate.yaml", board / "results" / "camera.h5")
 
 
-@pytest.mark.slow
 def test_the_spindle_camera_is_the_true_one(spindle: Path) -> None:
     assert_true(spindle / "jobs" / "calibrate.yaml", spindle / "results" / "camera.h5")
 
 
-@pytest.mark.slow
 def test_the_part_is_where_it_is(spindle: Path) -> None:
     assert_true(spindle / "jobs" / "align.yaml", spindle / "results" / "part.h5")
 
 
-@pytest.mark.slow
 def test_the_part_is_known_to_some_micrometres(spindle: Path) -> None:
     from metrocli.formats import hdf5
 
@@ -90,19 +87,15 @@ def test_the_part_is_known_to_some_micrometres(spindle: Path) -> None:
     assert all(std[name] < 2e-5 for name in ("alpha", "beta", "gamma", "gamma_s"))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("project", ["spindle", "board"])
-def test_a_project_that_ran_is_up_to_date(project: str, request: pytest.FixtureRequest, metrocli: Metrocli) -> None:
-    folder = request.getfixturevalue(project)
-    ran = metrocli("status", folder)
+def test_a_project_that_ran_is_up_to_date(spindle: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("status", spindle)
     assert ran.code == 0
     assert all(line.endswith("up to date") for line in ran.out.splitlines())
-    again = metrocli("run", folder)
+    again = metrocli("run", spindle)
     assert again.code == 0
     assert ": ran" not in again.out + again.err
 
 
-@pytest.mark.slow
 def test_results_are_shown(spindle: Path, metrocli: Metrocli) -> None:
     ran = metrocli("show", spindle / "results" / "part.h5")
     assert ran.code == 0
@@ -112,11 +105,12 @@ def test_results_are_shown(spindle: Path, metrocli: Metrocli) -> None:
     assert set(summary["estimates"]) == {"f", "cx", "cy", "k1", "k2", "p1", "p2", *EULER}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sample", "jobs"),
     [
-        ("otf-tracker", {f"feed-{feed}": 12 for feed in (2500, 5000, 10000, 15000)}),
+        pytest.param(
+            "otf-tracker", {f"feed-{feed}": 12 for feed in (2500, 5000, 10000, 15000)}, marks=pytest.mark.slow
+        ),
         ("machine-lengths", {"lengths": 18, "one-tool": 12}),
     ],
 )
@@ -144,7 +138,6 @@ def test_the_machine_is_the_true_one(
         assert np.sqrt((scores**2).mean()) < 1.3
 
 
-@pytest.mark.slow
 def test_the_part_has_a_table_of_maxima(spindle: Path) -> None:
     from metrocli.cli.summary import summary
     from metrocli.formats import hdf5
@@ -214,6 +207,7 @@ def test_the_example_of_a_kind_is_a_job_of_its_sample(name: str) -> None:
     assert command == kind_of_job(SAMPLES / sample / job) == name
 
 
+@pytest.mark.slow
 def test_the_examples_of_the_help_can_be_typed(
     tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -46,23 +46,25 @@ def test_the_list_of_codes() -> None:
 def test_codes_at_six_pixels_ring_width_up_to_sixty_degrees(look: Look) -> None:
     rng = np.random.default_rng(7)
     errors = []
-    for _ in range(9):
+    for _ in range(5):
         chosen = [int(code) for code in rng.choice(codes(), 6, replace=False)]
         placed = scene(rng, chosen, 2.0, np.deg2rad(60))
         found = find(RINGS, render(CAMERA.size, CAMERA.rays, placed, look, rng))
         assert found.targets == tuple(str(code) for code in sorted(chosen))
         true = {str(p.drawing.code): CAMERA.centre_of_image(p.origin, p.rotation, 2.0) for p in placed}  # type: ignore[attr-defined]
         errors += list((found.uv - [true[name] for name in found.targets]) / found.sigma[:, None])
-    assert len(errors) == 54
+    assert len(errors) == 30
     assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
 
-def test_every_code_is_read_in_any_turn() -> None:
+@pytest.mark.parametrize("step", [4, pytest.param(1, marks=pytest.mark.slow)])
+def test_every_code_is_read_in_any_turn(step: int) -> None:
     rng = np.random.default_rng(8)
     camera = Camera((1000, 620), 1500.0)
     places = [(x, y) for x in np.arange(-7, 8) * 20.0 for y in np.arange(-4, 5) * 20.0]
-    for first in range(0, len(codes()), len(places)):
-        chosen = codes()[first : first + len(places)]
+    wanted = codes()[::step]
+    for first in range(0, len(wanted), len(places)):
+        chosen = wanted[first : first + len(places)]
         placed = [
             Placed(CodedRing(code, 2.0), about_z(rng.uniform(0, 7)), np.array([x, y, 500.0]))
             for code, (x, y) in zip(chosen, places, strict=False)
@@ -75,7 +77,7 @@ def test_every_code_is_read_in_any_turn() -> None:
 def test_centres_agree_with_the_perspective_ellipse(diameter: float) -> None:
     rng = np.random.default_rng(9)
     errors = []
-    for _ in range(25):
+    for _ in range(10):
         rotation, origin = tilted(rng, np.deg2rad(60)), np.array([*rng.uniform(-60, 60, 2), 500.0])
         radius = diameter / 6
         image = render(

@@ -28,9 +28,9 @@ def draws(
 
 
 @pytest.mark.parametrize("aspect", [1.0, 0.6])
-@pytest.mark.parametrize(("diameter", "limit"), [(6, 0.012), (8, 0.012), (10, 0.006), (16, 0.006), (30, 0.006)])
+@pytest.mark.parametrize(("diameter", "limit"), [(6, 0.012), (10, 0.006), (30, 0.006)])
 def test_centres_with_noise(diameter: int, aspect: float, limit: float) -> None:
-    errors, sigmas = draws(diameter, aspect, 2.0, 100)
+    errors, sigmas = draws(diameter, aspect, 2.0, 50)
     assert np.sqrt(np.mean(errors**2)) < limit
     assert np.abs(errors.mean(0)).max() < 4 * np.sqrt(np.mean(errors**2) / len(errors))
     assert 0.85 < np.sqrt(np.mean(errors**2 / sigmas[:, None] ** 2)) < 1.25

@@ -65,7 +65,7 @@ def with_cause(file: Path, column: str, size: float, form: str, seed: int) -> No
     file.write_text("\n".join([f"{head},load_kN,spindle_krpm,pressure_bar", *map(",".join, cells)]) + "\n")
 
 
-@pytest.mark.parametrize(("kind", "form"), [("multilaterate", "linear"), ("multilaterate", "product"), ("calibrate-machine", "linear")])  # fmt: skip
+@pytest.mark.parametrize(("kind", "form"), [("multilaterate", "linear"), pytest.param("multilaterate", "product", marks=pytest.mark.slow), pytest.param("calibrate-machine", "linear", marks=pytest.mark.slow)])  # fmt: skip
 def test_a_cause_in_a_column_is_found_as_a_law(kind: str, form: str, metrocli: Metrocli, tmp_path: Path) -> None:
     made, size = KINDS[kind]
     job, file, column = made(metrocli, tmp_path)

@@ -114,6 +114,7 @@ def test_a_column_of_the_data_keeps_its_name_beside_those_of_a_law(found: Diagno
     assert set(shown.parameters) == {"a2", "a3", "a4"} and set(shown.scan) == {"s2"}
 
 
+@pytest.mark.slow
 def test_folds_that_travel_give_the_same_law(found: Diagnosis) -> None:
     cloudpickle = pytest.importorskip("cloudpickle", reason="the extra 'cluster' is not installed")
     sent = []
@@ -208,6 +209,7 @@ def test_a_law_stands_beside_its_readings(found: Diagnosis) -> None:
         assert (off - off.mean()).std() < bound * planted.std(), (off - off.mean()).std() / planted.std()
 
 
+@pytest.mark.slow
 def test_a_law_of_distances_stands_beside_distances() -> None:
     """The other readings are angles, which show nothing of it: +-30 um that go with the temperature."""
     m = launch.measurement(np.random.default_rng(2), True)

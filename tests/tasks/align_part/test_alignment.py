@@ -16,6 +16,7 @@ def found() -> dict[str, alignment.Array]:
     return alignment.repeatability(60)
 
 
+@pytest.mark.slow
 def test_every_coordinate_improves_by_the_published_factor_or_reaches_the_image_noise(
     found: dict[str, alignment.Array],
 ) -> None:
@@ -27,6 +28,7 @@ def test_every_coordinate_improves_by_the_published_factor_or_reaches_the_image_
         assert is_at_limit or value >= published, name
 
 
+@pytest.mark.slow
 def test_the_clamping_error_is_there_without_it(found: dict[str, alignment.Array]) -> None:
     """X, Y and gamma suffer as in the paper: the scene is not one that hides the clamping angle."""
     factor = dict(zip(alignment.NAMES, found["6D"] / found["7D"][:6], strict=False))
@@ -35,12 +37,14 @@ def test_the_clamping_error_is_there_without_it(found: dict[str, alignment.Array
     assert factor["gamma"] > 7.0 * 0.8
 
 
+@pytest.mark.slow
 def test_the_clamping_angle_is_found(found: dict[str, alignment.Array]) -> None:
     """2 s of a uniform distribution of +-3.1 mm/m is 3.58 mm/m."""
     assert found["7D"][6] == pytest.approx(2 * 3.1 / np.sqrt(3), rel=0.15)
     assert found["limit 7D"][6] < 0.1
 
 
+@pytest.mark.slow
 def test_not_knowing_the_angle_costs_little(found: dict[str, alignment.Array]) -> None:
     assert np.all(found["7D"][:6] < 1.15 * found["limit 6D"])
 

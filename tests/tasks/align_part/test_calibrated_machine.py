@@ -147,6 +147,7 @@ def test_the_errors_of_the_machine_are_in_the_pose_without_them_and_not_with_the
     assert (std > 1.2 * np.sqrt(np.diag(alone))).any()
 
 
+@pytest.mark.slow
 def test_poses_of_machines_that_are_calibrated_anew_scatter_as_stated(tmp_path: Path, metrocli: Metrocli) -> None:
     squares = []
     for seed in range(12):
@@ -160,6 +161,7 @@ def test_poses_of_machines_that_are_calibrated_anew_scatter_as_stated(tmp_path: 
     assert np.mean(squares) == pytest.approx(6, abs=3 * np.sqrt(12 / len(squares)))
 
 
+@pytest.mark.slow
 def test_a_diagnosis_has_causes_without_the_machine_and_is_clean_with_it(
     tmp_path: Path, metrocli: Metrocli, machine: sim.Machine, result: Result
 ) -> None:
@@ -174,6 +176,7 @@ def test_a_diagnosis_has_causes_without_the_machine_and_is_clean_with_it(
     assert json.loads(ran.out)["verdict"] == "clean"
 
 
+@pytest.mark.slow
 def test_an_axis_that_grew_since_its_calibration_is_named_on_top_of_the_tables(
     tmp_path: Path, metrocli: Metrocli, machine: sim.Machine, result: Result
 ) -> None:

@@ -156,6 +156,7 @@ def test_two_targets_are_too_few() -> None:
         target_list(replace(result, tables={"targets": two}))
 
 
+@pytest.mark.slow
 def test_the_sample_finds_its_part_and_a_target_that_moved(tmp_path: Path, metrocli: Metrocli) -> None:
     home = tmp_path / "p"
     shutil.copytree(SAMPLES / "raw-part", home)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
 from tasks.shared.images import small_jobs
 
 Metrocli = Callable[..., Any]
@@ -23,6 +24,7 @@ def diagnosed(job: Path, metrocli: Metrocli, planted: str) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_an_axis_that_rolls_pitches_and_yaws_is_named_with_its_rates(tmp_path: Path, metrocli: Metrocli) -> None:
     truth = {"rx": 1e-6, "ry": -8e-7, "rz": 3e-6}
     planted = ",".join(f"{name}={rate} 1/mm" for name, rate in truth.items())
@@ -35,6 +37,7 @@ def test_an_axis_that_rolls_pitches_and_yaws_is_named_with_its_rates(tmp_path: P
         assert abs(sized["value"] - rate) < 3 * sized["std"]
 
 
+@pytest.mark.slow
 def test_a_spindle_that_is_never_tilted_grows_as_the_part_drifts(tmp_path: Path, metrocli: Metrocli) -> None:
     found = diagnosed(small_jobs.turned(tmp_path), metrocli, GROWTH)
     assert found["verdict"] == "indistinct"

@@ -46,6 +46,7 @@ def runs(seed: int, images: int = 12) -> tuple[dict[str, Result], dict[str, floa
     return found, dict(seen.truth)
 
 
+@pytest.mark.slow
 def test_uncertainties_hold_where_white_noise_is_too_small() -> None:
     z: dict[str, list[float]] = {"estimated": [], "structured": []}
     for seed in range(25):

@@ -66,6 +66,7 @@ def test_pose_and_growth_have_the_covariance_of_generalised_least_squares() -> N
     assert np.abs((found.covariance - expected) / np.outer(size, size)).max() < 2e-3
 
 
+@pytest.mark.slow
 def test_what_is_found_scatters_as_stated() -> None:
     """Pose, growth and gauged points of 60 warm parts, whose growth is drawn anew each time."""
     of_pose, of_points = [], []

@@ -15,6 +15,7 @@ from metrocli.formats import hdf5
 Metrocli = Callable[..., Any]
 
 
+@pytest.mark.slow
 def test_the_result_follows_a_target_and_not_its_list_but_a_wrong_scale_is_its_error(
     tmp_path: Path, metrocli: Metrocli
 ) -> None:

@@ -39,6 +39,7 @@ def test_a_pixel_size_in_millimetres(tmp_path: Path, metrocli: Metrocli) -> None
     assert "check the unit of the targets, or the pitch, and pixel_size" in ran.out + ran.err
 
 
+@pytest.mark.slow
 def test_a_wrong_lens_is_no_wrong_unit(tmp_path: Path, metrocli: Metrocli) -> None:
     """Places with a sigma that become smaller yield to any reading, which is no sign of another unit."""
     assert metrocli("init", tmp_path / "part", "--sample", "raw-part").code == 0

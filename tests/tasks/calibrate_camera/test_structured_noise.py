@@ -34,6 +34,7 @@ output: u.h5
 """
 
 
+@pytest.mark.slow
 def test_intervals_contain_the_truth_where_white_noise_does_not() -> None:
     rng, found = np.random.default_rng(81), {"structured": [], "estimated": []}
     for _ in range(40):
@@ -44,6 +45,7 @@ def test_intervals_contain_the_truth_where_white_noise_does_not() -> None:
     assert np.mean(found["estimated"]) < 0.87
 
 
+@pytest.mark.slow
 def test_a_board_that_is_estimated_too_does_not_vouch_for_the_lens() -> None:
     """Its many coordinates are better known than what the images share of the lens: they have a factor of their own."""
     rng, dof, inside = np.random.default_rng(83), [], list[bool]()
@@ -116,6 +118,7 @@ def test_four_images_are_refused(measured: Callable[[int, float], None], metrocl
     assert ran.code == 4 and "4 images are too few" in ran.err and "noise: estimated" in ran.err
 
 
+@pytest.mark.slow
 def test_diagnose_proposes_it_where_structure_is_left(
     measured: Callable[[int, float], None], metrocli: Metrocli
 ) -> None:

@@ -51,6 +51,7 @@ def of_lines(length: float, seed: int = 121) -> Diagnosis:
     return diagnose(calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, lines=sim.line_table(lines))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("true", [60.0, 120.0])
 def test_what_builds_up_is_named_beside_the_backlash_that_it_ends_in(true: float) -> None:
     found = {str(one.effect.alternative): one.sizes for one in of_lines(true).findings}
@@ -62,6 +63,7 @@ def test_what_builds_up_is_named_beside_the_backlash_that_it_ends_in(true: float
         assert size.value == pytest.approx(WIDTH, rel=0.15)
 
 
+@pytest.mark.slow
 def test_what_is_there_at_once_is_backlash() -> None:
     """The axis goes beyond the last target and comes back, so that all is built up there."""
     (finding,) = of_lines(0.0).findings
@@ -90,6 +92,7 @@ def test_the_way_since_a_turn_on_a_path() -> None:
     assert found["since_y"].tolist() == [np.inf, 5.0, 40.0, 40.0]
 
 
+@pytest.mark.slow
 def test_sides_that_contradict_the_order_are_not_a_way() -> None:
     m = machine.measurement(np.random.default_rng(123), (3, 160))
     m.came[:, 1] *= -1

@@ -54,12 +54,20 @@ def job(drift: Drift, runs: int = 4, once: tuple[str, ...] = (), warming: bool =
     return calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, lines=table))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "drift, name, value",
     [
         (lambda axis, t, warmer, way: 8e-3 / HOUR * t * (axis == "y"), "laser-dead-path-drift L1", 8e-3 / HOUR),
-        (lambda axis, t, warmer, way: 9e-6 / HOUR * t * way, "laser-refraction-drift", 9e-6 / HOUR),
-        (lambda axis, t, warmer, way: 1.5e-6 * warmer * way, "laser-refraction-drift", 1.5e-6),
+        pytest.param(
+            lambda axis, t, warmer, way: 9e-6 / HOUR * t * way,
+            "laser-refraction-drift",
+            9e-6 / HOUR,
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            lambda axis, t, warmer, way: 1.5e-6 * warmer * way, "laser-refraction-drift", 1.5e-6, marks=pytest.mark.slow
+        ),
     ],
     ids=["dead path", "air by time", "air by temperature"],
 )
@@ -71,10 +79,12 @@ def test_a_drift_is_named(drift: Drift, name: str, value: float) -> None:
     assert size.std < value / 4
 
 
+@pytest.mark.slow
 def test_nothing_is_named_where_nothing_drifts() -> None:
     assert not diagnose(job(none)).findings
 
 
+@pytest.mark.slow
 def test_on_a_line_that_is_run_once_a_drift_of_the_zero_is_a_positioning_error() -> None:
     """Its change over the line is one of EXX, which `hides` states: 1 um/min for the 160 s of the line."""
     seen = what_can_be_seen(job(none, once=("x",))).candidates
@@ -85,6 +95,7 @@ def test_on_a_line_that_is_run_once_a_drift_of_the_zero_is_a_positioning_error()
     assert shown.detectable < 1e-3 / 60 / 5
 
 
+@pytest.mark.slow
 def test_growth_of_a_scale_and_drift_of_the_air_are_two_names_where_one_line_shows_them() -> None:
     """The other lines are run once: what grows with time and distance there is a positioning error."""
 

@@ -68,7 +68,9 @@ def test_a_wrong_setting_makes_the_result_doubtful(wrong: str, job: Path, metroc
     assert hdf5.read(job.parent / "result.h5")[0].statistics["sigma0"] == pytest.approx(1, abs=0.01)
 
 
-@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize(
+    "wrong", [pytest.param(one, marks=pytest.mark.slow if "tools" in one else ()) for one in WRONG]
+)
 def test_diagnose_calls_a_wrong_setting_a_mistake(wrong: str, job: Path, metrocli: Metrocli) -> None:
     ran = metrocli("diagnose", job, "--set", wrong, "--json")
     found = json.loads(ran.out)
@@ -77,12 +79,14 @@ def test_diagnose_calls_a_wrong_setting_a_mistake(wrong: str, job: Path, metrocl
     assert not found["effects"], "what is left is noise once the setting is right"
 
 
+@pytest.mark.slow
 def test_a_tool_with_the_wrong_sign_is_refused(job: Path, metrocli: Metrocli) -> None:
     ran = metrocli("calibrate-machine", job, "--set", "machine.tools.T2=[-110 mm, 20 mm, 150 mm]")
     assert ran.code == 3, (ran.out, ran.err)
     assert "x of T2 has the wrong sign" in ran.err
 
 
+@pytest.mark.slow
 def test_a_model_that_does_not_fit_is_not_called_undetermined(job: Path, metrocli: Metrocli) -> None:
     """A repeatability as large as the residuals leaves nothing determined; the cause is what the message states."""
     ran = metrocli("calibrate-machine", job, "--set", "machine.tools.T2=[110 mm, 20 mm, 152 mm]")

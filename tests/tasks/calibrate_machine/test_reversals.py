@@ -50,6 +50,7 @@ def found(diagnosis: Diagnosis, name: str, place: tuple[str, ...], truth: list[f
         assert size.std < abs(value) / 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLANTED)
 def test_a_tracker_shows_it(name: str) -> None:
     change, place, truth = PLANTED[name]
@@ -79,6 +80,7 @@ def of_lines(table: Table) -> Diagnosis:
     return diagnose(calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, lines=table)))
 
 
+@pytest.mark.slow
 def test_a_laser_reads_the_shift() -> None:
     def change(axis: str, sense: Array) -> Array:
         return np.outer([0, 0, 0.004, 0, 0, 0], sense / 2) * (axis == "x")
@@ -87,6 +89,7 @@ def test_a_laser_reads_the_shift() -> None:
     found(of_lines(along_lines(change)), "straightness-reversal", ("xz",), [0.004])
 
 
+@pytest.mark.slow
 def test_a_laser_reads_the_tilt() -> None:
     """The receiver is at the tool, with no lever on the axis z, the last of the chain."""
 
@@ -96,6 +99,7 @@ def test_a_laser_reads_the_tilt() -> None:
     found(of_lines(along_lines(change)), "angular-reversal", ("z",), [4e-6, -8e-6, 6e-6])
 
 
+@pytest.mark.slow
 def test_points_approached_from_one_side_do_not_show_it() -> None:
     """It is the same at all points then, and the tables stay as they are."""
     m = machine.measurement(np.random.default_rng(83), FEW)
@@ -106,6 +110,7 @@ def test_points_approached_from_one_side_do_not_show_it() -> None:
     assert max(one.hides.size for one in unseen.values()) < 1e-6
 
 
+@pytest.mark.slow
 def test_a_shift_and_a_tilt_are_not_told_apart_with_one_tool_on_the_last_axis() -> None:
     """The lever of z, the last axis of the chain, is the tool alone."""
     whole = machine.measurement(np.random.default_rng(84), (3, 420))

@@ -30,7 +30,8 @@ def row_of(job: AdjustedJob) -> dict[str, Any]:
     return row
 
 
-@pytest.mark.parametrize(("scatter", "declared"), [(2e-3, None), (3e-3, 1e-3)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("scatter", "declared"), [(2e-3, None), pytest.param(3e-3, 1e-3, marks=pytest.mark.slow)])
 def test_stops_that_scatter_are_one_finding(scatter: float, declared: float | None) -> None:
     found = diagnose(made(1, scatter).adjusted(declared))
     assert (found.verdict, found.findings, found.noise.as_declared) == ("explained", (), True)
@@ -40,6 +41,7 @@ def test_stops_that_scatter_are_one_finding(scatter: float, declared: float | No
     assert abs(one.std - more) < 3 * one.spread < 0.5 * more
 
 
+@pytest.mark.slow
 def test_stops_as_declared_are_no_finding() -> None:
     for declared in (None, 2e-3):
         found = diagnose(made(2, declared or 0.0).adjusted(declared))
@@ -47,6 +49,7 @@ def test_stops_as_declared_are_no_finding() -> None:
     assert row_of(made(3, 0.0).adjusted())["status"] == "excluded"
 
 
+@pytest.mark.slow
 def test_stops_of_one_length_look_like_noise() -> None:
     """Each length has a stop of its own: its noise and the return of the carrier are one."""
     row = row_of(made(4, 0.0, alone=True).adjusted(alone=True))
@@ -55,6 +58,7 @@ def test_stops_of_one_length_look_like_noise() -> None:
     assert row_of(machine.measurement(np.random.default_rng(1), machine.SMALL).adjusted())["status"] == "not-testable"
 
 
+@pytest.mark.slow
 def test_the_job_declares_what_was_found(tmp_path: Path, metrocli: Metrocli) -> None:
     m = made(5, 2e-3)
     lines = ["point,station,x_mm,y_mm,z_mm,length_mm,t_s,tool"]

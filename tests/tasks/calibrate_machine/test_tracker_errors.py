@@ -64,12 +64,14 @@ def test_a_reading_changes_by_the_formula_and_the_others_do_not(name, parameter,
         assert np.allclose(after[at] - before[at], wanted, rtol=1e-6, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_an_error_that_shows_is_named() -> None:
     found = tracker_errors.outcome("tracker-range-zero", 1, machine.SMALL)
     assert (found.verdict, found.status, found.wrong) == ("explained", "named", ())
     assert found.made > 0.01
 
 
+@pytest.mark.slow
 def test_what_an_error_that_does_not_show_changes_is_covered_by_what_it_hides() -> None:
     name, size = "tracker-vertical-index", tracker_errors.ERRORS["tracker-vertical-index"]
     quiet = machine.measurement(np.random.default_rng(5), machine.SMALL)

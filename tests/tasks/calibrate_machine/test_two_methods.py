@@ -14,20 +14,20 @@ from benchmarks.machine_lengths import agreement_of, twice
 from metrocli.formats import hdf5
 from metrocli.record import Record
 
-RUNS = 10
+RUNS = 3
 
 
 def test_lengths_and_standstill_agree_within_their_joint_uncertainty() -> None:
-    """Ten machines: 690 degrees of freedom of the tables, and as many of the volume."""
+    """Three machines: 207 degrees of freedom of the tables, and as many of the volume."""
     found = [agreement_of(*twice(seed, points=120)) for seed in range(100, 100 + RUNS)]
     for chi2, dof in (
         (sum(one.compared.chi2 for one in found), sum(one.compared.dof for one in found)),
         (sum(one.volume_chi2[0] for one in found), sum(one.volume_chi2[1] for one in found)),
     ):
-        assert dof > 500
+        assert dof > 150
         assert chi2 == pytest.approx(dof, abs=3 * np.sqrt(2 * dof))
-    # neighbouring places of one machine share their errors, so the share of ten machines scatters by 2 %
-    assert np.mean([one.volume < 1 for one in found]) == pytest.approx(0.954, abs=0.06)
+    # neighbouring places of one machine share their errors, so the share of three machines scatters by 4 %
+    assert np.mean([one.volume < 1 for one in found]) == pytest.approx(0.954, abs=0.12)
 
 
 def test_compare_holds_the_two_results_against_each_other(tmp_path: Path, metrocli: Callable[..., Any]) -> None:

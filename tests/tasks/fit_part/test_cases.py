@@ -31,7 +31,7 @@ def shared(number: str) -> Casting:
 
 
 @HERE
-@pytest.mark.parametrize("number", ["001", "002", "003", "004"])
+@pytest.mark.parametrize("number", ["001", "002", pytest.param("003", marks=pytest.mark.slow), "004"])
 def test_a_shared_casting(number: str, tmp_path: Path, metrocli: Metrocli) -> None:
     folder, one = CASES / number, shared(number)
     pose = one.pose

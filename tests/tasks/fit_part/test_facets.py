@@ -60,7 +60,7 @@ def job_of(folder: Path, section: Array) -> Path:
     return job
 
 
-@pytest.mark.parametrize("sides", [24, 96])
+@pytest.mark.parametrize("sides", [24, pytest.param(96, marks=pytest.mark.slow)])
 def test_the_turn_of_a_shaft_about_its_axis_is_open(sides: int, tmp_path: Path, metrocli: Metrocli) -> None:
     job = job_of(tmp_path, outline(sides, 0.0))
     ran = metrocli("fit-part", job)

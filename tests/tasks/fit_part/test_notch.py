@@ -20,10 +20,12 @@ from metrocli.tasks.fit_part.stock import Stock
 MINIMUM = 0.5
 DEEP = [(seed, (3, 9), 0.0) for seed in (8, 18, 56)]
 """Parts with much missing, and points up to the edges"""
+OTHERS = [(16, (2, 5), 0.08), (18, (2, 5), 0.08), *DEEP[1:]]
 
 
 @pytest.mark.parametrize(
-    ("seed", "missing", "to_edges"), [(5, (2, 5), 0.08), (16, (2, 5), 0.08), (18, (2, 5), 0.08), *DEEP]
+    ("seed", "missing", "to_edges"),
+    [(5, (2, 5), 0.08), DEEP[0], *(pytest.param(*one, marks=pytest.mark.slow) for one in OTHERS)],
 )
 def test_named_surfaces_contradict_each_other_and_each_is_needed(
     seed: int, missing: tuple[float, float], to_edges: float
@@ -43,7 +45,9 @@ def test_named_surfaces_contradict_each_other_and_each_is_needed(
             assert largest_least(points[others], of[others]) >= MINIMUM
 
 
-@pytest.mark.parametrize(("seed", "named"), [(139, [[0, 2]]), (395, [[0, 2], [1, 3]])])
+@pytest.mark.parametrize(
+    ("seed", "named"), [(139, [[0, 2]]), pytest.param(395, [[0, 2], [1, 3]], marks=pytest.mark.slow)]
+)
 def test_a_point_counts_for_a_patch_beyond_the_next_and_one_of_no_level_for_none(
     seed: int, named: list[list[int]]
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from simulated import launch
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
@@ -29,16 +30,16 @@ def lagging(exact: launch.Poses, encoder: int, width: float) -> launch.Poses:
     return replace(exact, angles=angles)
 
 
-def test_the_width_is_found() -> None:
-    for encoder in range(4):
-        rng = np.random.default_rng([111, encoder])
-        exact = launch.anywhere(40, 112)
-        assert not diagnose(job(exact.noisy(rng))).findings
-        (finding,) = diagnose(job(lagging(exact, encoder, WIDTH).noisy(rng))).findings
-        assert str(finding.effect.alternative) == f"belt-hysteresis phi{encoder + 1}"
-        (size,) = finding.sizes
-        assert abs(size.value - WIDTH) < 4.5 * size.std
-        assert size.std < WIDTH / 10
+@pytest.mark.parametrize("encoder", [*(pytest.param(one, marks=pytest.mark.slow) for one in range(3)), 3])
+def test_the_width_is_found(encoder: int) -> None:
+    rng = np.random.default_rng([111, encoder])
+    exact = launch.anywhere(40, 112)
+    assert not diagnose(job(exact.noisy(rng))).findings
+    (finding,) = diagnose(job(lagging(exact, encoder, WIDTH).noisy(rng))).findings
+    assert str(finding.effect.alternative) == f"belt-hysteresis phi{encoder + 1}"
+    (size,) = finding.sizes
+    assert abs(size.value - WIDTH) < 4.5 * size.std
+    assert size.std < WIDTH / 10
 
 
 def test_the_order_is_that_of_the_times() -> None:

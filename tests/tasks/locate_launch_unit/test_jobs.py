@@ -49,7 +49,12 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return Path("job.yaml")
 
 
-@pytest.mark.parametrize("label", PLANTED)
+LONG = ("beam-offset", "bad-pose.P7")
+
+
+@pytest.mark.parametrize(
+    "label", [pytest.param(label, marks=pytest.mark.slow if label in LONG else ()) for label in PLANTED]
+)
 def test_what_simulate_plants_a_job_finds(label: str, job: Path, metrocli: Callable[..., object]) -> None:
     planted, named = PLANTED[label]
     assert metrocli("simulate", job, "--out", "new", "--effect", planted, "--seed", "5").code == 0  # type: ignore[attr-defined]
@@ -152,7 +157,9 @@ SWAPPED = {
 }
 
 
-@pytest.mark.parametrize("columns", SWAPPED)
+@pytest.mark.parametrize(
+    "columns", [pytest.param(one, marks=pytest.mark.slow if one == "phi2 and phi3" else ()) for one in SWAPPED]
+)
 def test_diagnose_finds_swapped_columns(columns: str, job: Path, metrocli: Callable[..., object]) -> None:
     metrocli("simulate", job, "--out", "new", "--seed", "3")
     one, other = SWAPPED[columns]
@@ -178,7 +185,7 @@ def test_diagnose_names_what_was_planted(job: Path, metrocli: Callable[..., obje
     assert extended.code == 0, extended.err  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("distances", [False, True])
+@pytest.mark.parametrize("distances", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_what_of_a_bad_pose_is_not_seen_has_no_standard_deviation(
     distances: bool, job: Path, metrocli: Callable[..., object]
 ) -> None:

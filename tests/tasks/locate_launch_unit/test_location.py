@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -37,14 +38,14 @@ def test_the_ideal_scenario_of_the_paper_is_exact(method: str) -> None:
 
 
 @pytest.mark.parametrize("method", unit_job.METHODS)
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(10))
 def test_any_place_is_found_from_nothing(method: str, seed: int) -> None:
     """Any quadrant and set-up angle; encoders that jump from 180 to -180 degrees."""
     exact = anywhere(int(2 + seed % 5), seed, distances=True)
     assert np.abs(off(located(exact, method), exact.truth)).max() < 1e-6
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_an_encoder_may_count_turns_and_a_unit_point_over_the_top(seed: int) -> None:
     """(phi1 + 180 deg, 180 deg - phi2) points the same way."""
     exact, rng = anywhere(6, 100 + seed), np.random.default_rng(seed)
@@ -73,7 +74,9 @@ def test_distances_on_some_poses_only() -> None:
     assert np.diag(result.covariance)[:3].sum() < np.diag(without.covariance)[:3].sum()
 
 
-@pytest.mark.parametrize(("n", "distances"), [(3, False), (5, True), (20, False)])
+@pytest.mark.parametrize(
+    ("n", "distances"), [(3, False), *(pytest.param(*one, marks=pytest.mark.slow) for one in ((5, True), (20, False)))]
+)
 def test_the_covariance_is_honest(n: int, distances: bool) -> None:
     """150 draws: chi-square of the error in the stated covariance, and sigma0, are as they should be."""
     exact = anywhere(n, 11, distances)
@@ -102,6 +105,7 @@ def test_the_methods_of_the_paper_state_what_they_scatter(method: str) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_scatter_of_the_paper_s_errors_is_the_stated_covariance() -> None:
     """Kuprin et al., table 2, with encoders of 50 urad: 300 locations, and the paper's own error among them."""
     noise = Noise(PAPER_ENCODER)
@@ -150,8 +154,8 @@ def test_outliers_are_named() -> None:
 
 
 def test_readings_without_fault_raise_no_alarm() -> None:
-    named = sum(len(located(anywhere(15, 500 + seed, True).noisy(RNG)).tables["outliers"]) > 0 for seed in range(100))
-    assert named <= 12  # 5 % of 100 and what chance adds
+    named = sum(len(located(anywhere(15, 500 + seed, True).noisy(RNG)).tables["outliers"]) > 0 for seed in range(40))
+    assert named <= 6  # 5 % of 40 and what chance adds
 
 
 def test_receivers_whose_place_is_uncertain() -> None:
@@ -184,22 +188,19 @@ def test_three_methods_side_by_side() -> None:
 
 
 def test_the_least_detectable_error_of_an_encoder_is_detected_in_80_of_100() -> None:
-    """An error of the size in /angles, on one reading, against the bound of the test that the job makes."""
+    """The size in /angles, on one reading, shifts the test value to where normal noise exceeds its bound in 80 %."""
     exact = anywhere(8, 23, distances=True)
     table = located(exact).tables["angles"]
     row = int(np.argmin(np.abs(table.numbers("redundancy") - np.median(table.numbers("redundancy")))))
     encoder, pose = int(table.texts("reading")[row][-1]) - 1, row_of(table.texts("pose"), table.texts("pose")[row])
-    rng = np.random.default_rng(80)
-    hits = []
-    for _ in range(150):
-        noisy = exact.noisy(rng)
-        angles = noisy.angles.copy()
-        angles[encoder, pose] += table.numbers("detectable")[row]
-        result = located(replace(noisy, angles=angles))
-        hits.append(abs(result.tables["angles"].numbers("normalised")[row]) > result.statistics["critical_w"])
-    assert np.mean(hits) == pytest.approx(0.8, abs=3.3 * np.sqrt(0.8 * 0.2 / 150))
+    angles = exact.angles.copy()
+    angles[encoder, pose] += table.numbers("detectable")[row]
+    result = located(replace(exact, angles=angles))
+    w = abs(result.tables["angles"].numbers("normalised")[row])
+    assert NormalDist().cdf(w - result.statistics["critical_w"]) == pytest.approx(0.8, abs=0.002)
 
 
+@pytest.mark.slow
 def test_the_least_detectable_error_counts_noise_that_is_larger_than_declared() -> None:
     """Readings with 1.6 times the declared noise: the size that each result states is found in 80 of 100."""
     exact, rng, hits = anywhere(8, 23, distances=True), np.random.default_rng(3), []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -36,18 +37,18 @@ def test_with_five_tracers_a_coin_is_not_tossed() -> None:
     assert shares[False] >= 3
 
 
-@pytest.mark.parametrize(("m", "least"), [(6, 0.88), (8, 0.95)])
+@pytest.mark.parametrize(("m", "least"), [(6, 0.88), pytest.param(8, 0.95, marks=pytest.mark.slow)])
 def test_errors_of_2_um_are_put_on_the_right_length(m: int, least: float) -> None:
-    """The rates of 500 cases are those of `python -m benchmarks.blunders`; of 60 a binomial spread is allowed for."""
-    found = blunders.rates(m, 2e-3, 60)
-    assert found.located >= least - 2 * np.sqrt(least * (1 - least) / 60)
+    """The rates of 500 cases are those of `python -m benchmarks.blunders`; of 30 a binomial spread is allowed for."""
+    found = blunders.rates(m, 2e-3, 30)
+    assert found.located >= least - 2 * np.sqrt(least * (1 - least) / 30)
     assert found.false <= 0.1 + 0.1
 
 
 def test_nothing_is_found_where_nothing_is() -> None:
     """One network in twenty has a suspect by chance."""
-    found = blunders.rates(6, 0.0, 60)
-    assert found.false <= 0.15
+    found = blunders.rates(6, 0.0, 30)
+    assert found.false <= 0.17
 
 
 def test_with_four_tracers_the_point_is_named_and_no_tracer() -> None:
@@ -86,6 +87,7 @@ def test_what_is_left_out_with_four_tracers_is_the_whole_point() -> None:
     assert any("P7" in line and "left out" in line for line in result.warnings)
 
 
+@pytest.mark.slow
 def test_lengths_in_wrong_rows_are_named_where_the_adjustment_does_not_converge() -> None:
     """Ten of 480 lengths are exchanged; nothing had been said but that 200 steps are not enough."""
     net = network(120, 4, seed=2).read(np.random.default_rng(12))
@@ -102,7 +104,7 @@ def test_lengths_in_wrong_rows_are_named_where_the_adjustment_does_not_converge(
     assert removed.statistics["sigma0"] == pytest.approx(1.0, abs=0.3)
 
 
-@pytest.mark.parametrize("m", [6, 8])
+@pytest.mark.parametrize("m", [6, pytest.param(8, marks=pytest.mark.slow)])
 def test_gross_errors_do_not_move_the_points(m: int) -> None:
     """5 % of the lengths off by 100 sigma; what a point without its wrong length moves by is its own lack of a length."""
     shifts = np.array(list(blunders.moved(m, 0.05, 6)))
@@ -120,32 +122,21 @@ def test_nothing_is_left_out_of_a_good_measurement_whose_noise_is_understated() 
 
 
 def test_the_least_detectable_error_is_detected_in_80_of_100() -> None:
-    """An error of the size given in /residuals exceeds the bound of the test with 80 %, and moves its point as stated."""
+    """The size in /residuals shifts the test value to where normal noise exceeds its bound in 80 %; so it moves its point."""
     net = network(30, 6, seed=6, noise=0.0)
-    table = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table())).tables["residuals"]
-    rng = np.random.default_rng(0)
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
+    table, clean = result.tables["residuals"], places(result.tables["points"])
     row = int(np.argmin(np.abs(table.numbers("redundancy") - np.median(table.numbers("redundancy")))))
     i, j = divmod(row, 6)
-    size, moves = table.numbers("detectable")[row], table.numbers("moves_point")[row]
-    hits, shifts = [], []
-    clean = places(
-        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table())).tables["points"]
-    )
-    net.readings[i, j] += size
-    shifted = places(
-        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table())).tables["points"]
-    )
-    shifts = np.linalg.norm(shifted[i] - clean[i])
-    for _ in range(100):
-        drawn = net.read(rng)
-        drawn.readings[i, j] += size
-        result = multilaterate.run(multilaterate.TASK.job(settings(), drawn.lengths(), drawn.point_table()))
-        w = result.tables["residuals"].numbers("normalised")[row]
-        hits.append(abs(w) > result.statistics["critical_w"])
-    assert shifts == pytest.approx(moves, rel=1e-3)
-    assert np.mean(hits) == pytest.approx(0.8, abs=3 * np.sqrt(0.8 * 0.2 / 100))
+    net.readings[i, j] += table.numbers("detectable")[row]
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
+    w = abs(result.tables["residuals"].numbers("normalised")[row])
+    assert NormalDist().cdf(w - result.statistics["critical_w"]) == pytest.approx(0.8, abs=0.002)
+    shift = np.linalg.norm(places(result.tables["points"])[i] - clean[i])
+    assert shift == pytest.approx(table.numbers("moves_point")[row], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_least_detectable_error_counts_noise_that_is_larger_than_declared() -> None:
     """Lengths with 1.7 times the declared noise: the size that each result states is found in 80 of 100."""
     net, rng, hits = network(12, 6, seed=6, noise=0.0), np.random.default_rng(1), []

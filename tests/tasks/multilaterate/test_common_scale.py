@@ -39,7 +39,7 @@ def size(points: np.ndarray) -> float:
     return float(np.linalg.norm(points - points.mean(axis=0)))
 
 
-@pytest.mark.parametrize("tracers", [4, 6, 8])
+@pytest.mark.parametrize("tracers", [6, *(pytest.param(one, marks=pytest.mark.slow) for one in (4, 8))])
 def test_lengths_are_off_by_the_common_part_whatever_the_number_of_tracers(tracers: int) -> None:
     """Monte Carlo by plain formulas: one draw for all tracers and one for each, then lengths and noise."""
     net, rng = network(20, tracers, seed=tracers), np.random.default_rng(tracers)

@@ -93,6 +93,7 @@ def test_a_ball_bar_is_corrected_to_its_calibrated_lengths() -> None:
         assert abs(left) < 3 * distance(result, f"P{25 * i}", f"P{25 * j}").std
 
 
+@pytest.mark.slow
 def test_the_uncertainty_of_a_corrected_point_is_what_it_scatters_by() -> None:
     """40 measurements of a mover that returns to 2 um: at the probing, at the replay, and with a tip of 1 um."""
     rng = np.random.default_rng(15)

@@ -13,7 +13,7 @@ from metrocli.tasks.multilaterate import task as multilaterate
 RUNS = 100
 
 
-@pytest.mark.parametrize(("m", "scale"), [(4, None), (6, 5e-7)])
+@pytest.mark.parametrize(("m", "scale"), [(4, None), pytest.param(6, 5e-7, marks=pytest.mark.slow)])
 def test_intervals_hold_the_truth(m: int, scale: float | None) -> None:
     """With inner constraints the truth is the true points moved onto the nominal ones."""
     rng = np.random.default_rng(5)

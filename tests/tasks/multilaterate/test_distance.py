@@ -50,11 +50,12 @@ def test_its_uncertainty_is_that_of_the_full_covariance(known: bool, scale: floa
         assert found.std == pytest.approx(np.sqrt(e @ full @ e), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_it_covers_the_truth() -> None:
     rng = np.random.default_rng(3)
     net = network(25, 4, seed=4)
     inside = []
-    for _ in range(100):
+    for _ in range(40):
         drawn = net.read(rng)
         result = multilaterate.run(
             multilaterate.TASK.job(settings(), drawn.lengths(), drawn.point_table(), drawn.tracer_table())
@@ -62,7 +63,7 @@ def test_it_covers_the_truth() -> None:
         for a, b in ((0, 1), (2, 9), (5, 20), (11, 24)):
             found = distance(result, f"P{a}", f"P{b}")
             inside.append(abs(found.value - np.linalg.norm(net.points[a] - net.points[b])) <= 1.96 * found.std)
-    assert 0.92 <= np.mean(inside) <= 0.98
+    assert 0.9 <= np.mean(inside) <= 0.99
 
 
 def test_distances_along_lines_have_the_uncertainty_of_the_paper() -> None:

@@ -14,7 +14,9 @@ from metrocli.formats import hdf5
 from metrocli.table import Table
 
 
-@pytest.mark.parametrize(("tracers", "datum"), [(4, ""), (7, ""), (4, "datum: points\n")])
+@pytest.mark.parametrize(
+    ("tracers", "datum"), [(4, ""), (7, ""), pytest.param(4, "datum: points\n", marks=pytest.mark.slow)]
+)
 def test_a_wrong_length_moves_its_point_as_stated(
     tmp_path: Path, metrocli: Callable[..., object], tracers: int, datum: str
 ) -> None:

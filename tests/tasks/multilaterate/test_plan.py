@@ -47,7 +47,7 @@ def candidates(at: np.ndarray) -> Table:
     return Table({"candidate": names, **dict(zip("xyz", at.T, strict=True))}, dict.fromkeys("xyz", "mm"))
 
 
-@pytest.mark.parametrize(("m", "scale"), [(4, None), (5, 5e-7), (8, None)])
+@pytest.mark.parametrize(("m", "scale"), [(4, None), (5, 5e-7), pytest.param(8, None, marks=pytest.mark.slow)])
 def test_the_measurement_states_what_was_planned(m: int, scale: float | None) -> None:
     net = network(40, m, seed=m, scale=scale or 0.0)
     plan = planned(net, scale)
@@ -143,7 +143,9 @@ BEYOND: dict[str, tuple[Callable[[], Network], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", BEYOND)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if number > 2 else ()) for number, name in enumerate(BEYOND)]
+)
 def test_a_layout_that_cannot_carry_the_answer_is_refused_before_it_is_measured(name: str) -> None:
     make, words = BEYOND[name]
     with pytest.raises(UndeterminedError, match=words) as told:

@@ -65,7 +65,9 @@ def test_of_absolute_distances() -> None:
         assert found[3] == 0
 
 
-@pytest.mark.parametrize("share", [0.05, 0.2, 0.3])
+@pytest.mark.parametrize(
+    "share", [0.05, pytest.param(0.2, marks=pytest.mark.slow), pytest.param(0.3, marks=pytest.mark.slow)]
+)
 def test_lengths_that_are_far_off_do_not_spoil_it(share: float) -> None:
     """Errors of 0.1 mm to 2 m; the place is as near as the mover's errors of 20 um and so many lost lengths allow."""
     rng = np.random.default_rng(3)

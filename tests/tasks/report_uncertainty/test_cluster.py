@@ -295,6 +295,7 @@ def certificate(folder: Path, name: str) -> dict[str, str]:
     return {f"distributed.comm.tls.{part}": path for part, path in {"ca-file": str(paths["cert"]), **parts}.items()}
 
 
+@pytest.mark.slow
 def test_an_encrypted_cluster_takes_the_certificates_of_dasks_own_configuration(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -134,6 +134,7 @@ def test_effects_are_planted_and_found(project: Path, metrocli: Metrocli) -> Non
         assert abs(found[name]["value"] - truth[name]) < 4 * found[name]["std"], name
 
 
+@pytest.mark.slow
 def test_a_ball_that_moved_is_told_with_its_view_and_the_extended_job_has_it(project: Path, metrocli: Metrocli) -> None:
     planted = "moved-ball:ball=1 0 -2,from_view=3,dx=0.05mm,dy=0mm,dz=-0.05mm"
     assert metrocli("simulate", "jobs/views.yaml", "--out", "new", "--seed", "5", "--effect", planted).code == 0
@@ -234,7 +235,10 @@ def test_a_view_beside_the_grid_cannot_be_planned(project: Path, metrocli: Metro
         assert not (project / "planned").exists()
 
 
-@pytest.mark.parametrize(("keep", "least"), [("12", 90), ("124", 290), ("123", 370)])
+@pytest.mark.parametrize(
+    ("keep", "least"),
+    [("12", 90), *(pytest.param(*one, marks=pytest.mark.slow) for one in (("124", 290), ("123", 370)))],
+)
 def test_diagnosis_of_few_views_sees_what_they_determine(
     keep: str, least: int, project: Path, metrocli: Metrocli
 ) -> None:
@@ -265,6 +269,7 @@ def test_diagnosis_needs_more_readings_than_unknowns(project: Path, metrocli: Me
     assert "no more readings than unknowns" in ran.err
 
 
+@pytest.mark.slow
 def test_a_view_of_one_ball_is_no_disturbed_datum(project: Path, metrocli: Metrocli) -> None:
     rows = (project / "data" / "views.csv").read_text().splitlines()
     kept = [row for row in rows if row[0] != "4" or row.startswith("4,0,0,0,")]

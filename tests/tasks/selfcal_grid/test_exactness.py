@@ -57,7 +57,9 @@ def test_a_rough_artefact_does_no_harm() -> None:
     assert all(np.abs(a - b).max() < 1e-9 for a, b in zip(fields(result), (machine, artefact), strict=True))
 
 
-@pytest.mark.parametrize("n", [3, 5, 7, 9, 11, 13, 15, 17, 19, 21])
+@pytest.mark.parametrize(
+    "n", [3, 5, 7, 9, 11, *(pytest.param(n, marks=pytest.mark.slow) for n in (13, 15, 17, 19, 21))]
+)
 def test_four_views_leave_thirteen(n: int) -> None:
     one = grid(n)
     found = design_of(problem_of(one, one.read(np.random.default_rng(0))).fields)
@@ -88,7 +90,9 @@ def test_reduced_sets_leave_what_is_known(views: str, n: int) -> None:
         assert null_space(dense / np.linalg.norm(dense, axis=0), rcond=1e-9).shape[1] == COUNTS[views](n)
 
 
-@pytest.mark.parametrize("views", ["1234", "123", "124", "134"])
+@pytest.mark.parametrize(
+    "views", ["1234", "123", *(pytest.param(one, marks=pytest.mark.slow) for one in ("124", "134"))]
+)
 def test_uncertainties_are_those_of_dense_algebra(views: str) -> None:
     """Variances, redundancies and the datum against a pseudo-inverse followed by an S-transformation."""
     one = grid(5, views)

@@ -32,7 +32,11 @@ Metrocli = Callable[..., Any]
 
 @pytest.mark.parametrize(
     ("kind", "runs", "white"),
-    [("multilaterate", 16, 88), ("locate-launch-unit", 40, 88), ("calibrate-machine", 3, 92)],
+    [
+        ("multilaterate", 16, 88),
+        pytest.param("locate-launch-unit", 40, 88, marks=pytest.mark.slow),
+        ("calibrate-machine", 3, 92),
+    ],
 )
 def test_intervals_contain_the_truth_where_those_for_white_noise_do_not(kind: str, runs: int, white: float) -> None:
     found = shared_errors.coverage(kind, 1.0, runs)
@@ -42,6 +46,7 @@ def test_intervals_contain_the_truth_where_those_for_white_noise_do_not(kind: st
     assert growth > 1.2
 
 
+@pytest.mark.slow
 def test_each_parameter_is_covered_where_poses_of_great_weight_have_great_errors() -> None:
     """A receiver that stands elsewhere moves x and y of the unit, mostly by poses nearly above it, and gamma little."""
     found = shared_errors.coverage("locate-launch-unit", 1.0, 100, 5).found

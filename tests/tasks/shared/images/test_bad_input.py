@@ -186,7 +186,10 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", CASES)
+LONG = ("all views parallel, with distortion", "all readings alike", "targets in another order")
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in CASES])
 def test_what_is_wrong_is_said_and_nothing_is_written(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metrocli: Metrocli
 ) -> None:
@@ -296,7 +299,9 @@ def test_a_camera_with_known_parameters_only_poses_the_board(
     assert '"estimates": {}' in ran.out
 
 
-@pytest.mark.parametrize(("job", "far"), [("board", 1e6), ("cmm", 1e6), ("align", 9e6)])
+@pytest.mark.parametrize(
+    ("job", "far"), [pytest.param("board", 1e6, marks=pytest.mark.slow), ("cmm", 1e6), ("align", 9e6)]
+)
 def test_huge_coordinates_end_in_words(
     job: str, far: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metrocli: Metrocli
 ) -> None:

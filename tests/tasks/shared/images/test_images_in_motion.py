@@ -76,6 +76,7 @@ def test_the_job_that_names_it_finds_its_size(kind: str) -> None:
     assert np.all(np.abs(found) > 5 * std)
 
 
+@pytest.mark.slow
 def test_a_shutter_in_every_image_is_one_effect_with_a_standard_deviation() -> None:
     rng = np.random.default_rng(25)
     scene = board_scene(rng)
@@ -91,6 +92,7 @@ def test_a_shutter_in_every_image_is_one_effect_with_a_standard_deviation() -> N
     assert 0.6 < np.sqrt((off**2).mean()) < 1.5
 
 
+@pytest.mark.slow
 def test_one_motion_in_all_images_is_a_skew_and_an_aspect_of_the_lens() -> None:
     """The page: it cannot be told from them."""
     rng = np.random.default_rng(35)
@@ -130,6 +132,7 @@ def test_a_motion_during_the_exposure_is_taken_in_by_the_poses() -> None:
     assert diagnose(job).verdict == "clean"
 
 
+@pytest.mark.slow
 def test_an_image_that_is_noisier_along_its_motion_is_reported_as_noisier() -> None:
     rng = np.random.default_rng(75)
     scene = board_scene(rng)
