@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
-from typing import TYPE_CHECKING
+from dataclasses import field, replace
+from typing import TYPE_CHECKING, Any
 
 from metrocli.errors import Fault
 from metrocli.frozen import dataclass
@@ -80,6 +80,35 @@ class Table:
     """Headings of its further columns, on which effects of one's own depend."""
     _lists: dict[str, list[str]] = field(default_factory=dict, init=False, repr=False, compare=False)
     """Text columns as lists, once they are asked for"""
+
+    @classmethod
+    def of(cls, columns: Mapping[str, npt.ArrayLike]) -> Table:
+        """Return a table of columns under headings such as `"x y z [mm]"`: names, and the unit that all of them have.
+
+        Several names stand over the columns of one array (rows, names). Texts that may be none have the unit `[text]`.
+        """
+        return cls({}).joined(columns)
+
+    @classmethod
+    def of_rows(cls, headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
+        """Return a table of rows, each with a value for every heading as in `of`; a heading has one name."""
+        columns = list(zip(*rows, strict=True)) or [()] * len(headings)
+        return cls.of(dict(zip(headings, columns, strict=True)))
+
+    def joined(self, columns: Mapping[str, npt.ArrayLike]) -> Table:
+        """Return the table with further columns, or others in place of its own, under headings as in `of`."""
+        import numpy as np
+
+        found, units = dict(self.columns), dict(self.units)
+        for heading, values in columns.items():
+            names, _, unit = heading.removesuffix("]").partition(" [")
+            array = np.asarray(values, dtype=str if unit == TEXT else None)
+            several = names.split(" ")
+            for name, column in zip(several, array.T if len(several) > 1 else [array], strict=True):
+                found[name] = column
+                if unit not in ("", TEXT):
+                    units[name] = unit
+        return replace(self, columns=found, units=units)
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.columns else 0

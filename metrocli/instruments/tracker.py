@@ -26,6 +26,10 @@ class TrackerNoise:
     constant: float
     proportional: float
 
+    def times(self, factor: float) -> TrackerNoise:
+        """Return the noise with all its parts times a factor."""
+        return TrackerNoise(factor * self.beam, factor * self.constant, factor * self.proportional)
+
     def lateral(self, distance: Array) -> Array:
         """Return the standard deviation perpendicular to the beam."""
         return np.asarray(np.sqrt(self.constant**2 + (self.proportional * distance) ** 2))

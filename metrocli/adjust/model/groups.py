@@ -81,6 +81,12 @@ class Group:
         """Return the group with some of its readings."""
         return self.with_observations(self.observations.selected(keep))
 
+    def with_noise_times(self, factor: float) -> Group:
+        """Return the group with a factor on the standard deviations of its readings."""
+        observations = self.observations
+        covariance = None if observations.covariance is None else observations.covariance * factor**2
+        return self.with_observations(replace(observations, sigma=observations.sigma * factor, covariance=covariance))
+
     def _weighted(self, values: Array) -> Array:
         return values if self.weights is None else values * np.sqrt(self.weights)
 

@@ -18,8 +18,8 @@ from metrocli.tasks.shared.images.camera_settings import CameraFile, Extrinsics
 from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults, shutter_setting, targets_setting
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
+from metrocli.tasks.shared.noise import NOISE_HELP
 from metrocli.tasks.shared.part import Part
-from metrocli.tasks.shared.structured_noise import NOISE_HELP
 from metrocli.units.ranges import Range, range_of
 
 POSES = Columns(

@@ -8,16 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.errors import InputError, UndeterminedError, together
+from metrocli.errors import InputError, UndeterminedError, all_faults
 from metrocli.geometry.poses import EULER, pose_from_euler
-from metrocli.imageset import ImageSet
 from metrocli.instruments.spindle_camera import part_in_camera
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
-from metrocli.table import Table
 from metrocli.tasks.align_part.camera import camera_of
 from metrocli.tasks.align_part.diagnosis import adjusted_job
 from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION, PLACES
@@ -42,7 +39,7 @@ from metrocli.tasks.shared.images.target_list import known_targets
 def run(job: Job[Settings, Files]) -> Result:
     """Locate the part of a job.
 
-    Raises InputError if the files do not fit together, UndeterminedError if the readings do not determine the
+    Raises InputError if the files do not fit all_faults, UndeterminedError if the readings do not determine the
     unknowns, and NotConvergedError if the adjustment does not converge.
     """
     problem = prepared(job)
@@ -83,17 +80,17 @@ def check(job: Job[Settings, Files]) -> None:
     if images is None:
         prepared(job)
         return
-    together(
-        lambda: None if files.supports is None else must_level(files.supports),
-        lambda: camera_of(files.camera).must_fit(images),
-        lambda: target_list(files.targets, job.settings.part),
-        lambda: SpindlePoses(files.poses, files.machine).must_be_known(_shown(files.poses, images)),
-    )
-
-
-def _shown(poses: Table, images: ImageSet) -> Index:
-    """Return the rows of the poses of images."""
-    return np.flatnonzero(np.isin(poses.texts("image"), images.names))
+    with all_faults() as each:
+        with each():
+            if files.supports is not None:
+                must_level(files.supports)
+        with each():
+            camera_of(files.camera).must_fit(images)
+        with each():
+            target_list(files.targets, job.settings.part)
+        with each():
+            shown = np.flatnonzero(np.isin(files.poses.texts("image"), images.names))
+            SpindlePoses(files.poses, files.machine).must_be_known(shown)
 
 
 def solved(settings: Settings, problem: Problem) -> Adjusted:

@@ -14,7 +14,7 @@ from metrocli.instruments import camera
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
 from metrocli.tasks.shared.images.sightings import Sighted
-from metrocli.tasks.shared.pairs import repeated
+from metrocli.tasks.shared.lists import repeated
 
 _STRANGE = "not in the list of targets"
 _FEWEST_READINGS = 4

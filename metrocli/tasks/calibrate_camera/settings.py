@@ -24,7 +24,7 @@ from metrocli.tasks.shared.images.settings import (
 )
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
-from metrocli.tasks.shared.structured_noise import NOISE_HELP
+from metrocli.tasks.shared.noise import NOISE_HELP
 
 SCALE_BARS = Columns(
     (Column("from", TEXT), Column("to", TEXT), Column("length", "length"), Column("sigma", "length")),

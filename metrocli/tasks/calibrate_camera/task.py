@@ -35,7 +35,7 @@ from metrocli.tasks.shared.images.settings import ESTIMATE
 from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
 from metrocli.tasks.shared.images.simulation import Shown, sightings_table, sights, true_targets
 from metrocli.tasks.shared.images.target_list import known_targets
-from metrocli.tasks.shared.known_places import listed_places
+from metrocli.tasks.shared.lists import listed_places
 
 _FEWEST = {"board": 4, "cmm": 1, "network": 4}
 """Fewest targets of an image, for each rig"""

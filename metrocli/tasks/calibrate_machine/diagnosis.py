@@ -24,7 +24,7 @@ from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.effects import OF_LENGTHS, OF_LINES, OF_MACHINES
 from metrocli.tasks.calibrate_machine.solve import Solved, refitted
 from metrocli.tasks.calibrate_machine.structure import clusters_of
-from metrocli.tasks.shared.structured_noise import count
+from metrocli.tasks.shared.noise import count
 
 _FOLDS = 10
 _NO_STOPS = "the machine does not stop at the readings"

@@ -8,7 +8,7 @@ from metrocli.frozen import dataclass
 from metrocli.settings import TableFile, setting
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.tasks.shared.environment import WEATHER
-from metrocli.tasks.shared.known_places import SIGMAS
+from metrocli.tasks.shared.lists import SIGMAS
 
 _PLACE = tuple(Column(name, "length") for name in ("x", "y", "z"))
 _TOOL = Column("tool", TEXT, required=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,15 +20,17 @@ from metrocli.instruments.tracker import TRACKER
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
+from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
 from metrocli.tasks.calibrate_machine.determination import Determination
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability
+from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.solve import Solved
 from metrocli.tasks.calibrate_machine.tables import Tables, least_squares_squareness, tables_of, tool_names, unit_of
 from metrocli.tasks.calibrate_machine.volume_report import NOT_CONTAINED, volume_tables
 from metrocli.tasks.calibrate_machine.warnings import cures, identifiability_notes, machine_warnings, uncontrolled
+from metrocli.tasks.shared.noise import NoiseFound
 from metrocli.tasks.shared.statistics import Statistics, basic_statistics, found_notes, noise_notes, with_found
-from metrocli.tasks.shared.structured_noise import NoiseFound
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 
 if TYPE_CHECKING:
@@ -47,6 +49,7 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
     volume = volume_tables(tables, identified, settings.volume, solved.problem.tools_used)
     tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
     found = (*_estimates(solution), *effect_estimates(added, solution))
+    figures, of_figures = _positioning(solved.problem.runs, settings, noise.factor)
     return Result(
         kind=KIND.name,
         title="",
@@ -62,7 +65,7 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
             **_tracker(solution),
             **_lines(solution),
             **_stations(solution),
-            **solved.problem.tables,
+            **figures,
             **volume,
             "residuals": _residuals(solved),
             "suspects": _suspects(solved),
@@ -72,17 +75,29 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
             **effect_tables,
         },
         arrays={"tables_covariance": tables.covariance, **effect_arrays},
-        warnings=tuple(machine_warnings(solved, settings)),
+        warnings=tuple(machine_warnings(solved, settings, of_figures)),
         shown=(
             ShownTable("errors", ("error", "status", "with", "largest", "largest_std", "unit")),
             ShownTable("volumetric"),
-            *map(ShownTable, solved.problem.tables),
+            *map(ShownTable, figures),
             *([ShownTable("suspects")] if len(solved.suspects.rows) else []),
         ),
         notes=(*_notes(solved, settings, noise), *in_words(hidden)),
         details=noise.details([one.name for one in found]),
         plain=("dof",),
     )
+
+
+def _positioning(runs: Sequence[Run], settings: Settings, factor: float) -> tuple[dict[str, Table], tuple[str, ...]]:
+    """Return the figures of ISO 230-2 and the means at their targets, of runs along single axes, and warnings."""
+    if not runs:
+        return {}, ()
+    # readings scatter evenly over the range at rest (ISO 230-2:2014, annex A: E_VE)
+    own = factor * (settings.noise.displacement or 0.0)
+    reading = float(np.hypot(own, settings.positioning.environment / np.sqrt(12)))
+    figures, warnings = positioning(runs, Measured(reading, settings.positioning.scale))
+    tables = {"positioning": figures, "positioning_targets": at_targets(runs)}
+    return {name: one for name, one in tables.items() if one is not None}, warnings
 
 
 def _notes(solved: Solved, settings: Settings, noise: NoiseFound) -> Iterator[str]:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.clusters.robust import STRUCTURED, Clusters
+from metrocli.adjust.clusters.robust import Clusters
 from metrocli.effects.estimates import free_blocks
 from metrocli.instruments.machine import SQUARENESS, TOOL
 from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracker import LEG
 from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS
 from metrocli.tasks.calibrate_machine.solve import Solved
-from metrocli.tasks.shared.structured_noise import POINTS_IN_TIME, NoiseFound, in_blocks, structured
+from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, in_blocks, noise_found
 
 
 def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
@@ -19,14 +19,11 @@ def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
 
     Raises UndeterminedError for fewer than five lines or legs, or ten points, if it is structured.
     """
-    if model != STRUCTURED:
-        return NoiseFound(solved.solution, model, factor)
     blocks = solved.solution.blocks
     tools = (TOOL,) if blocks[TOOL].free.any() else ()
     delivered = tuple(name for name in ERROR_BLOCKS if blocks[name].free.any())
     estimates = (SQUARENESS, *tools, *free_blocks(solved.problem.effects))
-    found, solution = structured(solved.solution, clusters_of(solved), estimates, delivered)
-    return NoiseFound(solution, model, factor, found)
+    return noise_found((solved.solution, factor), model, lambda: clusters_of(solved), estimates, delivered)
 
 
 def clusters_of(solved: Solved) -> Clusters:

@@ -26,7 +26,7 @@ from metrocli.settings import (
 from metrocli.table import ABSENT, TEXT, Column, Columns, Table
 from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION, MOST
 from metrocli.tasks.shared.figures import POSE, with_std
-from metrocli.tasks.shared.known_places import SIGMAS
+from metrocli.tasks.shared.lists import SIGMAS
 from metrocli.tasks.shared.part import FIGURES, Part
 from metrocli.words import in_a_row
 

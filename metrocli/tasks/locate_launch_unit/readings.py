@@ -13,7 +13,7 @@ from metrocli.geometry.angles import wrapped
 from metrocli.instruments.launch_start import Beams
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.tasks.shared.environment import WEATHER, Air, Environment, air_of, unused
-from metrocli.tasks.shared.known_places import SIGMAS, sigmas
+from metrocli.tasks.shared.lists import SIGMAS, sigmas
 
 ANGLES = ("phi1", "phi2", "phi3", "phi4")
 _PLACE = (

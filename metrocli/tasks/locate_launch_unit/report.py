@@ -21,6 +21,7 @@ from metrocli.tasks.locate_launch_unit.readings import Readings
 from metrocli.tasks.locate_launch_unit.solve import Located
 from metrocli.tasks.locate_launch_unit.uncontrolled import uncontrolled
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
+from metrocli.tasks.shared.noise import NoiseFound
 from metrocli.tasks.shared.statistics import (
     REMOVE,
     basic_statistics,
@@ -30,7 +31,6 @@ from metrocli.tasks.shared.statistics import (
     noise_warnings,
     with_found,
 )
-from metrocli.tasks.shared.structured_noise import NoiseFound
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.words import listed
 

@@ -14,7 +14,7 @@ from metrocli.tasks.locate_launch_unit.plan_settings import Planned
 from metrocli.tasks.locate_launch_unit.readings import PLACES, POSES
 from metrocli.tasks.shared.environment import Environment
 from metrocli.tasks.shared.figures import adjusted
-from metrocli.tasks.shared.structured_noise import DECLARED, model_setting
+from metrocli.tasks.shared.noise import DECLARED, model_setting
 
 METHODS = ("adjustment", "lines", "closed-loop")
 
@@ -47,7 +47,7 @@ class Noise:
     )
     model: str = model_setting()
 
-    def times(self, factor: float) -> Noise:
+    def with_noise_times(self, factor: float) -> Noise:
         """Return the noise with both parts times a factor."""
         distance = None if self.distance is None else factor * self.distance
         return replace(self, encoder=factor * self.encoder, distance=distance)

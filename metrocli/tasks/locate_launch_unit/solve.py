@@ -63,7 +63,7 @@ class Located:
     """Noise of the readings without outliers, in units of the declared one, at least 1: to it the tests refer"""
 
     @property
-    def read(self) -> tuple[Group, ...]:
+    def used(self) -> tuple[Group, ...]:
         """The groups of readings that were used; none without an adjustment."""
         if self.solution is None or self.problem is None:
             return ()
@@ -71,9 +71,9 @@ class Located:
         return tuple(group for group in self.solution.groups if group.name in names)
 
     @property
-    def residuals(self) -> list[Residuals]:
+    def read(self) -> list[Residuals]:
         """The residuals of all readings that were used."""
-        return [] if self.solution is None else [residuals_of(self.solution, group) for group in self.read]
+        return [] if self.solution is None else [residuals_of(self.solution, group) for group in self.used]
 
     @property
     def place(self) -> Array:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from metrocli.adjust.clusters.robust import STRUCTURED, Clusters
+from metrocli.adjust.clusters.robust import Clusters
 from metrocli.effects.estimates import free_blocks
 from metrocli.instruments import launch_unit as lu
 from metrocli.tasks.locate_launch_unit.solve import Located
-from metrocli.tasks.shared.structured_noise import NoiseFound, structured
+from metrocli.tasks.shared.noise import NoiseFound, noise_found
 
 
 def noise_of(located: Located, model: str, factor: float) -> NoiseFound | None:
@@ -16,9 +16,6 @@ def noise_of(located: Located, model: str, factor: float) -> NoiseFound | None:
     """
     if located.solution is None or located.problem is None:
         return None
-    if model != STRUCTURED:
-        return NoiseFound(located.solution, model, factor)
-    pose = {group.name: group.observations.index[lu.RECEIVER] for group in located.read}
+    pose = {group.name: group.observations.index[lu.RECEIVER] for group in located.used}
     estimates = (lu.UNIT, *free_blocks(located.problem.effects))
-    found, solution = structured(located.solution, Clusters(pose, "poses"), estimates)
-    return NoiseFound(solution, model, factor, found)
+    return noise_found((located.solution, factor), model, lambda: Clusters(pose, "poses"), estimates)

@@ -23,7 +23,7 @@ from metrocli.tasks.locate_launch_unit.settings import METHODS, Files, Settings
 from metrocli.tasks.locate_launch_unit.simulation import simulated
 from metrocli.tasks.locate_launch_unit.solve import How, Located, locate
 from metrocli.tasks.locate_launch_unit.structure import noise_of
-from metrocli.tasks.shared.structured_noise import settled
+from metrocli.tasks.shared.noise import weighed
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -35,7 +35,7 @@ def run(job: Job[Settings, Files]) -> Result:
 def _located(job: Job[Settings, Files], how: How) -> tuple[Located, float]:
     """Return the located unit, and how many times the declared noise its readings have."""
     readings, noise = read(job.files.poses, job.settings.environment), job.settings.noise
-    return settled(noise, lambda factor: locate(readings, noise.times(factor), how), lambda one: one.residuals)
+    return weighed(noise.model, noise, lambda noise: locate(readings, noise, how))
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:

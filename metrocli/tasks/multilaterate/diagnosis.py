@@ -24,7 +24,7 @@ from metrocli.tasks.multilaterate.effects import EFFECTS, RANGING
 from metrocli.tasks.multilaterate.problem import LENGTHS
 from metrocli.tasks.multilaterate.solve import Solved, refitted
 from metrocli.tasks.multilaterate.structure import clusters_of
-from metrocli.tasks.shared.structured_noise import count
+from metrocli.tasks.shared.noise import count
 from metrocli.units import parse_quantity
 
 FOLDS = 10

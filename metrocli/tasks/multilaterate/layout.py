@@ -20,10 +20,11 @@ from metrocli.instruments import tracer as t
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.distance import between_two
 from metrocli.tasks.multilaterate.problem import Network, network_of
-from metrocli.tasks.multilaterate.readings import join, matched
-from metrocli.tasks.multilaterate.settings import LengthSimulation, Settings
+from metrocli.tasks.multilaterate.readings import read as read_lengths
+from metrocli.tasks.multilaterate.settings import Files, LengthSimulation, Settings
 from metrocli.tasks.shared.environment import air_of
 from metrocli.tasks.shared.joint_covariance import factors
+from metrocli.tasks.shared.lists import matched
 from metrocli.tasks.shared.part import Part
 from metrocli.uncertainty.predicted import COMMON, CORE
 
@@ -107,9 +108,10 @@ class Layout:
         read = distance if air is None else distance / air.towards
         lengths = replace(design, columns={**design.columns, "length": read})
         bare = replace(tracers, columns={k: v for k, v in tracers.columns.items() if k != "dead_path"})
-        readings = join(lengths, points, bare, self.settings.measures == "absolute")
-        places = np.column_stack([readings.said, np.zeros(len(readings.said)), np.ones(len(readings.said))])
-        network = network_of(self.settings, readings, places, lengths, self.distances)
+        readings = read_lengths(self.settings, Files(lengths, points, bare))
+        said = readings.tracers.said
+        places = np.column_stack([said, np.zeros(len(said)), np.ones(len(said))])
+        network = network_of(self.settings, readings, places, self.distances)
         return network.with_effects(self.effects)
 
     @cached_property

@@ -26,7 +26,8 @@ from metrocli.tasks.multilaterate.solve import Solved, noise_of_tests
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
 from metrocli.tasks.shared.joint_covariance import factors
-from metrocli.tasks.shared.pairs import name_of
+from metrocli.tasks.shared.lists import name_of
+from metrocli.tasks.shared.noise import NoiseFound
 from metrocli.tasks.shared.part import Part
 from metrocli.tasks.shared.statistics import (
     REMOVE,
@@ -40,7 +41,6 @@ from metrocli.tasks.shared.statistics import (
     units_of,
     with_found,
 )
-from metrocli.tasks.shared.structured_noise import NoiseFound
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.uncertainty.predicted import COMMON, CORE
 from metrocli.words import listed

@@ -9,8 +9,8 @@ from metrocli.settings import At, Choice, Either, MapOf, Placed, Quantity, Secti
 from metrocli.table import ABSENT, TEXT, Column, Columns, Table
 from metrocli.tasks.shared.environment import WEATHER, Environment
 from metrocli.tasks.shared.figures import adjusted
-from metrocli.tasks.shared.known_places import SIGMAS
 from metrocli.tasks.shared.lengths import LengthNoise, Scale
+from metrocli.tasks.shared.lists import SIGMAS
 from metrocli.tasks.shared.part import FIGURES, Part
 
 SHAPES = ("line", "plane", "circle", "sphere", "cylinder", "cone")

@@ -20,11 +20,10 @@ from metrocli.simulation import Simulation
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.layout import Planned
 from metrocli.tasks.multilaterate.problem import LENGTHS
-from metrocli.tasks.multilaterate.readings import matched
 from metrocli.tasks.multilaterate.settings import LengthSimulation, Settings
 from metrocli.tasks.shared.environment import Air, air_of
-from metrocli.tasks.shared.known_places import listed_places
 from metrocli.tasks.shared.lengths import LengthNoise, PathNoise, shared_at_stops, stops_of
+from metrocli.tasks.shared.lists import listed_places, matched
 
 if TYPE_CHECKING:
     from metrocli.table import Values

@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.clusters.robust import STRUCTURED, Clusters
+from metrocli.adjust.clusters.robust import Clusters
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.effects.estimates import free_blocks
 from metrocli.instruments import tracer as t
 from metrocli.tasks.multilaterate.solve import Solved
 from metrocli.tasks.shared.environment import blocks_of
-from metrocli.tasks.shared.structured_noise import POINTS_IN_TIME, NoiseFound, in_blocks, structured
+from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, in_blocks, noise_found
 
 
 def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
     """Return the noise of a solved network; raises UndeterminedError for fewer than ten points if it is structured."""
-    if model != STRUCTURED:
-        return NoiseFound(solved.solution, model, factor)
-    # the lengths of a point are from several tracers, whose errors are independent of each other
-    free = solved.network.datum is not None
-    clusters = Clusters({solved.group.name: clusters_of(solved)}, POINTS_IN_TIME, grows=False, free=free)
-    found, solution = structured(
-        solved.solution, clusters, (t.TRACER, *blocks_of(solved.solution), *free_blocks(solved.network.effects))
-    )
-    return NoiseFound(solution, model, factor, found)
+    estimates = (t.TRACER, *blocks_of(solved.solution), *free_blocks(solved.network.effects))
+
+    def clusters() -> Clusters:
+        # the lengths of a point are from several tracers, whose errors are independent of each other
+        free = solved.network.datum is not None
+        return Clusters({solved.group.name: clusters_of(solved)}, POINTS_IN_TIME, grows=False, free=free)
+
+    return noise_found((solved.solution, factor), model, clusters, estimates)
 
 
 def clusters_of(solved: Solved) -> Index:

@@ -23,7 +23,7 @@ from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid.effects import AXES
 from metrocli.tasks.selfcal_grid.readings import Readings, ball_name
-from metrocli.tasks.shared.pairs import repeated, told_apart
+from metrocli.tasks.shared.lists import repeated, told_apart
 from metrocli.words import suggestion
 
 _EXACT = 1e-2

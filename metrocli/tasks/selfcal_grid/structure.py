@@ -16,7 +16,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.frozen import dataclass
 from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.selfcal_grid.solve import Solved
-from metrocli.tasks.shared.structured_noise import Structured, count, in_blocks
+from metrocli.tasks.shared.noise import Structured, count, in_blocks
 
 _OVER = "blocks of successive balls"
 

@@ -27,7 +27,7 @@ from metrocli.tasks.selfcal_grid.settings import Files, Settings, views_of
 from metrocli.tasks.selfcal_grid.simulation import simulated
 from metrocli.tasks.selfcal_grid.solve import Solved, leave_one_out, solve
 from metrocli.tasks.selfcal_grid.structure import with_structure
-from metrocli.tasks.shared.structured_noise import Structured
+from metrocli.tasks.shared.noise import Structured
 
 _MANY = 20_000
 """Number of readings above which views are left out in turn only if the job asks for it"""

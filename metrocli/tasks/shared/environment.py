@@ -16,7 +16,7 @@ from metrocli import units
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.solution import Solution
-from metrocli.errors import InputError, together
+from metrocli.errors import InputError, all_faults
 from metrocli.frozen import dataclass
 from metrocli.instruments.air import CIDDOR, EDLEN, STANDARD_CARBON_DIOXIDE, Weather, index
 from metrocli.instruments.tracer import AIR
@@ -154,8 +154,11 @@ def air_of(environment: Environment | None, table: Table, by: str = "") -> Air |
     """
     if environment is None:
         return None
-    found = together(*(lambda name=name: _values(environment, table, name) for name in _COLUMNS))
-    weather = dict(zip(_COLUMNS, found, strict=True))
+    weather: dict[str, Array] = {}
+    with all_faults() as each:
+        for name in _COLUMNS:
+            with each():
+                weather[name] = _values(environment, table, name)
     refractive = np.broadcast_to(environment.index(Weather(**weather)), (len(table),))
     first = _first(table, by) if by else np.arange(len(table))
     zero = refractive[first]

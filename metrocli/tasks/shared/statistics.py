@@ -13,7 +13,7 @@ from metrocli.adjust.probabilities import chi_square_bound
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.result import Scalar
 from metrocli.table import Table
-from metrocli.tasks.shared.structured_noise import DECLARED, NoiseFound, Structured
+from metrocli.tasks.shared.noise import DECLARED, NoiseFound, Structured
 from metrocli.words import listed
 
 if TYPE_CHECKING:

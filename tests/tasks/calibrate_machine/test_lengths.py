@@ -25,7 +25,7 @@ from metrocli.tasks.calibrate_machine.solve import Solved, solve
 from metrocli.tasks.calibrate_machine.structure import noise_of
 from metrocli.tasks.calibrate_machine.tables import tables_of
 from metrocli.tasks.calibrate_machine.volume import Prediction, predict
-from metrocli.tasks.shared.structured_noise import DECLARED
+from metrocli.tasks.shared.noise import DECLARED
 
 CASES = SHARED / "cases" / "machine-lengths"
 FOUND = sorted(CASES.iterdir()) if CASES.exists() else []

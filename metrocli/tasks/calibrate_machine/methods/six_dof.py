@@ -28,8 +28,7 @@ from metrocli.instruments.six_dof import (
     line_chain,
 )
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
-from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
+from metrocli.tasks.calibrate_machine.iso230 import Run
 from metrocli.tasks.calibrate_machine.problem import (
     SIDES,
     Problem,
@@ -168,11 +167,6 @@ def six_dof(settings: Settings, table: Table) -> Problem:
     must_support(machine, lines.position, blocks)
     laser = laser_noise(settings)
     along = lines.along
-    runs = runs_of(lines, table)
-    # readings scatter evenly over the range at rest (ISO 230-2:2014, annex A: E_VE)
-    reading = float(np.hypot(settings.noise.displacement or 0.0, settings.positioning.environment / np.sqrt(12)))
-    figures, warnings = positioning(runs, Measured(reading, settings.positioning.scale))
-    found = {"positioning": figures, "positioning_targets": at_targets(runs)}
     observations = Observations(
         table.stacked(CHANNELS).T,
         np.ones(1),
@@ -193,8 +187,7 @@ def six_dof(settings: Settings, table: Table) -> Problem:
         np.ones(len(table)),
         tuple(settings.tools),
         facts={"lines": len(lines.names)},
-        tables={name: one for name, one in found.items() if one is not None},
-        warnings=warnings,
+        runs=tuple(runs_of(lines, table)),
     )
 
 

@@ -15,7 +15,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.table import Table
-from metrocli.tasks.shared.known_places import sigmas
+from metrocli.tasks.shared.lists import sigmas
 from metrocli.words import nearest
 
 ANY = -1

@@ -10,11 +10,11 @@ from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
-from metrocli.adjust.clusters.robust import FROM_RESIDUALS, Clusters, cluster_robust
+from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, Clusters, cluster_robust
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
+from metrocli.adjust.rounds import in_rounds, variance_component
 from metrocli.adjust.solution import Residuals, Solution
-from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.result import Scalar
 from metrocli.settings import Choice, setting
@@ -30,18 +30,25 @@ _MOST_BLOCKS, _LEAST_IN_BLOCK = 6, 2
 _ROUNDS, _SETTLED = 6, 1e-3
 """Adjustments until the noise agrees with the residuals, and the relative change at which it does"""
 _CONTROLLED = 1e-6
-S = TypeVar("S")
 
 
-class Parts(Protocol):
-    """Declared parts of the noise of a kind, with the model of what they are."""
+class Scalable(Protocol):
+    """A problem whose readings can have another noise."""
+
+    def with_noise_times(self, factor: float) -> Self:
+        """Return the problem with the standard deviations of its readings times a factor."""
+
+
+class Read(Protocol):
+    """A solved problem."""
 
     @property
-    def model(self) -> str:
-        """declared, estimated or structured."""
+    def read(self) -> Sequence[Residuals]:
+        """The residuals of all readings, group by group."""
 
-    def times(self, factor: float) -> Self:
-        """Return the parts times a factor."""
+
+P = TypeVar("P", bound=Scalable)
+S = TypeVar("S", bound=Read)
 
 
 def model_setting() -> str:
@@ -54,36 +61,22 @@ def model_setting() -> str:
     return chosen
 
 
-def settled(noise: Parts, adjust: Callable[[float], S], found: Callable[[S], Sequence[Residuals]]) -> tuple[S, float]:
-    """Return the adjustment, and the factor of the noise parts that agrees with its residuals; 1 if they are declared.
+def weighed(model: str, problem: P, solve: Callable[[P], S]) -> tuple[S, float]:
+    """Return the solution of a problem, and how many times the declared noise its readings have; 1 if it is declared.
 
-    `adjust` takes the factor, `found` returns the residuals of all readings. Raises UndeterminedError without degrees
-    of freedom.
+    Raises UndeterminedError without degrees of freedom.
     """
-    factor = 1.0
-    solved = adjust(factor)
-    if noise.model == DECLARED:
-        return solved, factor
-    for _ in range(_ROUNDS):
-        change = _component(found(solved))
+    if model == DECLARED:
+        return solve(problem), 1.0
+
+    def scaled(state: tuple[P, float], solved: S) -> tuple[tuple[P, float], bool]:
+        change = variance_component(solved.read)
         if abs(change - 1) <= _SETTLED:
-            break
-        factor *= change
-        solved = adjust(factor)
+            return state, False
+        return (state[0].with_noise_times(change), state[1] * change), True
+
+    (_, factor), solved = in_rounds((problem, 1.0), lambda state: solve(state[0]), scaled, _ROUNDS)
     return solved, factor
-
-
-def _component(found: Sequence[Residuals]) -> float:
-    """Return `sqrt(v'Pv / sum r)` with redundancy numbers r (variance component)."""
-    redundancy = np.concatenate([one.redundancy.ravel() for one in found])
-    w = np.concatenate([one.normalised.ravel() for one in found])
-    if not redundancy.sum() > _CONTROLLED:
-        raise UndeterminedError(
-            "noise: the residuals do not show its size: there are no more readings than unknowns; "
-            "measure more, or leave out `model`, so that the noise is as declared"
-        )
-    size = float(np.sqrt((redundancy * w**2).sum() / redundancy.sum()))
-    return size if size > 0 else 1.0
 
 
 def in_blocks(order: Array) -> Index:
@@ -155,18 +148,6 @@ class Structured:
         )
 
 
-def structured(
-    solution: Solution, clusters: Clusters, estimates: Sequence[str], delivered: Sequence[str] = ()
-) -> tuple[Structured, Solution]:
-    """Return what readings of one cluster share, and the solution with the covariance that lets them share errors.
-
-    `estimates` are the blocks of the estimates, `delivered` those of the result whose growth counts, if they are
-    others. Raises as `cluster_robust` does.
-    """
-    robust = cluster_robust(solution, clusters)
-    return Structured(robust, tuple(delivered or estimates), tuple(estimates), clusters.over), robust.solution
-
-
 @dataclass(frozen=True)
 class NoiseFound:
     """What the noise of a job is, and the solution whose covariance counts it."""
@@ -180,3 +161,24 @@ class NoiseFound:
     def details(self, names: Sequence[str]) -> dict[str, dict[str, float]]:
         """Return the degrees of freedom of the estimates, where they are not those of the adjustment."""
         return self.structured.details(names) if self.structured is not None else {}
+
+
+def noise_found(
+    solved: tuple[Solution, float],
+    model: str,
+    clusters: Callable[[], Clusters],
+    estimates: Sequence[str],
+    delivered: Sequence[str] = (),
+) -> NoiseFound:
+    """Return the noise of a solution and of the factor on what is declared, with what readings of one cluster share.
+
+    `estimates` are the blocks of the estimates, `delivered` those of the result whose growth counts, if they are
+    others. Raises as `cluster_robust` does.
+    """
+    solution, factor = solved
+    if model != STRUCTURED:
+        return NoiseFound(solution, model, factor)
+    chosen = clusters()
+    robust = cluster_robust(solution, chosen)
+    shared = Structured(robust, tuple(delivered or estimates), tuple(estimates), chosen.over)
+    return NoiseFound(robust.solution, model, factor, shared)
