@@ -24,9 +24,8 @@ from metrocli.adjust.model.observations import Index
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.adjust.sparse.bordered_factor import BorderedFactor, bordered_factor
-from metrocli.adjust.sparse.jacobian import gradient, jacobian
 from metrocli.adjust.sparse.nested_dissection import Sparse
-from metrocli.adjust.sparse.partition import Partition, partition
+from metrocli.adjust.sparse.partition import Partition, gradient, jacobian, partition
 from metrocli.frozen import dataclass
 
 _LIMIT = 60

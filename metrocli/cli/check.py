@@ -29,7 +29,7 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
     """
     from metrocli.cli.summary import as_json as json_text
     from metrocli.errors import Fault, InputError, UsageError
-    from metrocli.formats.aside import refuse_unwritable
+    from metrocli.formats.file_bytes import refuse_unwritable
     from metrocli.formats.hdf5 import refuse_foreign
     from metrocli.project import PROJECT_FILE
     from metrocli.project.job import Wishes, load_parts

@@ -49,7 +49,7 @@ def command(
     inputs = {os.path.realpath(os.path.join(folder_of_job, one.path)) for one in record.inputs}
     if record.job_file:  # messages name it from the working folder, the result from its own
         record = replace(record, job_file=Path(os.path.relpath(result.parent / record.job_file)).as_posix())
-    from metrocli.project.provenance.standards import with_standards
+    from metrocli.project.provenance.comparison import with_standards
 
     record = with_standards(result, record)
     contents = {}

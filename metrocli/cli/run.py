@@ -54,8 +54,8 @@ def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: b
     if unmoved is not None:
         return nothing_to_do(unmoved, place.parent, console, as_json, dry_run)
     from metrocli.project import pipeline
-    from metrocli.project.running import depfile
-    from metrocli.project.running.lock import locked
+    from metrocli.project.running import files as depfile
+    from metrocli.project.running.files import locked
     from metrocli.project.staleness import states
     from metrocli.project.steps import load_project, project_file, selected
 

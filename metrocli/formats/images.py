@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from metrocli.errors import Fault, InputError
-from metrocli.formats.aside import write_bytes
-from metrocli.formats.file_bytes import FileBytes, read_bytes
+from metrocli.formats.file_bytes import FileBytes, read_bytes, write_bytes
 from metrocli.formats.image_headers import HeaderError, size_of
 from metrocli.frozen import dataclass
 

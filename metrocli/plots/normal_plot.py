@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from metrocli.frozen import dataclass
+from metrocli.plots.magnify import Index, thinned, words
 from metrocli.plots.noise_bands import NormalPlot, normal_plot
 from metrocli.plots.readings import residuals_of
 from metrocli.plots.style import Canvas
-from metrocli.plots.thinning import Index, thinned, words
 from metrocli.result import Result
 
 

@@ -14,7 +14,7 @@ from metrocli.effects import wanted as effects
 from metrocli.effects.own import columns
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, UsageError
-from metrocli.formats.csv_headings import numeric
+from metrocli.formats.csv_text import numeric
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
@@ -22,9 +22,8 @@ from metrocli.project.campaign import KEY as CAMPAIGN
 from metrocli.project.campaign import Part, bound, parts_of
 from metrocli.project.heading import Heading
 from metrocli.project.named_files import Input, inputs_of, missing
-from metrocli.project.overrides import effect_node, overridden
 from metrocli.project.own_effects import Defining, Own, Package, own_effects
-from metrocli.project.ranges import ranges_of, within
+from metrocli.project.ranges import effect_node, overridden, ranges_of, within
 from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import BAD, Schema, read_sections, sections_schema, settings_of
 from metrocli.tasks.shared.figures import of_effects

@@ -15,7 +15,7 @@ from metrocli import __version__, tasks
 from metrocli.doubt import MOST, doubts_of
 from metrocli.effects.wanted import planted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError, UsageError
-from metrocli.formats.aside import refuse_unwritable
+from metrocli.formats.file_bytes import refuse_unwritable
 from metrocli.formats.hdf5 import refuse_foreign
 from metrocli.formats.images import ImageFiles
 from metrocli.frozen import dataclass
@@ -25,7 +25,7 @@ from metrocli.project import meaning
 from metrocli.project.inputs import read_inputs, read_with_files, unfit_inputs
 from metrocli.project.job import JobFile, figures_of
 from metrocli.project.requirements import by_names
-from metrocli.project.running.chunks import ChunkFolder
+from metrocli.project.running.files import ChunkFolder
 from metrocli.record import Record, Verdict
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions

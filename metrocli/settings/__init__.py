@@ -1,6 +1,6 @@
 """Specifications of job files: they read nodes into frozen dataclasses and describe themselves as JSON schema."""
 
-from metrocli.settings.composites import At, Either, ListOf, MapOf, Placed
+from metrocli.settings.composites import UNKNOWN, At, Either, Known, ListOf, MapOf, Placed, Uncertain
 from metrocli.settings.files import (
     ANY_KIND,
     FileOf,
@@ -12,7 +12,6 @@ from metrocli.settings.files import (
     path_beside,
 )
 from metrocli.settings.sections import Section, Setting, read_sections, sections_schema, setting, settings_of
-from metrocli.settings.uncertain import UNKNOWN, Known, Uncertain
 from metrocli.settings.values import BAD, Choice, Flag, Limits, Number, Quantity, Schema, Spec, Text, Whole
 
 __all__ = [

@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.targets.blobs import eight_bit
+from metrocli.targets.find import Sightings, nothing, points
 from metrocli.targets.lattice import homography, order_fault, projected
 from metrocli.targets.pattern import Pattern, lattice, names
 from metrocli.targets.saddles import WINDOW, fit_grid
-from metrocli.targets.sightings import Sightings, nothing, points
 
 if TYPE_CHECKING:
     from metrocli.imageset import Picture

@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from metrocli.targets import blobs, ellipses
 from metrocli.targets.ellipse import Ellipse
+from metrocli.targets.find import Sightings, nothing, of_ellipses
 from metrocli.targets.lattice import ordered
 from metrocli.targets.pattern import Pattern, lattice, names
-from metrocli.targets.sightings import Sightings, nothing, of_ellipses
 
 if TYPE_CHECKING:
     from metrocli.imageset import Picture

@@ -16,8 +16,8 @@ from metrocli.targets import blobs, ellipses
 from metrocli.targets.codes import BITS, RING_FROM, RING_TO, canonical, codes
 from metrocli.targets.ellipse import Ellipse
 from metrocli.targets.ellipses import Fitted
+from metrocli.targets.find import Sightings, nothing, of_ellipses
 from metrocli.targets.pattern import Pattern
-from metrocli.targets.sightings import Sightings, nothing, of_ellipses
 
 if TYPE_CHECKING:
     from metrocli.imageset import Picture

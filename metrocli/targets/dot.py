@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from metrocli.targets import blobs, ellipses
+from metrocli.targets.find import Sightings, nothing, of_ellipses
 from metrocli.targets.pattern import Pattern
-from metrocli.targets.sightings import Sightings, nothing, of_ellipses
 
 if TYPE_CHECKING:
     from metrocli.imageset import Picture

@@ -20,7 +20,7 @@ from metrocli.effects.acting import Acting, seen_from
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.lengths import LengthOffset, LengthScale
 from metrocli.effects.own.define import read
-from metrocli.effects.own.laws import broken
+from metrocli.effects.own.trials import broken
 from metrocli.errors import Fault
 from metrocli.formats import csv, hdf5
 from metrocli.project import yaml_text

@@ -11,7 +11,8 @@ import pytest
 from simulated import machine as sim
 
 from metrocli.errors import InputError
-from metrocli.exports import FORMATS, error_tables, etalon, export, isg_csv, linuxcnc, siemens_cec, siemens_lec
+from metrocli.exports import FORMATS, error_tables, export, isg_csv, linuxcnc, siemens_cec, siemens_lec
+from metrocli.exports import volumetric as etalon
 from metrocli.exports.error_tables import Array
 from metrocli.result import Result
 from metrocli.table import Table

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from simulated.notch import notched
 
-from metrocli.formats import meshes
+from metrocli.formats import own_files as meshes
 from metrocli.geometry.nearest_triangles import Search
 from metrocli.geometry.triangles import Array, Triangles
 

@@ -75,7 +75,7 @@ def _own(kind: str, source: Path | None) -> list[Effect]:
 
 def _faults(found: dict[str, tuple[Kind, list[Effect]]]) -> tuple[list[Any], int]:
     """Return a fault for each law that an own effect breaks, and the number of effects."""
-    from metrocli.effects.own.laws import broken
+    from metrocli.effects.own.trials import broken
     from metrocli.errors import Fault
 
     faults = [

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from metrocli.plots.beside import Beside, Node
     from metrocli.project.provenance.lineage import Origin
     from metrocli.record import Record
-    from metrocli.report.content import Diagnosis
+    from metrocli.report.html import Diagnosis
     from metrocli.result import Result
 
 _DIAGNOSE = "write it by: metrocli diagnose JOB.yaml --json > FILE.json"
@@ -29,7 +29,7 @@ def diagnosis_of(result: Path, given: Path | None, record: Record) -> Diagnosis 
     # not before: this loads the search for effects
     from metrocli.errors import Fault, InputError
     from metrocli.project.diagnosed import identity
-    from metrocli.report.content import Diagnosis
+    from metrocli.report.html import Diagnosis
 
     try:
         data: Any = json.loads(path.read_text(encoding="utf-8"))

@@ -13,7 +13,7 @@ from metrocli.cli.shell.choices import figures, offering
 
 if TYPE_CHECKING:
     from metrocli.plots.beside import Beside
-    from metrocli.report.content import Diagnosis
+    from metrocli.report.html import Diagnosis
     from metrocli.result import Result
 
 _FILE = click.Path(path_type=Path)

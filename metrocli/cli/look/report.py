@@ -93,8 +93,8 @@ def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: st
     from metrocli.cli.look.beside import beside_of, diagnosis_of
     from metrocli.cli.look.inches import in_units
     from metrocli.formats import hdf5
-    from metrocli.project.provenance.standards import with_standards
-    from metrocli.report.content import Content
+    from metrocli.project.provenance.comparison import with_standards
+    from metrocli.report.html import Content
     from metrocli.report.result_page import result_page
 
     found, record = hdf5.read(result)
@@ -152,7 +152,7 @@ def _charts(found: Sequence[State], home: Path) -> Iterator[Html]:
     """Yield the control charts of each job with a list of parts."""
     from itertools import groupby
 
-    from metrocli.project.provenance.gathered import table_of
+    from metrocli.project.provenance.comparison import table_of
     from metrocli.report.pictures import control_charts
 
     several = [state for state in found if state.step.job.wishes.part is not None and state.label is not None]

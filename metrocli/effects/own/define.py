@@ -12,9 +12,20 @@ from metrocli.adjust.model.chain import Link
 from metrocli.effects.acting import Acting, Variable
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.own import OwnTerms
-from metrocli.effects.own.definition import Definition, Given, Scan, text_of
-from metrocli.effects.own.names import constants_of_data, lacking, near_name, not_free
-from metrocli.effects.own.parameters import components, of_unit, shape, values_tried
+from metrocli.effects.own.definition import (
+    Definition,
+    Given,
+    Scan,
+    components,
+    constants_of_data,
+    lacking,
+    near_name,
+    not_free,
+    of_unit,
+    shape,
+    text_of,
+    values_tried,
+)
 from metrocli.effects.own.trials import Trial, is_wave, without_value
 from metrocli.errors import Fault
 from metrocli.expressions.derivatives import NoValueError

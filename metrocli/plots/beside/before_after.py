@@ -9,10 +9,10 @@ import numpy as np
 from metrocli.frozen import dataclass
 from metrocli.plots.against import CAPTION, LABELS, Panel, draw_panel, panel_of
 from metrocli.plots.beside import Beside
+from metrocli.plots.magnify import MOST, Index, words
 from metrocli.plots.noise_bands import Array, trend
 from metrocli.plots.readings import Residuals, residuals_of
 from metrocli.plots.style import Canvas
-from metrocli.plots.thinning import MOST, Index, words
 from metrocli.result import Result
 
 _PLACES = 40

@@ -6,10 +6,9 @@ import numpy as np
 
 from metrocli.frozen import dataclass
 from metrocli.plots.beside import Beside, chosen_law, law_in_words, sizes_in_words
-from metrocli.plots.magnify import micro
+from metrocli.plots.magnify import Index, micro, thinned, words
 from metrocli.plots.noise_bands import Array
 from metrocli.plots.style import Canvas
-from metrocli.plots.thinning import Index, thinned, words
 from metrocli.result import Result
 
 _AS_CURVE = (

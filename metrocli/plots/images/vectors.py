@@ -6,11 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.frozen import dataclass
-from metrocli.plots.magnify import in_words, magnification, round_size
+from metrocli.plots.magnify import in_words, magnification, round_size, thinned_vectors, words
 from metrocli.plots.noise_bands import Array, largest_of
 from metrocli.plots.readings import image_residuals
 from metrocli.plots.style import Canvas, arrows
-from metrocli.plots.thinning import thinned_vectors, words
 from metrocli.result import Result
 
 _MOST = 500

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter
-from metrocli.effects.links.affine import Stretch
-from metrocli.effects.links.coupling_tilt import CouplingTilt
-from metrocli.effects.links.eccentricity import TargetEccentricity
-from metrocli.effects.links.growth import Growth
-from metrocli.effects.links.lens_changes import LensChange
-from metrocli.effects.links.machine_angles import MachineAngles
-from metrocli.effects.links.shifts import MachineBow, MachineError, Shift
+from metrocli.effects.links.images import LensChange, TargetEccentricity
+from metrocli.effects.links.points import Growth, Stretch
+from metrocli.effects.links.shifts import CouplingTilt, MachineAngles, MachineBow, MachineError, Shift
 from metrocli.tasks.shared.images.effects import PERSPECTIVE_BLUR, rolling_shutter
 from metrocli.tasks.shared.images.places import IMAGE, image_point
 from metrocli.units import parse_quantity

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter
-from metrocli.effects.links.affine import Stretch
-from metrocli.effects.links.eccentricity import TargetEccentricity
-from metrocli.effects.links.growth import Growth
-from metrocli.effects.links.lens_changes import LensChange
-from metrocli.effects.links.plane_bend import PlaneBend
+from metrocli.effects.links.images import LensChange, TargetEccentricity
+from metrocli.effects.links.points import Growth, PlaneBend, Stretch
 from metrocli.effects.links.shifts import Shift
 from metrocli.tasks.shared.images.effects import PERSPECTIVE_BLUR, rolling_shutter
 from metrocli.tasks.shared.images.places import IMAGE, image_point

@@ -8,10 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.adjustment import adjust
-from metrocli.adjust.iterated_weights import adjust_with_iterated_weights
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import Fit, Suspects, robust_start, suspects
-from metrocli.adjust.rounds import in_rounds, worst_of
+from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds, worst_of
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass

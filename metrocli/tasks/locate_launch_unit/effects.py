@@ -9,9 +9,8 @@ from metrocli.adjust.model.chain import Link
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.acting import PLACE, TIMED, Acting, beam_from, components, point, scalar, seen_from
 from metrocli.effects.effect import Effect, Parameter
-from metrocli.effects.links.beams import BeamHeight, BeamOffset
-from metrocli.effects.links.encoders import BaseTilt, EncoderLag, EncoderOffset, Harmonic, NonOrthogonality
-from metrocli.effects.links.lengths import LengthOffset, LengthScale
+from metrocli.effects.links.angles import BaseTilt, EncoderLag, EncoderOffset, Harmonic, NonOrthogonality
+from metrocli.effects.links.lengths import BeamHeight, BeamOffset, LengthOffset, LengthScale
 from metrocli.effects.links.points import AxisError
 from metrocli.effects.links.shifts import Shift
 from metrocli.instruments.launch_unit import ENCODERS, TURNED, UNIT

@@ -9,7 +9,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array, Mask
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
-from metrocli.geometry.angles import wrapped
+from metrocli.geometry.rotations import wrapped
 from metrocli.instruments.launch_start import Beams
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.tasks.shared.environment import WEATHER, Air, Environment, air_of, unused

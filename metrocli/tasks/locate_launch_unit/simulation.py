@@ -11,7 +11,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
 from metrocli.effects.wanted import Wanted
-from metrocli.geometry.angles import wrapped
+from metrocli.geometry.rotations import wrapped
 from metrocli.instruments import launch_unit as lu
 from metrocli.simulation import Simulation
 from metrocli.table import Table

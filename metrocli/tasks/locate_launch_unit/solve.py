@@ -15,7 +15,7 @@ from metrocli.effects.estimates import absorbed
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
-from metrocli.geometry.angles import wrapped
+from metrocli.geometry.rotations import wrapped
 from metrocli.instruments import launch_unit as lu
 from metrocli.instruments.launch_start import Meeting, closed_loop, lines, set_up_angle, spread
 from metrocli.tasks.locate_launch_unit.misread import misread

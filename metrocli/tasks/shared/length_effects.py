@@ -6,8 +6,7 @@ from collections.abc import Mapping
 
 from metrocli.adjust.model.chain import Link
 from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, change_points
-from metrocli.effects.links.beams import AirGradient, BeamScale, TracerDrift
-from metrocli.effects.links.lengths import LengthJump, LengthOffset, LengthTerms
+from metrocli.effects.links.lengths import AirGradient, BeamScale, LengthJump, LengthOffset, LengthTerms, TracerDrift
 from metrocli.effects.links.points import PointStep
 from metrocli.instruments.tracer import COS_2A, INCIDENCE, SIN_2A
 from metrocli.units import parse_quantity

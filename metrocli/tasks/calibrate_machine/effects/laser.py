@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter
-from metrocli.effects.links.laser_lines import LineTerm
+from metrocli.effects.links.motions import LineTerm
 from metrocli.instruments.six_dof import FROM_START
 from metrocli.tasks.calibrate_machine.effects.machine import SCHWENKE, size
 

@@ -11,15 +11,17 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.motions import (
     AXES,
+    AngularReversal,
     Backlash,
     BacklashGrowth,
+    Hysteresis,
     LoadSag,
     MachineDrift,
     ScrewPitchError,
     ServoLag,
+    StraightnessReversal,
     ThermalGrowth,
 )
-from metrocli.effects.links.reversals import AngularReversal, Hysteresis, StraightnessReversal
 from metrocli.effects.links.shifts import Shift
 from metrocli.instruments.machine_path import SINCE, SPEED
 from metrocli.units import parse_quantity

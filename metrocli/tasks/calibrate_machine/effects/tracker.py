@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from metrocli.effects.effect import Effect, Parameter
-from metrocli.effects.links.trackers import TrackerMoves, tracker_readings
+from metrocli.effects.links.angles import TrackerMoves, tracker_readings
 from metrocli.tasks.calibrate_machine.effects.machine import SCHWENKE, size, velocity
 
 _MURALIKRISHNAN = (

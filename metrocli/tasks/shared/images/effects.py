@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from metrocli.effects.effect import Effect, Parameter
-from metrocli.effects.links.affine import RowShear
-from metrocli.effects.links.eccentricity import TargetEccentricity
+from metrocli.effects.links.images import TargetEccentricity
+from metrocli.effects.links.points import RowShear
 from metrocli.effects.model import Model
 from metrocli.tasks.shared.images.settings import ROLLING
 

@@ -15,8 +15,7 @@ from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
 from metrocli.table import TEXT, Column, Columns, Table
-from metrocli.targets.find import find
-from metrocli.targets.likely import likely_size
+from metrocli.targets.find import find, likely_size
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.images.imaged_size import SIZE
 from metrocli.tasks.shared.images.settings import ImageSettings
