@@ -82,7 +82,7 @@ class Table:
     """Text columns as lists, once they are asked for"""
 
     @classmethod
-    def of(cls, columns: Mapping[str, npt.ArrayLike]) -> Table:
+    def of(cls, columns: Mapping[str, Any]) -> Table:
         """Return a table of columns under headings such as `"x y z [mm]"`: names, and the unit that all of them have.
 
         Several names stand over the columns of one array (rows, names). Texts that may be none have the unit `[text]`.
@@ -95,7 +95,14 @@ class Table:
         columns = list(zip(*rows, strict=True)) or [()] * len(headings)
         return cls.of(dict(zip(headings, columns, strict=True)))
 
-    def joined(self, columns: Mapping[str, npt.ArrayLike]) -> Table:
+    @classmethod
+    def stack(cls, parts: Sequence[Table]) -> Table:
+        """Return the rows of tables with the same columns, one table after the other."""
+        import numpy as np
+
+        return cls({name: np.concatenate([one.columns[name] for one in parts]) for name in parts[0]}, parts[0].units)
+
+    def joined(self, columns: Mapping[str, Any]) -> Table:
         """Return the table with further columns, or others in place of its own, under headings as in `of`."""
         import numpy as np
 

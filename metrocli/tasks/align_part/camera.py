@@ -15,7 +15,7 @@ from metrocli.imageset import ImageSet
 from metrocli.instruments.camera import LENS, TAPER
 from metrocli.instruments.lens import PARAMETERS
 from metrocli.result import Result
-from metrocli.tasks.shared.images.camera_settings import CameraFile
+from metrocli.tasks.shared.images.settings import CameraFile
 
 
 @dataclass(frozen=True)

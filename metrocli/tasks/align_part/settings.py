@@ -14,8 +14,14 @@ from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.align_part.fixturing import SUPPORTS
 from metrocli.tasks.shared.figures import POSE, adjusted
-from metrocli.tasks.shared.images.camera_settings import CameraFile, Extrinsics
-from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults, shutter_setting, targets_setting
+from metrocli.tasks.shared.images.settings import (
+    CameraFile,
+    Extrinsics,
+    eccentricity_setting,
+    image_faults,
+    shutter_setting,
+    targets_setting,
+)
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
 from metrocli.tasks.shared.noise import NOISE_HELP

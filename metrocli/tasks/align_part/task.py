@@ -20,19 +20,24 @@ from metrocli.tasks.align_part.diagnosis import adjusted_job
 from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION, PLACES
 from metrocli.tasks.align_part.fitted_targets import target_list
 from metrocli.tasks.align_part.fixturing import must_level
-from metrocli.tasks.align_part.problem import Problem, build
+from metrocli.tasks.align_part.problem import Problem, Truth, build, true_model
 from metrocli.tasks.align_part.report import delivered, explained, predicted, report
 from metrocli.tasks.align_part.settings import Files, Settings
-from metrocli.tasks.align_part.simulation import Truth, true_model
 from metrocli.tasks.align_part.spindle_poses import SpindlePoses
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
-from metrocli.tasks.shared.images.effects import not_sought
-from metrocli.tasks.shared.images.planted_effects import planted, refuse_pictures
-from metrocli.tasks.shared.images.rendering import Draw, pictures
+from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE
 from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
-from metrocli.tasks.shared.images.simulation import Shown, sightings_table, sights
+from metrocli.tasks.shared.images.simulation import (
+    Draw,
+    Shown,
+    pictures,
+    planted,
+    refuse_pictures,
+    sightings_table,
+    sights,
+)
 from metrocli.tasks.shared.images.target_list import known_targets
 
 

@@ -7,8 +7,7 @@ from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter
 from metrocli.effects.links.images import LensChange, TargetEccentricity
 from metrocli.effects.links.points import Growth, PlaneBend, Stretch
 from metrocli.effects.links.shifts import Shift
-from metrocli.tasks.shared.images.effects import PERSPECTIVE_BLUR, rolling_shutter
-from metrocli.tasks.shared.images.places import IMAGE, image_point
+from metrocli.tasks.shared.images.places import IMAGE, PERSPECTIVE_BLUR, image_point, rolling_shutter
 from metrocli.units import parse_quantity
 
 _LENS = "lens"

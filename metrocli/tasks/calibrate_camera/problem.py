@@ -22,10 +22,9 @@ from metrocli.instruments import camera
 from metrocli.instruments.camera_start import Scene, plane_frame, start
 from metrocli.instruments.lens import DISTORTION, PRISM, RATIONAL, plane_point, undistort
 from metrocli.table import Table
-from metrocli.tasks.calibrate_camera.mirrored_views import better_poses
 from metrocli.tasks.calibrate_camera.readings import check_targets, readings, scale_bars
 from metrocli.tasks.calibrate_camera.settings import Camera
-from metrocli.tasks.calibrate_camera.unknown_targets import robustly, without_strays
+from metrocli.tasks.calibrate_camera.starts import better_poses, robustly, without_strays
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside, placed

@@ -14,9 +14,10 @@ from metrocli.settings import Choice, Either, ImageFiles, ListOf, Quantity, Sect
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.figures import POSE, adjusted
-from metrocli.tasks.shared.images.camera_settings import Extrinsics, LensValues
 from metrocli.tasks.shared.images.settings import (
     ESTIMATE,
+    Extrinsics,
+    LensValues,
     eccentricity_setting,
     image_faults,
     shutter_setting,

@@ -28,12 +28,19 @@ from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_vie
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.camera_parameters import delivered
-from metrocli.tasks.shared.images.effects import not_sought
-from metrocli.tasks.shared.images.planted_effects import planted, refuse_pictures
-from metrocli.tasks.shared.images.rendering import Draw, pictures
+from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE
 from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
-from metrocli.tasks.shared.images.simulation import Shown, sightings_table, sights, true_targets
+from metrocli.tasks.shared.images.simulation import (
+    Draw,
+    Shown,
+    pictures,
+    planted,
+    refuse_pictures,
+    sightings_table,
+    sights,
+    true_targets,
+)
 from metrocli.tasks.shared.images.target_list import known_targets
 from metrocli.tasks.shared.lists import listed_places
 

@@ -6,6 +6,7 @@ The gauge of the tables: straightness is zero at both ends, all others are zero 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from enum import StrEnum
 
 import numpy as np
 
@@ -17,6 +18,18 @@ from metrocli.instruments.machine import SQUARENESS, SQUARENESS_NAMES, TOOL, Axi
 from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS
 from metrocli.tasks.shared.part import Warm
 from metrocli.units import internal_unit
+
+
+class Determination(StrEnum):
+    """What the readings determine of an error."""
+
+    DETERMINED = "determined"
+    TOGETHER = "together"
+    """Only combined with errors that are held at zero"""
+    UNDETERMINED = "undetermined"
+    """Held at zero"""
+    NOT_ESTIMATED = "not estimated"
+
 
 NO_SCALES: Mapping[str, Warm] = {}
 """Axes whose scales have 20 degC, or a temperature that the job does not give"""

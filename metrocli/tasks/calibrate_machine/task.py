@@ -12,7 +12,7 @@ from metrocli.errors import InputError
 from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
-from metrocli.tasks.calibrate_machine.diagnosis import adjusted_job
+from metrocli.tasks.calibrate_machine.diagnosis import adjusted_job, noise_of
 from metrocli.tasks.calibrate_machine.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths
@@ -28,7 +28,6 @@ from metrocli.tasks.calibrate_machine.report import report
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, SIX_DOF, STANDSTILL, Settings
 from metrocli.tasks.calibrate_machine.simulation import simulated
 from metrocli.tasks.calibrate_machine.solve import Solved, solve
-from metrocli.tasks.calibrate_machine.structure import noise_of
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.noise import weighed
 

@@ -32,7 +32,7 @@ from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without
 from metrocli.tasks.shared.part import Warm
 
 if TYPE_CHECKING:
-    from metrocli.table import Values
+    pass
 
 _COMPONENTS = {Quantity.ERROR_MOTION: 6, Quantity.LENGTH: 1}
 """Components of a reading by what it reads; all others have three"""
@@ -116,23 +116,16 @@ def warmed(truth: Truth, scales: Mapping[str, Warm], rng: np.random.Generator) -
 
 def true_errors(settings: Settings, truth: Truth) -> Table:
     """Return the true error tables, interpolated at the knots of the job."""
-    names, at, length, angle = [], [], [], []
+    parts = []
     for axis, fine in zip(machine_of(settings).axes, truth.machine.axes, strict=True):
         for k, name in enumerate(errors_of(axis.letter)):
             table = fine.from_raw[k] @ truth.blocks[fine.block].values[:, k]
             values = np.interp(axis.knots, fine.knots, table)
             none = np.full(len(values), np.nan)
-            names += [name] * len(values)
-            at.append(axis.knots)
-            length.append(none if is_angle(name) else values)
-            angle.append(values if is_angle(name) else none)
-    columns: dict[str, Values] = {
-        "error": np.array(names),
-        "position": np.concatenate(at),
-        "value": np.concatenate(length),
-        "turn": np.concatenate(angle),
-    }
-    return Table(columns, {"position": "mm", "value": "mm", "turn": "rad"})
+            length, angle = (none, values) if is_angle(name) else (values, none)
+            knots = {"error": [name] * len(values), "position [mm]": axis.knots}
+            parts.append(Table.of({**knots, "value [mm]": length, "turn [rad]": angle}))
+    return Table.stack(parts)
 
 
 def blocks_of(

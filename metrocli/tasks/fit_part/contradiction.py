@@ -14,7 +14,7 @@ from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry.surfaces import Array, Index
 from metrocli.tasks.fit_part.fit import LEAST_MOTION, most_of_many
-from metrocli.tasks.fit_part.own_patches import on_own_patches
+from metrocli.tasks.fit_part.nominals import on_own_patches
 from metrocli.tasks.fit_part.stock import Local, Stock
 from metrocli.words import in_a_row
 

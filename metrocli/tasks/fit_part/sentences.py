@@ -11,7 +11,7 @@ from metrocli.table import Table
 from metrocli.tasks.fit_part.contradiction import motions_without
 from metrocli.tasks.fit_part.draws import DRAWS
 from metrocli.tasks.fit_part.fit import MOST
-from metrocli.tasks.fit_part.solve import Solved
+from metrocli.tasks.fit_part.task import Solved
 from metrocli.words import in_a_row, listed
 
 _ALIKE = 1e-7

@@ -19,8 +19,7 @@ from metrocli.geometry.rotations import wrapped
 from metrocli.instruments import launch_unit as lu
 from metrocli.instruments.launch_start import Meeting, closed_loop, lines, set_up_angle, spread
 from metrocli.tasks.locate_launch_unit.misread import misread
-from metrocli.tasks.locate_launch_unit.outliers import Outlier, screened
-from metrocli.tasks.locate_launch_unit.problem import WEAK, Problem, build, uncertainty_along
+from metrocli.tasks.locate_launch_unit.problem import WEAK, Outlier, Problem, build, screened, uncertainty_along
 from metrocli.tasks.locate_launch_unit.readings import Readings
 from metrocli.tasks.locate_launch_unit.settings import Noise
 from metrocli.words import listed

@@ -15,8 +15,7 @@ from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.probed.covariance import Joint
-from metrocli.tasks.multilaterate.probed.tips import ANY, Tips, tips_of
+from metrocli.tasks.multilaterate.probed.tips import ANY, Joint, Tips, tips_of
 from metrocli.tasks.multilaterate.problem import Network
 from metrocli.tasks.multilaterate.settings import Correction, Files, Settings
 from metrocli.tasks.shared.part import Part
@@ -24,7 +23,7 @@ from metrocli.uncertainty.predicted import COMMON, CORE
 from metrocli.words import listed
 
 if TYPE_CHECKING:
-    from metrocli.table import Values
+    pass
 
 _ELSEWHERE = 0.2
 """Median distance of probing points from their replayed points, as a share of the extent, that is implausible"""
@@ -94,10 +93,9 @@ def corrected(
     if part is not None:
         moved, joint = moved * part.shrinkage, joint.at_reference(part, moved * part.shrinkage)
     covariance = joint.each()
-    columns: dict[str, Values] = {name: table.columns[name] for name in ("feature", "point", "tip") if name in table}
-    columns |= {name: moved[:, i] for i, name in enumerate("xyz")}
-    columns |= {f"s{name}": np.sqrt(covariance[:, i, i]) for i, name in enumerate("xyz")}
-    return Table(columns, dict.fromkeys(("x", "y", "z", "sx", "sy", "sz"), "mm")), joint
+    names = {name: table.columns[name] for name in ("feature", "point", "tip") if name in table}
+    std = np.sqrt(np.einsum("nkk->nk", covariance))
+    return Table.of({**names, "x y z [mm]": moved, "sx sy sz [mm]": std}), joint
 
 
 def _joint(

@@ -21,9 +21,9 @@ from metrocli.settings import Placed
 from metrocli.table import Table
 from metrocli.tasks.report_uncertainty import correlations
 from metrocli.tasks.report_uncertainty import decisions as uncertainty_decisions
-from metrocli.tasks.report_uncertainty.copied_readings import repeated
+from metrocli.tasks.report_uncertainty.correlations import repeated
 from metrocli.tasks.report_uncertainty.quantity import column_of, quantity, unit_of
-from metrocli.tasks.report_uncertainty.sources import identity, shared
+from metrocli.tasks.report_uncertainty.values import identity, shared
 from metrocli.uncertainty.distributions import Normal, Sampled
 from metrocli.uncertainty.inputs import Block, Inputs, NotSemiDefiniteError, Quantity, join
 from metrocli.words import suggestion

@@ -18,7 +18,7 @@ from metrocli.frozen import dataclass
 from metrocli.geometry.poses import EULER
 from metrocli.result import Result
 from metrocli.settings import Placed
-from metrocli.tasks.report_uncertainty.sources import contributors, identity, shared
+from metrocli.tasks.report_uncertainty.values import contributors, identity, shared
 from metrocli.uncertainty.volume import AXES, Contribution, grid, of_models, of_pose
 from metrocli.words import suggestion
 

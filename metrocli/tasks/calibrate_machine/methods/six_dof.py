@@ -153,8 +153,7 @@ def _positions(machine: Machine, table: Table, axes: Values) -> Array:
         position[axis] = np.where(axes == name, position[axis], given)
     if faults:
         raise InputError(faults)
-    columns: dict[str, Values] = dict(zip("xyz", position, strict=True))
-    return commanded(machine, Table(columns, table.units, table.file, table.lines))
+    return commanded(machine, table.joined({"x y z [mm]": position.T}))
 
 
 def six_dof(settings: Settings, table: Table) -> Problem:

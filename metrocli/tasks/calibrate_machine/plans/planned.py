@@ -1,4 +1,4 @@
-"""Plan an on-the-fly measurement: what the path of the job will determine, and a proposed path."""
+"""What a planned measurement of a machine will determine, and what is wanted of it."""
 
 from __future__ import annotations
 
@@ -17,26 +17,52 @@ from metrocli.geometry import poses
 from metrocli.instruments.machine import ALL_NAMES, TOOL, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.tracker import LEG, TRACKER, leg_block, path_chain, tracker_block
+from metrocli.nc_program import CONTROLS, Dwell, Feed, Rapid, Stop, program
 from metrocli.nc_program import Block as NcBlock
-from metrocli.nc_program import Dwell, Feed, Rapid, Stop, program
 from metrocli.plan import Plan
 from metrocli.result import Estimate, ShownTable
+from metrocli.settings import Choice, ListOf, Number, Quantity, Whole, setting
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
-from metrocli.tasks.calibrate_machine.determination import Determination
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import READINGS, path_of
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.plans.path_search import Found, Wanted, edges_and_diagonals, search
-from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import Problem, conditions, error_blocks, machine_of, model_of, tool_prior
 from metrocli.tasks.calibrate_machine.settings import Settings
-from metrocli.tasks.calibrate_machine.tables import Tables, tables_of, unit_of
-from metrocli.tasks.calibrate_machine.volume_report import volume_tables
+from metrocli.tasks.calibrate_machine.tables import Determination, Tables, tables_of, unit_of
+from metrocli.tasks.calibrate_machine.volume import volume_tables
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
 
 if TYPE_CHECKING:
-    from metrocli.table import Values
+    pass
+
+
+@dataclass(frozen=True)
+class PathPlan:
+    """What the path, points or lines of `metrocli plan` must reach, and what they may cost."""
+
+    length: float | None = setting(
+        Quantity("length", positive=True),
+        "on-the-fly: longest path (default: length of all edges and diagonals)",
+        default=None,
+    )
+    ratio: float = setting(Number(above=1.0), "largest ratio of volume error to path misfit", default=4.0)
+    feed: float = setting(Quantity("speed", positive=True), "feed of the NC program", default=40.0)
+    sampling: float = setting(Quantity("time", positive=True), "time between points of the tracker", default=0.002)
+    tracker: tuple[float, ...] | None = setting(
+        ListOf(Quantity("length"), 3), "place of the tracker in the machine", default=None
+    )
+    time: float = setting(Quantity("time", positive=True), "lengths: longest measurement", default=4 * 3600.0)
+    uncertainty: float | None = setting(
+        Quantity("length", positive=True),
+        "lengths: wanted standard uncertainty of the error vector, over the volume (default: the least in the time)",
+        default=None,
+    )
+    setup: float = setting(Quantity("time", minimum=0.0), "lengths: time to set up a station", default=900.0)
+    seed: int = setting(Whole(0), "on-the-fly: seed of the random chords", default=1)
+    control: str = setting(Choice(*CONTROLS), "control that the NC program is for", default="linuxcnc")
+
 
 _MARGIN = 0.97
 """The search stops at this share of the wanted ratio, since the ratio of the final path differs a little"""
@@ -191,22 +217,22 @@ def predicted_errors(tables: Tables, identified: Identifiability) -> Table:
     names = [name for name in ALL_NAMES if identified.status[name] != Determination.NOT_ESTIMATED]
     std = [tables.of(name)[2].max() for name in names]
     open_ones = np.array([identified.status[name] == Determination.UNDETERMINED for name in names])
-    columns: dict[str, Values] = {
-        "error": np.array(names),
-        "status": np.array([identified.status[name] for name in names]),
-        "with": np.array([" ".join(identified.partners.get(name, ())) for name in names]),
-        "largest_std": np.where(open_ones, np.inf, std),
-        "unit": np.array([unit_of(name) for name in names]),
-    }
-    return Table(columns)
+    return Table.of(
+        {
+            "error": names,
+            "status": [identified.status[name] for name in names],
+            "with": [" ".join(identified.partners.get(name, ())) for name in names],
+            "largest_std": np.where(open_ones, np.inf, std),
+            "unit": [unit_of(name) for name in names],
+        }
+    )
 
 
 def _path_table(settings: Settings, found: Found, wanted: PathPlan) -> Table:
-    columns: dict[str, Values] = dict(zip("xyz", found.vertices.T, strict=True))
+    table = Table.of({"x y z [mm]": found.vertices})
     if list(settings.tools) != [""]:
-        columns["tool"] = np.array(list(settings.tools))[found.tool]
-    columns["feed"] = np.full(len(found.tool), wanted.feed)
-    return Table(columns, {**dict.fromkeys("xyz", "mm"), "feed": "mm/s"})
+        table = table.joined({"tool": np.array(list(settings.tools))[found.tool]})
+    return table.joined({"feed [mm/s]": np.full(len(found.tool), wanted.feed)})
 
 
 def _program(settings: Settings, found: Found, wanted: PathPlan) -> str:

@@ -8,6 +8,7 @@ least mean variance in the volume (greedy choice).
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,16 +25,16 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths
-from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, planned, worth_of
+from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, PathPlan, planned, worth_of
 from metrocli.tasks.calibrate_machine.plans.stops import all_over, judged, visits
-from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, Problem, machine_of, tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
+from metrocli.tasks.shared.lists import listed_places
 
 if TYPE_CHECKING:
-    from metrocli.table import Values
+    pass
 
 _TRIED = 150
 """Points for each tool with which candidates are compared"""
@@ -74,9 +75,7 @@ def plan_of_stations(settings: Settings, table: Table | None, listed: Table | No
     places = candidates[list(choice.stations)]
     points = all_over(settings, choice.points)
     worth = worth_of(settings, _problem(settings, points, places, chosen))
-    columns: dict[str, Values] = {"station": np.array(chosen)}
-    columns |= dict(zip(POSITION, places.T, strict=True))
-    stations = Table(columns, dict.fromkeys(POSITION, "mm"))
+    stations = listed_places("station", chosen, places)
     notes = [
         *own,
         f"proposed: {len(chosen)} stations, each reads {len(points)} points, {choice.time / 3600:.1f} h",
@@ -183,12 +182,9 @@ def _problem(settings: Settings, points: Table, places: Array, names: list[str])
     reflector, n = points.stacked(POSITION) + vectors, len(points)
     path = np.concatenate([np.linalg.norm(reflector - place, axis=1) for place in places])
     again = np.tile(np.arange(n), len(places))
-    columns: dict[str, Values] = {name: points.columns[name][again] for name in points.columns}
-    columns |= {"station": np.repeat(np.array(names), n), "length": path - path[0]}
-    units = {**points.units, "length": "mm"}
-    listed: dict[str, Values] = {"station": np.array(names), **dict(zip(POSITION, places.T, strict=True))}
-    stations = Table(listed, dict.fromkeys(POSITION, "mm"), "stations.csv")
-    return lengths(settings, Table(columns, units, "lengths.csv"), stations)
+    every = Table({name: column[again] for name, column in points.columns.items()}, points.units, "lengths.csv")
+    table = every.joined({"station": np.repeat(np.array(names), n), "length [mm]": path - path[0]})
+    return lengths(settings, table, replace(listed_places("station", names, places), file="stations.csv"))
 
 
 def _program(settings: Settings, points: Table, stations: list[str], wanted: PathPlan) -> str:

@@ -11,9 +11,8 @@ from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.settings import Placed
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.features.fit import Criterion
+from metrocli.tasks.multilaterate.features.fit import Criterion, fewest
 from metrocli.tasks.multilaterate.features.ideal import Shape
-from metrocli.tasks.multilaterate.features.least_squares import fewest
 from metrocli.words import suggestion
 
 Index = npt.NDArray[np.intp]

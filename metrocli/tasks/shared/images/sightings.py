@@ -17,7 +17,7 @@ from metrocli.imageset import ImageSet
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.find import find, likely_size
 from metrocli.targets.pattern import Pattern
-from metrocli.tasks.shared.images.imaged_size import SIZE
+from metrocli.tasks.shared.images.eccentricity import SIZE
 from metrocli.tasks.shared.images.settings import ImageSettings
 from metrocli.tasks.shared.images.target_list import Targets, known_targets
 from metrocli.words import listed
@@ -206,9 +206,7 @@ def _in_all(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]
     if not len(uv):
         text = f"no target found in any of {len(images.names)} images{_shown_size(pattern, images, images.names)}"
         raise InputError([Fault(text, hint="; ".join(warnings[:3]))])
-    columns = {"image": np.array(names), "target": np.array(targets), "u": uv[:, 0], "v": uv[:, 1]}
-    columns[SIZE] = np.concatenate(sizes)
-    table = Table(columns, {"u": "px", "v": "px"})
+    table = Table.of({"image": names, "target": targets, "u v [px]": uv, SIZE: np.concatenate(sizes)})
     if copied := copies.faults(table, OBSERVATIONS):
         raise InputError(copied)
     return table, tuple(warnings)

@@ -1,19 +1,21 @@
-"""The principal point against the image size: what a wrong `image_size` beside a table of readings does.
+"""Values that a calibration holds against its readings: the principal point, lens values, and the unit of the targets.
 
-Readings bound the image size from below only. Its middle is the principal point that a job without cx and cy takes as
-known, and poses take up nearly all of an error of it. So the readings are adjusted once more with cx and cy free.
-Real principal points lie within a few per cent of the image size from the middle.
+A noise that follows the residuals shows none of them, and poses take up most of a wrong one. So the readings are
+adjusted once more with these values free.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from metrocli import units
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.model.blocks import Array, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments import camera
+from metrocli.instruments.camera import TARGET
 from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.settings import Camera
 from metrocli.tasks.shared.images.adjustment import Adjusted
 
 _AXES = ("cx", "cy")
@@ -93,3 +95,48 @@ def principal_point(problem: Problem, adjusted: Adjusted) -> PrincipalPoint | No
 
 def _point(uv: Array) -> str:
     return f"({uv[0]:.1f}, {uv[1]:.1f})"
+
+
+_MUCH = 0.5
+"""Share of the squared residuals below which a held value is doubted (decision 134)"""
+_CENTRE = ("cx", "cy")
+"""Tested against the image size"""
+
+
+def held_doubts(problem: Problem, settings: Camera, adjusted: Adjusted) -> list[str]:
+    """Return that the squared residuals are less than half with the held lens values free."""
+    solution = adjusted.solution
+    held = [name for name in settings.given() if name not in (*settings.estimate, *_CENTRE)]
+    if not held:
+        return []
+    model = problem.with_blocks(solution.blocks).with_estimate([*settings.estimate, *held])
+    freed = adjust(model.blocks.values(), [adjusted.group, *problem.others], problem.datum)
+    if not freed.outcome.good or freed.cost >= _MUCH * solution.cost:
+        return []
+    known, found = (one.blocks[camera.LENS].named() for one in (solution, freed))
+    told = ", ".join(f"{name} is held at {known[name]:g}, but the readings see {found[name]:.4g}" for name in held)
+    return [
+        f"{told}: with {' and '.join(held)} free the squared residuals are {freed.cost / solution.cost:.2g} times as "
+        "large; estimate what is held, or correct it"
+    ]
+
+
+def too_near(problem: Problem, adjusted: Adjusted, pixel_size: float | None) -> list[str]:
+    """Return why a camera must not be used whose targets are nearer than its focal length: a lens has no image there.
+
+    The distance of the camera [mm] is the median of the views, to the middle of the targets or the origin of the board.
+    """
+    blocks = adjusted.solution.blocks
+    lens = blocks[camera.LENS].named()
+    place = blocks[camera.view_name(problem.rig)].values[:, :3]
+    seen = blocks[TARGET].values[np.unique(adjusted.group.observations.index[TARGET])]
+    middle = np.zeros(3) if problem.rig == "board" else seen.mean(axis=0)
+    far = float(np.median(np.linalg.norm(place - middle, axis=1)))
+    focal = (pixel_size or 0.0) * float(lens.get("f", lens.get("fx", 0.0)))
+    if far >= focal:
+        return []
+    return [
+        f"the targets are {units.sized(far, 'length')} from the camera, nearer than its focal length of "
+        f"{units.sized(focal, 'length')}, where a lens has no image: check the unit of the targets, or the pitch, "
+        "and pixel_size"
+    ]
