@@ -33,7 +33,7 @@ from metrocli.table import Table
 from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION, MOST
 from metrocli.tasks.fit_part.report import report
 from metrocli.tasks.fit_part.settings import Inputs, NominalFile, Overstock, Settings
-from metrocli.tasks.fit_part.task import Solved, prepare, solve
+from metrocli.tasks.fit_part.solve import Solved, prepare, solve
 
 Array = npt.NDArray[np.float64]
 MINIMUM, BOUND = 0.5, 12.5916

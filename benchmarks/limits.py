@@ -31,7 +31,7 @@ from metrocli.targets import blobs, ellipses
 from metrocli.tasks.align_part import task as align_part
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.settings import Inputs, Settings
-from metrocli.uncertainty.validation import evaluate
+from metrocli.uncertainty.numbers import evaluate
 
 HOSTILE = ("9**9**9**9", "(" * 150 + "x" + ")" * 150, "(" * 10_000, "a+" * 500_000 + "a", "-" * 4000 + "x", "9" * 4000)
 PIECES = ("exp(", "atan2(", "x", "y", "9", "1e300", "0.5", "(", ")", ")", "+", "-", "*", "/", "**", "**", ",", "--")

@@ -24,7 +24,7 @@ from metrocli.table import Table
 from metrocli.tasks.fit_part.fit import EVEN
 from metrocli.tasks.fit_part.nominals import OfMesh
 from metrocli.tasks.fit_part.settings import Inputs, Overstock, Settings
-from metrocli.tasks.fit_part.task import prepare, solve
+from metrocli.tasks.fit_part.solve import prepare, solve
 
 MINIMUM, SIGMA = 0.5, 0.02
 """Least overstock and standard deviation of a coordinate [mm]"""

@@ -11,7 +11,7 @@ from metrocli.adjust.probabilities import chi_square_tail
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.result import Result
-from metrocli.uncertainty.validation import factor
+from metrocli.uncertainty.numbers import factor
 
 Array = npt.NDArray[np.float64]
 SHARED, OWED = "shared", "owed_to_"

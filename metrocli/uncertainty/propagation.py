@@ -14,7 +14,7 @@ from metrocli.expressions.derivatives import Jets, NoValueError
 from metrocli.expressions.expression import Expression
 from metrocli.frozen import dataclass
 from metrocli.uncertainty.inputs import Inputs
-from metrocli.uncertainty.validation import evaluate
+from metrocli.uncertainty.numbers import evaluate
 
 Array = npt.NDArray[np.float64]
 GUARD = 1e-2

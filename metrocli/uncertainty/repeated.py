@@ -11,7 +11,7 @@ from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.uncertainty.comparison import Quantity, compare, quantities
-from metrocli.uncertainty.validation import factor
+from metrocli.uncertainty.numbers import factor
 
 Array = npt.NDArray[np.float64]
 

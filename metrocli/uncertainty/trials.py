@@ -18,8 +18,8 @@ from metrocli.errors import UndeterminedError
 from metrocli.expressions.expression import Expression
 from metrocli.frozen import dataclass
 from metrocli.uncertainty.inputs import Inputs
+from metrocli.uncertainty.numbers import evaluate
 from metrocli.uncertainty.samples import BINS, Counts, Edges, Sorted
-from metrocli.uncertainty.validation import evaluate
 
 Array = npt.NDArray[np.float64]
 CHUNK = 10_000

@@ -16,8 +16,8 @@ from metrocli.result import Result
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.uncertainty import predicted
 from metrocli.uncertainty.calibrated_machine import has_machine
+from metrocli.uncertainty.numbers import COVERAGE, effective, factor
 from metrocli.uncertainty.predicted import Places
-from metrocli.uncertainty.validation import COVERAGE, effective, factor
 from metrocli.units import find_unit
 from metrocli.units.ranges import Range, range_of
 

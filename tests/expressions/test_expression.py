@@ -15,7 +15,7 @@ from metrocli import units
 from metrocli.expressions.derivatives import Jets
 from metrocli.expressions.dimensions import base_unit, compound, converted, unit_of
 from metrocli.expressions.expression import DEEPEST, FUNCTIONS, LONGEST, ExpressionError, parse
-from metrocli.uncertainty.validation import evaluate
+from metrocli.uncertainty.numbers import evaluate
 
 REFUSED = [
     ("9**9**9**9", 3, "no finite value"), ("x + 9**9**9**9", 7, "no finite value"), ("open(x)", 0, "unknown function 'open'"),

@@ -20,7 +20,7 @@ from metrocli.result import Scalar
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.readings import ends_of
 from metrocli.tasks.calibrate_camera.settings import LengthLimit
-from metrocli.uncertainty.validation import COVERAGE
+from metrocli.uncertainty.numbers import COVERAGE
 from metrocli.units import format_quantity
 
 LINES, ON_A_LINE, LONGEST = 7, 5, 2 / 3

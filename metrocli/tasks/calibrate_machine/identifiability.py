@@ -22,10 +22,10 @@ from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, TOOL, Machine, errors_of
 from metrocli.instruments.tracer import AIR, STOP, TRACER
+from metrocli.tasks.calibrate_machine.layout import cure_of
 from metrocli.tasks.calibrate_machine.problem import Problem
 from metrocli.tasks.calibrate_machine.tables import Determination
 from metrocli.tasks.calibrate_machine.volume import rows_over_volume
-from metrocli.tasks.calibrate_machine.warnings import cure_of
 
 _HARMLESS = 1e-4
 """An open direction is harmless if it moves the tool by less than this [mm] at its full plausible size: 0.1 um"""

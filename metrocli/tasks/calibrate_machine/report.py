@@ -32,7 +32,7 @@ from metrocli.tasks.calibrate_machine.tables import (
     tool_names,
     unit_of,
 )
-from metrocli.tasks.calibrate_machine.volume import NOT_CONTAINED, volume_tables
+from metrocli.tasks.calibrate_machine.volume_report import NOT_CONTAINED, volume_tables
 from metrocli.tasks.calibrate_machine.warnings import cures, identifiability_notes, machine_warnings, uncontrolled
 from metrocli.tasks.shared.noise import NoiseFound
 from metrocli.tasks.shared.statistics import (

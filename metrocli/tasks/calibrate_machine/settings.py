@@ -20,7 +20,7 @@ from metrocli.settings import (
     setting,
 )
 from metrocli.tasks.calibrate_machine.files import Inputs
-from metrocli.tasks.calibrate_machine.plans.planned import PathPlan
+from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.shared.environment import Environment
 from metrocli.tasks.shared.figures import adjusted
 from metrocli.tasks.shared.lengths import REPEATABILITY, REPEATABILITY_WORDS, LengthNoise, Scale

@@ -15,11 +15,6 @@ from metrocli.adjust.model.observations import Index, Observations
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments.machine import POSITION, TOOL, ErrorMotion, Machine
-from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.acceptance.contours import circular, diagonals, draws
-from metrocli.tasks.calibrate_machine.identifiability import Identifiability
-from metrocli.tasks.calibrate_machine.settings import Volume
-from metrocli.tasks.calibrate_machine.tables import Tables
 
 if TYPE_CHECKING:
     pass
@@ -117,74 +112,3 @@ def rows_over_volume(machine: Machine, blocks: Mapping[str, Block], tool: str, u
     position = spread_over(machine, _POINTS)
     group = grid_group(machine, position, blocks[TOOL].members.index(tool))
     return without_rigid_motion(rows(group, blocks, unknowns), position)
-
-
-NOT_CONTAINED = (
-    "volumetric: errors without shift and rotation of the whole, and the standard uncertainty of their vectors (RMS). "
-    "It is that of the estimated tables alone: the machine's repeatability and its errors between knots add to it"
-)
-"""What the reader of /volumetric has to know of its uncertainty"""
-
-
-def volume_tables(
-    tables: Tables, identified: Identifiability, wanted: Volume, measured: Sequence[str]
-) -> dict[str, Table]:
-    """Return the error of each tool on a grid, and the diagonal and circular tests of the first tool."""
-    position = grid_of(tables.machine, wanted.grid)
-    tools = tables.blocks[TOOL].members
-    grids = [_on_grid(tables, position, i, name in identified.open_tools) for i, name in enumerate(tools)]
-    first = tools.index(measured[0])
-    drawn = draws(tables.raw)
-    along, figures = diagonals(tables, drawn, first)
-    return {
-        "volumetric": _summary(grids, tools, measured),
-        "volume": Table.stack([grid.table(tools[i]) for i, grid in enumerate(grids)]),
-        "diagonals": along,
-        "diagonal_figures": figures,
-        "circular": circular(tables, drawn, first, wanted.circle),
-    }
-
-
-@dataclass(frozen=True)
-class _OnGrid:
-    position: Array
-    prediction: Prediction
-    shape: Array
-    """Length of the error after the best shift and turn (n,)"""
-    left: float
-    """Standard uncertainty of the error vector: root mean square over the grid, after the best shift and turn"""
-    is_open: bool
-
-    def table(self, tool: str) -> Table:
-        n = self.position.shape[1]
-        std = np.full((3, n), np.inf) if self.is_open else self.prediction.std
-        error = np.full((3, n), np.nan) if self.is_open else self.prediction.error
-        grid = {"x y z [mm]": self.position.T, "ex ey ez [mm]": error.T, "s_ex s_ey s_ez [mm]": std.T}
-        return Table.of({"tool": np.repeat(np.array([tool], dtype=str), n), **grid})
-
-
-def _on_grid(tables: Tables, position: Array, tool: int, is_open: bool) -> _OnGrid:
-    prediction, design = predict(tables.machine, tables.blocks, (tables.unknowns, tables.raw), position, tool)
-    shape = np.linalg.norm(without_rigid_motion(prediction.error, position), axis=0)
-    free = without_rigid_motion(design, position).reshape(-1, tables.unknowns.size)
-    left = float(np.sqrt(max(np.einsum("ij,jk,ik->", free, tables.raw, free, optimize=True), 0.0) / position.shape[1]))
-    return _OnGrid(position, prediction, shape, left, is_open)
-
-
-def _summary(grids: Sequence[_OnGrid], tools: Sequence[str], measured: Sequence[str]) -> Table:
-    """Return for each tool its error in the volume, and the uncertainty that remains after compensation.
-
-    All after the best shift and turn of the volume; nan and inf if the error of the tool cannot be predicted.
-    """
-    unknown = np.array([grid.is_open for grid in grids])
-    mean = np.array([grid.shape.mean() for grid in grids])
-    largest = np.array([grid.shape.max() for grid in grids])
-    return Table.of(
-        {
-            "tool": [name or "tool" for name in tools],
-            "measured": [name in measured for name in tools],
-            "mean_error [mm]": np.where(unknown, np.nan, mean),
-            "largest_error [mm]": np.where(unknown, np.nan, largest),
-            "uncertainty [mm]": np.where(unknown, np.inf, np.array([grid.left for grid in grids])),
-        }
-    )

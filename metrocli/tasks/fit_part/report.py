@@ -11,11 +11,11 @@ from metrocli.geometry.surfaces import Array
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.fit_part import KIND
-from metrocli.tasks.fit_part.draws import Check
 from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION
-from metrocli.tasks.fit_part.sentences import notes, warnings
-from metrocli.tasks.fit_part.task import Solved
-from metrocli.tasks.fit_part.uncertainty import of_result, uncontrolled
+from metrocli.tasks.fit_part.monte_carlo import Check
+from metrocli.tasks.fit_part.sentences import notes, uncontrolled, warnings
+from metrocli.tasks.fit_part.solve import Solved
+from metrocli.tasks.fit_part.uncertainty import of_result
 from metrocli.tasks.shared.statistics import Statistics
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 

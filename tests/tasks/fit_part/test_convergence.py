@@ -12,8 +12,8 @@ from tasks.fit_part.test_uncertainty import ideal_of
 
 from metrocli.geometry import poses
 from metrocli.tasks.fit_part.fit import most
+from metrocli.tasks.fit_part.solve import fitted_part
 from metrocli.tasks.fit_part.stock import Stock
-from metrocli.tasks.fit_part.task import fitted_part
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,8 @@ from metrocli.tasks.fit_part.contradiction import contradictions
 from metrocli.tasks.fit_part.fit import EVEN, most_of_many
 from metrocli.tasks.fit_part.nominals import OfMesh
 from metrocli.tasks.fit_part.settings import Inputs, Overstock, Settings
+from metrocli.tasks.fit_part.solve import prepare, solve
 from metrocli.tasks.fit_part.stock import Stock
-from metrocli.tasks.fit_part.task import prepare, solve
 
 MINIMUM = 0.5
 DEEP = [(seed, (3, 9), 0.0) for seed in (8, 18, 56)]

@@ -23,8 +23,8 @@ from metrocli.tasks.fit_part.ideal import ideal
 from metrocli.tasks.fit_part.nominals import OfSurfaces
 from metrocli.tasks.fit_part.report import report
 from metrocli.tasks.fit_part.settings import Inputs, NominalFile, Overstock, Settings
+from metrocli.tasks.fit_part.solve import Solved, fitted_part, prepare, solve
 from metrocli.tasks.fit_part.stock import Stock
-from metrocli.tasks.fit_part.task import Solved, fitted_part, prepare, solve
 from metrocli.tasks.fit_part.uncertainty import of_result, sensitivity
 from metrocli.uncertainty.predicted import Places
 

@@ -17,51 +17,25 @@ from metrocli.geometry import poses
 from metrocli.instruments.machine import ALL_NAMES, TOOL, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.tracker import LEG, TRACKER, leg_block, path_chain, tracker_block
-from metrocli.nc_program import CONTROLS, Dwell, Feed, Rapid, Stop, program
 from metrocli.nc_program import Block as NcBlock
+from metrocli.nc_program import Dwell, Feed, Rapid, Stop, program
 from metrocli.plan import Plan
 from metrocli.result import Estimate, ShownTable
-from metrocli.settings import Choice, ListOf, Number, Quantity, Whole, setting
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import READINGS, path_of
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.plans.path_search import Found, Wanted, edges_and_diagonals, search
+from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import Problem, conditions, error_blocks, machine_of, model_of, tool_prior
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.tables import Determination, Tables, tables_of, unit_of
-from metrocli.tasks.calibrate_machine.volume import volume_tables
+from metrocli.tasks.calibrate_machine.volume_report import volume_tables
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
 
 if TYPE_CHECKING:
     pass
-
-
-@dataclass(frozen=True)
-class PathPlan:
-    """What the path, points or lines of `metrocli plan` must reach, and what they may cost."""
-
-    length: float | None = setting(
-        Quantity("length", positive=True),
-        "on-the-fly: longest path (default: length of all edges and diagonals)",
-        default=None,
-    )
-    ratio: float = setting(Number(above=1.0), "largest ratio of volume error to path misfit", default=4.0)
-    feed: float = setting(Quantity("speed", positive=True), "feed of the NC program", default=40.0)
-    sampling: float = setting(Quantity("time", positive=True), "time between points of the tracker", default=0.002)
-    tracker: tuple[float, ...] | None = setting(
-        ListOf(Quantity("length"), 3), "place of the tracker in the machine", default=None
-    )
-    time: float = setting(Quantity("time", positive=True), "lengths: longest measurement", default=4 * 3600.0)
-    uncertainty: float | None = setting(
-        Quantity("length", positive=True),
-        "lengths: wanted standard uncertainty of the error vector, over the volume (default: the least in the time)",
-        default=None,
-    )
-    setup: float = setting(Quantity("time", minimum=0.0), "lengths: time to set up a station", default=900.0)
-    seed: int = setting(Whole(0), "on-the-fly: seed of the random chords", default=1)
-    control: str = setting(Choice(*CONTROLS), "control that the NC program is for", default="linuxcnc")
 
 
 _MARGIN = 0.97

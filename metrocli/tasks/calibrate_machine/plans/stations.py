@@ -25,8 +25,9 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths
-from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, PathPlan, planned, worth_of
+from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, planned, worth_of
 from metrocli.tasks.calibrate_machine.plans.stops import all_over, judged, visits
+from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, Problem, machine_of, tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion

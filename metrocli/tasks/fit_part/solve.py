@@ -1,0 +1,176 @@
+"""The functions of fit-part, and the solution of its fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.errors import InputError, UndeterminedError
+from metrocli.frozen import dataclass
+from metrocli.geometry import poses
+from metrocli.geometry.surfaces import Array
+from metrocli.geometry.triangles import Triangles
+from metrocli.result import Result
+from metrocli.table import Table
+from metrocli.tasks.fit_part import contradiction as c
+from metrocli.tasks.fit_part import readings as r
+from metrocli.tasks.fit_part.draws import sensitivity_with_exchanges
+from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION, MOST, SLACK, Aim, Fit, aimed, fit, most_of_many
+from metrocli.tasks.fit_part.ideal import ideal, must_be_of_one_size
+from metrocli.tasks.fit_part.levels import Levels, levels
+from metrocli.tasks.fit_part.nominals import OfMesh, OfSurfaces
+from metrocli.tasks.fit_part.settings import NominalFile, Settings, Start
+from metrocli.tasks.fit_part.start import found, unturned
+from metrocli.tasks.fit_part.stock import Stock
+from metrocli.tasks.fit_part.uncertainty import Sensitivity
+from metrocli.tasks.shared.part import Part
+
+_EVENER = 0.5
+"""Ratio of the variations of the overstock below which a surface is taken as turned over"""
+_LAID_ON = 1000
+"""Points that are laid on without a search, at most"""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A job whose files fit together."""
+
+    nominal: OfSurfaces | OfMesh
+    readings: r.Readings
+    start: Array
+    """Pose into the part frame that the job gives (6,)"""
+    part: Part | None = None
+    """The raw part at the measurement of its points"""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A fitted part."""
+
+    prepared: Prepared
+    levels: Levels
+    used: npt.NDArray[np.bool_]
+    """Which surface points take part in the fit (n,)"""
+    stock: Stock
+    """Of the points that take part"""
+    aim: Aim
+    fit: Fit
+    minimum: float
+    """Least overstock that the job asks for [mm]; the aim `most` holds a larger one"""
+    largest: float
+    """Largest possible least overstock [mm], inf without limit"""
+    sensitivity: Sensitivity
+    warnings: tuple[str, ...]
+
+
+def prepare(settings: Settings, nominal: NominalFile | Triangles, points: Table | Result) -> Prepared:
+    """Return ideal part and readings of a job; raises InputError with what is wrong with the files."""
+    part = ideal(nominal, settings.nominal_unit)
+    of_mesh = isinstance(part, OfMesh)
+    names = () if isinstance(part, OfMesh) else part.names
+    readings = r.read(settings, points, names, of_mesh)
+    if isinstance(part, OfMesh):
+        must_be_of_one_size(part.triangles, readings.surface_points.points, settings.nominal_unit)
+    return Prepared(part, readings, start_of(settings.start), settings.part)
+
+
+def start_of(start: Start) -> Array:
+    """Return the pose into the part frame (6,) that a job gives."""
+    at = np.array([getattr(start, name) for name in poses.EULER])
+    return poses.inverse(poses.pose_from_euler(at[:3], at[3:]))
+
+
+def solve(settings: Settings, prepared: Prepared) -> Solved:
+    """Return the fitted part.
+
+    Raises InputError for surfaces turned over, UndeterminedError if the points leave the pose open or no pose has the
+    minimum overstock, NotConvergedError.
+    """
+    nominal, places = prepared.nominal, prepared.readings.surface_points
+    rough = _rough(prepared)
+    settled = levels(nominal, places.points, prepared.readings.surface, rough, places.sigma)
+    used = ~settled.outlying if settings.outliers == "remove" else np.ones(len(places.points), dtype=bool)
+    stock = settled.stock.of(used)
+    name, minimum = settings.overstock.aim, settings.overstock.minimum
+    open_motions = c.must_be_determined(stock, settled.into, name)
+    turned = reversed_surfaces(stock, nominal, settled.into) if isinstance(nominal, OfSurfaces) else []
+    highest, largest, holding = most_of_many(stock, settled.into)
+    if not c.feasible(largest, minimum):
+        contradictions = c.contradictions(stock, minimum, highest)
+        hint = c.wrong_side(turned) if turned else c.all_inside(settled.level, isinstance(nominal, OfMesh))
+        raise c.refuse(contradictions, places.of(used).names, minimum, largest, hint)
+    # a negative minimum allows for missing material, and surfaces without it look the same
+    doubts = [c.wrong_side(turned)] if turned else []
+    if doubts and minimum >= 0:
+        raise InputError(doubts[0])
+    if name == MOST and not np.isfinite(largest):
+        raise UndeterminedError("the least overstock has no limit: no surface faces the others; use another aim")
+    # nearer to what is sought than the largest least overstock, where they are allowed: no motion, and the even fit
+    near = {LEAST_MOTION: (prepared.start, settled.into), EVEN: (settled.into,)}.get(name, ())
+    begin = next((into for into in near if _has_the_minimum(stock, minimum, into)), highest)
+    aim, fitted = fitted_part(stock, name, minimum, (begin, largest, holding), prepared.start)
+    sense = sensitivity_with_exchanges(fitted, aim, prepared.start, places.of(used).places)
+    warnings = (*prepared.readings.warnings, *open_motions, *doubts)
+    return Solved(prepared, settled, used, stock, aim, fitted, min(minimum, largest), largest, sense, warnings)
+
+
+def _has_the_minimum(stock: Stock, minimum: float, into: Array) -> bool:
+    """Return whether a pose (6,) leaves the minimum everywhere."""
+    # far from a mesh each point costs a long search, and one of a thousand mostly answers
+    some = stock.of(np.random.default_rng(1).permutation(len(stock.measured))[:_LAID_ON])
+    return all(bool(one.at(into).overstock.min() >= minimum) for one in (some, stock))
+
+
+def _rough(prepared: Prepared) -> Array:
+    """Return the pose (6,) from which the levels are sought.
+
+    Points that leave a motion open wander along it in the search, until other surfaces are the nearest. So where
+    surfaces are found, some points are first laid on without the search, and that pose is kept if it is open.
+    """
+    nominal, places, surface = prepared.nominal, prepared.readings.surface_points, prepared.readings.surface
+    if surface is None:
+        n = len(places.points)
+        some = np.random.default_rng(1).permutation(n)[:_LAID_ON]
+        pose = unturned(nominal, places.points, prepared.start)
+        laid = levels(nominal, places.points[some], None, pose, places.sigma[some])
+        if c.open_motions(laid.stock, laid.into):
+            return laid.into
+    return found(nominal, places.points, surface, prepared.start)
+
+
+def fitted_part(
+    stock: Stock, name: str, minimum: float, begin: tuple[Array, float, Array], start: Array
+) -> tuple[Aim, Fit]:
+    """Return the fit of an aim from a pose, and from the largest least overstock and its duals.
+
+    For the aim `most` the pose is that of the largest least overstock.
+    """
+    into, largest, duals = begin
+    if name != MOST:
+        aim = aimed(stock, name, min(minimum, largest), into, start)
+        return aim, fit(stock, aim, into)
+    aim = aimed(stock, name, largest - SLACK, into, start)
+    even = fit(stock, aim, into)
+    held = np.abs(even.local.rows.T @ duals).max()
+    return aim, replace(even, duals=duals, optimality=float(held))
+
+
+def reversed_surfaces(stock: Stock, nominal: OfSurfaces, into: Array) -> list[str]:
+    """Return the names of surfaces with whose material on the other side the overstock is far more even."""
+    given = _variation(stock, into)
+    return [
+        nominal.names[one]
+        for one in np.unique(stock.surface).tolist()
+        if _variation(Stock(nominal.reversed(one), stock.measured, stock.surface), into) < _EVENER * given
+    ]
+
+
+def _variation(stock: Stock, into: Array) -> float:
+    """Return the standard deviation of the overstock after two steps towards the least one [mm]."""
+    for _ in range(2):
+        local = stock.at(into)
+        rows = local.rows - local.rows.mean(axis=0)
+        into = local.moved(into, -np.linalg.lstsq(rows, local.overstock - local.overstock.mean(), rcond=1e-6)[0])
+    return float(stock.at(into).overstock.std())
