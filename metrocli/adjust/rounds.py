@@ -1,4 +1,7 @@
-"""Adjustments in rounds: each starts from what the one before shows of weights, noise or wrong readings."""
+"""Adjustments in rounds: each starts from what the one before shows of weights, noise or wrong readings.
+
+Method: docs/algorithms/iterated-weights.md.
+"""
 
 from __future__ import annotations
 

@@ -119,11 +119,12 @@ class _Reader:
         wave = self._tried(used)
         if self.faults:
             return None
-        ordered = self._in_order(parameters, wave)
+        first = wave or ()  # amplitude and phase of a wave come first
+        ordered = sorted(parameters, key=lambda one: first.index(one.name) if one.name in first else len(first))
         template = acting.variables_at(sample | ({"axis": "{axis}"} if "axis" in where else {}))
         return replace(
             plain,
-            parameters=ordered,
+            parameters=tuple(ordered),
             link=self._link(acting, list(used), ordered, scanned, wave),
             scanned=tuple(scanned),
             space=Space.WAVE if wave else Space.FLAT,
@@ -258,8 +259,9 @@ class _Reader:
         except NoValueError as error:
             self.faults.append(model.fault(without_value(error)))
             return None
-        for name, scan in self.given.scan.items():
-            self._ends(name, scan, trial)
+        for name, end in ((name, end) for name, scan in self.given.scan.items() for end in (scan.low, scan.high)):
+            if not trial.has_value_at(name, end.value):
+                self.faults.append(end.fault("`adds` has no value there", "a period or time constant is above 0"))
         if not trial.vanishes:
             hint = "where all its parameters are 0 an effect adds 0"
             self.faults.append(model.fault(ExpressionError("this is not 0 where all parameters are 0", 0, hint)))
@@ -274,16 +276,6 @@ class _Reader:
             hint = f"try it at several values instead: scan: {{{name}: {{from: ..., to: ..., steps: 60}}}}"
             self._fault(f"parameters.{name}", f"'{name}' changes nothing where all parameters are 0", hint)
         return wave
-
-    def _ends(self, name: str, scan: Scan, trial: Trial) -> None:
-        for end in (scan.low, scan.high):
-            if not trial.has_value_at(name, end.value):
-                self.faults.append(end.fault("`adds` has no value there", "a period or time constant is above 0"))
-
-    def _in_order(self, parameters: Sequence[Parameter], wave: tuple[str, str] | None) -> tuple[Parameter, ...]:
-        """Return the parameters, amplitude and phase of a wave first."""
-        first = wave or ()
-        return tuple(sorted(parameters, key=lambda one: first.index(one.name) if one.name in first else len(first)))
 
     def _link(
         self,

@@ -1,4 +1,4 @@
-"""The stated uncertainty against repeated measurements: Monte Carlo of the whole fit."""
+"""Check of the uncertainties of a fit: fits to points with simulated errors."""
 
 from __future__ import annotations
 

@@ -24,9 +24,10 @@ from metrocli.tasks.multilaterate.blunders import (
     Rejected,
     brought_back,
     far_off,
-    most_wrong,
     not_converged,
     quick_start,
+    too_few,
+    unchecked,
     undisturbed_start,
 )
 from metrocli.tasks.multilaterate.layout_faults import carries, explained
@@ -122,7 +123,7 @@ def solve(network: Network, remove: bool) -> Solved:
     Raises UndeterminedError if the layout does not determine the points, NotConvergedError if the adjustment does not
     converge or converges far from the mover's readings.
     """
-    out = _too_few(network) if remove else {}
+    out = too_few(network) if remove else {}
     start = network.only(_kept(network, out))
     groups = [start.lengths, *start.others]
     if network.effects:
@@ -159,7 +160,7 @@ def refitted(network: Network, keep: Mask) -> Solution:
 
 def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejected]) -> Solved:
     keep = _kept(network, out)
-    lost = _unchecked(network, keep) & keep
+    lost = unchecked(network, keep) & keep
     keep &= ~lost
     used = network.only(keep)
     blocks = {name: replace(block, free=used.blocks[name].free) for name, block in state.items()}
@@ -190,12 +191,6 @@ def _kept(network: Network, out: Mapping[int, Rejected]) -> Mask:
     return keep
 
 
-def _too_few(network: Network) -> dict[int, Rejected]:
-    """Return the lengths of points that fewer than three tracers read."""
-    few = ((network.seen < 3) & network.unknown)[network.lengths.observations.index[t.POINT]]
-    return {int(row): Rejected(int(row), float("nan"), Reason.FEW_TRACERS) for row in np.flatnonzero(few)}
-
-
 def _must_carry(network: Network, solution: Solution) -> None:
     if not carries(network, solution):
         raise UndeterminedError(explained(network, solution), solution.misfit)
@@ -221,14 +216,6 @@ def _must_be_near(network: Network, solution: Solution) -> None:
 def _noise_of(network: Network) -> float:
     """Return how far noise alone may move points of a network [mm]."""
     return _NOISY * float(median(network.lengths.observations.deviations.ravel()))
-
-
-def _unchecked(network: Network, keep: Mask) -> Mask:
-    """Return which lengths belong to points that lost so many that the others cannot be trusted, (n,)."""
-    point = network.lengths.observations.index[t.POINT]
-    lost = network.seen - np.bincount(point, keep, minlength=len(network.nominal))
-    gone = (lost > most_wrong(network.seen)) & network.unknown
-    return np.asarray(gone[point])
 
 
 def _doubtful(solved: Solved) -> dict[int, Rejected]:
