@@ -111,7 +111,7 @@ def taken_apart(text: str, file: str, plainly: Plainly | None = None) -> Raw:
         message = f"the header has {len(header)} columns, more than {MOST_COLUMNS}"
         raise InputError([Fault(message, file, number, hint=hint)])
     raw = Raw(file, text, separator, number, header, (), ())
-    if _nameless(header):
+    if all(re.fullmatch(r"[-+.\deE]+", cell) for cell in header):
         raise InputError([raw.fault("the columns have no names", number, None, "write their names in the first line")])
     cells = plainly(text[end + 1 :], separator, len(header)) if plainly else None
     if cells is not None:
@@ -143,10 +143,6 @@ def _row_by_row(raw: Raw) -> Raw:
     refuse_cells(raw, [(n, count) for n, count in zip(numbers, counts, strict=True) if count != width])
     flat = separator.join(rows).split(separator)
     return replace(raw, cells=tuple(flat[k::width] for k in range(width)), numbers=numbers)
-
-
-def _nameless(header: Sequence[str]) -> bool:
-    return all(re.fullmatch(r"[-+.\deE]+", cell) for cell in header)
 
 
 def _is_row(line: str) -> bool:

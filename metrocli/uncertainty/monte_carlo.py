@@ -152,7 +152,7 @@ def _adaptive(plan: Plan, workers: Workers, digits: int, most: int) -> Outcome:
     for batch in _told(workers.ordered(Work(plan, 1), numbers), workers, None):
         kept.append(batch)
         # a standard deviation over chunks needs two of them
-        if len(kept) > 1 and _settled(kept, plan.units, digits):
+        if len(kept) > 1 and _small(_tally(kept), np.concatenate([batch.spread for batch in kept]), plan.units, digits):
             settled = True
             break
     outcome = _gathered(plan, kept)
@@ -197,10 +197,6 @@ def _tally(batches: Sequence[Batch]) -> Tally:
     for batch in batches[1:]:
         total = total + batch.tally
     return total
-
-
-def _settled(batches: Sequence[Batch], units: Sequence[float], digits: int) -> bool:
-    return _small(_tally(batches), np.concatenate([batch.spread for batch in batches]), units, digits)
 
 
 def _small(tally: Tally, spread: Array, units: Sequence[float], digits: int) -> bool:

@@ -52,7 +52,7 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
     return AdjustedJob(
         KIND.name,
         model,
-        _effects(network.absolute),
+        tuple(replace(one, usual=RANGING.get(one.name, one.usual)) if network.absolute else one for one in EFFECTS),
         tuple(covariates(model)),
         ("tracer",),
         {LENGTHS: folds(group.observations.index[t.POINT], group.observations.conditions)},
@@ -62,11 +62,6 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         sharing=count(clusters_of(solved)),
         offers=offers,
     )
-
-
-def _effects(absolute: bool) -> tuple[Effect, ...]:
-    """Return the table of effects, with the usual sizes of distance meters where the lengths are absolute."""
-    return tuple(replace(one, usual=RANGING.get(one.name, one.usual)) if absolute else one for one in EFFECTS)
 
 
 def covariates(model: Model) -> list[Covariate]:

@@ -209,7 +209,7 @@ def ranked(layout: Layout, candidates: Table | None) -> Ranking:
     Candidates with which the points stay undetermined are left out. If none are listed, a grid around the points is
     tried.
     """
-    names, places = _places(layout) if candidates is None else _listed(candidates)
+    names, places = _places(layout) if candidates is None else candidates.texts("candidate"), candidates.stacked("xyz")
     part = _part(layout)
     before = np.array(_worth(part))
     more = [part.with_tracer(f"candidate {name}", place) for name, place in zip(names, places, strict=True)]
@@ -228,10 +228,6 @@ def _worth(layout: Layout) -> tuple[float, float]:
     if not carries(layout.network, layout.solution) or layout.solution.covariance is None:
         return float("inf"), float("inf")
     return root_mean_square(layout.covariances), float(worst_direction(layout.covariances).max())
-
-
-def _listed(candidates: Table) -> tuple[list[str], Array]:
-    return candidates.texts("candidate"), candidates.stacked("xyz")
 
 
 def _places(layout: Layout) -> tuple[list[str], Array]:

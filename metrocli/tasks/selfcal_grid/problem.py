@@ -148,7 +148,10 @@ def build(readings: Readings, size: tuple[Index, float], noise: float, lengths: 
         np.array(noise),
         index,
         keys=_keys(readings.table),
-        conditions=_conditions(readings, pitch),
+        conditions={
+            **readings.table.conditions("t", "temp"),
+            bg.HOLLOW: bg.hollow(readings.views, readings.view, readings.balls, pitch),
+        },
         components=("x", "y", "z"),
         unit="mm",
     )
@@ -164,13 +167,6 @@ def build(readings: Readings, size: tuple[Index, float], noise: float, lengths: 
     nominal = {bg.MACHINE: np.asarray(all_sites * pitch, dtype=float)}
     model = Model(blocks, present, measured=(READINGS,), places=places, nominal=nominal)
     return Problem(model, grid, readings.views, _conditions_on(grid, blocks, scale_given=len(present) > 1))
-
-
-def _conditions(readings: Readings, pitch: float) -> dict[str, Array]:
-    return {
-        **readings.table.conditions("t", "temp"),
-        bg.HOLLOW: bg.hollow(readings.views, readings.view, readings.balls, pitch),
-    }
 
 
 def _keys(table: Table) -> dict[str, tuple[str, ...]]:

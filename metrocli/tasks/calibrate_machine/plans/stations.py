@@ -129,7 +129,7 @@ def _in_turn(settings: Settings, wanted: PathPlan, candidates: Array) -> Iterato
     chosen: list[int] = []
     known, left = np.diag(reach**-2.0), set(range(len(candidates)))
     while left and len(chosen) < _STATIONS:
-        variances = {i: _variance(known + matrices[i], volume) for i in sorted(left)}
+        variances = {i: float(np.einsum("ab,ba->", np.linalg.inv(known + matrices[i]), volume)) for i in sorted(left)}
         best = min(variances, key=lambda i: variances[i])
         chosen, known, left = [*chosen, best], known + matrices[best], left - {best}
         most = int((wanted.time / len(chosen) - wanted.setup) / (step * tools)) - 8
@@ -165,11 +165,6 @@ def _volume(settings: Settings, problem: Problem, errors: Unknowns) -> Array:
         flat = without_rigid_motion(moved, position).reshape(-1, errors.size)
         total += flat.T @ flat
     return np.asarray(total / (position.shape[1] * len(settings.tools)))
-
-
-def _variance(matrix: Array, volume: Array) -> float:
-    """Return the mean variance of the error vector over the volume."""
-    return float(np.einsum("ab,ba->", np.linalg.inv(matrix), volume))
 
 
 def _time_of_a_point(table: Table, feed: float) -> float:
