@@ -89,6 +89,11 @@ class Parameter:
         return f"{units.sized(value, self.dimension)} {shown}".strip()
 
 
+def sizes(names: str, dimension: str, plausible: str) -> tuple[Parameter, ...]:
+    """Return parameters, their names with blanks between them, of one plausible size given as a text."""
+    return tuple(Parameter(name, dimension, parse_quantity(plausible, dimension)) for name in names.split())
+
+
 @dataclass(frozen=True)
 class Effect:
     """One entry of a table of effects.

@@ -61,11 +61,7 @@ class Misaligned:
 
     takes = Quantity.ERROR_MOTION
     gives = Quantity.ERROR_MOTION
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of lines."""
-        return (LINE,)
+    blocks = (LINE,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the six channels, (6, n), with their derivatives by the motion and by the line, (6, 8, n)."""

@@ -85,11 +85,7 @@ class Returned:
     """Link to the place where the carrier stood at a stop: the point plus the deviation of its return."""
 
     takes = gives = Quantity.POINT_IN_MACHINE
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of stops."""
-        return (STOP,)
+    blocks = (STOP,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point, (3, n), with its derivatives by the point and by the deviation."""

@@ -72,11 +72,7 @@ class AcrossLeg:
 
     takes = Quantity.POINT_IN_TRACKER
     gives = Quantity.ACROSS_LEG
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of directions."""
-        return (LEG,)
+    blocks = (LEG,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return `A p`, (2, n), and its derivative A by the point p."""

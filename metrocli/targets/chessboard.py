@@ -43,9 +43,7 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
     grid, reason = _in_order(pattern, start, picture)
     if reason:
         return nothing(f"no chessboard: {reason}")
-    if any(
-        _continues_below(side, picture) for side in (grid, grid[::-1], grid.swapaxes(0, 1), grid.swapaxes(0, 1)[::-1])
-    ):
+    if _continues(grid, picture):
         rows, columns = pattern.shape
         return nothing(f"no chessboard: the board has more than {columns} x {rows} inner corners")
     corners, sigma = fit_grid(picture, grid)
@@ -81,9 +79,21 @@ def _in_order(pattern: Pattern, corners: Array, picture: Picture) -> tuple[Array
         return np.empty((0, 0, 2)), reason
     grid = corners[place].reshape(rows, columns, 2)
     told_by_colour = (rows + columns) % 2 == 1
-    if told_by_colour and bool(_contrasts(_squares(grid, picture)).mean() > 0):
+    if told_by_colour and _first_square_is_bright(grid, picture):
         grid = grid[::-1, ::-1]
     return grid, ""
+
+
+def _first_square_is_bright(grid: Array, picture: Picture) -> bool:
+    """Return whether the squares with the colour of the first inner one are brighter than the others."""
+    return bool(_contrasts(_squares(grid, picture)).mean() > 0)
+
+
+def _continues(grid: Array, picture: Picture) -> bool:
+    """Return whether squares go on beyond those around the outermost corners: then no corner has a certain name."""
+    return any(
+        _continues_below(side, picture) for side in (grid, grid[::-1], grid.swapaxes(0, 1), grid.swapaxes(0, 1)[::-1])
+    )
 
 
 def _continues_below(grid: Array, picture: Picture) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array, Block, Space
 from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.adjust.model.observations import Index, Mask, Observations
-from metrocli.adjust.model.quantities import Quantity
+from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.frozen import dataclass
 
 
@@ -92,24 +92,18 @@ class Group:
 
 
 @dataclass(frozen=True)
-class ReadBlock:
+class ReadBlock(OfBlock):
     """The forward model of a prior: the values of a block themselves, as if they were measured.
 
     `value = difference(values, reference)` in the chosen columns, so a reading of zero means "equal to the reference".
     """
 
-    block: str
     reference: Array
     """(members, size)"""
     columns: tuple[int, ...]
     space: Space = Space.FLAT
     takes = None
     gives = Quantity.PARAMETERS
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """The block that it reads."""
-        return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the differences (columns, n) and their derivatives by a step of the block."""
@@ -160,20 +154,14 @@ def priors(block: Block, sigma: Array, free: Mask) -> list[Group]:
 
 
 @dataclass(frozen=True)
-class ReadMembers:
+class ReadMembers(OfBlock):
     """The forward model of a joint prior of several members: some columns of a block, read as one vector."""
 
-    block: str
     reference: Array
     """(members, size)"""
     columns: tuple[int, ...]
     takes = None
     gives = Quantity.PARAMETERS
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """The block that it reads."""
-        return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the differences (m c, 1), member by member, and their derivatives by each, (m, m c, size, 1)."""

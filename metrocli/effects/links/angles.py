@@ -9,10 +9,9 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step, through
-from metrocli.adjust.model.quantities import Quantity
+from metrocli.adjust.model.quantities import AtQuantity, OfBlock, Quantity
 from metrocli.effects.acting import components
 from metrocli.effects.effect import ELAPSED
-from metrocli.effects.links.of_block import AtQuantity, OfBlock
 from metrocli.effects.links.own import OwnTerms
 from metrocli.expressions.expression import parse
 from metrocli.frozen import dataclass

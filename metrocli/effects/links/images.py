@@ -9,8 +9,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain, Local, Step
-from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.links.of_block import OfBlock
+from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.frozen import dataclass
 
 

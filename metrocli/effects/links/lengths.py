@@ -6,9 +6,8 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
-from metrocli.adjust.model.quantities import Quantity
+from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.effects.effect import ELAPSED
-from metrocli.effects.links.of_block import OfBlock
 from metrocli.frozen import dataclass
 from metrocli.instruments.launch_unit import UNIT
 from metrocli.instruments.tracer import TRACER

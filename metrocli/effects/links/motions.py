@@ -8,9 +8,8 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain, Local, Step
-from metrocli.adjust.model.quantities import Quantity
+from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.effects.effect import ELAPSED
-from metrocli.effects.links.of_block import OfBlock
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments.machine import POSITION, TOOL, ErrorMotion, Machine, by_errors

@@ -15,7 +15,7 @@ from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
 from metrocli.effects.acting import NOMINAL
-from metrocli.effects.effect import ELAPSED, WARMING, Effect
+from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.estimates import free_blocks
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model, Place

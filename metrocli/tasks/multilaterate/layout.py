@@ -209,7 +209,10 @@ def ranked(layout: Layout, candidates: Table | None) -> Ranking:
     Candidates with which the points stay undetermined are left out. If none are listed, a grid around the points is
     tried.
     """
-    names, places = _places(layout) if candidates is None else candidates.texts("candidate"), candidates.stacked("xyz")
+    if candidates is None:
+        names, places = _places(layout)
+    else:
+        names, places = candidates.texts("candidate"), candidates.stacked("xyz")
     part = _part(layout)
     before = np.array(_worth(part))
     more = [part.with_tracer(f"candidate {name}", place) for name, place in zip(names, places, strict=True)]

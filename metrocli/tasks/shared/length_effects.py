@@ -10,11 +10,10 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Link, Local, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.acting import Acting, Variable, beam_from, scalar, seen_from
-from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, change_points
+from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, change_points, sizes
 from metrocli.effects.links.lengths import AirGradient, BeamScale, LengthJump, LengthOffset, LengthTerms, TracerDrift
 from metrocli.effects.links.points import PointStep
 from metrocli.instruments.tracer import COS_2A, COS_A, INCIDENCE, SIN_2A, SIN_A, TRACER
-from metrocli.units import parse_quantity
 
 AT = ("tracer", "point")
 """Kinds of place at which an effect on lengths can have sizes of its own"""
@@ -54,18 +53,14 @@ def length(*more: Variable) -> Acting:
 _HARTIG = "Härtig et al., Coordinate Measurement Technique Considering the 3D-Abbe Principle,"
 
 
-def _size(name: str, dimension: str, plausible: str) -> Parameter:
-    return Parameter(name, dimension, parse_quantity(plausible, dimension))
-
-
-def _refraction(by: str, condition: str, need: str, rate: Parameter, usual: str) -> Effect:
+def _refraction(by: str, condition: str, need: str, rate: tuple[Parameter, ...], usual: str) -> Effect:
     def link(block: str, where: Mapping[str, str]) -> Link:
         return BeamScale(block, condition=condition)
 
     return Effect(
         "refraction-drift",
         "the refractive index of the air changes during the measurement without being corrected",
-        (rate,),
+        rate,
         link,
         by=by,
         needs=(need,),
@@ -81,7 +76,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "tracer-scale",
         "the wavelength or the air correction of one tracer is wrong",
-        (_size("scale", "ratio", "5 ppm"),),
+        sizes("scale", "ratio", "5 ppm"),
         lambda block, where: BeamScale(block),
         where=("tracer",),
         confused_with=("dead-path-drift", "sphere-form", "length-scale"),
@@ -92,7 +87,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "length-scale",
         "all lengths are too long or too short in proportion: the common wavelength, air correction or unit is wrong",
-        (_size("scale", "ratio", "5 percent"),),
+        sizes("scale", "ratio", "5 percent"),
         lambda block, where: BeamScale(block),
         confused_with=("length-offset",),
         usual="0.1 to 20 ppm",
@@ -102,19 +97,19 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "length-offset",
         "all absolute distances are off by the same amount: zero error of the instrument, delay of its electronics",
-        (_size("offset", "length", "1 m"),),
+        sizes("offset", "length", "1 m"),
         lambda block, where: LengthOffset(block),
         confused_with=("length-scale",),
         usual="1 um to 1 m",
         reveal="distances from short to long, or the same line measured in parts",
         source="zero constant of distance meters: Rüeger, Electronic Distance Measurement",
     ),
-    _refraction("T", WARMING, "temp", _size("rate", "expansion", "2e-6 1/K"), "5e-7 to 2e-6 1/K"),
-    _refraction("t", ELAPSED, "t", _size("rate", "rate", "10 ppm/h"), "0.1 to 10 ppm/h"),
+    _refraction("T", WARMING, "temp", sizes("rate", "expansion", "2e-6 1/K"), "5e-7 to 2e-6 1/K"),
+    _refraction("t", ELAPSED, "t", sizes("rate", "rate", "10 ppm/h"), "0.1 to 10 ppm/h"),
     Effect(
         "air-gradient",
         "the refractive index of the air changes with height: the room is warmer under its roof",
-        (_size("gradient", "curvature", "5e-9 1/mm"),),
+        sizes("gradient", "curvature", "5e-9 1/mm"),
         lambda block, where: AirGradient(block),
         confused_with=("length-scale", "tracer-scale"),
         usual="2e-10 to 5e-9 1/mm",
@@ -124,7 +119,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "dead-path-drift",
         "the dead path of one tracer grows: its stand, its optics or the air in it warm up",
-        (_size("rate", "speed", "1 um/min"),),
+        sizes("rate", "speed", "1 um/min"),
         lambda block, where: LengthTerms(block, (ELAPSED,)),
         where=("tracer",),
         needs=("t",),
@@ -136,7 +131,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "dead-path-jump",
         "the beam of one tracer was interrupted and recovered, or the tracer was displaced along the beam",
-        (_size("step", "length", "1 mm"),),
+        sizes("step", "length", "1 mm"),
         lambda block, where: LengthJump(block),
         where=("tracer",),
         scanned=(Parameter("at", "time", grid=change_points),),
@@ -149,7 +144,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "tracer-drift",
         "one tracer moves on its stand during the measurement",
-        tuple(_size(name, "speed", "1 um/min") for name in ("vx", "vy", "vz")),
+        sizes("vx vy vz", "speed", "1 um/min"),
         lambda block, where: TracerDrift(block),
         where=("tracer",),
         needs=("t",),
@@ -162,7 +157,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "sphere-form",
         "the reference sphere of one tracer is out of round",
-        tuple(_size(name, "length", "10 um") for name in ("c2", "s2")),
+        sizes("c2 s2", "length", "10 um"),
         lambda block, where: LengthTerms(block, (COS_2A, SIN_2A)),
         where=("tracer",),
         confused_with=("tracer-scale",),
@@ -173,7 +168,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "reflector-incidence",
         "the length changes with the angle at which the beam enters the reflector",
-        (_size("c", "length", "20 um"),),
+        sizes("c", "length", "20 um"),
         lambda block, where: LengthTerms(block, (INCIDENCE,)),
         confused_with=("tracer-scale",),
         usual="0.5 to 20 um",
@@ -183,7 +178,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "reseated-reflector",
         "the reflector was taken out of its nest, put back, and sits in another place",
-        tuple(_size(name, "length", "1 mm") for name in ("dx", "dy", "dz")),
+        sizes("dx dy dz", "length", "1 mm"),
         lambda block, where: PointStep(block),
         scanned=(Parameter("at", "time", grid=change_points),),
         needs=("t",),
@@ -195,7 +190,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "moved-point",
         "one length is wrong",
-        (_size("step", "length", "10 m"),),
+        sizes("step", "length", "10 m"),
         lambda block, where: LengthOffset(block),
         where=("point", "tracer"),
         reveal="this point measured again by this tracer",
