@@ -11,7 +11,16 @@ from metrocli.settings.files import (
     has_wildcards,
     path_beside,
 )
-from metrocli.settings.sections import Section, Setting, read_sections, sections_schema, setting, settings_of
+from metrocli.settings.sections import (
+    Section,
+    Setting,
+    content,
+    inputs_of,
+    read_sections,
+    sections_schema,
+    setting,
+    settings_of,
+)
 from metrocli.settings.values import BAD, Choice, Flag, Limits, Number, Quantity, Schema, Spec, Text, Whole
 
 __all__ = [
@@ -40,8 +49,10 @@ __all__ = [
     "Text",
     "Uncertain",
     "Whole",
+    "content",
     "folders_searched",
     "has_wildcards",
+    "inputs_of",
     "path_beside",
     "read_sections",
     "sections_schema",

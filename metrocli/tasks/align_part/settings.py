@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
+from typing import Any
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
 from metrocli.result import Result
 from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Quantity, Section, TableFile, setting
+from metrocli.settings.sections import content, inputs_of
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.align_part.fixturing import SUPPORTS
@@ -51,47 +52,34 @@ POINTS = Columns(
 
 
 @dataclass(frozen=True)
-class Inputs:
+class Files:
     """The camera, the spindle's poses, the targets, and their image points or the images."""
 
-    camera: Path = setting(
+    camera: Result | CameraFile = content(
         FileOf(("calibrate-camera",), CameraFile),
         "result of calibrate-camera (rig cmm), or a camera written by hand (.yaml)",
     )
-    poses: Path = setting(TableFile(POSES), "commanded pose of the spindle for each image")
-    targets: Path = setting(
+    poses: Table = content(TableFile(POSES), "commanded pose of the spindle for each image")
+    targets: Table | Result = content(
         Either(TableFile(TARGETS), FileOf(("fit-part",))),
         "coordinates of targets in the part (CSV), or the result of fit-part that has them",
     )
-    machine: Path | None = setting(
+    machine: Result | None = content(
         FileOf(("calibrate-machine",)),
         "result of calibrate-machine, by whose errors the poses of the spindle are corrected",
-        default=None,
+        needed=False,
     )
-    supports: Path | None = setting(
-        TableFile(SUPPORTS), "supports that raise the part along z of the machine", default=None
+    supports: Table | None = content(
+        TableFile(SUPPORTS), "supports that raise the part along z of the machine", needed=False
     )
-    points: Path | None = setting(
-        TableFile(POINTS), "points of the part whose places in the machine are predicted, to gauge them", default=None
+    points: Table | None = content(
+        TableFile(POINTS), "points of the part whose places in the machine are predicted, to gauge them", needed=False
     )
-    observations: Path | None = setting(TableFile(OBSERVATIONS), "image coordinates of targets", default=None)
-    images: tuple[Path, ...] | None = setting(
-        ImageFiles(), "images, such as img/*.png, instead of observations", default=None
-    )
+    observations: Table | None = content(TableFile(OBSERVATIONS), needed=False)
+    images: ImageSet | None = content(ImageFiles(), "images, such as img/*.png, instead of observations", needed=False)
 
 
-@dataclass(frozen=True)
-class Files:
-    """The contents of the input files."""
-
-    camera: Result | CameraFile
-    poses: Table
-    targets: Table | Result
-    machine: Result | None = None
-    supports: Table | None = None
-    points: Table | None = None
-    observations: Table | None = None
-    images: ImageSet | None = None
+Inputs = inputs_of(Files)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +96,7 @@ class AlignSimulation:
 class Settings:
     """Locate a part in the machine from images of a camera in the spindle (6D), with its clamping angle (7D)."""
 
-    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    inputs: Any = setting(Section(Inputs), "the files of the job")
     noise: float | str = setting(
         Either(Quantity("pixel", positive=True, minimum=1e-9), Choice(*FROM_RESIDUALS)),
         NOISE_HELP,

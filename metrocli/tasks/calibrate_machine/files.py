@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from metrocli.frozen import dataclass
-from metrocli.settings import TableFile, setting
+from metrocli.settings import TableFile
+from metrocli.settings.sections import content, inputs_of
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.tasks.shared.environment import WEATHER
 from metrocli.tasks.shared.lists import SIGMAS
@@ -80,24 +79,15 @@ STATIONS = Columns(
 
 
 @dataclass(frozen=True)
-class Inputs:
+class Files:
     """The files of a job: which of them are needed depends on the method."""
 
-    points: Path | None = setting(TableFile(POINTS), "standstill: commanded and measured points", default=None)
-    path: Path | None = setting(TableFile(PATH), "on-the-fly: vertices of the path", default=None)
-    track: Path | None = setting(TableFile(TRACK), "on-the-fly: points of the tracker", default=None)
-    lines: Path | None = setting(TableFile(LINES), "six-dof: lines along axes and diagonals", default=None)
-    lengths: Path | None = setting(TableFile(LENGTHS), "lengths: commanded points and lengths", default=None)
-    stations: Path | None = setting(TableFile(STATIONS), "lengths: approximate places of the stations", default=None)
+    points: Table | None = content(TableFile(POINTS), "standstill: commanded and measured points", needed=False)
+    path: Table | None = content(TableFile(PATH), "on-the-fly: vertices of the path", needed=False)
+    track: Table | None = content(TableFile(TRACK), "on-the-fly: points of the tracker", needed=False)
+    lines: Table | None = content(TableFile(LINES), "six-dof: lines along axes and diagonals", needed=False)
+    lengths: Table | None = content(TableFile(LENGTHS), "lengths: commanded points and lengths", needed=False)
+    stations: Table | None = content(TableFile(STATIONS), "lengths: approximate places of the stations", needed=False)
 
 
-@dataclass(frozen=True)
-class Files:
-    """The tables read from the inputs; None where the job has no such file."""
-
-    points: Table | None = None
-    path: Table | None = None
-    track: Table | None = None
-    lines: Table | None = None
-    lengths: Table | None = None
-    stations: Table | None = None
+Inputs = inputs_of(Files)

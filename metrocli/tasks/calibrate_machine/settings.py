@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ALL_NAMES, SQUARENESS_NAMES, axis_order, canonical
@@ -195,7 +195,7 @@ class Settings:
 
     method: str = setting(Choice(ON_THE_FLY, STANDSTILL, SIX_DOF, LENGTHS), "how the machine was measured")
     machine: MachineSettings = setting(Section(MachineSettings), "axes and tools")
-    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    inputs: Any = setting(Section(Inputs), "the files of the job")
     noise: Noise = setting(Section(Noise), "standard deviations of the readings")
     estimate: str | tuple[str, ...] = setting(
         Either(Choice("all"), ListOf(Choice(*ALL_NAMES, "COY", "BOZ", "AOZ"), distinct=True)),

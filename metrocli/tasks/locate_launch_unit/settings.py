@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.frozen import dataclass
 from metrocli.nc_program import CONTROLS
 from metrocli.settings import Choice, Flag, ListOf, Number, Quantity, Section, TableFile, setting
+from metrocli.settings.sections import content, inputs_of
 from metrocli.table import ABSENT, Table
 from metrocli.tasks.locate_launch_unit.readings import PLACES, POSES
 from metrocli.tasks.shared.environment import Environment
@@ -92,21 +92,16 @@ METHODS = ("adjustment", "lines", "closed-loop")
 
 
 @dataclass(frozen=True)
-class Inputs:
+class Files:
     """Aligned poses, and positions to measure at."""
 
-    poses: Path = setting(TableFile(POSES), "receiver positions and encoder angles of aligned poses")
-    places: Path | None = setting(
-        TableFile(PLACES), "receiver positions to measure at, for simulate and plan", default=None
+    poses: Table = content(TableFile(POSES), default=ABSENT)
+    places: Table | None = content(
+        TableFile(PLACES), "receiver positions to measure at, for simulate and plan", needed=False
     )
 
 
-@dataclass(frozen=True)
-class Files:
-    """Contents of the inputs; the poses are absent before the measurement."""
-
-    poses: Table = ABSENT
-    places: Table | None = None
+Inputs = inputs_of(Files)
 
 
 @dataclass(frozen=True)
@@ -142,7 +137,7 @@ class Settings:
         "part": "no points of a part are measured here; the machine's growth is the effect machine-scale"
     }
 
-    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    inputs: Any = setting(Section(Inputs), "the files of the job")
     noise: Noise = setting(Section(Noise), "standard deviations of the readings")
     method: str = setting(Choice(*METHODS), "adjustment, or one of the paper's two", default="adjustment")
     environment: Environment | None = setting(

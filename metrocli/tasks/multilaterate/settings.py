@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import Any
 
 from metrocli.frozen import dataclass
 from metrocli.settings import At, Choice, Either, MapOf, Placed, Quantity, Section, TableFile, setting
+from metrocli.settings.sections import content, inputs_of
 from metrocli.table import ABSENT, TEXT, Column, Columns, Table
 from metrocli.tasks.shared.environment import WEATHER, Environment
 from metrocli.tasks.shared.figures import adjusted
@@ -61,31 +62,19 @@ DISTANCES = Columns(
 
 
 @dataclass(frozen=True)
-class Inputs:
+class Files:
     """The lengths that the tracers read, and the mover's readings of the points."""
 
-    lengths: Path = setting(TableFile(LENGTHS), "lengths read by the tracers")
-    points: Path = setting(TableFile(POINTS), "approximate points: the mover's readings")
-    tracers: Path | None = setting(TableFile(TRACERS), "approximate places of the tracers", default=None)
-    probing: Path | None = setting(TableFile(PROBING), "the mover's readings on the workpiece", default=None)
-    tips: Path | None = setting(TableFile(TIPS), "probe tips, from the mover's reference point", default=None)
-    distances: Path | None = setting(TableFile(DISTANCES), "calibrated distances between points", default=None)
-    candidates: Path | None = setting(
-        TableFile(CANDIDATES), "places where one more tracer could stand, for `plan`", default=None
-    )
+    lengths: Table = content(TableFile(LENGTHS), default=ABSENT)
+    points: Table = content(TableFile(POINTS), default=ABSENT)
+    tracers: Table | None = content(TableFile(TRACERS), needed=False)
+    probing: Table | None = content(TableFile(PROBING), needed=False)
+    tips: Table | None = content(TableFile(TIPS), needed=False)
+    distances: Table | None = content(TableFile(DISTANCES), needed=False)
+    candidates: Table | None = content(TableFile(CANDIDATES), needed=False)
 
 
-@dataclass(frozen=True)
-class Files:
-    """Contents of the inputs; the lengths are absent before the measurement."""
-
-    lengths: Table = ABSENT
-    points: Table = ABSENT
-    tracers: Table | None = None
-    probing: Table | None = None
-    tips: Table | None = None
-    distances: Table | None = None
-    candidates: Table | None = None
+Inputs = inputs_of(Files)
 
 
 @dataclass(frozen=True)
@@ -133,7 +122,7 @@ class Feature:
 class Settings:
     """Find reflector positions from lengths, with the tracers' places, dead paths and scales (multilateration)."""
 
-    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    inputs: Any = setting(Section(Inputs), "the files of the job")
     noise: LengthNoise = setting(Section(LengthNoise), "standard deviation of a length")
     measures: str = setting(
         Choice("changes", "absolute"), "interferometer (dead paths unknown) or absolute distance", default="changes"

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.ball_grid import View
 from metrocli.settings import Choice, Either, ListOf, Quantity, Section, TableFile, Text, Whole, setting
+from metrocli.settings.sections import content, inputs_of
 from metrocli.table import ABSENT, TEXT, WHOLE, Column, Columns, Table
 from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.units import parse_quantity
@@ -51,21 +51,15 @@ POINTS = Columns((Column("point", TEXT), *_PLACE), ("point",), "points at which 
 
 
 @dataclass(frozen=True)
-class Inputs:
+class Files:
     """The files of measured and of known values."""
 
-    views: Path = setting(TableFile(VIEWS), "what the machine reads of each ball in each view")
-    lengths: Path | None = setting(TableFile(LENGTHS), "calibrated distances of balls", default=None)
-    map: Path | None = setting(TableFile(POINTS), "points at which the machine error is wanted", default=None)
+    views: Table = content(TableFile(VIEWS), default=ABSENT)
+    lengths: Table | None = content(TableFile(LENGTHS), needed=False)
+    map: Table | None = content(TableFile(POINTS), needed=False)
 
 
-@dataclass(frozen=True)
-class Files:
-    """The content of the input files; views are absent before the measurement."""
-
-    views: Table = ABSENT
-    lengths: Table | None = None
-    map: Table | None = None
+Inputs = inputs_of(Files)
 
 
 @dataclass(frozen=True)
@@ -147,7 +141,7 @@ class Settings:
         "part": "no part is measured here; the growth of the artefact is the effect artefact-expansion"
     }
 
-    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    inputs: Any = setting(Section(Inputs), "the files of the job")
     grid: GridSettings = setting(Section(GridSettings), "the artefact")
     views: tuple[ViewSettings, ...] = setting(ListOf(Section(ViewSettings)), "how the artefact stood")
     noise: float | str = setting(
