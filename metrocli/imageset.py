@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
     Picture = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+else:  # settings name it, and are read without numpy
+    Picture = Any
 
 
 class ImageSet(Protocol):

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     Array = npt.NDArray[np.float64]
     Values = npt.NDArray[np.float64] | npt.NDArray[np.int64] | npt.NDArray[np.str_] | npt.NDArray[np.bool_]
+else:  # numpy takes longer to load than a job that is up to date
+    Array = Values = Any
 
 TEXT, WHOLE, NUMBER = "text", "whole", "number"
 """Dimensions of columns without a unit; every other dimension is a name in `metrocli.units.DIMENSIONS`."""

@@ -5,16 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.frozen import dataclass
-
-if TYPE_CHECKING:
-    from metrocli.result import Result
-    from metrocli.table import Table
+from metrocli.result import Result
+from metrocli.table import Table
 
 Array = npt.NDArray[np.float64]
 

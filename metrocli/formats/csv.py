@@ -11,7 +11,6 @@ import math
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,11 +19,8 @@ from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_plain import PlainCells, plain_cells
 from metrocli.formats.csv_text import Raw, read_text, repeated, shortened, taken_apart
 from metrocli.formats.file_bytes import FileBytes
-from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
+from metrocli.table import NUMBER, TEXT, WHOLE, Array, Column, Columns, Table, Values
 from metrocli.words import nearest
-
-if TYPE_CHECKING:
-    from metrocli.table import Array, Values
 
 LONGEST_TEXT = 200
 _WHOLE_LIMIT = 1 << 62

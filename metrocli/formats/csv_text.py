@@ -5,26 +5,19 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.copies import row_hashes
 from metrocli.errors import Fault, InputError
+from metrocli.formats.csv_plain import PlainCells
 from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.frozen import dataclass
-from metrocli.table import Columns, Table
-
-if TYPE_CHECKING:
-    from collections.abc import Container
-
-    from metrocli.formats.csv_plain import PlainCells
-    from metrocli.table import Values
-
+from metrocli.table import Columns, Table, Values
 
 MOST_FAULTS = 20
 MOST_COLUMNS = 5000

@@ -5,19 +5,15 @@ Method: docs/algorithms/target-detection.md.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.imageset import Picture
 from metrocli.targets import blobs, ellipses
 from metrocli.targets.ellipse import Ellipse
 from metrocli.targets.find import Sightings, nothing, of_ellipses
 from metrocli.targets.lattice import ordered
 from metrocli.targets.pattern import Pattern, lattice, names
-
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
 
 Array = npt.NDArray[np.float64]
 

@@ -6,21 +6,18 @@ Method: docs/algorithms/target-detection.md.
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.imageset import Picture
 from metrocli.targets import blobs, ellipses
 from metrocli.targets.codes import BITS, RING_FROM, RING_TO, canonical, codes
 from metrocli.targets.ellipse import Ellipse
 from metrocli.targets.ellipses import Fitted
 from metrocli.targets.find import Sightings, nothing, of_ellipses
 from metrocli.targets.pattern import Pattern
-
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
 
 Array = npt.NDArray[np.float64]
 

@@ -7,16 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
+from metrocli.imageset import Picture
 from metrocli.targets.ellipse import Ellipse
-
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
 
 Array = npt.NDArray[np.float64]
 

@@ -6,19 +6,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from importlib import import_module
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.frozen import dataclass
+from metrocli.imageset import Picture
 from metrocli.targets.ellipses import Fitted
 from metrocli.targets.pattern import Pattern
-
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
-    from metrocli.targets.pattern import Pattern
-
 
 Array = npt.NDArray[np.float64]
 

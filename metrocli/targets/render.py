@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.frozen import dataclass
+from metrocli.imageset import Picture
 from metrocli.targets.drawings import Drawing, inside
-
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
 
 Array = npt.NDArray[np.float64]
 Field = npt.NDArray[np.floating]

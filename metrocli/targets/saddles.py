@@ -5,14 +5,11 @@ Method: docs/algorithms/target-detection.md.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
+from metrocli.imageset import Picture
 
 Array = npt.NDArray[np.float64]
 

@@ -114,9 +114,7 @@ class _Reader:
         if self.unknown or self.unclear:
             return replace(plain, lacks=lacking(self.unknown, self.unclear))
         self._units(acting, used)
-        if self.faults:
-            return None
-        wave = self._tried(used)
+        wave = None if self.faults else self._tried(used)
         if self.faults:
             return None
         first = wave or ()  # amplitude and phase of a wave come first
@@ -225,13 +223,13 @@ class _Reader:
                     self.faults.append(
                         model.fault(ExpressionError(f"unknown variable '{part.name}'", part.start, hint))
                     )
-        for key, names in (("parameters", self.given.parameters), ("scan", self.given.scan)):
-            for name in names:
-                if name not in named:
-                    self._fault(
-                        f"{key}.{name}", f"the parameter '{name}' changes nothing", "use it in `adds`, or leave it out"
-                    )
+        self._idle(name for name in own if name not in named)
         return used
+
+    def _idle(self, names: Iterable[str]) -> None:
+        for name in names:
+            key = "parameters" if name in self.given.parameters else "scan"
+            self._fault(f"{key}.{name}", f"the parameter '{name}' changes nothing", "use it in `adds`, or leave it out")
 
     def _units(self, acting: Acting, used: Mapping[str, Variable]) -> None:
         named = {name: compound(one.unit) for name, one in used.items()}
@@ -267,9 +265,7 @@ class _Reader:
             self.faults.append(model.fault(ExpressionError("this is not 0 where all parameters are 0", 0, hint)))
             return None
         idle = [name for name in (*plausible, *ranges) if name not in trial.moving]
-        for name in idle:
-            key = "parameters" if name in plausible else "scan"
-            self._fault(f"{key}.{name}", f"the parameter '{name}' changes nothing", "use it in `adds`, or leave it out")
+        self._idle(idle)
         still = [name for name in plausible if name not in trial.moving_at_zero and name not in idle]
         wave = is_wave(trial, list(plausible), still)
         for name in still if wave is None else ():

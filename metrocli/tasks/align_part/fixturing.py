@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,10 +15,6 @@ from metrocli.geometry.rotations import cross_matrix, rotation_from_euler, rotat
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.uncertainty.predicted import COMMON, CORE, POINTS_COVARIANCE
 from metrocli.units import SPREAD, format_quantity
-
-if TYPE_CHECKING:
-    pass
-
 
 SUPPORTS = Columns(
     (Column("support", TEXT), Column("x", "length"), Column("y", "length"), Column("z", "length", required=False)),

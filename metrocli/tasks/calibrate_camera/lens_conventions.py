@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,10 +16,6 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.settings import Camera
 from metrocli.tasks.shared.images.camera_parameters import unit_of
-
-if TYPE_CHECKING:
-    pass
-
 
 _Row = tuple[str, str, float, float, str, float, float]
 _COLUMNS = ("form", "parameter", "value", "std", "unit", "residual_rms [px]", "residual_largest [px]")

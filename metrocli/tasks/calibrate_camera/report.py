@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -52,9 +51,6 @@ from metrocli.tasks.shared.statistics import (
 )
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.uncertainty.predicted import POINTS_COVARIANCE
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)

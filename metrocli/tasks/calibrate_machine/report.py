@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -45,9 +45,6 @@ from metrocli.tasks.shared.statistics import (
     with_found,
 )
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
-
-if TYPE_CHECKING:
-    pass
 
 SIGN = "actual minus commanded"
 

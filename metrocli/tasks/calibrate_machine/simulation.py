@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,7 +28,7 @@ from metrocli.instruments.tracer import AIR, POINT, STOP, TRACER, beams, reach_o
 from metrocli.instruments.tracer import chain as length_chain
 from metrocli.instruments.tracker import TRACKER, point_chain, tracker_block
 from metrocli.simulation import Simulation
-from metrocli.table import Table
+from metrocli.table import Table, Values
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.lengths import stop_names, visits
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import path_of
@@ -56,9 +55,6 @@ from metrocli.tasks.job import Job
 from metrocli.tasks.shared.environment import air_of
 from metrocli.tasks.shared.lengths import PathNoise, shared_at_stops, stops_of
 from metrocli.tasks.shared.statistics import CONDITIONS, heading
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _MISALIGNED = np.array([0.01] * 3 + [1e-4] * 5)
 """Standard deviations of the simulated misalignment of a line: three offsets [mm], five angles [rad]"""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,9 +29,6 @@ from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Setting
 from metrocli.tasks.calibrate_machine.tables import grown
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
 from metrocli.tasks.shared.part import Warm
-
-if TYPE_CHECKING:
-    pass
 
 _COMPONENTS = {Quantity.ERROR_MOTION: 6, Quantity.LENGTH: 1}
 """Components of a reading by what it reads; all others have three"""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,10 +14,6 @@ from metrocli.adjust.model.observations import Index, Observations
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments.machine import POSITION, TOOL, ErrorMotion, Machine
-
-if TYPE_CHECKING:
-    pass
-
 
 _POINTS = 300
 """Number of points at which the error in the volume is evaluated"""

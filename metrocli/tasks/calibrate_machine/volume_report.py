@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,10 +15,6 @@ from metrocli.tasks.calibrate_machine.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.settings import Volume
 from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.calibrate_machine.volume import Prediction, grid_of, predict, without_rigid_motion
-
-if TYPE_CHECKING:
-    pass
-
 
 NOT_CONTAINED = (
     "volumetric: errors without shift and rotation of the whole, and the standard uncertainty of their vectors (RMS). "

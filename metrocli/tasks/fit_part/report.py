@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from metrocli.geometry import poses
@@ -18,9 +16,6 @@ from metrocli.tasks.fit_part.solve import Solved
 from metrocli.tasks.fit_part.uncertainty import of_result
 from metrocli.tasks.shared.statistics import Statistics
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
-
-if TYPE_CHECKING:
-    pass
 
 _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
 _NO_CHANCE = 1e-9

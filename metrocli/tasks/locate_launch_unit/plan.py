@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,8 +31,6 @@ from metrocli.tasks.locate_launch_unit.settings import Noise, Planned
 from metrocli.tasks.locate_launch_unit.solve import Located
 from metrocli.units import find_unit
 
-if TYPE_CHECKING:
-    pass
 _SHOWN_OF_LINES = (
     "line", "points", "near", "far", "probability", "probability_at_range", "safe_distance", "probability_aligned",
 )  # fmt: skip

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
@@ -33,9 +31,6 @@ from metrocli.tasks.shared.statistics import (
 )
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.words import listed
-
-if TYPE_CHECKING:
-    pass
 
 UNITS = ("mm", "mm", "mm", "rad")
 _TABLES = {"angles": tuple(lu.ENCODERS), "distances": (lu.DISTANCE,)}

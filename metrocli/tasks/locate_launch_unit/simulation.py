@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +19,6 @@ from metrocli.tasks.locate_launch_unit.readings import ANGLES, Readings
 from metrocli.tasks.locate_launch_unit.settings import Noise, Truth
 from metrocli.tasks.shared.environment import Environment, air_of
 from metrocli.tasks.shared.statistics import CONDITIONS, heading
-
-if TYPE_CHECKING:
-    pass
 
 
 def simulated(

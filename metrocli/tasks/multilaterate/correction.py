@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,9 +20,6 @@ from metrocli.tasks.multilaterate.settings import Correction, Files, Settings
 from metrocli.tasks.shared.part import Part
 from metrocli.uncertainty.predicted import COMMON, CORE
 from metrocli.words import listed
-
-if TYPE_CHECKING:
-    pass
 
 _ELSEWHERE = 0.2
 """Median distance of probing points from their replayed points, as a share of the extent, that is implausible"""

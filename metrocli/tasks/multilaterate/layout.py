@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
-from metrocli.table import Table
+from metrocli.table import Table, Values
 from metrocli.tasks.multilaterate.layout_faults import carries
 from metrocli.tasks.multilaterate.problem import Network, network_of
 from metrocli.tasks.multilaterate.readings import read as read_lengths
@@ -28,10 +27,6 @@ from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.lists import matched
 from metrocli.tasks.shared.part import Part
 from metrocli.uncertainty.predicted import COMMON, CORE
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
-
 
 _REFERENCE_DEGC = 20.0
 """Temperature at the first point (ISO 1)"""

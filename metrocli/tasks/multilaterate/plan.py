@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,9 +28,6 @@ from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontroll
 from metrocli.tasks.shared.statistics import estimates_of_block
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.units import roughly
-
-if TYPE_CHECKING:
-    pass
 
 _HEAD = "tracers, and distances of points along lines through the volume:"
 _FEWEST_CHECKED = 4

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -44,9 +43,6 @@ from metrocli.tasks.shared.statistics import (
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.uncertainty.predicted import COMMON, CORE
 from metrocli.words import listed
-
-if TYPE_CHECKING:
-    pass
 
 _UNITS = ("mm", "mm", "mm", "mm", "")
 _INDEPENDENT = (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,9 +24,6 @@ from metrocli.tasks.shared.environment import Air, air_of
 from metrocli.tasks.shared.lengths import LengthNoise, PathNoise, shared_at_stops, stops_of
 from metrocli.tasks.shared.lists import listed_places, matched
 from metrocli.tasks.shared.statistics import CONDITIONS, heading
-
-if TYPE_CHECKING:
-    pass
 
 
 def simulated(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -18,12 +17,10 @@ from metrocli.frozen import dataclass
 from metrocli.geometry.poses import EULER
 from metrocli.result import Result
 from metrocli.settings import Placed
+from metrocli.tasks.report_uncertainty.entries import Contributor, Entries
 from metrocli.tasks.report_uncertainty.values import contributors, identity, shared
 from metrocli.uncertainty.volume import AXES, Contribution, grid, of_models, of_pose
 from metrocli.words import suggestion
-
-if TYPE_CHECKING:
-    from metrocli.tasks.report_uncertainty.entries import Contributor, Entries
 
 Array = npt.NDArray[np.float64]
 PLACES = ("X", "Y", "Z")

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.frozen import dataclass
 from metrocli.table import Table
-
-if TYPE_CHECKING:
-    pass
 
 _MOST = 1400
 """Largest number of sites of which all pairs are calculated"""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,9 +20,6 @@ from metrocli.tasks.selfcal_grid.readings import Readings
 from metrocli.tasks.selfcal_grid.settings import Settings, turn_in_words
 from metrocli.tasks.selfcal_grid.simulation import balls_on, views_on_the_grid
 from metrocli.tasks.selfcal_grid.solve import design
-
-if TYPE_CHECKING:
-    pass
 
 _TRIED = 5
 """Largest number of balls per side of the grid on which sets of views are compared; noise gains hardly depend on it"""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,9 +27,6 @@ from metrocli.tasks.shared.statistics import Statistics, basic_statistics, noise
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.units import find_unit, with_std
 from metrocli.words import in_a_row
-
-if TYPE_CHECKING:
-    pass
 
 _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
 _KEPT = 4_000_000

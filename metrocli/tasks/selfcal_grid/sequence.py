@@ -9,8 +9,6 @@ increases its noise gain.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from metrocli.adjust.coupled_fields import Design, adjust_fields, design_of
@@ -25,9 +23,6 @@ from metrocli.geometry.poses import rotation_of
 from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid.problem import Problem
-
-if TYPE_CHECKING:
-    pass
 
 _DRAWS = 20
 

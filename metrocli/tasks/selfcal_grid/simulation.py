@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +19,6 @@ from metrocli.table import Table
 from metrocli.tasks.selfcal_grid.problem import LENGTHS, build
 from metrocli.tasks.selfcal_grid.readings import read
 from metrocli.tasks.selfcal_grid.settings import GridSimulation, Settings, views_of
-
-if TYPE_CHECKING:
-    pass
 
 _FILE_UNITS = {"x": "mm", "y": "mm", "z": "mm", "t": "s", "temp": "degC"}
 

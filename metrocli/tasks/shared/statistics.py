@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +15,6 @@ from metrocli.result import Estimate, Scalar
 from metrocli.table import Table
 from metrocli.tasks.shared.noise import DECLARED, NoiseFound, Structured
 from metrocli.words import listed
-
-if TYPE_CHECKING:
-    pass
 
 _ABSURD = 10.0
 """A larger sigma0 means a wrong model or gross errors, not noise"""

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 from metrocli import units
 from metrocli.frozen import dataclass
 from metrocli.table import Table
-
-if TYPE_CHECKING:
-    pass
 
 TABLE = "not_controlled"
 """Name of the table in results and plans"""

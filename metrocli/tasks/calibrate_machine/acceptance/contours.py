@@ -5,8 +5,6 @@ The tables are quasi-static: what the drives do at a feed, and the reversal betw
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
@@ -15,9 +13,6 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.acceptance.positioning import COVERAGE
 from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.calibrate_machine.volume import predict
-
-if TYPE_CHECKING:
-    pass
 
 DIAGONALS = {"PPP": (1, 1, 1), "NPP": (-1, 1, 1), "PNP": (1, -1, 1), "NNP": (-1, -1, 1)}
 """The body diagonals of ISO 230-6 by the direction of travel along X, Y, Z"""

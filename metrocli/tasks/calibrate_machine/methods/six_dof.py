@@ -6,8 +6,6 @@ If all tables are zero, two face diagonals d1, d2 give `C0Y = (d2^2 - d1^2) / (4
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
@@ -27,7 +25,7 @@ from metrocli.instruments.six_dof import (
     line_block,
     line_chain,
 )
-from metrocli.table import Table
+from metrocli.table import Table, Values
 from metrocli.tasks.calibrate_machine.iso230 import Run
 from metrocli.tasks.calibrate_machine.problem import (
     SIDES,
@@ -43,9 +41,6 @@ from metrocli.tasks.calibrate_machine.problem import (
 )
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.words import suggestion
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 READINGS = "lines"
 DIRECTIONS = {"x": (0,), "y": (1,), "z": (2,), "xy": (0, 1), "yz": (1, 2), "xz": (0, 2)}

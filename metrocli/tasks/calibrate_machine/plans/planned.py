@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -33,10 +32,6 @@ from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.tables import Determination, Tables, tables_of, unit_of
 from metrocli.tasks.calibrate_machine.volume_report import volume_tables
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
-
-if TYPE_CHECKING:
-    pass
-
 
 _MARGIN = 0.97
 """The search stops at this share of the wanted ratio, since the ratio of the final path differs a little"""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,9 +24,6 @@ from metrocli.tasks.calibrate_machine.problem import Problem, machine_of, tools_
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.volume import grid_of, spread_over
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
-
-if TYPE_CHECKING:
-    pass
 
 _FEWEST, _GROWTH, _MOST = 12, 1.25, 5000
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.table import Table
@@ -15,10 +15,6 @@ from metrocli.tasks.multilaterate.features.minimum_zone import minimum_zone
 from metrocli.tasks.multilaterate.features.wanted import Wanted
 from metrocli.tasks.multilaterate.probed.tips import Joint
 from metrocli.words import listed
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
 
 FEATURES, POINTS, COVARIANCE = "features", "features_points", "features_covariance"
 _ALL = (*NUMBERS, "form")

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
@@ -13,13 +13,8 @@ from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.tasks.shared.lists import sigmas
+from metrocli.tasks.shared.part import Part
 from metrocli.words import nearest
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
-    from metrocli.tasks.shared.part import Part
-
 
 ANY = -1
 """Tip of a replayed point that no file assigns to one"""

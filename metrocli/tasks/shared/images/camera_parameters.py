@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,9 +16,6 @@ from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.lens import DISTORTION, PIXELS
 from metrocli.table import Table
-
-if TYPE_CHECKING:
-    pass
 
 HIGH = 0.95
 """Correlations larger than this in magnitude are reported."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, UsageError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
+from metrocli.imageset import Picture
 from metrocli.instruments.camera import TARGET
 from metrocli.instruments.lens import ideal_point, image_point
 from metrocli.table import Table
@@ -28,10 +28,6 @@ from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.target_list import Targets
 from metrocli.tasks.shared.statistics import CONDITIONS
-
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
-
 
 _MARGIN = 2.0
 """Least distance of a target from the border of the image [px]"""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +13,6 @@ from metrocli.adjust.robust import Suspects
 from metrocli.table import Table
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.statistics import beyond_bound
-
-if TYPE_CHECKING:
-    pass
 
 _VIEW_SUSPECT = 2.5
 """A warning names images whose RMS is more than this many times the median."""
