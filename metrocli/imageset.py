@@ -3,15 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Protocol
 
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
-    Picture = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
-else:  # settings name it, and are read without numpy
-    Picture = Any
+from metrocli.arrays import Picture
 
 
 class ImageSet(Protocol):

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from dataclasses import field
 from typing import Any
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.record import InputFile
-from metrocli.table import Array, Table
+from metrocli.table import Table
 
 Scalar = float | int | str | bool
 SCALE = "scale"

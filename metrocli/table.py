@@ -6,19 +6,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from typing import TYPE_CHECKING, Any
 
+from metrocli.arrays import Array, Bytes, Texts, Values
 from metrocli.errors import Fault
 from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
     from metrocli.units import Range
-
-    Array = npt.NDArray[np.float64]
-    Values = npt.NDArray[np.float64] | npt.NDArray[np.int64] | npt.NDArray[np.str_] | npt.NDArray[np.bool_]
-else:  # numpy takes longer to load than a job that is up to date
-    Array = Values = Any
 
 TEXT, WHOLE, NUMBER = "text", "whole", "number"
 """Dimensions of columns without a unit; every other dimension is a name in `metrocli.units.DIMENSIONS`."""
@@ -173,7 +166,7 @@ class Table:
         return [*found, self.fault(f"and {rest} more like these")] if rest else found
 
 
-def ascii_letters(values: npt.NDArray[np.str_]) -> npt.NDArray[np.uint8] | None:
+def ascii_letters(values: Texts) -> Bytes | None:
     """Return the letters of texts with zeros after the short ones, (texts, letters); None unless all are ASCII.
 
     Whole columns so become bytes many times faster than text by text.

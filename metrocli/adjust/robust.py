@@ -13,12 +13,12 @@ import numpy as np
 from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.medians import median
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.probabilities import normal_bound, student_bound
 from metrocli.adjust.solution import Residuals
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
 _MAD = 1.4826

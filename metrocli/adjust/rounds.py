@@ -13,12 +13,13 @@ import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import Suspects
 from metrocli.adjust.solution import Residuals, Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 

@@ -8,8 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.model.blocks import Array, Space
+from metrocli.adjust.model.blocks import Space
 from metrocli.adjust.model.chain import Link
+from metrocli.arrays import Array
 from metrocli.expressions.written import OfUnit
 from metrocli.frozen import dataclass
 from metrocli.settings import Number, Quantity, Spec, Text

@@ -7,10 +7,11 @@ from collections.abc import Iterable
 import numpy as np
 
 from metrocli import units
+from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports import Exported
 from metrocli.exports.compensation import Control, Texts
-from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
+from metrocli.exports.error_tables import AXES, Curve, ErrorTables
 from metrocli.exports.volumetric import chain_note, moved_by_errors
 from metrocli.result import Result
 from metrocli.table import Table

@@ -10,9 +10,9 @@ from xml.etree import ElementTree as ET
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
-import numpy.typing as npt
 
 from metrocli import units
+from metrocli.arrays import Array
 from metrocli.errors import Fault
 from metrocli.record import Record
 
@@ -152,9 +152,9 @@ def _probability_text(probability: float) -> str:
 
 def real_list(
     to: Element,
-    values: npt.NDArray[np.float64],
+    values: Array,
     unit: str,
-    spreads: npt.NDArray[np.float64] | None = None,
+    spreads: Array | None = None,
     k: float = 2.0,
     probability: float = 1.0,
 ) -> None:
@@ -172,11 +172,11 @@ def real_list(
     _texts(held, {"valueExpandedMUXMLList": _numbers(spreads, form), **coverage})
 
 
-def _numbers(values: npt.NDArray[np.float64], form: str) -> str:
+def _numbers(values: Array, form: str) -> str:
     return " ".join(format(one, form) for one in values.tolist())
 
 
-def _form(values: npt.NDArray[np.float64], spreads: npt.NDArray[np.float64]) -> str:
+def _form(values: Array, spreads: Array) -> str:
     """Return the form of numbers that shows two digits of the smallest uncertainty that is not zero."""
     positive = spreads[spreads > 0]
     if not len(positive):

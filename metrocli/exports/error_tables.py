@@ -7,13 +7,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.table import Table
-
-Array = npt.NDArray[np.float64]
 
 AXES = "XYZ"
 SIGN = "sign: actual minus commanded"

@@ -7,9 +7,10 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
+from metrocli.exports.error_tables import AXES, Curve, ErrorTables
 from metrocli.result import Result
 
 _EVEN = 1e-6

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from metrocli.result import Array, Result
+from metrocli.arrays import Array
+from metrocli.result import Result
 
 _CROSS = ("views_lens_covariance",)
 """Covariances between two different sets of quantities, which need not be symmetric"""

@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from metrocli import copies, units
+from metrocli.arrays import Array, Values
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_plain import PlainCells, plain_cells
 from metrocli.formats.csv_text import Raw, read_text, repeated, shortened, taken_apart
 from metrocli.formats.file_bytes import FileBytes
-from metrocli.table import NUMBER, TEXT, WHOLE, Array, Column, Columns, Table, Values
+from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 from metrocli.words import nearest
 
 LONGEST_TEXT = 200

@@ -12,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
+from metrocli.arrays import Values
 from metrocli.copies import row_hashes
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_plain import PlainCells
 from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.frozen import dataclass
-from metrocli.table import Columns, Table, Values
+from metrocli.table import Columns, Table
 
 MOST_FAULTS = 20
 MOST_COLUMNS = 5000

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from metrocli.arrays import Array
 
 
 def wrapped(angle: Array | float) -> Array:

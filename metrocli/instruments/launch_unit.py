@@ -11,9 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain, Link, Local, Step
 from metrocli.adjust.model.quantities import OfBlock, Quantity
+from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments.frames import PointOf
 from metrocli.instruments.tracer import AIR

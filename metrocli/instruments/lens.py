@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.quantities import OfBlock, Quantity
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
 RADIAL, RATIONAL = ("k1", "k2", "k3"), ("k4", "k5", "k6")

@@ -14,10 +14,10 @@ from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Local, Step
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
 AXES = ("X", "Y", "Z")

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli.adjust.allowance import take
-from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.chain import Link, Local, Step
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.model.quantities import OfBlock, Quantity
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix, nearest_rotation

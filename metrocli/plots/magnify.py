@@ -6,8 +6,8 @@ import math
 import re
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index
 from metrocli.units import sized
 
 
@@ -42,9 +42,6 @@ def micro(text: str) -> str:
     """Return a text whose units are printed with the sign µ: "0.21 µm", "17 µrad"."""
     return re.sub(r"\bu(?=(m|rad)\b)", "µ", text)
 
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 MOST = 800
 """Most marks of one figure"""

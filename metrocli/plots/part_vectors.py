@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.plots import labels
 from metrocli.plots.magnify import in_words, length_in_words, magnification, thinned_vectors, words
-from metrocli.plots.noise_bands import Array
 from metrocli.plots.places import Places, places_of
 from metrocli.plots.style import OUTLINE, SIZES, Canvas, arrows
 from metrocli.result import Result

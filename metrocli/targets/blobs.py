@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.imageset import Picture
+from metrocli.arrays import Picture
 from metrocli.targets.ellipse import Ellipse
 
 SMALLEST = 3.0

@@ -9,16 +9,13 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from metrocli.imageset import Picture
+from metrocli.arrays import Array, Picture
 from metrocli.targets.blobs import eight_bit
 from metrocli.targets.find import Sightings, nothing, points
 from metrocli.targets.lattice import homography, order_fault, projected
 from metrocli.targets.pattern import Pattern, lattice, names
 from metrocli.targets.saddles import WINDOW, fit_grid
-
-Array = npt.NDArray[np.float64]
 
 FEWEST = 6
 """Corners that must be found before their order can be checked."""

@@ -9,14 +9,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.imageset import Picture
+from metrocli.arrays import Array, Picture
 from metrocli.targets.blobs import eight_bit
 from metrocli.targets.find import Sightings, nothing, points
 from metrocli.targets.lattice import order_fault, ordered
 from metrocli.targets.pattern import Pattern, lattice, names
 from metrocli.targets.saddles import fit_grid
-
-Array = npt.NDArray[np.float64]
 
 LEAST_SIDE = 32
 """Images with a shorter side are not searched: OpenCV's search fails on them."""

@@ -6,16 +6,13 @@ Method: docs/algorithms/target-detection.md.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from metrocli.imageset import Picture
+from metrocli.arrays import Picture
 from metrocli.targets import blobs, ellipses
 from metrocli.targets.ellipse import Ellipse
 from metrocli.targets.find import Sightings, nothing, of_ellipses
 from metrocli.targets.lattice import ordered
 from metrocli.targets.pattern import Pattern, lattice, names
-
-Array = npt.NDArray[np.float64]
 
 
 def find(pattern: Pattern, picture: Picture) -> Sightings:

@@ -9,17 +9,14 @@ from collections import Counter
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from metrocli.imageset import Picture
+from metrocli.arrays import Array, Picture
 from metrocli.targets import blobs, ellipses
 from metrocli.targets.codes import BITS, RING_FROM, RING_TO, canonical, codes
 from metrocli.targets.ellipse import Ellipse
 from metrocli.targets.ellipses import Fitted
 from metrocli.targets.find import Sightings, nothing, of_ellipses
 from metrocli.targets.pattern import Pattern
-
-Array = npt.NDArray[np.float64]
 
 REACH = 1.5
 """Limit of the fit of the dot, in semi-axes: half way to the ring."""

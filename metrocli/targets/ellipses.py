@@ -9,13 +9,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtr
 
-from metrocli.imageset import Picture
+from metrocli.arrays import Array, Picture
 from metrocli.targets.ellipse import Ellipse
-
-Array = npt.NDArray[np.float64]
 
 OUTSIDE = 3.5
 """How far outside the edge pixels are used, in pixels: the blur of the edge does not reach farther."""

@@ -8,14 +8,11 @@ from importlib import import_module
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index, Picture
 from metrocli.frozen import dataclass
-from metrocli.imageset import Picture
 from metrocli.targets.ellipses import Fitted
 from metrocli.targets.pattern import Pattern
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -37,7 +34,7 @@ class Sightings:
     def __len__(self) -> int:
         return len(self.targets)
 
-    def __getitem__(self, rows: Sequence[int] | npt.NDArray[np.intp]) -> Sightings:
+    def __getitem__(self, rows: Sequence[int] | Index) -> Sightings:
         """Return the sightings of these rows."""
         rows = np.asarray(rows, dtype=np.intp)
         names = tuple(self.targets[row] for row in rows)

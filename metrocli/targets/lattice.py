@@ -11,7 +11,8 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from metrocli.arrays import Array
+
 Whole = npt.NDArray[np.int64]
 
 NEAR = 0.3

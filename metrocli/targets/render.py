@@ -7,11 +7,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.arrays import Array, Picture
 from metrocli.frozen import dataclass
-from metrocli.imageset import Picture
 from metrocli.targets.drawings import Drawing, inside
 
-Array = npt.NDArray[np.float64]
 Field = npt.NDArray[np.floating]
 Rays = Callable[[Array], Array]
 """Function from pixel coordinates (n, 2) to unit directions (n, 3) in the camera's frame (inverse lens model)."""

@@ -16,15 +16,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.uncertainty.samples import Binned, Counts, Edges, Sample, Sorted
 from metrocli.uncertainty.trials import Batch, Plan, Tally, Work, counted
 from metrocli.uncertainty.workers import Workers
 
-Array = npt.NDArray[np.float64]
 KEPT, KEPT_VALUES = 2_000_000, 8_000_000
 """Largest number of trials of which all values are kept, and of values of all measurands together"""
 CHUNKS_OF_A_BATCH, PILOT = 100, 10

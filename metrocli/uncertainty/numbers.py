@@ -7,19 +7,18 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index
 from metrocli.expressions.expression import NEGATIVE, Expression, Part
 from metrocli.frozen import dataclass
 
-Array = npt.NDArray[np.float64]
 PROBABILITY = 0.954499736
 """That of two standard deviations of a normal distribution"""
 COVERAGE = (2.0, 2.4860, 2.8329)
 """k of one, two and three components of a deviation with infinitely many degrees of freedom (JCGM 102, 6.5.3)"""
 
 
-def factor(components: npt.NDArray[np.intp] | int, dof: Array | float) -> Array:
+def factor(components: Index | int, dof: Array | float) -> Array:
     """Return the k of deviations of 0 to 3 components: `k^2 = q F_p(q, dof)`, for q = 1 the t factor (GUM G.6.4).
 
     With a covariance from `dof` degrees of freedom the square of a deviation, divided by q, has that F distribution.

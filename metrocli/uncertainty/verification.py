@@ -6,8 +6,8 @@ from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
@@ -21,7 +21,6 @@ from metrocli.uncertainty.predicted import Places
 from metrocli.units import find_unit
 from metrocli.units.ranges import Range, range_of
 
-Array = npt.NDArray[np.float64]
 _ROUNDING = 1e-9
 """Share of the largest eigenvalue of a covariance below which others are rounding, and rounding of coordinates [mm]"""
 _FLAT = 1e-6

@@ -13,7 +13,7 @@ import pytest
 from places import DOCS, SAMPLES
 from simulated import lengths as simulated_lengths
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.cli.commands import run
 from metrocli.diagnosis.linear.scans import thinned
 from metrocli.effects.acting import Acting, seen_from

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.chain import Chain, Local, Step
-from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import OfBlock, Quantity
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
 

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, Linear
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.sparse.nested_dissection import Sparse
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
 

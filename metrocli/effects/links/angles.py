@@ -7,9 +7,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step, through
 from metrocli.adjust.model.quantities import AtQuantity, OfBlock, Quantity
+from metrocli.arrays import Array
 from metrocli.effects.acting import components
 from metrocli.effects.effect import ELAPSED
 from metrocli.effects.links.own import OwnTerms

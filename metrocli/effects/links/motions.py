@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.adjust.model.quantities import OfBlock, Quantity
+from metrocli.arrays import Array
 from metrocli.effects.effect import ELAPSED
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import cross_matrix

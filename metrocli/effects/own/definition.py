@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.effects.acting import ALONG, Acting
 from metrocli.effects.effect import Parameter
 from metrocli.errors import Fault

@@ -7,9 +7,10 @@ from contextlib import suppress
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Link, Local, Step
 from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array
 from metrocli.effects.acting import Acting, Variable
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.expressions.derivatives import Jets, NoValueError

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.plots.against import CAPTION, LABELS, Panel, draw_panel, panel_of
 from metrocli.plots.beside import Beside
-from metrocli.plots.magnify import MOST, Index, words
-from metrocli.plots.noise_bands import Array, trend
+from metrocli.plots.magnify import MOST, words
+from metrocli.plots.noise_bands import trend
 from metrocli.plots.readings import Residuals, residuals_of
 from metrocli.plots.style import Canvas
 from metrocli.result import Result

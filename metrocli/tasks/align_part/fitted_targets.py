@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, prior_of_members, priors
-from metrocli.adjust.model.observations import Mask
+from metrocli.arrays import Array, Mask
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.result import Result

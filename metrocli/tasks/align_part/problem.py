@@ -7,10 +7,9 @@ from dataclasses import field, replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.effects.extension import with_known_effect
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled

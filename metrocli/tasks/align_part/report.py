@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli.adjust.adjustment import covariance_at
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.solution import Residuals, Solution
+from metrocli.arrays import Array
 from metrocli.effects.estimates import estimates as effect_estimates
 from metrocli.effects.estimates import free_blocks
 from metrocli.effects.estimates import tables as effect_results

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera

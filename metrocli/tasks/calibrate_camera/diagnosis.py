@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model

@@ -10,7 +10,7 @@ import numpy as np
 
 from metrocli import units
 from metrocli.adjust.adjustment import adjust
-from metrocli.adjust.model.blocks import Array, Mask
+from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments import camera
 from metrocli.instruments.camera import TARGET

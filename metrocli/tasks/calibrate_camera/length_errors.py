@@ -10,9 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments.camera import TARGET

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.schur.covariance import Covariance
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array
 from metrocli.instruments import camera
 from metrocli.instruments.conventions import Photogrammetric, converted, photogrammetric
 from metrocli.instruments.lens import PRISM, RATIONAL

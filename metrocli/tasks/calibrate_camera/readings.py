@@ -8,7 +8,8 @@ import numpy as np
 
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Index
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.instruments import camera
 from metrocli.instruments.frames import DistanceBetween

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.schur.covariance import Covariance
 from metrocli.adjust.solution import Residuals, Solution
+from metrocli.arrays import Array, Index
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses

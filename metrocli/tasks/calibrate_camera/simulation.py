@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.effects.model import Model, Place
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass

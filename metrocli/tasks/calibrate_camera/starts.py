@@ -13,9 +13,10 @@ import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import gross, robust_start
+from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_vector

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.clusters.robust import Clusters
-from metrocli.adjust.model.blocks import Array, Space
+from metrocli.adjust.model.blocks import Space
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
 from metrocli.effects.effect import ELAPSED, WARMING, Effect
 from metrocli.effects.estimates import free_blocks

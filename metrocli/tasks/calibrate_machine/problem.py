@@ -8,10 +8,10 @@ from typing import Self
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, prior
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index, Mask
 from metrocli.effects.acting import NOMINAL
 from metrocli.effects.extension import extended
 from metrocli.effects.model import Model, Place

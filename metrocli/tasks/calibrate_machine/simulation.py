@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index, Values
 from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
 from metrocli.effects.model import Model
@@ -28,7 +27,7 @@ from metrocli.instruments.tracer import AIR, POINT, STOP, TRACER, beams, reach_o
 from metrocli.instruments.tracer import chain as length_chain
 from metrocli.instruments.tracker import TRACKER, point_chain, tracker_block
 from metrocli.simulation import Simulation
-from metrocli.table import Table, Values
+from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.lengths import stop_names, visits
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import path_of

@@ -11,8 +11,9 @@ from enum import StrEnum
 import numpy as np
 
 from metrocli.adjust.dense_jacobian import Unknowns, covariance_of, unknowns_of
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import SQUARENESS, SQUARENESS_NAMES, TOOL, Axis, Machine, errors_of, is_angle
 from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS

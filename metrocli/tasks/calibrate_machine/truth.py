@@ -7,11 +7,12 @@ from dataclasses import field, replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array, Index
 from metrocli.effects.model import Model
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import (

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from metrocli.adjust.small_programmes import Optimum, highest, quadratic
+from metrocli.arrays import Array, Index
 from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.geometry.surfaces import Array, Index
 from metrocli.tasks.fit_part.fit import MOST, SLACK, Aim, Fit, convex
 from metrocli.tasks.fit_part.uncertainty import Sensitivity, gradient_by_point, sensitivity
 from metrocli.uncertainty.predicted import Places

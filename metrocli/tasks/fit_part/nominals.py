@@ -6,11 +6,11 @@ from dataclasses import field, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.geometry.nearest_triangles import Nearest, Search
-from metrocli.geometry.surfaces import Array, Index, Shape, Surfaces
+from metrocli.geometry.surfaces import Shape, Surfaces
 from metrocli.geometry.triangles import Triangles
 from metrocli.tasks.fit_part.levels import LIMIT, medians, robust_step, scatter_of
 from metrocli.tasks.fit_part.stock import Apart, Stock
@@ -24,7 +24,7 @@ _EACH = 500
 """Points of each patch from which the levels are found, at most"""
 
 
-def on_own_patches(stock: Stock, patches: Apart, into: Array) -> tuple[Stock, npt.NDArray[np.bool_]]:
+def on_own_patches(stock: Stock, patches: Apart, into: Array) -> tuple[Stock, Mask]:
     """Return points on patches that are alone, each on the one nearby whose level it has, and which have one (n,).
 
     The levels are medians after a robust step of the pose (6,) in which each patch has its own. With some points of
@@ -166,7 +166,7 @@ class OfMesh:
         self.before[len(points)] = found
         return found
 
-    def may_be_within(self, points: Array, limit: float) -> npt.NDArray[np.bool_]:
+    def may_be_within(self, points: Array, limit: float) -> Mask:
         """Return whether the mesh may be nearer to points (n, 3) than a limit."""
         return self._search.may_be_within(points, limit)
 

@@ -7,11 +7,10 @@ from dataclasses import field
 from fnmatch import fnmatchcase
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import Fault, InputError, all_faults
 from metrocli.frozen import dataclass
-from metrocli.geometry.surfaces import Array, Index
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.fit_part.settings import Settings
@@ -41,7 +40,7 @@ class Points:
         """Covariance of each point (n, 3, 3) mm^2."""
         return self.places.covariance
 
-    def of(self, rows: npt.NDArray[np.bool_]) -> Points:
+    def of(self, rows: Mask) -> Points:
         """Return some of the points."""
         names = tuple(name for name, kept in zip(self.names, rows.tolist(), strict=True) if kept)
         return Points(names, self.places.of(rows))
@@ -149,7 +148,7 @@ def _measured(settings: Settings, points: Table | Result, table: Table) -> Point
     return Points(names, independent(table.stacked(("x", "y", "z")), sigma[:, :, None] ** 2 * np.eye(3)))
 
 
-def _chosen_targets(settings: Settings, table: Table) -> npt.NDArray[np.bool_]:
+def _chosen_targets(settings: Settings, table: Table) -> Mask:
     names = table.texts("point")
     chosen = np.zeros(len(names), dtype=bool)
     faults = []

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from metrocli import units
+from metrocli.arrays import Mask
 from metrocli.errors import NotConvergedError
 from metrocli.table import Table
 from metrocli.tasks.fit_part.contradiction import motions_without
@@ -62,7 +62,7 @@ def notes(solved: Solved, holding: Table) -> Iterator[str]:
         yield drawn
 
 
-def exchanged(solved: Solved, low: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def exchanged(solved: Solved, low: Mask) -> Mask:
     """Return which of the low points (n,) others can stand for: their rows depend on those of the others.
 
     A point that is as low by chance, such as one that ends a motion which no other holds, has a dual of 0 alone.

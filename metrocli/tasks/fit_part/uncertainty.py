@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix
-from metrocli.geometry.surfaces import Array
 from metrocli.tasks.fit_part.fit import MOST, Aim, Fit
 from metrocli.uncertainty.predicted import Places
 

@@ -10,10 +10,9 @@ import numpy as np
 from metrocli import units
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.clusters.robust import Clusters
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered, PerReading
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.estimates import free_blocks

@@ -7,7 +7,7 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.instruments import launch_unit as lu
 from metrocli.tasks.locate_launch_unit.lines import Line, Reach, across

@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.adjustment import adjust
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
-from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.adjust.robust import critical_value
 from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.arrays import Array, Index
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
 from metrocli.frozen import dataclass

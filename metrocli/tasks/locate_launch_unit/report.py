@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import minimal_detectable
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
+from metrocli.arrays import Array
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments import launch_unit as lu

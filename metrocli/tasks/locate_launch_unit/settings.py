@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.nc_program import CONTROLS
 from metrocli.settings import Choice, Flag, ListOf, Number, Quantity, Section, TableFile, setting

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli.adjust.adjustment import adjust
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
+from metrocli.arrays import Array
 from metrocli.effects.estimates import absorbed
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError

@@ -10,10 +10,10 @@ from random import Random
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.robust import robust_start
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t

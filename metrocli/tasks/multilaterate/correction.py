@@ -7,9 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from metrocli.adjust.medians import median
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t

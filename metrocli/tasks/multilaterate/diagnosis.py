@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.clusters.robust import Clusters
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, ReadBlock
-from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
 from metrocli.effects.acting import NOMINAL
 from metrocli.effects.effect import ELAPSED, WARMING

@@ -9,14 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.adjustment import covariance_at
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Values
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
-from metrocli.table import Table, Values
+from metrocli.table import Table
 from metrocli.tasks.multilaterate.layout_faults import carries
 from metrocli.tasks.multilaterate.problem import Network, network_of
 from metrocli.tasks.multilaterate.readings import read as read_lengths

@@ -12,9 +12,9 @@ from itertools import product
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.robust import critical_value
 from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.arrays import Array
 from metrocli.effects.estimates import estimates
 from metrocli.errors import UndeterminedError
 from metrocli.instruments import tracer as t

@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
-from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.rounds import Aspect
+from metrocli.arrays import Array, Index, Mask
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
 from metrocli.frozen import dataclass

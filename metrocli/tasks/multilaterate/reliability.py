@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import minimal_detectable
 from metrocli.adjust.solution import Residuals, Solution, place_in_tiles
+from metrocli.arrays import Array
 from metrocli.errors import InputError, UsageError
 from metrocli.instruments import tracer as t
 from metrocli.result import Estimate, Result

@@ -9,12 +9,12 @@ import numpy as np
 
 from metrocli.adjust.adjustment import covariance_at
 from metrocli.adjust.medians import median
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Mask
 from metrocli.adjust.robust import as_likely, critical_value
 from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
+from metrocli.arrays import Array, Mask
 from metrocli.effects.estimates import absorbed
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass

@@ -7,8 +7,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.copies import first_run, row_hashes
 from metrocli.errors import Fault
 from metrocli.frozen import dataclass
@@ -87,8 +87,6 @@ def contradiction(error: NotSemiDefiniteError, declared: Sequence[Placed], other
     said = f"these correlations contradict each other: {', '.join(each)} (smallest eigenvalue {error.eigenvalue:.3g})"
     return pairs[0].node.fault(said, hint)
 
-
-Array = npt.NDArray[np.float64]
 
 _FEWEST = 3
 """Fewest readings of a run"""

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.errors import Fault, InputError
 from metrocli.expressions.derivatives import NoValueError
 from metrocli.expressions.dimensions import compound, described, unit_of
@@ -22,7 +22,6 @@ from metrocli.tasks.report_uncertainty.values import contributors, identity, sha
 from metrocli.uncertainty.volume import AXES, Contribution, grid, of_models, of_pose
 from metrocli.words import suggestion
 
-Array = npt.NDArray[np.float64]
 PLACES = ("X", "Y", "Z")
 """Names of a point's coordinates in the models of contributors"""
 

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.expressions.dimensions import converted
 from metrocli.expressions.expression import Expression, parse
 from metrocli.frozen import dataclass
@@ -33,7 +33,6 @@ from metrocli.uncertainty.volume import AXES, Contribution, Extremes, by_source,
 from metrocli.uncertainty.workers import Workers
 from metrocli.units import two_digits
 
-Array = npt.NDArray[np.float64]
 PLAIN = (
     "k",
     "dof",

@@ -11,10 +11,9 @@ from metrocli.adjust.clusters.robust import MOST, growth, must_be_few, must_suff
 from metrocli.adjust.clusters.rows import rows_of_table
 from metrocli.adjust.clusters.sample import Sample
 from metrocli.adjust.coupled_fields import CorrelatedDesign, FieldSolution, adjust_fields
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain
-from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.extension import with_conditions

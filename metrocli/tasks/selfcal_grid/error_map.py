@@ -13,8 +13,7 @@ from itertools import product
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import InputError, UsageError
 from metrocli.frozen import dataclass
 from metrocli.instruments.ball_grid import numbers_at

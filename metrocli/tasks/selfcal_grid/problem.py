@@ -10,10 +10,11 @@ from typing import Self
 import numpy as np
 
 from metrocli.adjust.coupled_fields import Design, Fields
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array, Index, Mask
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
 from metrocli.errors import InputError

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Mask
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index, Mask
 from metrocli.effects.estimates import estimates
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.frozen import dataclass

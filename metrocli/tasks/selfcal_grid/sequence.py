@@ -12,11 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from metrocli.adjust.coupled_fields import Design, adjust_fields, design_of
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.sparse.bordered_factor import BorderedFactor, bordered_factor
 from metrocli.adjust.sparse.nested_dissection import Sparse
 from metrocli.adjust.sparse.partition import Partition
+from metrocli.arrays import Array, Index
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry.poses import rotation_of

@@ -8,8 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.ball_grid import View

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid.determination.undetermined import Open
 from metrocli.tasks.selfcal_grid.problem import Problem

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array
 from metrocli.errors import InputError, all_faults
 from metrocli.frozen import dataclass
 from metrocli.instruments.air import CIDDOR, EDLEN, STANDARD_CARBON_DIOXIDE, Weather, index

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Mask
 from metrocli.adjust.schur.covariance import Covariance
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.uncertainty.comparison import OWED, SHARED

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Link, Local, Step
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array
 from metrocli.effects.acting import Acting, Variable, beam_from, scalar, seen_from
 from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, change_points, sizes
 from metrocli.effects.links.lengths import AirGradient, BeamScale, LengthJump, LengthOffset, LengthTerms, TracerDrift

@@ -8,11 +8,11 @@ from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, prior, prior_of_members
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.rounds import in_rounds
 from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.arrays import Array, Index
 from metrocli.effects.model import Model
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass

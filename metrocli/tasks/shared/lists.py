@@ -8,8 +8,8 @@ from itertools import repeat
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import TIME, Index, Mask
+from metrocli.adjust.model.observations import TIME
+from metrocli.arrays import Array, Index, Mask
 from metrocli.copies import row_hashes
 from metrocli.errors import InputError
 from metrocli.table import MOST_FAULTS, Column, Table

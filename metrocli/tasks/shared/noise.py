@@ -11,10 +11,9 @@ from typing import Protocol, Self, TypeVar
 import numpy as np
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, Clusters, cluster_robust
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.rounds import in_rounds, variance_component
 from metrocli.adjust.solution import Residuals, Solution
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.result import Scalar
 from metrocli.settings import Choice, setting

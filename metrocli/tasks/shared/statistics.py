@@ -8,9 +8,10 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Array, Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.probabilities import chi_square_bound
 from metrocli.adjust.solution import Residuals, Solution
+from metrocli.arrays import Array
 from metrocli.result import Estimate, Scalar
 from metrocli.table import Table
 from metrocli.tasks.shared.noise import DECLARED, NoiseFound, Structured

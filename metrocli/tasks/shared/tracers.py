@@ -10,9 +10,10 @@ import numpy as np
 from metrocli import units
 from metrocli.adjust.allowance import take
 from metrocli.adjust.medians import median
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
-from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import Fault, InputError, UndeterminedError, all_faults
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from simulated import machine as sim
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.errors import UndeterminedError
 from metrocli.instruments.machine_path import Path
 from metrocli.tasks.calibrate_machine import task as calibrate_machine

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.acceptance.positioning import COVERAGE

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Space
+from metrocli.adjust.model.blocks import Space
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array
 from metrocli.effects.effect import Effect, Parameter, sizes
 from metrocli.effects.links.motions import (
     AXES,

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.errors import Fault, InputError
 from metrocli.instruments.machine import AXES, TOOL
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, Settings

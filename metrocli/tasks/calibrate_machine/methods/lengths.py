@@ -10,9 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.instruments import tracer as t
 from metrocli.instruments.machine import TOOL
 from metrocli.table import Table

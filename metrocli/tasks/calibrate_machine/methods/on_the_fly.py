@@ -16,11 +16,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.rounds import in_rounds
 from metrocli.adjust.stream_condensation import Condensed, condense
+from metrocli.arrays import Array, Index
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array, Index, Values
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL, Machine
@@ -25,7 +25,7 @@ from metrocli.instruments.six_dof import (
     line_block,
     line_chain,
 )
-from metrocli.table import Table, Values
+from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.iso230 import Run
 from metrocli.tasks.calibrate_machine.problem import (
     SIDES,

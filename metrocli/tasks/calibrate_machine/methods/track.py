@@ -6,8 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Mask
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, rows, unknowns_of
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import POSITION, TOOL, Machine

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.errors import UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments.machine import POSITION

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from enum import StrEnum
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
-from metrocli.tasks.multilaterate.features.ideal import STEP, UNKNOWNS, Array, Ideal, Shape, tangents
+from metrocli.tasks.multilaterate.features.ideal import STEP, UNKNOWNS, Ideal, Shape, tangents
 
 _DIRECTIONS = 150
 """Directions of an axis, evenly over half the sphere"""
@@ -140,9 +140,6 @@ def _gauss_newton(ideal: Ideal, points: Array, wanted: list[int]) -> Ideal | Non
 
 def _sum(ideal: Ideal, points: Array) -> float:
     return float((np.real(ideal.deviations(points)) ** 2).sum())
-
-
-Index = npt.NDArray[np.intp]
 
 
 class Criterion(StrEnum):

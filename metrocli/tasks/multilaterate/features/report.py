@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.sparse import csr_array
 
+from metrocli.arrays import Array, Index
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.features.fit import Criterion, Fit, Index, gradients, least_squares
-from metrocli.tasks.multilaterate.features.ideal import NUMBERS, Array, Shape
+from metrocli.tasks.multilaterate.features.fit import Criterion, Fit, gradients, least_squares
+from metrocli.tasks.multilaterate.features.ideal import NUMBERS, Shape
 from metrocli.tasks.multilaterate.features.minimum_zone import minimum_zone
 from metrocli.tasks.multilaterate.features.wanted import Wanted
 from metrocli.tasks.multilaterate.probed.tips import Joint

@@ -10,12 +10,13 @@ import numpy as np
 from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.clusters.robust import STRUCTURED, Clusters
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import Fit, Suspects, apart, gross, robust_start, suspects
 from metrocli.adjust.rounds import Used, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
+from metrocli.arrays import Array
 from metrocli.errors import InputError, NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.table import Table

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.model import Added
 from metrocli.frozen import dataclass

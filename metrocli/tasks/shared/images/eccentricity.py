@@ -15,8 +15,9 @@ import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
+from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.instruments.camera import TARGET
 from metrocli.tasks.shared.uncontrolled import Hidden

@@ -6,9 +6,9 @@ from functools import partial
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array
 from metrocli.effects.acting import PLACE, TIMED, Acting, Variable, components, condition, point, seen_from
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.images import TargetEccentricity

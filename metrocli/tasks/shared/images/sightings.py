@@ -9,8 +9,8 @@ from functools import lru_cache
 import numpy as np
 
 from metrocli import copies
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet

@@ -7,10 +7,10 @@ from dataclasses import field, replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array, Index, Mask, Picture
 from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
 from metrocli.effects.model import Model
@@ -18,7 +18,6 @@ from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, UsageError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.imageset import Picture
 from metrocli.instruments.camera import TARGET
 from metrocli.instruments.lens import ideal_point, image_point
 from metrocli.table import Table

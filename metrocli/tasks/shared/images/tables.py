@@ -6,10 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.robust import Suspects
+from metrocli.arrays import Array, Index
 from metrocli.table import Table
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.statistics import beyond_bound

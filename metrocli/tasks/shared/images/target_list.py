@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.errors import InputError, all_faults
 from metrocli.frozen import dataclass
 from metrocli.table import TEXT, Column, Columns, Table
