@@ -10,7 +10,9 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import print_files
-from metrocli.exports import FORMATS
+from metrocli.errors import Fault, InputError
+from metrocli.exports import FORMATS, export
+from metrocli.table import Table
 
 SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items())
 
@@ -33,11 +35,8 @@ def command(
     Raises InputError if the result is not fit for use, unless that is accepted; the files then state it. Inputs of the
     result, which an import may have written, and files that metrocli did not write are replaced with `force` only.
     """
-    from metrocli.errors import Fault, InputError
-    from metrocli.exports import export
     from metrocli.formats import csv, hdf5
     from metrocli.formats.own_files import inside, write_all
-    from metrocli.table import Table
 
     found, record = hdf5.read(result)
     if record.reasons and not accept_doubtful:

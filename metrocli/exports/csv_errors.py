@@ -9,7 +9,7 @@ import numpy as np
 from metrocli import units
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports import Exported
+from metrocli.exports import Exported, error_tables
 from metrocli.exports.compensation import Control, Texts
 from metrocli.exports.error_tables import AXES, Curve, ErrorTables
 from metrocli.exports.volumetric import chain_note, moved_by_errors
@@ -107,7 +107,5 @@ def files(result: Result) -> Exported:
 
 
 def _error_tables(result: Result) -> Exported:
-    from metrocli.exports import error_tables
-
     tables = error_tables.of(result) if error_tables.has(result) else None
     return CONTROL.files(tables) if tables and tables.curves else {}

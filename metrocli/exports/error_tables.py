@@ -9,6 +9,7 @@ from dataclasses import field, replace
 import numpy as np
 
 from metrocli.arrays import Array
+from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.table import Table
@@ -163,8 +164,6 @@ def has(result: Result) -> bool:
 
 def of(result: Result) -> ErrorTables:
     """Return the determined error tables of a result of calibrate-machine; raises InputError for any other result."""
-    from metrocli.errors import InputError
-
     named = {name.removeprefix("tables/"): table for name, table in result.tables.items() if name.startswith("tables/")}
     if not named:
         why = "this format needs a result of calibrate-machine"

@@ -15,6 +15,7 @@ from metrocli import __version__, tasks
 from metrocli.doubt import MOST, doubts_of
 from metrocli.effects.wanted import planted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError, UsageError
+from metrocli.formats import hdf5
 from metrocli.formats.file_bytes import refuse_unwritable
 from metrocli.formats.hdf5 import refuse_foreign
 from metrocli.formats.images import ImageFiles
@@ -73,8 +74,6 @@ def carry_out(
 
 def write(file: JobFile, result: Result, record: Record) -> Done:
     """Write the result of a job and return what was done."""
-    from metrocli.formats import hdf5
-
     changed = hdf5.write(file.output, result, record)
     return Done(result, record, file.output, changed)
 

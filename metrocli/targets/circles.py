@@ -10,7 +10,8 @@ import numpy as np
 from metrocli.arrays import Picture
 from metrocli.targets import blobs, ellipses
 from metrocli.targets.ellipse import Ellipse
-from metrocli.targets.find import Sightings, nothing, of_ellipses
+from metrocli.targets.ellipses import of_ellipses
+from metrocli.targets.find import Sightings, nothing
 from metrocli.targets.lattice import ordered
 from metrocli.targets.pattern import Pattern, lattice, names
 

@@ -14,8 +14,8 @@ from metrocli.arrays import Array, Picture
 from metrocli.targets import blobs, ellipses
 from metrocli.targets.codes import BITS, RING_FROM, RING_TO, canonical, codes
 from metrocli.targets.ellipse import Ellipse
-from metrocli.targets.ellipses import Fitted
-from metrocli.targets.find import Sightings, nothing, of_ellipses
+from metrocli.targets.ellipses import Fitted, of_ellipses
+from metrocli.targets.find import Sightings, nothing
 from metrocli.targets.pattern import Pattern
 
 REACH = 1.5

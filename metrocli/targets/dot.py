@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from metrocli.arrays import Picture
 from metrocli.targets import blobs, ellipses
-from metrocli.targets.find import Sightings, nothing, of_ellipses
+from metrocli.targets.ellipses import of_ellipses
+from metrocli.targets.find import Sightings, nothing
 from metrocli.targets.pattern import Pattern
 
 EQUAL = 0.5

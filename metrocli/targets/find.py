@@ -11,7 +11,6 @@ import numpy as np
 
 from metrocli.arrays import Array, Index, Picture
 from metrocli.frozen import dataclass
-from metrocli.targets.ellipses import Fitted
 from metrocli.targets.pattern import Pattern
 
 
@@ -50,13 +49,6 @@ def points(targets: Sequence[str], uv: Array, sigma: Array) -> Sightings:
     """Return sightings of targets that are not ellipses."""
     absent = np.full((len(uv), 2), np.nan)
     return Sightings(tuple(targets), uv, sigma, absent, absent[:, 0])
-
-
-def of_ellipses(targets: Sequence[str], fits: Sequence[Fitted], reason: str = "") -> Sightings:
-    """Return sightings of fitted ellipses."""
-    found = [(*fit.ellipse.centre, fit.sigma, fit.ellipse.long, fit.ellipse.short, fit.ellipse.angle) for fit in fits]
-    table = np.array(found, dtype=float).reshape(-1, 6)
-    return Sightings(tuple(targets), table[:, :2], table[:, 2], table[:, 3:5], table[:, 5], reason)
 
 
 MODULES = {

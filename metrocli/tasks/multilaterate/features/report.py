@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from metrocli.arrays import Array, Index
 from metrocli.errors import NotConvergedError, UndeterminedError
@@ -132,7 +132,7 @@ def _numbers(fit: Fit, points: Array) -> Array:
     return np.append(np.real(fit.ideal.numbers(points.mean(axis=0))), fit.form)
 
 
-def _derivatives(each: Sequence[tuple[Wanted, Fit]], points: Array) -> csr_array:
+def _derivatives(each: Sequence[tuple[Wanted, Fit]], points: Array) -> Any:
     """Return the derivative of all numbers by all coordinates, sparse (9F, 3n)."""
     from scipy.sparse import csr_array
 

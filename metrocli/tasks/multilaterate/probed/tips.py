@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from metrocli.arrays import Array, Index
 from metrocli.errors import InputError
@@ -119,7 +119,7 @@ class Joint:
         squared = part.shrinkage**2
         return Joint(common, core, self.replay, self.of_replay * squared, self.own * squared)
 
-    def propagated(self, derivative: csr_array) -> Array:
+    def propagated(self, derivative: Any) -> Array:
         """Return `D Q D'` for a derivative D (m, 3n) by the coordinates of all points."""
         from scipy.sparse import block_diag, csr_array
 
