@@ -5,7 +5,7 @@ Method: docs/algorithms/target-detection.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
