@@ -1,4 +1,4 @@
-"""Random draws of points, and what the fit of each says."""
+"""Random draws of points, and the fit of each."""
 
 from __future__ import annotations
 

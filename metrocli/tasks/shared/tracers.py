@@ -35,7 +35,7 @@ _AS_LONG = 5
 
 @dataclass(frozen=True)
 class Tracers:
-    """The tracers that read lengths, with what a list says of them."""
+    """The tracers that read lengths, with their listed places."""
 
     names: tuple[str, ...]
     of: Index
