@@ -40,7 +40,7 @@ def setting(spec: Spec, description: str, default: Any = dataclasses.MISSING, ke
 def content(spec: Any, description: str = "", needed: bool = True, default: Any = dataclasses.MISSING) -> Any:
     """Return the field of a dataclass that holds the contents of a job's files, from which `inputs_of` makes the keys.
 
-    `needed`: the job has to name the file. `default` is the content if the job does not; for other files it is None.
+    `needed`: the job has to name the file. Without it the content is `default`, and None for other files.
     """
     absent = default if needed else None
     return field(default=absent, metadata={"content": (spec, description or spec.columns.description, needed)})
