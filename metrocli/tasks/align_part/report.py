@@ -186,7 +186,7 @@ def _statistics(problem: Problem, adjusted: Adjusted, found: Residuals, predicti
         "images": len(problem.sighted.images),
     }
     if adjusted.noise is not None:
-        statistics = with_noise(statistics, adjusted.solution, adjusted.noise, adjusted.structured)
+        statistics = with_noise(statistics, adjusted.solution, {"noise": adjusted.noise}, adjusted.structured)
     if prediction is not None:
         statistics |= {"predicted_std_gamma_s": prediction.std, "predicted_correlation_gamma_s": prediction.correlation}
     return statistics

@@ -183,7 +183,9 @@ def _statistics(solved: _Calibration) -> Statistics:
         "convention": problem.convention,
     }
     return (
-        statistics if adjusted.noise is None else with_noise(statistics, solution, adjusted.noise, adjusted.structured)
+        statistics
+        if adjusted.noise is None
+        else with_noise(statistics, solution, {"noise": adjusted.noise}, adjusted.structured)
     )
 
 

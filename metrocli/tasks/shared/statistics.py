@@ -50,28 +50,23 @@ def basic_statistics(solution: Solution, rms: Mapping[str, float]) -> Statistics
 
 
 def with_noise(
-    statistics: Statistics, solution: Solution, noise: float, structured: Structured | None = None
+    statistics: Statistics, solution: Solution, found: Mapping[str, float], structured: Structured | None = None
 ) -> Statistics:
     """Return the statistics of a job whose noise is estimated from the residuals.
 
-    sigma0 then belongs to a unit weight of 1 px, and the global test does not apply.
+    `found` is that noise, by its name. sigma0 then belongs to the unit weight, and the global test does not apply.
     """
+    (size,) = found.values()
     kept = {name: value for name, value in statistics.items() if name not in ("p_value", "sigma0_low", "sigma0_high")}
-    found: Statistics = {"noise_estimated": True, "noise": noise, "sigma0": noise, "chi2": solution.dof * noise**2}
-    return {**kept, **found, **(structured.statistics if structured is not None else {})}
+    noise: Statistics = {"noise_estimated": True, **found, "sigma0": size, "chi2": solution.dof * size**2}
+    return {**kept, **noise, **(structured.statistics if structured is not None else {})}
 
 
 def with_found(statistics: Statistics, noise: NoiseFound) -> Statistics:
-    """Return the statistics of a job whose declared noise is right up to a factor from the residuals.
-
-    sigma0 then is that factor, and the global test does not apply. Declared noise changes nothing.
-    """
+    """Return the statistics of a job whose declared noise is right up to a factor, if that is from the residuals."""
     if noise.model == DECLARED:
         return statistics
-    dof, factor = noise.solution.dof, noise.factor
-    kept = {name: value for name, value in statistics.items() if name != "p_value"}
-    found: Statistics = {"noise_estimated": True, "noise_factor": factor, "sigma0": factor, "chi2": dof * factor**2}
-    return {**kept, **found, **(noise.structured.statistics if noise.structured is not None else {})}
+    return with_noise(statistics, noise.solution, {"noise_factor": noise.factor}, noise.structured)
 
 
 def found_notes(noise: NoiseFound) -> tuple[str, ...]:
