@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments import camera
 from metrocli.instruments.camera import VIEW
+from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.shared.images.adjustment import IMAGES
 
 _AGAIN = 3
@@ -31,39 +31,11 @@ _STEPS = 15
 _FOCAL = ("f", "fx", "fy")
 
 
-class Calibration(Protocol):
-    """What a start needs of a calibration."""
-
-    @property
-    def rig(self) -> str:
-        """board, cmm or network."""
-
-    @property
-    def blocks(self) -> Mapping[str, Block]:
-        """The blocks of unknowns."""
-
-    @property
-    def images(self) -> Group:
-        """The image points."""
-
-    @property
-    def others(self) -> tuple[Group, ...]:
-        """Priors and conditions."""
-
-    @property
-    def datum(self) -> Datum | None:
-        """The datum that fixes the frame of a free network."""
-
-    def with_blocks(self, blocks: Mapping[str, Block]) -> Self:
-        """Return a copy with other values of the blocks."""
-
-
-P = TypeVar("P", bound=Calibration)
-Resection = Callable[[P, Array], P]
+Resection = Callable[[Problem, Array], Problem]
 """Takes a calibration and places of its targets (n, 3), and returns it with poses found anew by these targets"""
 
 
-def robustly(problem: P) -> P:
+def robustly(problem: Problem) -> Problem:
     """Adjust with weights that gross errors do not spoil.
 
     The unknown targets of a network follow poses that the listed ones gave. While lens and poses are far off, a target
@@ -74,7 +46,7 @@ def robustly(problem: P) -> P:
     return problem.with_blocks({**problem.blocks, **_robust(problem, problem.blocks, problem.datum)})
 
 
-def without_strays(listed: Array, best: P, resected: Resection[P]) -> P:
+def without_strays(listed: Array, best: Problem, resected: Resection) -> Problem:
     """Return the best of several starts: `best`, and while targets or images stray, one from poses found anew.
 
     The poses are those by its targets; targets that stray are back at their listed places (n, 3).
@@ -91,11 +63,11 @@ def without_strays(listed: Array, best: P, resected: Resection[P]) -> P:
     return best
 
 
-def _has_unknown(problem: Calibration) -> bool:
+def _has_unknown(problem: Problem) -> bool:
     return bool(problem.blocks[camera.TARGET].free.any())
 
 
-def _by_turns(problem: P) -> P:
+def _by_turns(problem: Problem) -> Problem:
     """Return a calibration with poses and the focal length for its targets as they are, then targets for these."""
     lens = problem.blocks[camera.LENS]
     focal = replace(lens, free=lens.free & np.isin(lens.columns, _FOCAL))
@@ -108,21 +80,21 @@ def _by_turns(problem: P) -> P:
     return _valued(problem, found.blocks)
 
 
-def _robust(problem: Calibration, blocks: Mapping[str, Block], datum: Datum | None = None) -> Mapping[str, Block]:
+def _robust(problem: Problem, blocks: Mapping[str, Block], datum: Datum | None = None) -> Mapping[str, Block]:
     return robust_start(blocks.values(), [problem.images, *problem.others], IMAGES, datum, camera.VIEW)
 
 
-def _valued(problem: P, found: Mapping[str, Block]) -> P:
+def _valued(problem: Problem, found: Mapping[str, Block]) -> Problem:
     """Return a calibration with the values that were found, and with its own unknowns."""
     return problem.with_blocks({name: one.with_values(found[name].values) for name, one in problem.blocks.items()})
 
 
-def _strays(problem: Calibration) -> int:
+def _strays(problem: Problem) -> int:
     """Return the number of unknown targets and of images that most of their readings contradict."""
     return int(_strayed(problem, camera.TARGET).sum() + _strayed(problem, camera.VIEW).sum())
 
 
-def _strayed(problem: Calibration, name: str) -> Mask:
+def _strayed(problem: Problem, name: str) -> Mask:
     """Return the members of a block with unknowns (n,) that most of their readings contradict."""
     block, index = problem.blocks.get(name), problem.images.observations.index.get(name)
     if block is None or index is None:

@@ -17,11 +17,12 @@ from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.advice import explained, ran_out, strange_images
+from metrocli.tasks.calibrate_camera.build import build, robustly_started
 from metrocli.tasks.calibrate_camera.compare import compare_models
 from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
-from metrocli.tasks.calibrate_camera.problem import Problem, build, robustly_started
+from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.report import report
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_views, true_model, with_lengths
