@@ -33,6 +33,19 @@ class Column:
     """What its values can be, in the internal unit; that of its dimension (`metrocli.units.range_of`) unless given."""
 
 
+def columns(*headings: str, allowed: Range | None = None) -> tuple[Column, ...]:
+    """Return columns from headings such as `"x y z [length]"`, `"t? [time]"` or `"surface* [text]"`: names, dimension.
+
+    A column with `?` may be absent, cells of one with `*` may be empty. Without a dimension there are plain numbers.
+    """
+    found = []
+    for heading in headings:
+        names, _, dimension = heading.removesuffix("]").partition(" [")
+        for name in names.split(" "):
+            found.append(Column(name.rstrip("?*"), dimension or NUMBER, "?" not in name, "*" in name, allowed))
+    return tuple(found)
+
+
 @dataclass(frozen=True)
 class Columns:
     """The columns of one kind of file."""

@@ -12,12 +12,12 @@ from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix, rotation_from_euler, rotation_from_vector
-from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.table import Columns, Table, columns
 from metrocli.uncertainty.predicted import COMMON, CORE, POINTS_COVARIANCE
 from metrocli.units import SPREAD, format_quantity
 
 SUPPORTS = Columns(
-    (Column("support", TEXT), Column("x", "length"), Column("y", "length"), Column("z", "length", required=False)),
+    columns("support [text]", "x y z? [length]"),
     key=("support",),
     description="supports of the part, in the machine, that raise it along z",
 )

@@ -11,7 +11,7 @@ from metrocli.imageset import ImageSet
 from metrocli.result import Result
 from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Quantity, Section, TableFile, setting
 from metrocli.settings.sections import content, inputs_of
-from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.table import Columns, Table, columns
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.align_part.fixturing import SUPPORTS
 from metrocli.tasks.shared.figures import POSE, adjusted
@@ -30,22 +30,14 @@ from metrocli.tasks.shared.part import Part
 from metrocli.units.ranges import Range, range_of
 
 POSES = Columns(
-    (
-        Column("image", TEXT),
-        Column("x", "length"),
-        Column("y", "length"),
-        Column("z", "length"),
-        *(Column(name, "angle", required=False) for name in ("a", "b", "c")),
-        Column("t", "time", required=False),
-        Column("temp", "temperature", required=False),
-    ),
+    columns("image [text]", "x y z [length]", "a? b? c? [angle]", "t? [time]", "temp? [temperature]"),
     ("image",),
     "commanded poses of the spindle",
 )
 
-_SIGMA = Column("sigma", "length", required=False, allowed=Range(0.0, range_of("length").high))
+_SIGMA = columns("sigma? [length]", allowed=Range(0.0, range_of("length").high))
 POINTS = Columns(
-    (Column("point", TEXT), *(Column(axis, "length") for axis in "xyz"), _SIGMA),
+    (*columns("point [text]", "x y z [length]"), *_SIGMA),
     ("point",),
     "points of the part, in its frame",
 )

@@ -11,7 +11,7 @@ from metrocli.imageset import ImageSet
 from metrocli.instruments.lens import PARAMETERS, PIXELS
 from metrocli.settings import Choice, Either, ImageFiles, ListOf, Quantity, Section, TableFile, Whole, setting
 from metrocli.settings.sections import content, inputs_of
-from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.table import Columns, Table, columns
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.tasks.shared.images.settings import (
@@ -28,12 +28,12 @@ from metrocli.tasks.shared.images.target_list import TARGETS
 from metrocli.tasks.shared.noise import NOISE_HELP
 
 SCALE_BARS = Columns(
-    (Column("from", TEXT), Column("to", TEXT), Column("length", "length"), Column("sigma", "length")),
+    columns("from to [text]", "length sigma [length]"),
     ("from", "to"),
     "calibrated distances",
 )
 TEST_LENGTHS = Columns(
-    (*SCALE_BARS.columns, Column("line", TEXT, required=False)),
+    columns("from to [text]", "length sigma [length]", "line? [text]"),
     ("from", "to"),
     "calibrated lengths that test the network",
 )

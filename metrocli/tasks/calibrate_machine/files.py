@@ -5,47 +5,34 @@ from __future__ import annotations
 from metrocli.frozen import dataclass
 from metrocli.settings import TableFile
 from metrocli.settings.sections import content, inputs_of
-from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.table import Columns, Table, columns
 from metrocli.tasks.shared.environment import WEATHER
 from metrocli.tasks.shared.lists import SIGMAS
 
-_PLACE = tuple(Column(name, "length") for name in ("x", "y", "z"))
-_TOOL = Column("tool", TEXT, required=False)
-_TIME = Column("t", "time", required=False)
-_AIR = Column("temp", "temperature", required=False)
-_SIDES = tuple(Column(f"from_{axis}", required=False) for axis in "xyz")
+_SIDES = "from_x? from_y? from_z?"
 POINTS = Columns(
-    (
-        Column("point", TEXT),
-        *_PLACE,
-        *(Column(name, "length") for name in ("mx", "my", "mz")),
-        _TIME,
-        _TOOL,
-        *_SIDES,
-    ),
+    columns("point [text]", "x y z mx my mz [length]", "t? [time]", "tool? [text]", _SIDES),
     ("point",),
     "commanded points, and where the tracker measured them",
     measured=("mx", "my", "mz"),
     alike=("x", "y", "z"),
 )
-PATH = Columns((*_PLACE, _TOOL, Column("feed", "speed", required=False)), (), "vertices of the path, in order")
+PATH = Columns(columns("x y z [length]", "tool? [text]", "feed? [speed]"), (), "vertices of the path, in order")
 TRACK = Columns(
-    (*_PLACE, _TIME, _TOOL),
+    columns("x y z [length]", "t? [time]", "tool? [text]"),
     (),
     "points of the tracker along the path",
     measured=("x", "y", "z"),
     fewest_copied=50,
 )
 LINES = Columns(
-    (
-        Column("line", TEXT),
-        Column("axis", TEXT),
-        Column("position", "length"),
-        *(Column(name, "length") for name in ("ex", "ey", "ez")),
-        *(Column(name, "angle") for name in ("ea", "eb", "ec")),
-        *(Column(name, "length", required=False) for name in ("x", "y", "z")),
-        _TIME,
-        _AIR,
+    columns(
+        "line axis [text]",
+        "position ex ey ez [length]",
+        "ea eb ec [angle]",
+        "x? y? z? [length]",
+        "t? [time]",
+        "temp? [temperature]",
     ),
     (),
     "lines of a laser with six degrees of freedom",
@@ -56,15 +43,9 @@ LINES = Columns(
 
 LENGTHS = Columns(
     (
-        Column("point", TEXT),
-        Column("station", TEXT),
-        *_PLACE,
-        Column("length", "length"),
-        _TOOL,
-        _TIME,
-        _AIR,
+        *columns("point station [text]", "x y z length [length]", "tool? [text]", "t? [time]", "temp? [temperature]"),
         *WEATHER,
-        *_SIDES,
+        *columns(_SIDES),
     ),
     (),
     "commanded points, and the lengths read there by tracking interferometers",
@@ -72,7 +53,7 @@ LENGTHS = Columns(
     alike=("station",),
 )
 STATIONS = Columns(
-    (Column("station", TEXT), *_PLACE, Column("dead_path", "length", required=False, may_be_empty=True), *SIGMAS),
+    (*columns("station [text]", "x y z [length]", "dead_path?* [length]"), *SIGMAS),
     ("station",),
     "approximate places of the stations",
 )

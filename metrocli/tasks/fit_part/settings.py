@@ -24,7 +24,7 @@ from metrocli.settings import (
     setting,
 )
 from metrocli.settings.sections import content, inputs_of
-from metrocli.table import ABSENT, TEXT, Column, Columns, Table
+from metrocli.table import ABSENT, Columns, Table, columns
 from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION, MOST
 from metrocli.tasks.shared.figures import POSE, with_std
 from metrocli.tasks.shared.lists import SIGMAS
@@ -32,12 +32,7 @@ from metrocli.tasks.shared.part import FIGURES, Part
 from metrocli.words import in_a_row
 
 POINTS = Columns(
-    (
-        Column("point", TEXT),
-        *(Column(axis, "length") for axis in "xyz"),
-        Column("surface", TEXT, required=False, may_be_empty=True),
-        *SIGMAS,
-    ),
+    (*columns("point [text]", "x y z [length]", "surface?* [text]"), *SIGMAS),
     key=("point",),
     description="points measured on the raw part, and coded targets",
 )

@@ -7,7 +7,7 @@ from typing import Any
 from metrocli.frozen import dataclass
 from metrocli.settings import At, Choice, Either, MapOf, Placed, Quantity, Section, TableFile, setting
 from metrocli.settings.sections import content, inputs_of
-from metrocli.table import ABSENT, TEXT, Column, Columns, Table
+from metrocli.table import ABSENT, Columns, Table, columns
 from metrocli.tasks.shared.environment import WEATHER, Environment
 from metrocli.tasks.shared.figures import adjusted
 from metrocli.tasks.shared.lengths import LengthNoise, Scale
@@ -15,47 +15,38 @@ from metrocli.tasks.shared.lists import SIGMAS
 from metrocli.tasks.shared.part import FIGURES, Part
 
 SHAPES = ("line", "plane", "circle", "sphere", "cylinder", "cone")
-_PLACE = tuple(Column(axis, "length") for axis in "xyz")
 LENGTHS = Columns(
-    (
-        Column("point", TEXT),
-        Column("tracer", TEXT),
-        Column("length", "length"),
-        Column("t", "time", required=False),
-        Column("temp", "temperature", required=False),
-        *WEATHER,
-    ),
+    (*columns("point tracer [text]", "length [length]", "t? [time]", "temp? [temperature]"), *WEATHER),
     ("point", "tracer", "t"),
     "lengths read by the tracers",
     measured=("length",),
     alike=("tracer",),
 )
 POINTS = Columns(
-    (Column("point", TEXT), *_PLACE, *SIGMAS, Column("tip", TEXT, required=False)),
+    (*columns("point [text]", "x y z [length]"), *SIGMAS, *columns("tip? [text]")),
     ("point",),
     "approximate points: the mover's readings",
 )
 TRACERS = Columns(
-    (Column("tracer", TEXT), *_PLACE, Column("dead_path", "length", required=False, may_be_empty=True), *SIGMAS),
+    (*columns("tracer [text]", "x y z [length]", "dead_path?* [length]"), *SIGMAS),
     ("tracer",),
     "approximate places of the tracers",
 )
 CANDIDATES = Columns(
-    (Column("candidate", TEXT), *_PLACE), ("candidate",), "places where one more tracer could stand, for `plan`"
+    columns("candidate [text]", "x y z [length]"),
+    ("candidate",),
+    "places where one more tracer could stand, for `plan`",
 )
 PROBING = Columns(
-    (
-        Column("feature", TEXT),
-        Column("point", TEXT, may_be_empty=True),
-        Column("tip", TEXT, required=False),
-        *_PLACE,
-    ),
+    columns("feature point* tip? [text]", "x y z [length]"),
     (),
     "the mover's readings on the workpiece",
 )
-TIPS = Columns((Column("tip", TEXT), *_PLACE, *SIGMAS), ("tip",), "probe tips, from the mover's reference point")
+TIPS = Columns(
+    (*columns("tip [text]", "x y z [length]"), *SIGMAS), ("tip",), "probe tips, from the mover's reference point"
+)
 DISTANCES = Columns(
-    (Column("from", TEXT), Column("to", TEXT), Column("length", "length"), Column("sigma", "length")),
+    columns("from to [text]", "length sigma [length]"),
     ("from", "to"),
     "calibrated distances between points",
 )

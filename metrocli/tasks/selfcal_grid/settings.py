@@ -14,22 +14,14 @@ from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.ball_grid import View
 from metrocli.settings import Choice, Either, ListOf, Quantity, Section, TableFile, Text, Whole, setting
 from metrocli.settings.sections import content, inputs_of
-from metrocli.table import ABSENT, TEXT, WHOLE, Column, Columns, Table
+from metrocli.table import ABSENT, Columns, Table, columns
 from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.units import parse_quantity
 
 _QUARTER = np.pi / 2
 _UNIT = parse_quantity("1 um", "length")
-_PLACE = tuple(Column(axis, "length") for axis in "xyz")
 VIEWS = Columns(
-    (
-        Column("view", TEXT),
-        *(Column(name, WHOLE) for name in "ijk"),
-        *_PLACE,
-        Column("repeat", TEXT, required=False),
-        Column("t", "time", required=False),
-        Column("temp", "temperature", required=False),
-    ),
+    columns("view [text]", "i j k [whole]", "x y z [length]", "repeat? [text]", "t? [time]", "temp? [temperature]"),
     ("view", "i", "j", "k", "repeat", "t"),
     "what the machine reads of each ball in each view",
     measured=("x", "y", "z"),
@@ -37,16 +29,11 @@ VIEWS = Columns(
     group=("view", "repeat"),
 )
 LENGTHS = Columns(
-    (
-        Column("view", TEXT, required=False, may_be_empty=True),
-        *(Column(f"{name}{end}", WHOLE) for end in "12" for name in "ijk"),
-        Column("length", "length"),
-        Column("sigma", "length"),
-    ),
+    columns("view?* [text]", "i1 j1 k1 i2 j2 k2 [whole]", "length sigma [length]"),
     (),
     "calibrated distances of balls",
 )
-POINTS = Columns((Column("point", TEXT), *_PLACE), ("point",), "points at which the machine error is wanted")
+POINTS = Columns(columns("point [text]", "x y z [length]"), ("point",), "points at which the machine error is wanted")
 
 
 @dataclass(frozen=True)

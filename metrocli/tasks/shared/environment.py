@@ -23,9 +23,9 @@ from metrocli.instruments.air import CIDDOR, EDLEN, STANDARD_CARBON_DIOXIDE, Wea
 from metrocli.instruments.tracer import AIR
 from metrocli.result import SCALE, Estimate
 from metrocli.settings import UNKNOWN, Choice, Known, Limits, Quantity, Section, Uncertain, setting
-from metrocli.table import Column, Table
+from metrocli.table import Table, columns
 
-WEATHER = (Column("pressure", "pressure", required=False), Column("humidity", "humidity", required=False))
+WEATHER = columns("pressure? [pressure]", "humidity? [humidity]")
 """Columns of a reading's own weather, besides its temperature"""
 _COLUMNS = {"temperature": "temp", "pressure": "pressure", "humidity": "humidity"}
 _WORDS = {"temperature": "temperature", "pressure": "pressure", "humidity": "relative humidity"}

@@ -12,15 +12,11 @@ from metrocli.adjust.model.observations import TIME
 from metrocli.arrays import Array, Index, Mask
 from metrocli.copies import row_hashes
 from metrocli.errors import InputError
-from metrocli.table import MOST_FAULTS, Column, Table
+from metrocli.table import MOST_FAULTS, Table, columns
 from metrocli.words import nearest
 
 Texts = npt.NDArray[np.str_]
-PLACE = tuple(Column(axis, "length") for axis in "xyz")
-"""Columns of coordinates"""
-SIGMAS = tuple(
-    Column(name, "length", required=False, may_be_empty=True) for name in ("sigma", "sigma_x", "sigma_y", "sigma_z")
-)
+SIGMAS = columns("sigma?* sigma_x?* sigma_y?* sigma_z?* [length]")
 """Columns of standard deviations: one for all three coordinates, or one for each"""
 
 

@@ -14,7 +14,7 @@ from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
-from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.table import Columns, Table, columns
 from metrocli.targets.find import find, likely_size
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.images.eccentricity import SIZE
@@ -23,15 +23,7 @@ from metrocli.tasks.shared.images.target_list import Targets, known_targets
 from metrocli.words import listed
 
 OBSERVATIONS = Columns(
-    (
-        Column("image", TEXT),
-        Column("target", TEXT),
-        Column("u", "pixel"),
-        Column("v", "pixel"),
-        Column("sigma", "pixel", required=False),
-        Column("t", "time", required=False),
-        Column("temp", "temperature", required=False),
-    ),
+    columns("image target [text]", "u v sigma? [pixel]", "t? [time]", "temp? [temperature]"),
     key=("image", "target"),
     description="image coordinates of targets",
     measured=("u", "v"),

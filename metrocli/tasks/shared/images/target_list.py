@@ -9,17 +9,12 @@ import numpy as np
 from metrocli.arrays import Array, Index
 from metrocli.errors import InputError, all_faults
 from metrocli.frozen import dataclass
-from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.table import Columns, Table, columns
 from metrocli.targets.pattern import Pattern, pattern_points
 from metrocli.tasks.shared.lists import SIGMAS, refuse, sigmas
 
 TARGETS = Columns(
-    (
-        Column("target", TEXT),
-        *(Column(axis, "length") for axis in "xyz"),
-        *SIGMAS,
-        Column("radius", "length", required=False, may_be_empty=True),
-    ),
+    (*columns("target [text]", "x y z [length]"), *SIGMAS, *columns("radius?* [length]")),
     key=("target",),
     description="coordinates of targets",
 )
