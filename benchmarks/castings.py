@@ -107,7 +107,7 @@ def solved(part: NominalFile, one: Casting, points: Array, aim: str, least: floa
             "sigma": np.full(len(points), one.sigma),
         }
     )
-    settings = Settings(Inputs(Path("points.csv"), Path("part.yaml")), Overstock(least, aim))
+    settings = Settings(Inputs(points=Path("points.csv"), nominal=Path("part.yaml")), Overstock(least, aim))
     return solve(settings, prepare(settings, part, table))
 
 

@@ -26,7 +26,7 @@ from metrocli.tasks.align_part import task as align_part
 from metrocli.tasks.calibrate_camera import settings as camera_job
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
 from metrocli.tasks.calibrate_camera.settings import Camera, CameraSimulation
-from metrocli.tasks.shared.images.camera_settings import CameraFile, Extrinsics, LensValues
+from metrocli.tasks.shared.images.settings import CameraFile, Extrinsics, LensValues
 
 Array = npt.NDArray[np.float64]
 NOWHERE = Path("-")

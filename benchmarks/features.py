@@ -25,9 +25,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from simulated.features import cloud
 
 from metrocli.errors import NotConvergedError
-from metrocli.tasks.multilaterate.features.fit import Fit
+from metrocli.tasks.multilaterate.features.fit import Fit, least_squares
 from metrocli.tasks.multilaterate.features.ideal import Shape
-from metrocli.tasks.multilaterate.features.least_squares import least_squares
 from metrocli.tasks.multilaterate.features.minimum_zone import minimum_zone
 
 Array = npt.NDArray[np.float64]

@@ -15,9 +15,8 @@ import numpy.typing as npt
 from metrocli.tasks.locate_launch_unit.lines import Line, Reach, across, commanded, measurable
 from metrocli.tasks.locate_launch_unit.margin import Margin, Uncertainty, Window, beam_position
 from metrocli.tasks.locate_launch_unit.plan import planned_measurement
-from metrocli.tasks.locate_launch_unit.plan_settings import Axes, Planned
 from metrocli.tasks.locate_launch_unit.readings import Readings
-from metrocli.tasks.locate_launch_unit.settings import Noise
+from metrocli.tasks.locate_launch_unit.settings import Axes, Noise, Planned
 from metrocli.tasks.locate_launch_unit.solve import How, Located, locate
 from metrocli.units import find_unit
 

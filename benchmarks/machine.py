@@ -30,6 +30,7 @@ from metrocli.tasks.calibrate_machine.files import TRACK, Inputs
 from metrocli.tasks.calibrate_machine.identifiability import identify
 from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.plans.planned import planned_problem
+from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import machine_of
 from metrocli.tasks.calibrate_machine.settings import (
     AxesSettings,
@@ -37,7 +38,6 @@ from metrocli.tasks.calibrate_machine.settings import (
     MachineSettings,
     MachineSimulation,
     Noise,
-    PathPlan,
     Settings,
 )
 from metrocli.tasks.calibrate_machine.simulation import simulated

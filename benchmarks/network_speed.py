@@ -27,10 +27,10 @@ from typing import Any
 import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.arrays import Array
 from metrocli.instruments import tracer
 
 A, B, SCALE = 1e-4, 1e-7, 5e-7

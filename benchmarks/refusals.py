@@ -37,7 +37,9 @@ def refusal(mesh: Triangles, points: Array) -> str:
     """Return the message of a job of these points, empty if the part is fitted."""
     columns = {axis: points[:, k] for k, axis in enumerate("xyz")}
     table = Table({"point": np.array([f"P{n}" for n in range(len(points))]), **columns})
-    settings = Settings(Inputs(Path("points.csv"), Path("part.stl")), Overstock(MINIMUM, EVEN), noise=SIGMA)
+    settings = Settings(
+        Inputs(points=Path("points.csv"), nominal=Path("part.stl")), Overstock(MINIMUM, EVEN), noise=SIGMA
+    )
     try:
         solve(settings, prepare(settings, mesh, table))
     except UndeterminedError as error:

@@ -8,17 +8,14 @@ share of pairs of rows with equal readings, n rows contain by chance `n^2 / 2 p^
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import Fault
 from metrocli.frozen import dataclass
+from metrocli.table import Columns, Table
 from metrocli.words import listed
-
-if TYPE_CHECKING:
-    from metrocli.table import Columns, Table
 
 Hashes = npt.NDArray[np.uint64]
 

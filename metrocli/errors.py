@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict
 from typing import Any
 
@@ -72,18 +73,24 @@ class InputError(MetrocliError):
         super().__init__("\n".join(str(fault) for fault in self.faults))
 
 
-def together(*asked: Callable[[], Any]) -> list[Any]:
-    """Call all functions and return their results; raises one InputError with the faults of all that fail."""
-    answers: list[Any] = []
+@contextmanager
+def all_faults() -> Iterator[Callable[[], AbstractContextManager[None]]]:
+    """Collect the faults of several parts, each in a context of its own; at the end they are raised as one InputError.
+
+    `with all_faults() as each:` and in it `with each():` around each part. What one part finds, others cannot use.
+    """
     faults: list[Fault] = []
-    for ask in asked:
+
+    @contextmanager
+    def each() -> Iterator[None]:
         try:
-            answers.append(ask())
+            yield
         except InputError as error:
             faults.extend(error.faults)
+
+    yield each
     if faults:
         raise InputError(faults)
-    return answers
 
 
 class NoSolutionError(MetrocliError):

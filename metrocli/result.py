@@ -5,17 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.record import InputFile
 from metrocli.table import Table
-
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
-    Array = npt.NDArray[np.float64]
 
 Scalar = float | int | str | bool
 SCALE = "scale"

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import field
-from typing import TYPE_CHECKING
 
+from metrocli.arrays import Picture
 from metrocli.frozen import dataclass
 from metrocli.table import Table
-
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
 
 
 @dataclass(frozen=True)

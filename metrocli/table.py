@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
-from typing import TYPE_CHECKING
+from dataclasses import field, replace
+from typing import TYPE_CHECKING, Any
 
+from metrocli.arrays import Array, Bytes, Texts, Values
 from metrocli.errors import Fault
 from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
     from metrocli.units import Range
-
-    Array = npt.NDArray[np.float64]
-    Values = npt.NDArray[np.float64] | npt.NDArray[np.int64] | npt.NDArray[np.str_] | npt.NDArray[np.bool_]
 
 TEXT, WHOLE, NUMBER = "text", "whole", "number"
 """Dimensions of columns without a unit; every other dimension is a name in `metrocli.units.DIMENSIONS`."""
@@ -36,6 +31,19 @@ class Column:
     """An empty cell is read as NaN instead of being a fault."""
     allowed: Range | None = None
     """What its values can be, in the internal unit; that of its dimension (`metrocli.units.range_of`) unless given."""
+
+
+def columns(*headings: str, allowed: Range | None = None) -> tuple[Column, ...]:
+    """Return columns from headings such as `"x y z [length]"`, `"t? [time]"` or `"surface* [text]"`: names, dimension.
+
+    A column with `?` may be absent, cells of one with `*` may be empty. Without a dimension there are plain numbers.
+    """
+    found = []
+    for heading in headings:
+        names, _, dimension = heading.removesuffix("]").partition(" [")
+        for name in names.split(" "):
+            found.append(Column(name.rstrip("?*"), dimension or NUMBER, "?" not in name, "*" in name, allowed))
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -80,6 +88,42 @@ class Table:
     """Headings of its further columns, on which effects of one's own depend."""
     _lists: dict[str, list[str]] = field(default_factory=dict, init=False, repr=False, compare=False)
     """Text columns as lists, once they are asked for"""
+
+    @classmethod
+    def of(cls, columns: Mapping[str, Any]) -> Table:
+        """Return a table of columns under headings such as `"x y z [mm]"`: names, and the unit that all of them have.
+
+        Several names stand over the columns of one array (rows, names). Texts that may be none have the unit `[text]`.
+        """
+        return cls({}).joined(columns)
+
+    @classmethod
+    def of_rows(cls, headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
+        """Return a table of rows, each with a value for every heading as in `of`; a heading has one name."""
+        columns = list(zip(*rows, strict=True)) or [()] * len(headings)
+        return cls.of(dict(zip(headings, columns, strict=True)))
+
+    @classmethod
+    def stack(cls, parts: Sequence[Table]) -> Table:
+        """Return the rows of tables with the same columns, one table after the other."""
+        import numpy as np
+
+        return cls({name: np.concatenate([one.columns[name] for one in parts]) for name in parts[0]}, parts[0].units)
+
+    def joined(self, columns: Mapping[str, Any]) -> Table:
+        """Return the table with further columns, or others in place of its own, under headings as in `of`."""
+        import numpy as np
+
+        found, units = dict(self.columns), dict(self.units)
+        for heading, values in columns.items():
+            names, _, unit = heading.removesuffix("]").partition(" [")
+            array = np.asarray(values, dtype=str if unit == TEXT else None)
+            several = names.split(" ")
+            for name, column in zip(several, array.T if len(several) > 1 else [array], strict=True):
+                found[name] = column
+                if unit not in ("", TEXT):
+                    units[name] = unit
+        return replace(self, columns=found, units=units)
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.columns else 0
@@ -135,7 +179,7 @@ class Table:
         return [*found, self.fault(f"and {rest} more like these")] if rest else found
 
 
-def ascii_letters(values: npt.NDArray[np.str_]) -> npt.NDArray[np.uint8] | None:
+def ascii_letters(values: Texts) -> Bytes | None:
     """Return the letters of texts with zeros after the short ones, (texts, letters); None unless all are ASCII.
 
     Whole columns so become bytes many times faster than text by text.

@@ -14,7 +14,7 @@ import numpy as np
 from metrocli.adjust.allowance import take
 from metrocli.adjust.datum import Datum, Frame
 from metrocli.adjust.descent import Descent, Problem, cholesky_solve, held
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Combination, Outcome
 from metrocli.adjust.rank import open_combinations
@@ -24,6 +24,7 @@ from metrocli.adjust.schur.member_covariance import Gauge, MemberCovariance
 from metrocli.adjust.schur.normals import Normals
 from metrocli.adjust.schur.tiles import tiling_of
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
 

@@ -18,15 +18,14 @@ from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, Linear
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.adjust.sparse.bordered_factor import BorderedFactor, bordered_factor
-from metrocli.adjust.sparse.jacobian import gradient, jacobian
 from metrocli.adjust.sparse.nested_dissection import Sparse
-from metrocli.adjust.sparse.partition import Partition, partition
+from metrocli.adjust.sparse.partition import Partition, gradient, jacobian, partition
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
 _LIMIT = 60

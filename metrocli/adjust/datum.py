@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.movements import Affine, Listed, Movement
 from metrocli.adjust.schur.layout import Layout
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
 _OPEN = 1e-11

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 
 
 def thin_svd(matrix: Array) -> tuple[Array, Array, Array]:

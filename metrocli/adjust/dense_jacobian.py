@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.decompositions import thin_svd
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
 _CHUNK = 4000

@@ -11,13 +11,14 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.datum import Datum, Frame, open_frame
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.schur.irregular_normals import FEW
 from metrocli.adjust.schur.layout import Layout
 from metrocli.adjust.schur.normals import Normals, assemble, cost_of
 from metrocli.adjust.schur.tiles import Tiling
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
 _ROUNDING = 1e-13

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 
 
 def median(values: Array) -> Array:

@@ -10,8 +10,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import cross_matrix
 

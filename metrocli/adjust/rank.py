@@ -11,10 +11,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.outcome import Combination
 from metrocli.adjust.schur.layout import Layout
 from metrocli.adjust.schur.normals import Normals, Part
+from metrocli.arrays import Array
 
 _INFLATION = 1e6
 """Reach of an unknown without a stated one, in standard deviations that it would have with all other unknowns known"""

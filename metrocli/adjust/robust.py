@@ -13,12 +13,12 @@ import numpy as np
 from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.medians import median
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.probabilities import normal_bound, student_bound
 from metrocli.adjust.solution import Residuals
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
 _MAD = 1.4826
@@ -83,7 +83,7 @@ def _reweighted(groups: Sequence[Group], name: str, weights: Array | None) -> li
 def _share(group: Group, blocks: Mapping[str, Block], within: str = "") -> Array:
     """Return each residual's length in robust standard deviations: those of its member, if they are larger."""
     distance = _distances(group, blocks)
-    scale = max(_scale(distance), 1e-12)
+    scale = max(float(_MAD * median(distance)) if distance.size else 0.0, 1e-12)
     index = group.observations.index.get(within)
     if index is None:
         return np.asarray(distance / scale, dtype=float)
@@ -117,11 +117,6 @@ def _distances(group: Group, blocks: Mapping[str, Block]) -> Array:
     residual = group.observations.whitened(group.residuals(blocks))
     distances: Array = np.nan_to_num(np.sqrt((residual**2).sum(axis=0)), nan=1e12, posinf=1e12)
     return distances
-
-
-def _scale(distance: Array) -> float:
-    """Return a robust standard deviation from lengths of residuals."""
-    return float(_MAD * median(distance)) if distance.size else 0.0
 
 
 def critical_value(tests: int, level: float = 0.05) -> float:

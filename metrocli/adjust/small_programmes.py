@@ -9,13 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index
 from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 _ADDED = 40
 """Inequalities that one round adds to the working set, at most"""
 _ROUNDS = 200

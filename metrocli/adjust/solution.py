@@ -6,12 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, Touch
 from metrocli.adjust.outcome import Combination, Outcome
 from metrocli.adjust.probabilities import chi_square_tail
 from metrocli.adjust.schur.covariance import Covariance
 from metrocli.adjust.schur.tiles import chunks_of
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
 

@@ -11,6 +11,9 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
+from metrocli.errors import Fault, InputError, UsageError
+from metrocli.formats.file_bytes import refuse_unwritable
+from metrocli.project import PROJECT_FILE
 
 if TYPE_CHECKING:
     from metrocli.project.job import JobFile
@@ -28,10 +31,7 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
     A foreign file at the output is a fault too: `run` would not replace it.
     """
     from metrocli.cli.summary import as_json as json_text
-    from metrocli.errors import Fault, InputError, UsageError
-    from metrocli.formats.aside import refuse_unwritable
     from metrocli.formats.hdf5 import refuse_foreign
-    from metrocli.project import PROJECT_FILE
     from metrocli.project.job import Wishes, load_parts
     from metrocli.project.runner import verify
     from metrocli.project.steps import load_project

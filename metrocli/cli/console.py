@@ -13,6 +13,7 @@ from typing import Protocol
 
 import click
 
+from metrocli.cli.shell.fitted import coloured, fitted, terminal_size
 from metrocli.frozen import dataclass
 from metrocli.progress import Progress
 
@@ -43,8 +44,6 @@ def echo(text: str, err: bool = False, nl: bool = True, as_is: bool = False) -> 
     text = printable(text)
     stream = sys.stderr if err else sys.stdout
     if stream is not None and not stream.closed and stream.isatty() and not as_is and not text.startswith(("{", "[")):
-        from metrocli.cli.shell.fitted import coloured, fitted, terminal_size
-
         text = fitted(text, terminal_size(stream.fileno())[0])
         if not os.environ.get("NO_COLOR") and os.environ.get("TERM", "dumb") != "dumb":
             text = coloured(text)

@@ -11,6 +11,11 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
+from metrocli.cli.shell.signals import first_interrupt
+from metrocli.errors import InputError, UsageError
+from metrocli.project import DIAGNOSIS
+from metrocli.record import NOT_MET
+from metrocli.tasks import KINDS
 
 if TYPE_CHECKING:
     from metrocli.diagnosis.findings import Diagnosis
@@ -51,7 +56,6 @@ def command(
 
     Where the extended job cannot be written, the report is printed with a warning; with `--output` it is an error.
     """
-    from metrocli.errors import UsageError
     from metrocli.project.job import Wishes, load
 
     if design and wanted["scheduler"]:
@@ -74,7 +78,6 @@ def _design(path: Path, asked: Wishes, as_json: bool, console: Console) -> int:
     from metrocli.diagnosis import verdict
     from metrocli.project import diagnosed
     from metrocli.project.job import kind_of_job, load
-    from metrocli.tasks import KINDS
 
     kind = kind_of_job(path)
     wished = replace(asked, not_needed=KINDS[kind].measured if kind else ())
@@ -92,11 +95,9 @@ def _once(
     from metrocli.cli import summary
     from metrocli.cli.diagnosis_report import findings
     from metrocli.cli.diagnosis_report.next_readings import next_lines
-    from metrocli.cli.shell.signals import first_interrupt
     from metrocli.diagnosis.next_readings.choice import as_data, next_readings
     from metrocli.project import diagnosed
     from metrocli.project.own_effects import alike_for
-    from metrocli.record import NOT_MET
     from metrocli.uncertainty.workers.dask_cluster import ordered_on
 
     console, limit = Console(wanted["quiet"] or as_json, wanted["verbose"]), _seconds(wanted["limit"])
@@ -117,7 +118,6 @@ def _once(
 
 def _extended(job: JobFile, diagnosis: Diagnosis, output: Path | None, force: bool) -> Extended | None:
     """Write the extended job, where effects were named; what prevents it is an error if a file was asked for."""
-    from metrocli.errors import InputError
     from metrocli.project import diagnosed
 
     try:
@@ -141,9 +141,7 @@ def _data(job: JobFile, diagnosis: Diagnosis, extended: Path | None) -> dict[str
 def _keep(job: JobFile, data: dict[str, Any], force: bool, console: Console) -> None:
     """Write a diagnosis beside the result of its job, for figures and pages; what prevents it is a warning."""
     from metrocli.cli import summary
-    from metrocli.errors import InputError
     from metrocli.formats.own_files import write_all
-    from metrocli.project import DIAGNOSIS
 
     try:
         for path in write_all({job.output.with_suffix(DIAGNOSIS): f"{summary.as_json(data)}\n".encode()}, force):
@@ -157,12 +155,10 @@ def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> i
     """Print the steps of the loop until a job is clean."""
     from metrocli.cli import summary
     from metrocli.cli.diagnosis_report.loop import loop_data, of_loop
-    from metrocli.cli.shell.signals import first_interrupt
     from metrocli.project.diagnosed import carry_out
     from metrocli.project.job import Wishes, load
     from metrocli.project.own_effects import alike_for
     from metrocli.project.until_clean import until_clean
-    from metrocli.record import NOT_MET
     from metrocli.uncertainty.workers.dask_cluster import ordered_on
 
     console = Console(wanted["quiet"] or as_json, wanted["verbose"])
@@ -189,7 +185,6 @@ def _is_met(verdict: str | None, diagnosis: Diagnosis) -> bool:
 
 def _seconds(text: str) -> float:
     """Return a limit of time in seconds."""
-    from metrocli.errors import UsageError
     from metrocli.units import QuantityError, parse_quantity
 
     try:

@@ -10,7 +10,9 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import print_files
-from metrocli.exports import FORMATS
+from metrocli.errors import Fault, InputError
+from metrocli.exports import FORMATS, export
+from metrocli.table import Table
 
 SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items())
 
@@ -33,11 +35,8 @@ def command(
     Raises InputError if the result is not fit for use, unless that is accepted; the files then state it. Inputs of the
     result, which an import may have written, and files that metrocli did not write are replaced with `force` only.
     """
-    from metrocli.errors import Fault, InputError
-    from metrocli.exports import export
     from metrocli.formats import csv, hdf5
     from metrocli.formats.own_files import inside, write_all
-    from metrocli.table import Table
 
     found, record = hdf5.read(result)
     if record.reasons and not accept_doubtful:
@@ -49,7 +48,7 @@ def command(
     inputs = {os.path.realpath(os.path.join(folder_of_job, one.path)) for one in record.inputs}
     if record.job_file:  # messages name it from the working folder, the result from its own
         record = replace(record, job_file=Path(os.path.relpath(result.parent / record.job_file)).as_posix())
-    from metrocli.project.provenance.standards import with_standards
+    from metrocli.project.provenance.comparison import with_standards
 
     record = with_standards(result, record)
     contents = {}

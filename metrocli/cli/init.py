@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -9,7 +11,9 @@ import click
 from metrocli.cli import options
 from metrocli.cli.console import echo
 from metrocli.cli.shell.choices import offering
+from metrocli.errors import Fault, InputError, UsageError
 from metrocli.project import PROJECT_FILE
+from metrocli.words import suggestion
 
 
 def samples_folder() -> Path:
@@ -31,8 +35,6 @@ def all_samples() -> dict[str, Path]:
 def command(folder: Path | None, sample: str | None, as_json: bool) -> int:
     """Copy a sample, or list all samples."""
     from metrocli.cli.summary import as_json as json_text
-    from metrocli.errors import Fault, InputError, UsageError
-    from metrocli.words import suggestion
 
     samples = all_samples()
     if sample is None and as_json:
@@ -62,10 +64,6 @@ def _copy(sample: Path, folder: Path) -> None:
 
     Raises InputError with the first file that cannot be written.
     """
-    import shutil
-    from contextlib import suppress
-
-    from metrocli.errors import Fault, InputError
 
     def copied(source: str, target: str) -> None:
         try:

@@ -9,6 +9,7 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
+from metrocli.errors import UsageError
 from metrocli.tasks import KINDS
 
 
@@ -37,7 +38,6 @@ def make(kind: str) -> click.Command:
 
 def _carry_out(kind: str, path: Path, console: Console, wanted: dict[str, Any]) -> int:
     """Load the job; then check it (--dry-run), answer a question about it or run it; print the outcome."""
-    from metrocli.errors import UsageError
     from metrocli.formats.hdf5 import refuse_foreign
     from metrocli.project import runner
     from metrocli.project.job import Wishes, load

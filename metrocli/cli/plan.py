@@ -9,6 +9,7 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
+from metrocli.tasks import KINDS
 
 if TYPE_CHECKING:
     from metrocli.diagnosis.next_readings.choice import Next
@@ -42,7 +43,6 @@ def command(
     from metrocli.diagnosis.next_readings.choice import as_data
     from metrocli.project import planned, runner
     from metrocli.project.job import Wishes, kind_of_job, load
-    from metrocli.tasks import KINDS
 
     console = Console(quiet)
     folder = out if out is not None else job.with_name(f"{job.stem}.plan")
@@ -71,7 +71,6 @@ def _revealing(job: Path, effect: str, wishes: dict[str, Any]) -> Next:
     from metrocli.diagnosis.next_readings.choice import revealing
     from metrocli.project import diagnosed
     from metrocli.project.job import Wishes, kind_of_job, load
-    from metrocli.tasks import KINDS
 
     kind = kind_of_job(job)
     not_needed, accept = KINDS[kind].measured if kind else (), wishes["accept_doubtful"]

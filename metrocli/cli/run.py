@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,9 @@ import click
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
 from metrocli.cli.shell.idle import up_to_date_lines
+from metrocli.cli.shell.live_table import has_terminal, live_table, time_text
+from metrocli.project import PROJECT_FILE
+from metrocli.project.running import memo
 from metrocli.record import DOUBTFUL, NOT_MET, UNMET
 
 if TYPE_CHECKING:
@@ -43,9 +47,6 @@ if TYPE_CHECKING:
 @options.VERBOSE
 def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: bool, **how: Any) -> int:
     """Run the jobs and print one line for each; return the worst of their exit codes."""
-    from metrocli.project import PROJECT_FILE
-    from metrocli.project.running import memo
-
     console = Console(quiet or as_json, verbose)
     place = project / PROJECT_FILE if project.is_dir() else project
     plain = not any(how[option] for option in ("only", "start", "force", "depfile", "strict", "accept_doubtful"))
@@ -54,8 +55,8 @@ def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: b
     if unmoved is not None:
         return nothing_to_do(unmoved, place.parent, console, as_json, dry_run)
     from metrocli.project import pipeline
-    from metrocli.project.running import depfile
-    from metrocli.project.running.lock import locked
+    from metrocli.project.running import files as depfile
+    from metrocli.project.running.files import locked
     from metrocli.project.staleness import states
     from metrocli.project.steps import load_project, project_file, selected
 
@@ -82,8 +83,6 @@ def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: b
 def nothing_to_do(jobs: Sequence[Sequence[str]], folder: Path, console: Console, as_json: bool, dry: bool) -> int:
     """Print that all jobs are up to date, as a run that looks at everything would."""
     if as_json:
-        import json
-
         done = {"action": "up to date", "reason": "", "exit_code": 0}
         would = {"up_to_date": True, "would": "up to date", "reason": "", "status": "done"}
         listed = [
@@ -99,7 +98,6 @@ def nothing_to_do(jobs: Sequence[Sequence[str]], folder: Path, console: Console,
 
 def _run(steps: Sequence[Step], order: Order, console: Console, jobs: int, scheduler: str) -> list[Report]:
     """Run the jobs and print the line of each, on a terminal above a table of those in work; then the counts."""
-    from metrocli.cli.shell.live_table import has_terminal, live_table, time_text
     from metrocli.project import pipeline
 
     watched = has_terminal() and not (console.quiet or console.verbose)

@@ -6,6 +6,9 @@ import click
 
 from metrocli.cli.console import echo
 from metrocli.cli.shell.choices import kinds, offering
+from metrocli.errors import UsageError
+from metrocli.tasks import KINDS
+from metrocli.words import suggestion
 
 
 @click.command("schema", help="Print the JSON schema (2020-12) of a job of one kind, or of any kind.")
@@ -13,10 +16,7 @@ from metrocli.cli.shell.choices import kinds, offering
 def command(kind: str | None) -> int:
     """Print the schema of one kind, or one that accepts every kind."""
     from metrocli.cli.summary import as_json
-    from metrocli.errors import UsageError
     from metrocli.project.job import schema
-    from metrocli.tasks import KINDS
-    from metrocli.words import suggestion
 
     if kind is not None and kind not in KINDS:
         raise UsageError(f"no kind of job '{kind}'; {suggestion(kind, KINDS)}")

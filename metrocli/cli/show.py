@@ -11,7 +11,9 @@ from metrocli.cli import options
 from metrocli.cli.console import echo
 from metrocli.cli.look.held import print_reasons
 from metrocli.cli.shell.choices import tables
+from metrocli.errors import UsageError
 from metrocli.tasks import KINDS
+from metrocli.words import suggestion
 
 if TYPE_CHECKING:
     from metrocli.result import Result
@@ -29,9 +31,7 @@ def command(result: Path, name: str | None, units: str, as_json: bool, **asked: 
     """Print a result as its job did, or one of its tables, or the answer to a question of its kind."""
     from metrocli.cli import summary, terminal
     from metrocli.cli.look.inches import INCHES, in_units
-    from metrocli.errors import UsageError
     from metrocli.formats import csv, hdf5
-    from metrocli.words import suggestion
 
     found, record = hdf5.read(result)
     wanted = [f"--{one}" for one in QUESTIONS if asked[one] is not None] + ["--table"] * (name is not None)
@@ -66,7 +66,6 @@ def _answer(result: Result, question: str, values: tuple[str, ...], units: str, 
     """Return the answer to a question about a result as text; raise UsageError if its kind has no such question."""
     from metrocli.cli import summary, terminal
     from metrocli.cli.look.inches import estimates_in
-    from metrocli.errors import UsageError
 
     answering = [kind.name for kind in KINDS.values() if question in {one.name for one in kind.result_questions}]
     if result.kind not in answering:

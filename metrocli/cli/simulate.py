@@ -9,6 +9,9 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
+from metrocli.errors import Fault, InputError
+from metrocli.simulation import SimulationOptions
+from metrocli.tasks import KINDS
 
 
 @click.command("simulate", help="Write the measurement that the model of a job predicts, and the truth behind it.")
@@ -31,12 +34,9 @@ from metrocli.cli.console import Console, echo
 def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: bool, **wishes: Any) -> int:
     """Simulate; write tables, images and truth.json; print their paths."""
     from metrocli.cli.summary import as_json as json_text
-    from metrocli.errors import Fault, InputError
     from metrocli.project import runner
     from metrocli.project.job import Wishes, kind_of_job, load
     from metrocli.project.simulated import write
-    from metrocli.simulation import SimulationOptions
-    from metrocli.tasks import KINDS
 
     if out.exists() and not force and (not out.is_dir() or any(out.iterdir())):
         raise InputError([Fault("the folder is not empty", str(out), hint="name a new one, or use --force")])

@@ -8,6 +8,9 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
+from metrocli.cli.run import nothing_to_do, state_data, state_text
+from metrocli.project import PROJECT_FILE
+from metrocli.project.running.memo import unmoved_jobs
 
 
 @click.command("status", help="List what is up to date in a project, what is not, and why.")
@@ -16,10 +19,6 @@ from metrocli.cli.console import Console, echo
 @options.JSON
 def command(project: Path, accept_doubtful: bool, as_json: bool) -> int:
     """Print one line for each job; return 0 whenever the project can be read."""
-    from metrocli.cli.run import nothing_to_do, state_data, state_text
-    from metrocli.project import PROJECT_FILE
-    from metrocli.project.running.memo import unmoved_jobs
-
     place = project / PROJECT_FILE if project.is_dir() else project
     unmoved = unmoved_jobs(str(place)) if not accept_doubtful else None
     if unmoved is not None:

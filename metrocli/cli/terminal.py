@@ -13,7 +13,7 @@ from metrocli.cli.columns import columns_text, table_text
 from metrocli.cli.console import echo
 from metrocli.plan import Plan
 from metrocli.record import Record
-from metrocli.report.stated_units import compound_unit, stated
+from metrocli.report.html import compound_unit, stated
 from metrocli.result import SCALE, Estimate, Result, ShownTable
 from metrocli.table import Table
 

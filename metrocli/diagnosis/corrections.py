@@ -14,7 +14,7 @@ from metrocli.units import DIMENSIONS, INCH, Unit, find_unit, suffix_of, suffixe
 from metrocli.words import in_a_row
 
 if TYPE_CHECKING:
-    from metrocli.table import Values
+    from metrocli.arrays import Values
 
 Inputs = Mapping[str, object]
 _AXES = ("x", "y", "z")

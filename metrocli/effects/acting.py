@@ -8,9 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.expressions.dimensions import Compound, base_unit
 from metrocli.frozen import dataclass

@@ -8,8 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.model.blocks import Array, Space
+from metrocli.adjust.model.blocks import Space
 from metrocli.adjust.model.chain import Link
+from metrocli.arrays import Array
 from metrocli.expressions.written import OfUnit
 from metrocli.frozen import dataclass
 from metrocli.settings import Number, Quantity, Spec, Text
@@ -87,6 +88,11 @@ class Parameter:
         """Return a size of it to two digits, for sentences: "0.21 um"."""
         value, shown = (size, "") if self.dimension else self.readable(size)
         return f"{units.sized(value, self.dimension)} {shown}".strip()
+
+
+def sizes(names: str, dimension: str, plausible: str) -> tuple[Parameter, ...]:
+    """Return parameters, their names with blanks between them, of one plausible size given as a text."""
+    return tuple(Parameter(name, dimension, parse_quantity(plausible, dimension)) for name in names.split())
 
 
 @dataclass(frozen=True)

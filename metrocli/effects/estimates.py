@@ -10,8 +10,9 @@ import numpy as np
 
 from metrocli.adjust.adjustment import covariance_at
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array
 from metrocli.effects.model import Added, Model
 from metrocli.result import Estimate
 from metrocli.table import Table

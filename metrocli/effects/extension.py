@@ -9,11 +9,11 @@ from itertools import chain, count, product
 import numpy as np
 
 from metrocli.adjust.datum import turning
-from metrocli.adjust.iterated_weights import with_aspects
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain, Link
 from metrocli.adjust.model.groups import Group, prior
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.rounds import with_aspects
+from metrocli.arrays import Array, Index
 from metrocli.effects.acting import NOMINAL
 from metrocli.effects.effect import COLUMN, ELAPSED, WARMING, Effect
 from metrocli.effects.model import Added, Model

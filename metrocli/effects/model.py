@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import field, replace
 
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.iterated_weights import Aspect
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
+from metrocli.adjust.rounds import Aspect
+from metrocli.arrays import Array
 from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass
 

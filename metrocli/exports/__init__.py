@@ -28,14 +28,14 @@ class Format:
 
 
 FORMATS: dict[str, Format] = {
-    "csv": Format("metrocli.exports.csv_tables", "each table of the result, with units in the header"),
+    "csv": Format("metrocli.exports.csv_errors", "each table of the result, with units in the header"),
     "siemens-lec": Format("metrocli.exports.siemens_lec", "positioning errors for $AA_ENC_COMP"),
     "siemens-cec": Format("metrocli.exports.siemens_cec", "all other errors for $AN_CEC, with multiplied tables"),
     "heidenhain": Format("metrocli.exports.heidenhain", "tables .COM and .CMA"),
     "fanuc": Format("metrocli.exports.fanuc", "increments of pitch error compensation"),
     "linuxcnc": Format("metrocli.exports.linuxcnc", "COMP_FILE of each joint"),
     "isg-csv": Format("metrocli.exports.isg_csv", "volumetric compensation of ISG and Beckhoff"),
-    "etalon": Format("metrocli.exports.etalon", "Etalon exchange format"),
+    "etalon": Format("metrocli.exports.volumetric", "Etalon exchange format"),
     "dcc": Format("metrocli.exports.dcc", "Digital Calibration Certificate of PTB (XML)", recorded=True),
 }
 

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from metrocli.exports.error_tables import AXES, Array, ErrorTables, of
+from metrocli.arrays import Array
+from metrocli.exports.error_tables import AXES, ErrorTables, of
 from metrocli.frozen import dataclass
 
 Texts = Mapping[str, str]

@@ -1,4 +1,4 @@
-"""Export error tables as plain CSV with standard uncertainties: `error,position_mm,value_um,std_um`."""
+"""Export as CSV: all tables of a result, or the error curves of a machine."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ from collections.abc import Iterable
 import numpy as np
 
 from metrocli import units
+from metrocli.arrays import Array
 from metrocli.errors import InputError
+from metrocli.exports import Exported, error_tables
 from metrocli.exports.compensation import Control, Texts
-from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
+from metrocli.exports.error_tables import AXES, Curve, ErrorTables
 from metrocli.exports.volumetric import chain_note, moved_by_errors
+from metrocli.result import Result
+from metrocli.table import Table
 
 _UNITS = {"um": ("length", "errors.csv"), "urad": ("angle", "errors-angles.csv")}
 _SQUARENESS = "errors-squareness.csv"
@@ -83,3 +87,25 @@ def moved(held: tuple[dict[str, Curve], dict[str, float], list[str]], commanded:
 
 
 CONTROL = Control(carried, written, read, moved, resolution=1e-6)
+
+
+def files(result: Result) -> Exported:
+    """Return the tables that have rows, by file name `NAME.csv`; a group of the result becomes part of the name.
+
+    For a machine, `errors.csv` holds the error tables, and the summary of the errors is `errors-summary.csv`. Raises
+    InputError if the result has no tables.
+    """
+    own = _error_tables(result)
+    found: dict[str, Table | str] = {}
+    for name, table in result.tables.items():
+        file = name.replace("/", "-")
+        if len(table):
+            found[f"{file}-summary.csv" if f"{file}.csv" in own else f"{file}.csv"] = table
+    if not found:
+        raise InputError("the result has no tables")
+    return {**found, **own}
+
+
+def _error_tables(result: Result) -> Exported:
+    tables = error_tables.of(result) if error_tables.has(result) else None
+    return CONTROL.files(tables) if tables and tables.curves else {}

@@ -12,7 +12,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from metrocli.errors import Fault, InputError
-from metrocli.exports import Exported, dsi
+from metrocli.exports import Exported
+from metrocli.exports import dcc_elements as dsi
 from metrocli.exports.dcc_elements import DCC, XSI, add, called, identified, named, software_of, text_of
 from metrocli.exports.dcc_quantities import add_estimates, add_table, certified, symbols_of
 from metrocli.record import Record

@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from metrocli.exports import dsi
+from metrocli.exports import dcc_elements as dsi
 from metrocli.exports.dcc_elements import DCC, add, named
 from metrocli.result import Estimate, K, Result
 from metrocli.table import Table

@@ -5,18 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
+from metrocli.errors import InputError
 from metrocli.frozen import dataclass
-
-if TYPE_CHECKING:
-    from metrocli.result import Result
-    from metrocli.table import Table
-
-Array = npt.NDArray[np.float64]
+from metrocli.result import Result
+from metrocli.table import Table
 
 AXES = "XYZ"
 SIGN = "sign: actual minus commanded"
@@ -168,8 +164,6 @@ def has(result: Result) -> bool:
 
 def of(result: Result) -> ErrorTables:
     """Return the determined error tables of a result of calibrate-machine; raises InputError for any other result."""
-    from metrocli.errors import InputError
-
     named = {name.removeprefix("tables/"): table for name, table in result.tables.items() if name.startswith("tables/")}
     if not named:
         why = "this format needs a result of calibrate-machine"

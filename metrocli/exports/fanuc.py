@@ -16,10 +16,11 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
-from metrocli.exports.grids import evenly
+from metrocli.exports.error_tables import AXES, Curve, ErrorTables
+from metrocli.exports.volumetric import evenly
 from metrocli.frozen import dataclass
 from metrocli.result import Result
 

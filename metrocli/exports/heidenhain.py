@@ -13,9 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
+from metrocli.exports.error_tables import AXES, Curve, ErrorTables
 from metrocli.result import Result
 
 MOST_POINTS = 256

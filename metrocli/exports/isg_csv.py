@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
+from metrocli.exports.error_tables import AXES, Curve, ErrorTables
 from metrocli.exports.volumetric import chain_note, moved_by_errors, trial_move
 from metrocli.result import Result
 

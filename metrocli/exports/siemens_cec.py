@@ -14,10 +14,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli import units
+from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
-from metrocli.exports.grids import evenly
+from metrocli.exports.error_tables import AXES, Curve, ErrorTables
+from metrocli.exports.volumetric import evenly
 from metrocli.frozen import dataclass
 from metrocli.result import Result
 

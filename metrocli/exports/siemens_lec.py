@@ -11,10 +11,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
-from metrocli.exports.grids import evenly
+from metrocli.exports.error_tables import AXES, Curve, ErrorTables
+from metrocli.exports.volumetric import evenly
 from metrocli.result import Result
 
 MOST_POINTS = 5000

@@ -1,4 +1,4 @@
-"""Common parts of formats that hold the whole rigid-body model: comments, and a model of the control."""
+"""Export of the error on a grid in the volume, as CSV and for Etalon software."""
 
 from __future__ import annotations
 
@@ -7,7 +7,36 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
+from metrocli.arrays import Array
+from metrocli.errors import InputError
+from metrocli.exports.compensation import Control, Texts, files_of
+from metrocli.exports.error_tables import AXES, Curve, ErrorTables
+from metrocli.result import Result
+
+_EVEN = 1e-6
+"""Largest distance [mm] of positions from an even grid"""
+
+
+def evenly(curve: Curve, most: int) -> Curve | None:
+    """Return a curve on the coarsest even grid that contains all its positions.
+
+    Returns None if this grid needs more than `most` points.
+    """
+    start, end = curve.positions[0], curve.positions[-1]
+    if len(curve.positions) < 2:
+        return curve
+    first = round((end - start) / float(np.diff(curve.positions).min()))
+    for count in range(max(first, 1), most):
+        if _meets(curve.positions, start, (end - start) / count):
+            grid = np.linspace(start, end, count + 1)
+            return Curve(grid, curve.at(grid))
+    return None
+
+
+def _meets(positions: Array, start: float, step: float) -> bool:
+    steps = (positions - start) / step
+    return bool(np.abs(steps - np.round(steps)).max() * step < _EVEN)
+
 
 _CHAIN = re.compile(r"axes from the workpiece to the tool: (\w+); tool ([^ ]+) ([^ ]+) ([^ ]+) mm")
 
@@ -48,3 +77,52 @@ def moved_by_errors(
     ranges = {axis: (float(where.min()), float(where.max())) for axis, where in zip(AXES, commanded.T, strict=True)}
     held = ErrorTables(dict(curves), dict(squareness), found[1], tool, ranges)
     return -held.at(commanded)
+
+
+_FILE = "errors.etalon.txt"
+_BLOCK = re.compile(r"\[(\w+)\]\s*Gridpoints = \{([^}]*)\}")
+_SINGLE = re.compile(r"\[(\w+)\]\s*VALUE = (\S+)")
+
+
+def carried(tables: ErrorTables) -> ErrorTables:
+    """Return all errors: the format holds everything."""
+    return tables
+
+
+def written(tables: ErrorTables) -> Texts:
+    """Return the file; raises InputError if no error table is determined."""
+    if not tables.curves:
+        raise InputError("the result determines no error table: nothing to compensate")
+    head = [f"// {line}" for line in [*tables.notes(), *chain_note(tables), *trial_move(tables)]]
+    blocks = [_block(name, curve) for name, curve in tables.curves.items()]
+    single = [f"[{name}]\nVALUE = {value:.12f}" for name, value in tables.squareness.items()]
+    return {_FILE: "\n".join([*head, *blocks, *single, ""])}
+
+
+def _block(name: str, curve: Curve) -> str:
+    rows = [f"  {at:.6f} {value:.12f}" for at, value in zip(curve.positions, curve.values, strict=True)]
+    return "\n".join([f"[{name}]", "Gridpoints = {", *rows, f"}} // end of {name}"])
+
+
+def read(texts: Texts) -> tuple[dict[str, Curve], dict[str, float], list[str]]:
+    """Return the curves, the squareness errors and the comments of the file."""
+    text = texts[_FILE]
+    curves = {}
+    for name, rows in _BLOCK.findall(text):
+        values = np.array([row.split() for row in rows.strip().splitlines()], dtype=float)
+        curves[name] = Curve(values[:, 0], values[:, 1])
+    squareness = {name: float(value) for name, value in _SINGLE.findall(text)}
+    return curves, squareness, [line for line in text.splitlines() if line.startswith("//")]
+
+
+def moved(held: tuple[dict[str, Curve], dict[str, float], list[str]], commanded: Array) -> Array:
+    """Return the movement (n, 3) mm by the control: the negative error of the rigid-body model."""
+    return moved_by_errors(*held, commanded)
+
+
+CONTROL = Control(carried, written, read, moved, resolution=1e-6)
+
+
+def files(result: Result) -> Texts:
+    """Return the files of a result."""
+    return files_of(CONTROL, result)

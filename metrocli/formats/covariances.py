@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.result import Result
-
-if TYPE_CHECKING:
-    from metrocli.result import Array
 
 _CROSS = ("views_lens_covariance",)
 """Covariances between two different sets of quantities, which need not be symmetric"""

@@ -11,21 +11,17 @@ import math
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli import copies, units
+from metrocli.arrays import Array, Values
 from metrocli.errors import Fault, InputError
-from metrocli.formats.csv_keys import repeated
 from metrocli.formats.csv_plain import PlainCells, plain_cells
-from metrocli.formats.csv_text import Raw, read_text, shortened, taken_apart
-from metrocli.formats.file_bytes import FileBytes
+from metrocli.formats.csv_text import Raw, read_text, repeated, shortened, taken_apart
+from metrocli.formats.file_bytes import FileBytes, written_aside
 from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 from metrocli.words import nearest
-
-if TYPE_CHECKING:
-    from metrocli.table import Array, Values
 
 LONGEST_TEXT = 200
 _WHOLE_LIMIT = 1 << 62
@@ -269,8 +265,6 @@ def _texts(raw: Raw, index: int, column: Column, faults: list[Fault]) -> Values:
 
 def write(path: Path, table: Table) -> None:
     """Write a table with its units in the header, completely or not at all; numbers read back without change."""
-    from metrocli.formats.aside import written_aside
-
     with written_aside(path) as aside:
         aside.write_text(to_text(table), encoding="utf-8", newline="\n")
 

@@ -6,16 +6,13 @@ Whole columns become texts or numbers at once, without a Python object for each 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, overload
+from typing import overload
 
 import numpy as np
+import numpy.typing as npt
 
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from metrocli.table import Array
 
 _UNUSUAL = ' "#\t\v\f\x1c\x1d\x1e\x1f'
 """Quotation marks, comments and white space of ASCII other than line ends; a separator is allowed"""
@@ -31,9 +28,9 @@ class PlainCells(Sequence[Sequence[str]]):
 
     letters: npt.NDArray[np.uint8]
     """All letters of the rows, and as many zeros as the longest cell has letters"""
-    start: npt.NDArray[np.intp]
+    start: Index
     """First letter of each cell, (columns, rows)"""
-    length: npt.NDArray[np.intp]
+    length: Index
     """Number of letters of each cell, (columns, rows)"""
 
     def __len__(self) -> int:

@@ -1,21 +1,24 @@
-"""Split a CSV file into its header and cells, without converting them."""
+"""The text of a CSV file: cells, headings with units, and rows whose keys occur twice."""
 
 from __future__ import annotations
 
 import csv
+import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import numpy as np
+
+from metrocli.arrays import Values
+from metrocli.copies import row_hashes
 from metrocli.errors import Fault, InputError
+from metrocli.formats.csv_plain import PlainCells
 from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.frozen import dataclass
-
-if TYPE_CHECKING:
-    from metrocli.formats.csv_plain import PlainCells
+from metrocli.table import Columns, Table
 
 MOST_FAULTS = 20
 MOST_COLUMNS = 5000
@@ -102,7 +105,7 @@ def taken_apart(text: str, file: str, plainly: Plainly | None = None) -> Raw:
         message = f"the header has {len(header)} columns, more than {MOST_COLUMNS}"
         raise InputError([Fault(message, file, number, hint=hint)])
     raw = Raw(file, text, separator, number, header, (), ())
-    if _nameless(header):
+    if all(re.fullmatch(r"[-+.\deE]+", cell) for cell in header):
         raise InputError([raw.fault("the columns have no names", number, None, "write their names in the first line")])
     cells = plainly(text[end + 1 :], separator, len(header)) if plainly else None
     if cells is not None:
@@ -134,10 +137,6 @@ def _row_by_row(raw: Raw) -> Raw:
     refuse_cells(raw, [(n, count) for n, count in zip(numbers, counts, strict=True) if count != width])
     flat = separator.join(rows).split(separator)
     return replace(raw, cells=tuple(flat[k::width] for k in range(width)), numbers=numbers)
-
-
-def _nameless(header: Sequence[str]) -> bool:
-    return all(re.fullmatch(r"[-+.\deE]+", cell) for cell in header)
 
 
 def _is_row(line: str) -> bool:
@@ -189,3 +188,63 @@ def shortened(faults: Sequence[Fault]) -> list[Fault]:
     last = faults[MOST_FAULTS]
     rest = Fault(f"and {len(faults) - MOST_FAULTS} more faults from here on", last.file, last.line, last.column)
     return [*faults[:MOST_FAULTS], rest]
+
+
+_HEAD = 1 << 16
+"""Bytes from the beginning of a file that are looked at"""
+
+
+def numeric(path: Path) -> tuple[str, ...]:
+    """Return the headings of the columns of which most of the first cells that are not empty are numbers.
+
+    Where such a column is used, another cell is a fault with its line. A file that cannot be read has none; its faults
+    are reported where the whole of it is read.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+        text = head.decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
+        whole = text if len(head) < _HEAD else text[: text.rfind("\n")]
+        raw = taken_apart(whole, str(path))
+    except (OSError, InputError):
+        return ()
+    return tuple(name for name, cells in zip(raw.header, raw.cells, strict=True) if _hold_numbers(cells))
+
+
+def _hold_numbers(cells: Sequence[str]) -> bool:
+    filled = [cell.strip() for cell in cells if cell.strip()]
+    return 2 * sum(map(_is_number, filled)) > len(filled)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        return math.isfinite(float(cell))
+    except ValueError:
+        return False
+
+
+def repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Container[int | None]) -> list[Fault]:
+    """Return a fault for each row that has the same key as an earlier row, but for the lines `without` a key."""
+    names = [name for name in columns.key if name in values]
+    if not names:
+        return []
+    if _all_different(Table({name: values[name] for name in names})):
+        return []
+    keys = list(zip(*(values[name].tolist() for name in names), strict=True))
+    first: dict[tuple[object, ...], int] = {}
+    faults = []
+    for row, key in enumerate(keys):
+        if raw.numbers[row] in without:
+            continue
+        if key in first:
+            said = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
+            faults.append(raw.fault(f"{said}: a second row", raw.numbers[row], None, f"first in line {first[key]}"))
+        else:
+            first[key] = raw.numbers[row]
+    return faults
+
+
+def _all_different(keys: Table) -> bool:
+    """Return whether no two rows have the same values in all columns; False also where chance gives equal numbers."""
+    numbers = np.sort(row_hashes(keys, tuple(keys)))
+    return bool((numbers[1:] != numbers[:-1]).all())

@@ -1,10 +1,12 @@
-"""The bytes of a file, read once: what is hashed is what is used."""
+"""Bytes of files: read once with their hash, and written aside before they take their name."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
 
@@ -61,3 +63,112 @@ def read_bytes(path: Path, what: str = "a file", shown: str = "", most: int = MO
     if len(data) > most:
         raise InputError([Fault(f"the file grew beyond {most} bytes while it was read", shown)])
     return FileBytes(path, data)
+
+
+_open: set[Path] = set()
+"""Temporary files that this process is writing"""
+
+
+@contextmanager
+def written_aside(path: Path) -> Iterator[Path]:
+    """Yield a temporary path in the same folder to write to; on success it replaces `path` in one step.
+
+    The temporary file is locked as long as its writer lives, so that others can see which ones are left over. Raises
+    InputError if the file cannot be written; `path` and the folders are then as before.
+    """
+    try:
+        with folder_made(path.parent), _replacing(path) as aside:
+            yield aside
+    except OSError as error:
+        raise InputError([Fault(f"cannot be written: {error.strerror or error}", str(path))]) from error
+
+
+@contextmanager
+def folder_made(folder: Path) -> Iterator[None]:
+    """Make a folder, and those above it, if need be; of those that were made the empty ones go at the end."""
+    absent = [one for one in (folder, *folder.parents) if not os.path.lexists(one)]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
+    finally:
+        with suppress(OSError):
+            for one in absent:
+                one.rmdir()
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    aside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    handle = -1
+    try:
+        sweep(path.parent, f".{path.name}.")
+        _open.add(aside)
+        handle = os.open(aside, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
+        _lock(handle)
+        yield aside
+        os.fsync(handle)
+        aside.replace(path)
+        _flush(path.parent)
+    finally:
+        with suppress(OSError):
+            aside.unlink()
+        if handle >= 0:
+            os.close(handle)
+        _open.discard(aside)
+
+
+def write_bytes(path: Path, *parts: bytes) -> None:
+    """Write a file completely or not at all, part after part; raises InputError as `written_aside`."""
+    with written_aside(path) as aside, aside.open("wb") as file:
+        file.writelines(parts)
+
+
+def refuse_unwritable(path: Path) -> None:
+    """Raise InputError if no file can be written at `path`, or its folder cannot be made; nothing is tried."""
+    there = next(one for one in path.absolute().parents if os.path.exists(one))  # False where a folder is closed
+    if not there.is_dir():
+        raise InputError([Fault(f"cannot be written: {there} is a file, not a folder", str(path))])
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise InputError([Fault(f"cannot be written: no right to write into {there}", str(path))])
+
+
+def sweep(folder: Path, begin: str = ".") -> None:
+    """Remove the temporary files in a folder whose writers no longer live, of those whose names begin so."""
+    names: list[str] = []
+    with suppress(OSError):
+        names = os.listdir(folder)  # a folder of 10,000 results is listed for each of them: no Path for each name
+    for left in (folder / name for name in names if name.startswith(begin) and name.endswith(".part")):
+        if left in _open:
+            continue
+        with suppress(OSError):
+            handle = os.open(left, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
+            try:
+                _lock(handle)
+                left.unlink()
+            finally:
+                os.close(handle)
+
+
+def discard_all() -> None:
+    """Remove all temporary files of this process; for the moment before it ends without unwinding."""
+    for aside in list(_open):
+        with suppress(OSError):
+            aside.unlink()
+
+
+def _lock(handle: int) -> None:
+    """Lock an open file until it is closed or its process ends; raise BlockingIOError if another process holds it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows: an open file cannot be removed there, which protects it as well
+        return
+    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _flush(folder: Path) -> None:
+    """Flush the entries of a folder to the disk."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -9,8 +9,7 @@ import os
 from pathlib import Path
 
 from metrocli.errors import Fault, InputError
-from metrocli.formats.aside import write_bytes
-from metrocli.formats.file_bytes import FileBytes, read_bytes
+from metrocli.formats.file_bytes import FileBytes, read_bytes, write_bytes
 from metrocli.formats.seal import Label, is_remains, sealed, unsealed
 from metrocli.record import Record
 from metrocli.result import Result

@@ -6,16 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from metrocli.arrays import Picture
 from metrocli.errors import Fault, InputError
-from metrocli.formats.aside import write_bytes
-from metrocli.formats.file_bytes import FileBytes, read_bytes
+from metrocli.formats.file_bytes import FileBytes, read_bytes, write_bytes
 from metrocli.formats.image_headers import HeaderError, size_of
 from metrocli.frozen import dataclass
-
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
 
 MOST_PIXELS = 200_000_000
 """Images with more pixels are refused before they are decoded."""

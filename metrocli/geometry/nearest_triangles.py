@@ -11,10 +11,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
-from metrocli.geometry.triangles import NEXT, Array, Index, Triangles
+from metrocli.geometry.triangles import NEXT, Triangles
 
 _CELLS = 20_000
 """Long triangles are divided until no cell is larger than one of so many equal cells of the whole surface"""
@@ -101,7 +101,7 @@ class Search:
         face = owner[tree.query(points, eps=_NEARLY)[1]]
         return self._of(points, face)[:2]
 
-    def may_be_within(self, points: Array, limit: float) -> npt.NDArray[np.bool_]:
+    def may_be_within(self, points: Array, limit: float) -> Mask:
         """Return whether a triangle may be nearer to points (n, 3) than a limit: not where no cell is near."""
         tree, _, reach = self._tree
         return np.asarray(np.isfinite(tree.query(points, distance_upper_bound=limit + reach)[0]))
@@ -221,7 +221,7 @@ class Search:
         shape = np.stack([long, ((c - a) * first).sum(axis=1), ((c - a) * across).sum(axis=1)], axis=1)
         return np.concatenate([a, first, across, normal, shape], axis=1)
 
-    def _edges(self, points: Array, face: Index) -> tuple[Array, npt.NDArray[np.bool_], list[Array], list[Array]]:
+    def _edges(self, points: Array, face: Index) -> tuple[Array, Mask, list[Array], list[Array]]:
         """Return the height of each point above the plane of its triangle, and whether it is above the inside.
 
         And for each edge the squared distance in the plane, and the part of the edge at which it is reached.

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.geometry.rotations import (
-    Array,
     euler_by_vector,
     euler_from_rotation,
     nearest_rotation,

@@ -1,14 +1,16 @@
-"""Rotations in three dimensions: Euler angles, rotation vectors, matrices, and how they change.
-
-A small rotation is written on the left: `R' = Exp(d) R`, d a rotation vector in the frame that R leads into.
-"""
+"""Rotations and angles."""
 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from metrocli.arrays import Array
+
+
+def wrapped(angle: Array | float) -> Array:
+    """Return an angle [rad] within -pi ... pi."""
+    return np.asarray(np.arctan2(np.sin(angle), np.cos(angle)), dtype=float)
+
 
 _SMALL = 1e-5
 """Below this angle [rad] series of two terms are exact to double precision."""

@@ -10,12 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 _SMALL = 1e-12
 """Distance from an axis [mm] below which the direction away from it is not defined"""
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 _SMOOTH = np.radians(35.0)
 """Angle between neighbouring triangles up to which they belong to one patch"""
 _FLAT = np.radians(0.1)
@@ -93,7 +91,7 @@ class Triangles:
         cosine = np.einsum("ek,ek->e", self.normals[one], self.normals[other])
         return one, other, np.arccos(np.clip(cosine, -1, 1))
 
-    def _joined(self, smooth: npt.NDArray[np.bool_]) -> Index:
+    def _joined(self, smooth: Mask) -> Index:
         """Return a label for each triangle (f,), the same for those that smooth edges (e,) join."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
@@ -178,14 +176,14 @@ class Triangles:
         return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None])
 
     @cached_property
-    def _at_rim(self) -> npt.NDArray[np.bool_]:
+    def _at_rim(self) -> Mask:
         """Which vertices lie on an edge without a neighbour (m,)."""
         found = np.zeros(len(self.vertices), dtype=bool)
         face, corner = np.divmod(self.open_edges, 3)
         found[self.faces[face, corner]] = found[self.faces[face, NEXT[corner]]] = True
         return found
 
-    def at_rim(self, face: Index, feature: Index) -> npt.NDArray[np.bool_]:
+    def at_rim(self, face: Index, feature: Index) -> Mask:
         """Return whether a feature of each triangle is an edge without a neighbour, or an end of one (n,)."""
         of_edge = self._paired[0][3 * face + np.clip(feature - 1, 0, 2)] < 0
         of_vertex = self._at_rim[self.faces[face, np.clip(feature - 4, 0, 2)]]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
 CIDDOR, EDLEN = "ciddor", "edlen"

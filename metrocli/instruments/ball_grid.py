@@ -12,11 +12,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from metrocli.adjust.coupled_fields import Fields
-from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix

@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.chain import Chain, Link
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.adjust.movements import of_members, of_points
+from metrocli.arrays import Array
 from metrocli.geometry import poses
 from metrocli.instruments.frames import Into, OutOf, PointOf
 from metrocli.instruments.lens import PIXELS, Lens, LensBackward

@@ -5,17 +5,13 @@ from __future__ import annotations
 from itertools import permutations, product
 
 import numpy as np
-import numpy.typing as npt
 
 from metrocli.adjust.allowance import take
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import nearest_rotation
 from metrocli.instruments.linear_maps import linear_maps
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
 
 _FLAT = 1e-3
 """Targets whose thickness is below this share of their extent are treated as coplanar."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.instruments.lens import DISTORTION, RADIAL, distort, focal, image_point, plane_point, undistort
-
-Array = npt.NDArray[np.float64]
 
 _GRID = 33
 

@@ -4,25 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import IDENTITY, Local, Step, through
-from metrocli.adjust.model.quantities import Quantity
+from metrocli.adjust.model.quantities import OfBlock, Quantity
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)
-class PointOf:
+class PointOf(OfBlock):
     """Start of a chain: the observed point, a row of a block of coordinates plus a fixed offset."""
 
-    block: str
     gives: Quantity
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     takes = None
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of coordinates."""
-        return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point, (3, n), and its derivative by the coordinates in the block."""
@@ -33,17 +27,11 @@ class PointOf:
 
 
 @dataclass(frozen=True)
-class OutOf:
+class OutOf(OfBlock):
     """Link from a frame to the frame in which its pose is given: `X' = R X + d`."""
 
-    block: str
     takes: Quantity
     gives: Quantity
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of poses."""
-        return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return `R X + d` (3, n), with derivatives R by the point, and (I, -[R X]x) by a step of the pose."""
@@ -56,17 +44,11 @@ class OutOf:
 
 
 @dataclass(frozen=True)
-class Into:
+class Into(OfBlock):
     """Link to a frame from the frame in which its pose is given: `X = R' (X' - d)`."""
 
-    block: str
     takes: Quantity
     gives: Quantity
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of poses."""
-        return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return `R' (X' - d)` (3, n), with its derivatives.
@@ -98,17 +80,11 @@ def _shift_and_turn(vector: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class DistanceBetween:
+class DistanceBetween(OfBlock):
     """Link to the distance of two points of one block, `|a - b|`: a scale bar or another calibrated length."""
 
-    block: str
     takes = None
     gives = Quantity.LENGTH
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of coordinates; each reading depends on two of its members."""
-        return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the distance, (1, n), with its derivatives by both points, (2, 1, 3, n)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.instruments.launch_unit import direction
 

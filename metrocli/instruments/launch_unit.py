@@ -11,9 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain, Link, Local, Step
-from metrocli.adjust.model.quantities import Quantity
+from metrocli.adjust.model.quantities import OfBlock, Quantity
+from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments.frames import PointOf
 from metrocli.instruments.tracer import AIR
@@ -41,17 +42,12 @@ _REACH = 0.01
 
 
 @dataclass(frozen=True)
-class BeamOut:
+class BeamOut(OfBlock):
     """Link to the beam from the launch unit to the receiver: `b = r - p`."""
 
     block: str = UNIT
     takes = Quantity.POINT_IN_MACHINE
     gives = Quantity.BEAM_OUT
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of the launch unit."""
-        return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return b, (3, n), with its derivatives by the receiver's point and by the unit, (3, 4, 1)."""
@@ -61,17 +57,12 @@ class BeamOut:
 
 
 @dataclass(frozen=True)
-class BeamBack:
+class BeamBack(OfBlock):
     """Link to the beam from the receiver to the launch unit: `b = p - r`."""
 
     block: str = UNIT
     takes = Quantity.POINT_IN_MACHINE
     gives = Quantity.BEAM_BACK
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of the launch unit."""
-        return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return b, (3, n), with its derivatives by the receiver's point and by the unit, (3, 4, 1)."""
@@ -81,18 +72,12 @@ class BeamBack:
 
 
 @dataclass(frozen=True)
-class AboutBase:
+class AboutBase(OfBlock):
     """Link to the frame of a unit whose base is rotated by an angle about z: `b' = Rz(-angle) b`."""
 
-    block: str
     column: int
     takes: Quantity
     gives: Quantity
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of the angle."""
-        return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return b', (3, n), with its derivatives by b and by the angle."""

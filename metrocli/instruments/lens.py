@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
-from metrocli.adjust.model.quantities import Quantity
+from metrocli.adjust.model.quantities import OfBlock, Quantity
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
 RADIAL, RATIONAL = ("k1", "k2", "k3"), ("k4", "k5", "k6")
@@ -170,17 +170,12 @@ def _wanted(local: Local, name: str) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class Lens:
+class Lens(OfBlock):
     """Link to the image of a point in the camera, with the distortion as a function of the ideal point (OpenCV)."""
 
     block: str = "lens"
     takes = Quantity.POINT_IN_CAMERA
     gives = Quantity.IMAGE_POINT
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of lens parameters."""
-        return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n).
@@ -221,7 +216,7 @@ class Lens:
 
 
 @dataclass(frozen=True)
-class LensBackward:
+class LensBackward(OfBlock):
     """Link to the image of a point in the camera, with the correction as a function of the measured point (Brown 1966).
 
     The corrected measured point `D(m)` is compared with the ideal point x: `value = reading - f (D(m) - x)`. So the
@@ -231,11 +226,6 @@ class LensBackward:
     block: str = "lens"
     takes = Quantity.POINT_IN_CAMERA
     gives = Quantity.IMAGE_POINT
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of lens parameters."""
-        return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n).

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from metrocli.adjust.schur.irregular_normals import grams
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
+from metrocli.arrays import Array, Index, Mask
 
 _SUSPECT = 5.0
 """A view is suspect if its largest misfit exceeds this multiple of its median: more than noise and distortion make"""

@@ -14,10 +14,10 @@ from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Local, Step
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
 AXES = ("X", "Y", "Z")
@@ -283,11 +283,7 @@ class ReachedPoint:
 
     takes = Quantity.ERROR_MOTION
     gives = Quantity.POINT_IN_MACHINE
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of tool vectors."""
-        return (TOOL,)
+    blocks = (TOOL,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point, (3, n), with its derivatives by the motion, (3, 6, 1), and by the tool, (3, 3, 1)."""

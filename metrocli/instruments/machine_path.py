@@ -6,8 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import Machine
 

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ErrorMotion, Machine
 
@@ -61,11 +62,7 @@ class Misaligned:
 
     takes = Quantity.ERROR_MOTION
     gives = Quantity.ERROR_MOTION
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of lines."""
-        return (LINE,)
+    blocks = (LINE,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the six channels, (6, n), with their derivatives by the motion and by the line, (6, 8, n)."""

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli.adjust.allowance import take
-from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.chain import Link, Local, Step
 from metrocli.adjust.model.groups import Group, prior
-from metrocli.adjust.model.quantities import Quantity
+from metrocli.adjust.model.quantities import OfBlock, Quantity
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix, nearest_rotation
@@ -25,17 +26,12 @@ _ANGLE_REACH = 0.5
 
 
 @dataclass(frozen=True)
-class Coupling:
+class Coupling(OfBlock):
     """Link from the spindle to the taper through the clamping angle: `X_taper = R_S(gamma_s)' X_spindle` (eq. 22)."""
 
     block: str = COUPLING
     takes = Quantity.POINT_IN_SPINDLE
     gives = Quantity.POINT_IN_TAPER
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of the clamping angle."""
-        return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point in the taper, (3, n), with its derivatives by the point and by the angle."""

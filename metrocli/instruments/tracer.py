@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.iterated_weights import Aspect
-from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import IDENTITY, Chain, Local, Step
-from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.adjust.movements import of_members, of_points
+from metrocli.adjust.rounds import Aspect
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments.frames import PointOf
 from metrocli.instruments.machine import ErrorMotion, Machine, ReachedPoint
@@ -85,11 +86,7 @@ class Returned:
     """Link to the place where the carrier stood at a stop: the point plus the deviation of its return."""
 
     takes = gives = Quantity.POINT_IN_MACHINE
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of stops."""
-        return (STOP,)
+    blocks = (STOP,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point, (3, n), with its derivatives by the point and by the deviation."""

@@ -6,11 +6,9 @@ from functools import lru_cache
 from random import Random  # numpy.random takes longer to load than a small job to adjust
 
 import numpy as np
-import numpy.typing as npt
 
 from metrocli.adjust.medians import median
-
-Array = npt.NDArray[np.float64]
+from metrocli.arrays import Array
 
 _STEPS = 60
 _FLAT = 1e-4

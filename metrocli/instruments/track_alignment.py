@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Mask
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.machine_path import Path

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.frames import Into
@@ -25,6 +26,10 @@ class TrackerNoise:
     beam: float
     constant: float
     proportional: float
+
+    def times(self, factor: float) -> TrackerNoise:
+        """Return the noise with all its parts times a factor."""
+        return TrackerNoise(factor * self.beam, factor * self.constant, factor * self.proportional)
 
     def lateral(self, distance: Array) -> Array:
         """Return the standard deviation perpendicular to the beam."""
@@ -68,11 +73,7 @@ class AcrossLeg:
 
     takes = Quantity.POINT_IN_TRACKER
     gives = Quantity.ACROSS_LEG
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Name of the block of directions."""
-        return (LEG,)
+    blocks = (LEG,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return `A p`, (2, n), and its derivative A by the point p."""

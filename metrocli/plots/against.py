@@ -7,11 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
-from metrocli.plots.noise_bands import Array, Trend, largest_of, trend
+from metrocli.plots.magnify import MOST, thinned, words
+from metrocli.plots.noise_bands import Trend, largest_of, trend
 from metrocli.plots.readings import image_residuals, radial, residuals_of
 from metrocli.plots.style import LETTERS, Canvas, Theme
-from metrocli.plots.thinning import MOST, Index, thinned, words
 from metrocli.result import Result
 from metrocli.words import shortened
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
-from metrocli.plots.style import Array, Canvas
+from metrocli.plots.style import Canvas
 from metrocli.table import Table
 from metrocli.words import listed
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from metrocli.plots.noise_bands import Array
+from metrocli.arrays import Array
 from metrocli.plots.style import LETTERS
 from metrocli.words import shortened
 

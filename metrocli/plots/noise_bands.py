@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 LEVEL = 0.95
 """Probability that pure noise stays inside an envelope as a whole"""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrocli.arrays import Index
 from metrocli.frozen import dataclass
+from metrocli.plots.magnify import thinned, words
 from metrocli.plots.noise_bands import NormalPlot, normal_plot
 from metrocli.plots.readings import residuals_of
 from metrocli.plots.style import Canvas
-from metrocli.plots.thinning import Index, thinned, words
 from metrocli.result import Result
 
 

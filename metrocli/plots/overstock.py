@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.plots.noise_bands import Array
 from metrocli.plots.style import LETTERS, Canvas
 from metrocli.result import K, Result
 from metrocli.words import shortened

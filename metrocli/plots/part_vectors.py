@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.plots import labels
-from metrocli.plots.magnify import in_words, length_in_words, magnification
-from metrocli.plots.noise_bands import Array
+from metrocli.plots.magnify import in_words, length_in_words, magnification, thinned_vectors, words
 from metrocli.plots.places import Places, places_of
 from metrocli.plots.style import OUTLINE, SIZES, Canvas, arrows
-from metrocli.plots.thinning import thinned_vectors, words
 from metrocli.result import Result
 
 _SHARE = 1 / 10

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import rotation_from_euler
-from metrocli.plots.noise_bands import Array
 from metrocli.result import Result
 from metrocli.table import Table
 

@@ -6,13 +6,11 @@ from collections.abc import Iterator
 from dataclasses import field
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.table import Table
-
-Array = npt.NDArray[np.float64]
 
 _TABLES = ("residuals", "angles", "distances", "lengths")
 """Tables of residuals: by the kind of its readings for a launch unit, and of calibrated lengths for a ball grid"""
@@ -51,7 +49,7 @@ class Residuals:
     covariates: dict[str, Array] = field(default_factory=dict)
 
     @property
-    def checked(self) -> npt.NDArray[np.bool_]:
+    def checked(self) -> Mask:
         """Which readings have a normalised residual."""
         return np.isfinite(self.w)
 
@@ -70,7 +68,7 @@ class Residuals:
     def _triple(self, keys: tuple[str, ...], row: int) -> str:
         return f"({', '.join(f'{float(self.table.columns[key][row]):g}' for key in keys)})"
 
-    def places(self, most: int) -> Iterator[tuple[str, npt.NDArray[np.bool_]]]:
+    def places(self, most: int) -> Iterator[tuple[str, Mask]]:
         """Yield each place, such as "tracer LT2", with its readings; kinds of more than `most` places are left out."""
         for key in filter(self._is_key, _KEYS):
             cells = self.table.columns[key]
@@ -118,7 +116,7 @@ class ImageResiduals:
     """Residual vectors of an image: one row for each reading of u and v."""
 
     table: Table
-    rows: npt.NDArray[np.intp]
+    rows: Index
     """(n,) row of u in the table"""
     places: Array
     """(n, 2) px"""

@@ -6,13 +6,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.plots import labels
-from metrocli.plots.magnify import in_words, length_in_words, magnification, round_size
-from metrocli.plots.noise_bands import Array
+from metrocli.plots.magnify import in_words, length_in_words, magnification, round_size, thinned_vectors
 from metrocli.plots.places import Places, places_of
 from metrocli.plots.style import MARKERS, Canvas, arrows, bare
-from metrocli.plots.thinning import thinned_vectors
 from metrocli.result import Result
 from metrocli.words import in_a_row
 

@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
-import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -21,9 +19,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-
-Array = npt.NDArray[np.float64]
 
 WIDTH = 6.4
 """Width of a figure in inches: that of the text on A4"""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.plots.magnify import in_words, magnification
-from metrocli.plots.noise_bands import Array
 from metrocli.plots.places import named
 from metrocli.plots.style import OUTLINE, SIZES, Canvas, arrows
 from metrocli.result import Result

@@ -35,8 +35,8 @@ from metrocli.diagnosis.mistakes import Others, without_mistakes
 from metrocli.effects.acting import Variable
 from metrocli.effects.own import columns
 from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError, UsageError
-from metrocli.formats.aside import written_aside
-from metrocli.formats.csv_headings import numeric
+from metrocli.formats.csv_text import numeric
+from metrocli.formats.file_bytes import written_aside
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.progress import SILENT, Named, Progress, counted

@@ -93,7 +93,7 @@ def _read_one(spec: Any, path: Path, item: Input, folder: Path) -> tuple[Any, In
         table = csv.read(path, spec.columns, held=held)
         return table, _recorded(held, folder, meaning.of_table(table))
     if isinstance(spec, MeshFile):
-        from metrocli.formats import meshes
+        from metrocli.formats import own_files as meshes
 
         held = read_bytes(path, "a mesh")
         return meshes.read(path, held), _recorded(held, folder, held.sha256)

@@ -14,7 +14,7 @@ from metrocli.effects import wanted as effects
 from metrocli.effects.own import columns
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, UsageError
-from metrocli.formats.csv_headings import numeric
+from metrocli.formats.csv_text import numeric
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
@@ -22,9 +22,8 @@ from metrocli.project.campaign import KEY as CAMPAIGN
 from metrocli.project.campaign import Part, bound, parts_of
 from metrocli.project.heading import Heading
 from metrocli.project.named_files import Input, inputs_of, missing
-from metrocli.project.overrides import effect_node, overridden
 from metrocli.project.own_effects import Defining, Own, Package, own_effects
-from metrocli.project.ranges import ranges_of, within
+from metrocli.project.ranges import effect_node, overridden, ranges_of, within
 from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import BAD, Schema, read_sections, sections_schema, settings_of
 from metrocli.tasks.shared.figures import of_effects
@@ -123,6 +122,28 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     """
     wishes = wishes or Wishes()
     faults: list[Fault] = []
+    root, text = _stated(path, wishes, faults)
+    read = _read(root, path, wishes, faults)
+    read, wanted, own = _with_effects(read, path, wishes, faults)
+    inputs, output = _checked(read, wanted, path, wishes, faults)
+    return JobFile(path, read.heading, read.settings, inputs, output, text, root, wanted, wishes, own)
+
+
+@dataclass(frozen=True)
+class _Read:
+    """A job whose keys were read; where they have a fault, heading and settings are BAD."""
+
+    root: Node
+    kind: str
+    heading: Any
+    settings: Any
+    named: tuple[Node, ...]
+    """The effects that the job and the command line want"""
+    inputs: tuple[Input, ...]
+
+
+def _stated(path: Path, wishes: Wishes, faults: list[Fault]) -> tuple[Node, str]:
+    """Return the tree and the text of a job as it is used: with what the command line overrides, for its part."""
     root, text = _root(path, wishes, faults)
     if wishes.part is not None:
         root = bound(root, wishes.part)
@@ -130,6 +151,11 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     elif root.get(CAMPAIGN) is not None:
         hint = "name it in a project (metrocli.yaml) and use: metrocli run PROJECT --only JOB[PART]"
         raise InputError([root.at(CAMPAIGN).fault("this file is a job for each of many parts", hint)])
+    return root, text
+
+
+def _read(root: Node, path: Path, wishes: Wishes, faults: list[Fault]) -> _Read:
+    """Return what the keys of a job say; raise InputError if its kind is not known."""
     more = tuple(effect_node(effect, path.parent) for effect in wishes.effects)
     kind = _kind(root, path, wishes.kind)
     if kind is None:
@@ -138,18 +164,30 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     section = tasks.KINDS[kind].settings()
     heading, settings = read_sections(root, (Heading, section), faults)
     named = (*(heading.effects if heading is not BAD else ()), *more)
-    inputs = inputs_of(root, section, faults)
-    files = tuple((item.spec, item.paths) for item in inputs)
+    return _Read(root, kind, heading, settings, named, inputs_of(root, section, faults))
+
+
+def _with_effects(job: _Read, path: Path, wishes: Wishes, faults: list[Fault]) -> tuple[_Read, tuple[Wanted, ...], Own]:
+    """Return a job that reads the columns of its own effects, the effects that it wants, and its own."""
+    task, files = tasks.KINDS[job.kind].task(), [(item.spec, item.paths) for item in job.inputs]
     further = cache(lambda: columns.variables(files, numeric))
-    no_variables = cache(lambda: columns.refused(files, numeric))
-    places = cache(lambda: columns.with_variables(tasks.KINDS[kind].task().places, further(), no_variables()))
-    defining = Defining(kind, path, places, wishes.files, effects.names_of(named))
-    own = Own() if heading is BAD else own_effects(heading, defining, faults)
+    places = cache(lambda: columns.with_variables(task.places, further(), columns.refused(files, numeric)))
+    defining = Defining(job.kind, path, places, wishes.files, effects.names_of(job.named))
+    own = Own() if job.heading is BAD else own_effects(job.heading, defining, faults)
     if any(effect.definition for effect in own.effects):
-        inputs = tuple(replace(item, spec=columns.reading(item.spec, further(), own.effects)) for item in inputs)
-    wanted = effects.read((*tasks.KINDS[kind].task().effects, *own.effects), named, faults) if named else ()
-    if heading is not BAD and settings is not BAD and heading.require and len(wanted) == len(named):
-        known = figures_of(kind, settings, wanted)
+        specs = [replace(item, spec=columns.reading(item.spec, further(), own.effects)) for item in job.inputs]
+        job = replace(job, inputs=tuple(specs))
+    wanted = effects.read((*task.effects, *own.effects), job.named, faults) if job.named else ()
+    return job, wanted, own
+
+
+def _checked(
+    job: _Read, wanted: tuple[Wanted, ...], path: Path, wishes: Wishes, faults: list[Fault]
+) -> tuple[tuple[Input, ...], Path]:
+    """Return the inputs within the ranges of the job, and its output; raise InputError with all faults."""
+    heading, inputs = job.heading, job.inputs
+    if heading is not BAD and job.settings is not BAD and heading.require and len(wanted) == len(job.named):
+        known = figures_of(job.kind, job.settings, wanted)
         for requirement in heading.require:
             requirement.limit_among(known, faults)
     if heading is not BAD and heading.ranges:
@@ -160,8 +198,9 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
         raise InputError(_in_order(faults))
     output = wishes.output or heading.output or path.parent / "results" / f"{path.stem}.h5"
     if os.path.realpath(output) in {os.path.realpath(file) for item in inputs for file in item.paths}:
-        raise InputError([root.at("output").fault(f"the output {output} is one of the inputs", "name another output")])
-    return JobFile(path, heading, settings, inputs, output, text, root, wanted, wishes, own)
+        fault = job.root.at("output").fault(f"the output {output} is one of the inputs", "name another output")
+        raise InputError([fault])
+    return inputs, output
 
 
 def figures_of(kind: str, settings: Any, wanted: tuple[Wanted, ...]) -> dict[str, str]:

@@ -8,7 +8,7 @@ from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Any
 
 from metrocli.errors import InputError
-from metrocli.formats.aside import refuse_unwritable, sweep
+from metrocli.formats.file_bytes import refuse_unwritable, sweep
 from metrocli.formats.hdf5 import label_of
 from metrocli.formats.seal import Label
 from metrocli.frozen import dataclass

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats import csv
-from metrocli.formats.aside import written_aside
+from metrocli.formats.file_bytes import written_aside
 from metrocli.formats.own_files import inside
 from metrocli.plan import Plan
 from metrocli.table import Table

@@ -1,16 +1,67 @@
-"""The key `ranges:` of a job: what the columns of its CSV files may hold, where that differs from what is usual."""
+"""What a job changes of its files: values of --set and --effect, and ranges of columns."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from metrocli import units
-from metrocli.errors import Fault
-from metrocli.nodes import Node
+from metrocli.errors import Fault, UsageError
+from metrocli.nodes import Node, Source
+from metrocli.project import yaml_text
 from metrocli.settings import BAD, Schema, TableFile
 from metrocli.words import suggestion
+
+
+def overridden(root: Node, override: str, folder: Path) -> Node:
+    """Return a job with one `key.path=value` applied; raise UsageError if it cannot be.
+
+    Entries of lists are counted from 1; keys that are missing are added.
+    """
+    key, equals, value = override.partition("=")
+    names = key.strip().split(".")
+    if not equals or not all(names):
+        raise UsageError(f"--set {override}: write it as key.path=value, such as --set output=other.h5")
+    new = yaml_text.parse(value or "~", f"--set {override}", folder)
+    return yaml_text.with_paths(_replaced(root, names, yaml_text.without_lines(new)))
+
+
+def _replaced(node: Node, names: Sequence[str], new: Node) -> Node:
+    if not names:
+        return new
+    if node.kind == "list" and names[0].isascii() and names[0].isdigit():
+        items, number = list(node.items), int(names[0])
+        if not 0 < number <= len(items):
+            raise UsageError(f"--set: '{node.path}' has {len(items)} entries, counted from 1; there is no {number}")
+        items[number - 1] = _replaced(items[number - 1], names[1:], new)
+        return replace(node, items=tuple(items))
+    if node.kind != "mapping":
+        node = replace(node, kind="mapping", text="", entries=(), items=())
+    at = next((n for n, (key, _) in enumerate(node.entries) if key.text == names[0]), None)
+    if at is None:
+        key = replace(new, kind="scalar", text=names[0], quoted=False, entries=(), items=())
+        below = replace(new, kind="mapping", text="", quoted=False, entries=(), items=())
+        return replace(node, entries=(*node.entries, (key, _replaced(below, names[1:], new))))
+    key, value = node.entries[at]
+    changed = (key, _replaced(value, names[1:], new))
+    return replace(node, entries=(*node.entries[:at], changed, *node.entries[at + 1 :]))
+
+
+def effect_node(text: str, folder: Path) -> Node:
+    """Return an effect of the command line, `NAME:key=value,...`, as a node of a job; raise UsageError if malformed."""
+    name, _, rest = text.partition(":")
+    pairs = [part.partition("=") for part in rest.split(",") if part.strip()]
+    if not name.strip() or not all(key.strip() and equals for key, equals, _ in pairs):
+        raise UsageError(f"--effect {text}: write it as NAME:key=value,key=value, such as dead-path-drift:tracer=LT2")
+    source = Source(f"--effect {text}", (), folder)
+
+    def word(value: str) -> Node:
+        return Node("scalar", source, text=value.strip())
+
+    entries = tuple((word(key), word(value)) for key, value in (("name", name), *((k, v) for k, _, v in pairs)))
+    return yaml_text.with_paths(Node("mapping", source, entries=entries))
 
 
 class Ranges:

@@ -15,7 +15,8 @@ from metrocli import __version__, tasks
 from metrocli.doubt import MOST, doubts_of
 from metrocli.effects.wanted import planted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError, UsageError
-from metrocli.formats.aside import refuse_unwritable
+from metrocli.formats import hdf5
+from metrocli.formats.file_bytes import refuse_unwritable
 from metrocli.formats.hdf5 import refuse_foreign
 from metrocli.formats.images import ImageFiles
 from metrocli.frozen import dataclass
@@ -25,7 +26,7 @@ from metrocli.project import meaning
 from metrocli.project.inputs import read_inputs, read_with_files, unfit_inputs
 from metrocli.project.job import JobFile, figures_of
 from metrocli.project.requirements import by_names
-from metrocli.project.running.chunks import ChunkFolder
+from metrocli.project.running.files import ChunkFolder
 from metrocli.record import Record, Verdict
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
@@ -73,8 +74,6 @@ def carry_out(
 
 def write(file: JobFile, result: Result, record: Record) -> Done:
     """Write the result of a job and return what was done."""
-    from metrocli.formats import hdf5
-
     changed = hdf5.write(file.output, result, record)
     return Done(result, record, file.output, changed)
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from metrocli.formats import csv
-from metrocli.formats.aside import written_aside
+from metrocli.formats.file_bytes import written_aside
 from metrocli.formats.own_files import inside
 from metrocli.simulation import Simulation
 

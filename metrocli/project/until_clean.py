@@ -80,7 +80,12 @@ def until_clean(
     current, extensions = job, list[Extension]()
     first = last = diagnose(job)
     while True:
-        gained = _gaining(last)
+        gained = replace(
+            last,
+            findings=tuple(one for one in last.findings if one.gain.shown),
+            scatters=tuple(one for one in last.scatters if one.gain.shown),
+            laws=tuple(one for one in last.laws if one.chosen and one.gain.shown),
+        )
         end = _end(last, gained, len(extensions) == most)
         if end is not None:
             found = tuple(name for name, *_ in _parts(gained)) if end is End.INTERRUPTED else ()
@@ -119,16 +124,6 @@ def _end(last: Diagnosis, gained: Diagnosis, spent: bool) -> End | None:
 def _adds(gained: Diagnosis) -> bool:
     """Return whether something is gained that can be added to the job."""
     return bool(gained.findings or gained.scatters or gained.laws)
-
-
-def _gaining(diagnosis: Diagnosis) -> Diagnosis:
-    """Return the diagnosis with those effects and laws only whose held-out gain is shown."""
-    return replace(
-        diagnosis,
-        findings=tuple(one for one in diagnosis.findings if one.gain.shown),
-        scatters=tuple(one for one in diagnosis.scatters if one.gain.shown),
-        laws=tuple(one for one in diagnosis.laws if one.chosen and one.gain.shown),
-    )
 
 
 def _extension(path: Path, done: Done, gained: Diagnosis) -> Extension:

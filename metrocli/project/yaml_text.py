@@ -5,6 +5,7 @@ Nodes are built from the events of the parser, so that an alias is refused at it
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -246,8 +247,6 @@ def _below(node: Node, indent: int) -> str:
 
 
 def _word(node: Node) -> str:
-    import json
-
     if node.kind != "scalar":
         return "{}" if node.kind == "mapping" else "[]"
     if not node.quoted and not _NOT_PLAIN.match(node.text):

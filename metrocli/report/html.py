@@ -1,9 +1,17 @@
-"""HTML from values: everything is escaped unless it is HTML already."""
+"""Parts of pages as HTML, what a page contains, and the units in which it states them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import field
 from html import escape
+from typing import Any
+
+from metrocli import units
+from metrocli.frozen import dataclass
+from metrocli.plots.beside import ALONE, Beside
+from metrocli.record import Record
+from metrocli.result import Estimate, Result
 
 
 class Html(str):
@@ -70,3 +78,48 @@ def listed(items: Iterable[str]) -> Html:
     """Return items as a list, nothing without any; what is between backticks in them is code."""
     found = joined(tag("li", marked(one)) for one in items)
     return tag("ul", found) if found else EMPTY
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What `metrocli diagnose --json` printed for the job of a result."""
+
+    data: Mapping[str, Any]
+    path: str
+    of_this: bool
+    """Whether it is the diagnosis of this job with these inputs"""
+
+
+@dataclass(frozen=True)
+class Content:
+    """A result with what its page shows of it."""
+
+    result: Result
+    record: Record
+    path: str
+    tables: Mapping[str, str] = field(default_factory=dict)
+    """Shown tables as text"""
+    diagnosis: Diagnosis | None = None
+    job: str = "JOB.yaml"
+    """How commands name the job"""
+    beside: Beside = ALONE
+    """What figures show beside the result"""
+    stated: Result | None = None
+    """The result in the units of its estimates on the page; the result itself unless given"""
+
+
+def stated(result: Result, record: Record) -> str:
+    """Return the text of the job and the definitions of effects of one's own: where the user states units."""
+    defined = (table.texts("define") for name, table in result.tables.items() if name.endswith("/definition"))
+    return "\n".join([record.job_text, *(text for texts in defined for text in texts)])
+
+
+def compound_unit(estimate: Estimate, text: str) -> tuple[float, str]:
+    """Return size and symbol of the unit in which a text states an estimate without dimension; else its own unit."""
+    known = {units.internal_unit(name) for name in units.DIMENSIONS}
+    if estimate.unit in known or "/" in estimate.unit or units.is_inch(estimate.unit):
+        return 1.0, estimate.unit
+    from metrocli.expressions.dimensions import written
+
+    found = written(text, estimate.unit, estimate.name.rpartition(".")[2])
+    return (1.0, estimate.unit) if found is None else (found.factor, found.text)

@@ -16,7 +16,7 @@ from metrocli.plots import control_chart, style
 from metrocli.plots.beside import ALONE, Beside
 from metrocli.plots.scene import TILT, TURN, Scene
 from metrocli.report.html import EMPTY, Html, code, joined, scrolling, tag
-from metrocli.report.look import roles, variable
+from metrocli.report.pdf import roles, variable
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.words import shortened

@@ -8,7 +8,7 @@ from metrocli.frozen import dataclass
 from metrocli.record import DONE
 from metrocli.report.findings import BAD, GOOD
 from metrocli.report.html import EMPTY, Html, code, joined, scrolling, table, tag
-from metrocli.report.look import page
+from metrocli.report.pdf import page
 
 _WIDE, _HIGH, _GAP = 190, 46, 60
 _LEAST = 0.75

@@ -6,13 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
-from metrocli.report.content import Content
-from metrocli.report.diagnosed import diagnosed
-from metrocli.report.findings import next_step, row_of, verdict, worst
-from metrocli.report.html import EMPTY, Html, joined, listed, marked, table, tag
-from metrocli.report.look import page
+from metrocli.report.findings import diagnosed, next_step, row_of, verdict, worst
+from metrocli.report.html import EMPTY, Content, Html, joined, listed, marked, stated, table, tag
+from metrocli.report.pdf import page
 from metrocli.report.pictures import shown
-from metrocli.report.stated_units import stated
 from metrocli.result import Estimate, Result
 from metrocli.words import listed as listed_words
 

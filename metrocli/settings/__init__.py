@@ -1,6 +1,6 @@
 """Specifications of job files: they read nodes into frozen dataclasses and describe themselves as JSON schema."""
 
-from metrocli.settings.composites import At, Either, ListOf, MapOf, Placed
+from metrocli.settings.composites import UNKNOWN, At, Either, Known, ListOf, MapOf, Placed, Uncertain
 from metrocli.settings.files import (
     ANY_KIND,
     FileOf,
@@ -11,8 +11,16 @@ from metrocli.settings.files import (
     has_wildcards,
     path_beside,
 )
-from metrocli.settings.sections import Section, Setting, read_sections, sections_schema, setting, settings_of
-from metrocli.settings.uncertain import UNKNOWN, Known, Uncertain
+from metrocli.settings.sections import (
+    Section,
+    Setting,
+    content,
+    inputs_of,
+    read_sections,
+    sections_schema,
+    setting,
+    settings_of,
+)
 from metrocli.settings.values import BAD, Choice, Flag, Limits, Number, Quantity, Schema, Spec, Text, Whole
 
 __all__ = [
@@ -41,8 +49,10 @@ __all__ = [
     "Text",
     "Uncertain",
     "Whole",
+    "content",
     "folders_searched",
     "has_wildcards",
+    "inputs_of",
     "path_beside",
     "read_sections",
     "sections_schema",

@@ -37,6 +37,27 @@ def setting(spec: Spec, description: str, default: Any = dataclasses.MISSING, ke
     return field(default=default, metadata=metadata)
 
 
+def content(spec: Any, description: str = "", needed: bool = True, default: Any = dataclasses.MISSING) -> Any:
+    """Return the field of a dataclass that holds the contents of a job's files, from which `inputs_of` makes the keys.
+
+    `needed`: the job has to name the file. Without it the content is `default`, and None for other files.
+    """
+    absent = default if needed else None
+    return field(default=absent, metadata={"content": (spec, description or spec.columns.description, needed)})
+
+
+def inputs_of(files: type) -> Any:
+    """Return the section `inputs:` of a job: paths, under the names of the fields that hold their contents."""
+    given = [(one.name, *one.metadata["content"]) for one in dataclasses.fields(files)]
+    keys = [
+        (name, Any, setting(spec, text) if needed else setting(spec, text, default=None))
+        for name, spec, text, needed in sorted(given, key=lambda one: not one[3])
+    ]
+    made = dataclasses.make_dataclass("Inputs", keys, frozen=True)
+    made.__doc__ = files.__doc__
+    return made
+
+
 def settings_of(section: type) -> Mapping[str, tuple[Setting, bool]]:
     """Return for each field name of a dataclass its setting, and whether it is required."""
     return _settings_of(section)

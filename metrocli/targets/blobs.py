@@ -5,16 +5,12 @@ Method: docs/algorithms/target-detection.md.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.arrays import Picture
 from metrocli.targets.ellipse import Ellipse
-
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
 
 SMALLEST = 3.0
 """Smallest minor diameter of a candidate, in pixels."""

@@ -7,22 +7,15 @@ Method: docs/algorithms/target-detection.md.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Picture
 from metrocli.targets.blobs import eight_bit
+from metrocli.targets.find import Sightings, nothing, points
 from metrocli.targets.lattice import homography, order_fault, projected
 from metrocli.targets.pattern import Pattern, lattice, names
 from metrocli.targets.saddles import WINDOW, fit_grid
-from metrocli.targets.sightings import Sightings, nothing, points
-
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
-
-Array = npt.NDArray[np.float64]
 
 FEWEST = 6
 """Corners that must be found before their order can be checked."""

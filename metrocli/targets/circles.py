@@ -5,21 +5,15 @@ Method: docs/algorithms/target-detection.md.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Picture
 from metrocli.targets import blobs, ellipses
 from metrocli.targets.ellipse import Ellipse
+from metrocli.targets.ellipses import of_ellipses
+from metrocli.targets.find import Sightings, nothing
 from metrocli.targets.lattice import ordered
 from metrocli.targets.pattern import Pattern, lattice, names
-from metrocli.targets.sightings import Sightings, nothing, of_ellipses
-
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
-
-Array = npt.NDArray[np.float64]
 
 
 def find(pattern: Pattern, picture: Picture) -> Sightings:

@@ -6,23 +6,17 @@ Method: docs/algorithms/target-detection.md.
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Picture
 from metrocli.targets import blobs, ellipses
 from metrocli.targets.codes import BITS, RING_FROM, RING_TO, canonical, codes
 from metrocli.targets.ellipse import Ellipse
-from metrocli.targets.ellipses import Fitted
+from metrocli.targets.ellipses import Fitted, of_ellipses
+from metrocli.targets.find import Sightings, nothing
 from metrocli.targets.pattern import Pattern
-from metrocli.targets.sightings import Sightings, nothing, of_ellipses
-
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
-
-Array = npt.NDArray[np.float64]
 
 REACH = 1.5
 """Limit of the fit of the dot, in semi-axes: half way to the ring."""

@@ -5,14 +5,11 @@ Method: docs/algorithms/target-detection.md.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from metrocli.arrays import Picture
 from metrocli.targets import blobs, ellipses
+from metrocli.targets.ellipses import of_ellipses
+from metrocli.targets.find import Sightings, nothing
 from metrocli.targets.pattern import Pattern
-from metrocli.targets.sightings import Sightings, nothing, of_ellipses
-
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
 
 EQUAL = 0.5
 """A second dot with more than this share of the first one's contrast and size makes the image ambiguous."""

@@ -12,11 +12,11 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.targets.codes import BITS, DOT, RING_FROM, RING_TO, SHEET
 from metrocli.targets.pattern import Pattern, lattice
 
-Array = npt.NDArray[np.float64]
 Field = npt.NDArray[np.floating]
 Rays = Callable[[Array], Array]
 """Function from pixel coordinates (n, 2) to unit directions (n, 3) in the camera's frame (inverse lens model)."""

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,20 +5,15 @@ Method: docs/algorithms/target-detection.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtr
 
+from metrocli.arrays import Array, Picture
 from metrocli.targets.ellipse import Ellipse
-
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
-
-Array = npt.NDArray[np.float64]
+from metrocli.targets.find import Sightings
 
 OUTSIDE = 3.5
 """How far outside the edge pixels are used, in pixels: the blur of the edge does not reach farther."""
@@ -282,3 +277,10 @@ def _axes_of(shape: Array, blur: float) -> tuple[Array, float]:
     long, short = 1 / np.sqrt(values)
     drawn = 0.5 * blur * blur * np.array([long / short**2, short / long**2])
     return np.array([long, short]) + drawn, float(np.arctan2(vectors[1, 0], vectors[0, 0]) % np.pi)
+
+
+def of_ellipses(targets: Sequence[str], fits: Sequence[Fitted], reason: str = "") -> Sightings:
+    """Return sightings of fitted ellipses."""
+    found = [(*fit.ellipse.centre, fit.sigma, fit.ellipse.long, fit.ellipse.short, fit.ellipse.angle) for fit in fits]
+    table = np.array(found, dtype=float).reshape(-1, 6)
+    return Sightings(tuple(targets), table[:, :2], table[:, 2], table[:, 3:5], table[:, 5], reason)

@@ -11,7 +11,8 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from metrocli.arrays import Array
+
 Whole = npt.NDArray[np.int64]
 
 NEAR = 0.3
@@ -90,7 +91,7 @@ def ordered(expected: Whole, uv: Array) -> tuple[Whole, str]:
     several orders fit (a symmetric board), the most upright one in the image is taken.
     """
     best = np.empty(0, np.int64), np.empty((0, 2), np.int64)
-    for seed in _seeds(uv):
+    for seed in np.asarray(np.argsort(np.linalg.norm(uv - np.median(uv, axis=0), axis=1))[:8]):
         grown = _grown(uv, seed)
         if len(grown[0]) > len(best[0]):
             best = grown
@@ -151,11 +152,6 @@ def _bend(steps: Whole, uv: Array) -> float:
             off = np.linalg.norm(uv[middle] - (uv[a] + uv[b]) / 2, axis=1)
             worst = max(worst, float((off / (np.linalg.norm(uv[b] - uv[a], axis=1) / 2 + 1e-9)).max()))
     return worst
-
-
-def _seeds(uv: Array) -> Whole:
-    """Return points to start from, the most central first."""
-    return np.asarray(np.argsort(np.linalg.norm(uv - np.median(uv, axis=0), axis=1))[:8])
 
 
 def _grown(uv: Array, seed: int) -> tuple[Whole, Whole]:

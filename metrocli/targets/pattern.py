@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.settings import Choice, Quantity, Text, Whole, setting
 
@@ -12,7 +13,6 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    Array = npt.NDArray[np.float64]
 
 GRIDS = ("chessboard", "circles", "asymmetric-circles", "charuco")
 """Types whose points lie on one flat board, at known places."""

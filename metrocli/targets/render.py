@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.arrays import Array, Picture
 from metrocli.frozen import dataclass
 from metrocli.targets.drawings import Drawing, inside
 
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
-
-Array = npt.NDArray[np.float64]
 Field = npt.NDArray[np.floating]
 Rays = Callable[[Array], Array]
 """Function from pixel coordinates (n, 2) to unit directions (n, 3) in the camera's frame (inverse lens model)."""

@@ -5,16 +5,10 @@ Method: docs/algorithms/target-detection.md.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtr
 
-if TYPE_CHECKING:
-    from metrocli.imageset import Picture
-
-Array = npt.NDArray[np.float64]
+from metrocli.arrays import Array, Picture
 
 WINDOW = 0.45
 """Half-width of the window of pixels, as a share of the distance to the neighbouring corners."""

@@ -5,9 +5,8 @@ from __future__ import annotations
 from hashlib import sha256
 
 import numpy as np
-import numpy.typing as npt
 
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.errors import Fault
 from metrocli.instruments.machine import (
     AXES,
@@ -23,7 +22,6 @@ from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.uncertainty.comparison import ENTRIES, TABLES, TABLES_COVARIANCE
 
-Array = npt.NDArray[np.float64]
 _ALL = slice(None)
 _SLACK = 1e-6
 """A commanded position beyond the range of an axis by less than this is rounding [mm]"""

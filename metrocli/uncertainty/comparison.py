@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from metrocli.adjust.probabilities import chi_square_tail
+from metrocli.arrays import Array, Index
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.result import Result
-from metrocli.uncertainty.coverage import factor
+from metrocli.uncertainty.numbers import factor
 
-Array = npt.NDArray[np.float64]
 SHARED, OWED = "shared", "owed_to_"
 """Table of the inputs of a result that have a covariance, and arrays of what its estimates owe to each (m, k)"""
 _ROUNDING = 1e-9
@@ -180,7 +179,7 @@ def _owed(result: Result, name: str, common: list[tuple[str, str]]) -> Array:
     return np.array([factors[place[one]] if one in place else nothing for one in common]).reshape(-1, len(nothing))
 
 
-def _joint_dof(parts: list[tuple[Array, Array]], rows: npt.NDArray[np.intp]) -> float:
+def _joint_dof(parts: list[tuple[Array, Array]], rows: Index) -> float:
     """Return the degrees of freedom of the sum of two covariances (Welch-Satterthwaite), by their mean shares."""
     if not len(rows):
         return float("inf")
@@ -190,7 +189,7 @@ def _joint_dof(parts: list[tuple[Array, Array]], rows: npt.NDArray[np.intp]) -> 
     return 1 / doubt if doubt > 0 else float("inf")
 
 
-def _rows(values: _Values, names: list[tuple[str, str]]) -> npt.NDArray[np.intp]:
+def _rows(values: _Values, names: list[tuple[str, str]]) -> Index:
     place = {name: i for i, name in enumerate(values.names)}
     return np.array([place[name] for name in names], dtype=np.intp)
 

@@ -6,12 +6,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.uncertainty.distributions import Distribution, Sampled
 
-Array = npt.NDArray[np.float64]
 CLIP = 1e-12
 """Eigenvalues below this share of the largest are rounding errors and count as 0"""
 

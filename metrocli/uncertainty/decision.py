@@ -6,12 +6,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from metrocli.adjust.probabilities import student_tail
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
-Array = npt.NDArray[np.float64]
 GOLDEN = 0.2
 """Largest ratio of expanded uncertainty to tolerance (Berndt)"""
 FACTOR_2017 = 1.65

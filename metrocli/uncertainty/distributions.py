@@ -9,11 +9,10 @@ import math
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
-Array = npt.NDArray[np.float64]
 Random = np.random.Generator
 
 

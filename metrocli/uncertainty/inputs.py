@@ -7,14 +7,12 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import field
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Mask
 from metrocli.expressions.dimensions import Compound
 from metrocli.frozen import dataclass
 from metrocli.uncertainty.correlated import CLIP, Dependent, Ellipse, Rows, UnreachableError, factor
 from metrocli.uncertainty.distributions import Distribution, Normal, Sampled, in_trials
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -161,7 +159,7 @@ def _must_be_semi_definite(covariance: Array, names: Sequence[str]) -> None:
         raise NotSemiDefiniteError([names[i] for i in involved], float(values[0]))
 
 
-def _groups(linked: npt.NDArray[np.bool_]) -> tuple[tuple[int, ...], ...]:
+def _groups(linked: Mask) -> tuple[tuple[int, ...], ...]:
     """Return the connected parts of a graph."""
     left = list(range(len(linked)))
     groups = []

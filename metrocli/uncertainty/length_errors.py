@@ -8,7 +8,7 @@ from metrocli import units
 from metrocli.errors import InputError, UsageError
 from metrocli.frozen import dataclass
 from metrocli.table import Table
-from metrocli.uncertainty.coverage import COVERAGE
+from metrocli.uncertainty.numbers import COVERAGE
 from metrocli.uncertainty.verification import Deviation
 
 ASKED = 105

@@ -16,15 +16,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.uncertainty.samples import Binned, Counts, Edges, Sample, Sorted
 from metrocli.uncertainty.trials import Batch, Plan, Tally, Work, counted
 from metrocli.uncertainty.workers import Workers
 
-Array = npt.NDArray[np.float64]
 KEPT, KEPT_VALUES = 2_000_000, 8_000_000
 """Largest number of trials of which all values are kept, and of values of all measurands together"""
 CHUNKS_OF_A_BATCH, PILOT = 100, 10
@@ -152,7 +151,7 @@ def _adaptive(plan: Plan, workers: Workers, digits: int, most: int) -> Outcome:
     for batch in _told(workers.ordered(Work(plan, 1), numbers), workers, None):
         kept.append(batch)
         # a standard deviation over chunks needs two of them
-        if len(kept) > 1 and _settled(kept, plan.units, digits):
+        if len(kept) > 1 and _small(_tally(kept), np.concatenate([batch.spread for batch in kept]), plan.units, digits):
             settled = True
             break
     outcome = _gathered(plan, kept)
@@ -197,10 +196,6 @@ def _tally(batches: Sequence[Batch]) -> Tally:
     for batch in batches[1:]:
         total = total + batch.tally
     return total
-
-
-def _settled(batches: Sequence[Batch], units: Sequence[float], digits: int) -> bool:
-    return _small(_tally(batches), np.concatenate([batch.spread for batch in batches]), units, digits)
 
 
 def _small(tally: Tally, spread: Array, units: Sequence[float], digits: int) -> bool:

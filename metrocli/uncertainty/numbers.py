@@ -1,17 +1,49 @@
-"""Evaluation of expressions in numbers, for whole arrays of trials at once."""
+"""Numbers of uncertainties: expressions of quantities at draws, coverage factors and effective degrees of freedom."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index
 from metrocli.expressions.expression import NEGATIVE, Expression, Part
 from metrocli.frozen import dataclass
 
-Array = npt.NDArray[np.float64]
+PROBABILITY = 0.954499736
+"""That of two standard deviations of a normal distribution"""
+COVERAGE = (2.0, 2.4860, 2.8329)
+"""k of one, two and three components of a deviation with infinitely many degrees of freedom (JCGM 102, 6.5.3)"""
+
+
+def factor(components: Index | int, dof: Array | float) -> Array:
+    """Return the k of deviations of 0 to 3 components: `k^2 = q F_p(q, dof)`, for q = 1 the t factor (GUM G.6.4).
+
+    With a covariance from `dof` degrees of freedom the square of a deviation, divided by q, has that F distribution.
+    """
+    q, dof = np.broadcast_arrays(np.asarray(components), np.asarray(dof, dtype=float))
+    k = np.array(np.array([COVERAGE[0], *COVERAGE])[q])
+    few = np.isfinite(dof) & (q > 0)
+    if few.any():
+        from scipy.special import fdtri
+
+        k[few] = np.sqrt(q[few] * fdtri(q[few], dof[few], PROBABILITY))
+    return np.asarray(k)
+
+
+def effective(dof: float, part: Array, whole: Array) -> Array:
+    """Return the degrees of freedom of variances `whole`, of which `part` has `dof` and the rest infinitely many.
+
+    Welch-Satterthwaite: `dof (whole / part)^2` (GUM G.4.1).
+    """
+    if math.isinf(dof):
+        return np.full(np.shape(whole), math.inf)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.where(part > 0, dof * (whole / part) ** 2, math.inf))
+
+
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
     "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, NEGATIVE: np.negative, "sqrt": np.sqrt,
     "exp": np.exp, "log": np.log, "log10": np.log10, "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.result import Result
@@ -15,7 +15,6 @@ from metrocli.uncertainty.calibrated_machine import error_motion, outside
 from metrocli.uncertainty.comparison import POINTS, TABLES_COVARIANCE
 from metrocli.words import suggestion
 
-Array = npt.NDArray[np.float64]
 COMMON, CORE, POINTS_COVARIANCE = "points_common", "points_core", "points_covariance"
 _IN_MACHINE = ("align-part",)
 """Kinds of job whose points are in the frame of a machine, where they are measured too"""
@@ -39,7 +38,7 @@ class Places:
         """Covariance of each place (n, 3, 3) mm^2."""
         return self.own + shared(self.common, self.core)
 
-    def of(self, rows: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Places:
+    def of(self, rows: Index | Mask) -> Places:
         """Return some of the places."""
         return Places(self.values[rows], self.common[rows], self.core, self.own[rows])
 
@@ -123,7 +122,7 @@ def independent(values: Array, covariance: Array) -> Places:
     return Places(values, np.zeros((len(values), 3, 0)), np.zeros((0, 0)), covariance)
 
 
-def _tools(tools: Table, commanded: Table, faults: list[Fault]) -> npt.NDArray[np.intp]:
+def _tools(tools: Table, commanded: Table, faults: list[Fault]) -> Index:
     """Return the number of the tool of each row; raises InputError with the faults found before and its own.
 
     A tool that its job gave no name stands for the one that the points name.

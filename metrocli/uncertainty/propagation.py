@@ -7,16 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from metrocli.adjust.probabilities import chi_square_bound, normal_bound, student_bound, student_tail
+from metrocli.arrays import Array
 from metrocli.expressions.derivatives import Jets, NoValueError
 from metrocli.expressions.expression import Expression
 from metrocli.frozen import dataclass
 from metrocli.uncertainty.inputs import Inputs
 from metrocli.uncertainty.numbers import evaluate
 
-Array = npt.NDArray[np.float64]
 GUARD = 1e-2
 """Tolerance when effective degrees of freedom are truncated to a whole number: 18.9987 counts as 19"""
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.uncertainty.comparison import Quantity, compare, quantities
-from metrocli.uncertainty.coverage import factor
-
-Array = npt.NDArray[np.float64]
+from metrocli.uncertainty.numbers import factor
 
 
 @dataclass(frozen=True)

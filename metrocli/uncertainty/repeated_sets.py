@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
@@ -14,7 +14,6 @@ from metrocli.result import Result
 from metrocli.uncertainty.comparison import POINTS
 from metrocli.uncertainty.predicted import in_machine
 
-Array = npt.NDArray[np.float64]
 FEWEST = 3
 LENGTHS = "length_errors"
 

@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
-Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
 BINS = 1 << 17
 """Number of bins; their width limits the error of every quantile"""

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.errors import UndeterminedError
 from metrocli.expressions.expression import Expression
 from metrocli.frozen import dataclass
@@ -21,7 +22,6 @@ from metrocli.uncertainty.inputs import Inputs
 from metrocli.uncertainty.numbers import evaluate
 from metrocli.uncertainty.samples import BINS, Counts, Edges, Sorted
 
-Array = npt.NDArray[np.float64]
 CHUNK = 10_000
 """Least number of trials of a chunk (JCGM 101, 7.9.4 a)"""
 LARGEST = 1e150

@@ -6,22 +6,21 @@ from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.result import Result
-from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.table import Columns, Table, columns
 from metrocli.uncertainty import predicted
 from metrocli.uncertainty.calibrated_machine import has_machine
-from metrocli.uncertainty.coverage import COVERAGE, effective, factor
+from metrocli.uncertainty.numbers import COVERAGE, effective, factor
 from metrocli.uncertainty.predicted import Places
 from metrocli.units import find_unit
 from metrocli.units.ranges import Range, range_of
 
-Array = npt.NDArray[np.float64]
 _ROUNDING = 1e-9
 """Share of the largest eigenvalue of a covariance below which others are rounding, and rounding of coordinates [mm]"""
 _FLAT = 1e-6
@@ -32,22 +31,15 @@ _MENDED = 0.1
 """Share of the largest deviation that a mistake in all measurements leaves, at most, once it is mended"""
 
 _SIGMA = Range(0.0, range_of("length").high)
-_PLACE = tuple(Column(name, "length") for name in ("x", "y", "z"))
-_MEASURED = tuple(Column(name, "length") for name in ("mx", "my", "mz"))
-_SPREAD = Column("sigma", "length", required=False, allowed=_SIGMA)
+_SPREAD = columns("sigma? [length]", allowed=_SIGMA)
 COMMANDED = Columns(
-    (Column("point", TEXT), *_PLACE, *_MEASURED, _SPREAD, Column("tool", TEXT, required=False)),
+    (*columns("point [text]", "x y z mx my mz [length]"), *_SPREAD, *columns("tool? [text]")),
     ("point",),
     "commanded points, and where an independent instrument measured them",
 )
-MEASURED = Columns((Column("point", TEXT), *_PLACE, _SPREAD), ("point",), "points measured independently")
+MEASURED = Columns((*columns("point [text]", "x y z [length]"), *_SPREAD), ("point",), "points measured independently")
 LENGTHS = Columns(
-    (
-        Column("from", TEXT),
-        Column("to", TEXT),
-        Column("length", "length", allowed=_SIGMA),
-        Column("sigma", "length", allowed=_SIGMA),
-    ),
+    (*columns("from to [text]"), *columns("length sigma [length]", allowed=_SIGMA)),
     ("from", "to"),
     "lengths between points of the result",
 )

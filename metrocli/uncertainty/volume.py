@@ -7,15 +7,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.expressions.derivatives import Jets
 from metrocli.expressions.expression import Expression
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix
 
-Array = npt.NDArray[np.float64]
 AXES = ("x", "y", "z")
 
 

@@ -44,7 +44,7 @@ def parse_quantity(text: str, dimension: str) -> float:
     if not math.isfinite(number):
         raise QuantityError(f"'{text}' is too large for a number", f"write e.g. '{wanted.example}'")
     if not match[2]:
-        raise QuantityError(f"{text} has no unit", f"write e.g. '{match[1]} {_example_unit(wanted)}'")
+        raise QuantityError(f"{text} has no unit", f"write e.g. '{match[1]} {wanted.example.split(' ', 1)[1]}'")
     return find_unit(match[2], dimension, match[1]).inside(number)
 
 
@@ -95,10 +95,6 @@ def nearest(word: str, known: tuple[str, ...]) -> str | None:
     if meant in known:
         return meant
     return next(iter(get_close_matches(word, known, 1, 0.5)), None)
-
-
-def _example_unit(dimension: Dimension) -> str:
-    return dimension.example.split(" ", 1)[1]
 
 
 def quantity_pattern(dimension: str) -> str:

@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
+from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
 from metrocli.units.parsing import find_unit, internal_unit
 from metrocli.units.table import DIMENSIONS
-
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
-    Array = npt.NDArray[np.float64]
 
 _ROUNDING = 1e-12
 LARGEST = 1e30
@@ -31,7 +25,7 @@ class Range:
     low: float
     high: float
 
-    def excludes(self, values: Array) -> npt.NDArray[np.bool_]:
+    def excludes(self, values: Array) -> Mask:
         """Return which of the values are outside; nan is not."""
         import numpy as np
 

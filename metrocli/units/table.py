@@ -7,15 +7,9 @@ relative humidity, 1 for ratios and slopes. A unit that is not in the table is r
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
-    Array = npt.NDArray[np.float64]
 
 _PI = math.pi
 _ARCSEC_PER_TURN = 1_296_000.0

@@ -17,6 +17,7 @@ from metrocli.adjust.clusters.spread import Excess
 from metrocli.errors import UndeterminedError
 from metrocli.instruments import camera, tracer
 from metrocli.tasks.multilaterate import problem as multilaterate
+from metrocli.tasks.multilaterate.settings import Files
 
 
 def bent(problem: problems.Problem, size: float = 0.5) -> problems.Problem:
@@ -249,7 +250,7 @@ def lengths_in_time() -> ClusterRobust:
     """A free network of lengths whose points, with the datum on them, each belong to one of six blocks in time."""
     net = lengths.network(30, 5, seed=8)
     settings = lengths.settings()
-    network = multilaterate.build(settings, net.lengths(), net.point_table(), net.tracer_table(), None)
+    network = multilaterate.build(settings, Files(net.lengths(), net.point_table(), net.tracer_table()))
     group = network.lengths
     creep = 3 * group.observations.sigma[0] * np.sin(np.arange(group.observations.count) / 9)
     moved = group.with_observations(group.observations.with_readings(group.observations.readings + creep))

@@ -13,14 +13,14 @@ import pytest
 from places import DOCS, SAMPLES
 from simulated import lengths as simulated_lengths
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.cli.commands import run
 from metrocli.diagnosis.linear.scans import thinned
 from metrocli.effects.acting import Acting, seen_from
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.lengths import LengthOffset, LengthScale
 from metrocli.effects.own.define import read
-from metrocli.effects.own.laws import broken
+from metrocli.effects.own.trials import broken
 from metrocli.errors import Fault
 from metrocli.formats import csv, hdf5
 from metrocli.project import yaml_text

@@ -12,8 +12,8 @@ from laws.effects_of_kinds import MEASURED, instance_of, size
 from simulated import lengths as simulated_lengths
 
 from metrocli.adjust.adjustment import adjust
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import with_effect

@@ -10,10 +10,11 @@ from importlib import import_module
 import numpy as np
 import pytest
 
+from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports import FORMATS, csv_errors, fanuc, siemens_cec, siemens_lec
 from metrocli.exports.compensation import Control, places_of
-from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
+from metrocli.exports.error_tables import AXES, Curve, ErrorTables
 
 MODULES = {name: import_module(form.module) for name, form in FORMATS.items()}
 CONTROLS: dict[str, Control] = {name: one.CONTROL for name, one in MODULES.items() if hasattr(one, "CONTROL")}

@@ -20,7 +20,8 @@ import pytest
 from plots import results
 
 from metrocli.errors import InputError
-from metrocli.exports import dsi, export
+from metrocli.exports import dcc_elements as dsi
+from metrocli.exports import export
 from metrocli.record import InputFile, Record, Verdict
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table

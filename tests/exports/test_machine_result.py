@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from simulated import machine as sim
 
+from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports import FORMATS, error_tables, etalon, export, isg_csv, linuxcnc, siemens_cec, siemens_lec
-from metrocli.exports.error_tables import Array
+from metrocli.exports import FORMATS, error_tables, export, isg_csv, linuxcnc, siemens_cec, siemens_lec
+from metrocli.exports import volumetric as etalon
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine

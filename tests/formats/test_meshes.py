@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from metrocli.errors import InputError
-from metrocli.formats import meshes
+from metrocli.formats import own_files as meshes
 
 CORNERS = np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 10]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from metrocli.errors import InputError
-from metrocli.formats import aside
+from metrocli.formats import file_bytes as aside
 from metrocli.formats.own_files import LIST, write_all
 
 
@@ -81,7 +81,7 @@ def test_an_export_does_not_replace_what_the_result_is_made_from(job: Path, metr
 def test_a_closed_folder_is_named_by_the_file_that_was_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("metrocli.formats.aside.os.access", lambda *arguments: False)
+    monkeypatch.setattr("metrocli.formats.file_bytes.os.access", lambda *arguments: False)
     with pytest.raises(InputError, match="a.txt: error: cannot be written: no right to write into"):
         list(write_all({tmp_path / "a.txt": b"1"}))
     assert not list(tmp_path.iterdir())

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from metrocli.arrays import Array
 from metrocli.geometry import poses
-from metrocli.geometry.rotations import Array, rotation_from_euler, rotation_from_vector
+from metrocli.geometry.rotations import rotation_from_euler, rotation_from_vector
 
 SHIFTS = arrays(float, 3, elements=st.floats(-2000, 2000, allow_subnormal=False))
 TURNS = arrays(float, 3, elements=st.floats(-1.7, 1.7, allow_subnormal=False))

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from metrocli.arrays import Array
 from metrocli.geometry.rotations import (
-    Array,
     cross_matrix,
     euler_by_vector,
     euler_from_rotation,

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 from simulated.notch import notched
 
-from metrocli.formats import meshes
+from metrocli.arrays import Array
+from metrocli.formats import own_files as meshes
 from metrocli.geometry.nearest_triangles import Search
-from metrocli.geometry.triangles import Array, Triangles
+from metrocli.geometry.triangles import Triangles
 
 SIZE = np.array([60.0, 40.0, 20.0])
 

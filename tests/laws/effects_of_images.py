@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 from simulated import camera as sim
 
-from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model, Place
 from metrocli.geometry import poses

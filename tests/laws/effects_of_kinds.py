@@ -23,7 +23,7 @@ from metrocli.effects.effect import Effect
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.geometry.poses import pose_from_euler
-from metrocli.tasks.calibrate_machine.effects.laser import OF_THE_LASER
+from metrocli.tasks.calibrate_machine.effects.tracker import OF_THE_LASER
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths as machine_lengths
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
@@ -31,6 +31,7 @@ from metrocli.tasks.calibrate_machine.settings import Noise
 from metrocli.tasks.locate_launch_unit import problem as launch_problem
 from metrocli.tasks.locate_launch_unit import readings as launch_readings
 from metrocli.tasks.multilaterate.problem import build
+from metrocli.tasks.multilaterate.settings import Files
 from metrocli.tasks.selfcal_grid import problem as grid_problem
 from metrocli.tasks.selfcal_grid import readings as grid_readings
 from metrocli.tasks.selfcal_grid.settings import views_of
@@ -60,7 +61,7 @@ def multilaterate(effect: Effect) -> Model:
     points = replace(net, nominal=net.points).point_table(sigma=np.full(25, 0.001))
     measures = "absolute" if effect.name == "length-offset" else "changes"
     tracers = net.tracer_table(0.0, sigma=np.full(5, 0.001))
-    network = build(simulated_lengths.settings(measures=measures), table, points, tracers, None)
+    network = build(simulated_lengths.settings(measures=measures), Files(table, points, tracers))
     model = network.model
     true = np.column_stack([net.tracers, net.dead, net.scale])
     return with_conditions(model.with_blocks({**model.blocks, "tracer": model.blocks["tracer"].with_values(true)}))

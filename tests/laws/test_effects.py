@@ -11,7 +11,7 @@ from laws.effects_of_kinds import MEASURED, instance_of, size
 from places import DOCS
 
 from metrocli.adjust.adjustment import adjust
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.effects.effect import DRIVERS, Effect
 from metrocli.effects.extension import with_effect
 from metrocli.effects.model import Model

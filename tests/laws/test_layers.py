@@ -44,7 +44,7 @@ NOT_KINDS = {"__init__", "job", "kind", "shared"}
 INSIDE = {
     "report": [{"result_page", "project_page"}, {"*"}, {"content", "html"}],
     "plots": [{"beside"}, {"*"}, {"readings", "places", "style"}, {"noise_bands", "thinning", "magnify"}],
-    "adjust": [{"coupled_fields", "iterated_weights", "robust", "dense_jacobian"}, {"adjustment"}, {"*"}, {"model"}],
+    "adjust": [{"coupled_fields", "rounds"}, {"robust", "dense_jacobian"}, {"adjustment"}, {"*"}, {"model"}],
     "effects": [{"own"}, {"links"}, {"*"}],
     "diagnosis": [
         {"verdict", "job_entries", "next_readings"},

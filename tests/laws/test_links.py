@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from metrocli.adjust.model import groups, quantities
-from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.chain import Chain, Link, Local, Step, Varied
 from metrocli.adjust.model.groups import Group, ReadBlock, ReadBlocks
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array
 from metrocli.geometry import poses
 from metrocli.instruments import frames, launch_unit, lens, spindle_camera, tracer
 from metrocli.instruments.frames import DistanceBetween, Into, OutOf, PointOf

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from metrocli.plots.magnify import in_words, length_in_words, magnification, round_size
-from metrocli.plots.thinning import thinned, thinned_vectors, words
+from metrocli.plots.magnify import in_words, length_in_words, magnification, round_size, thinned, thinned_vectors, words
 
 
 def test_few_points_are_all_shown() -> None:

@@ -18,7 +18,8 @@ import pytest
 from resealing import resealed
 
 from metrocli.errors import InputError
-from metrocli.formats import aside, hdf5, images
+from metrocli.formats import file_bytes as aside
+from metrocli.formats import hdf5, images
 from metrocli.project import meaning, runner
 from metrocli.project.job import load
 from metrocli.project.pipeline import worst
@@ -310,7 +311,7 @@ def test_leftovers_of_the_dead_are_swept_and_the_living_keep_theirs(tmp_path: Pa
 HANGING = """
 import sys, time
 from metrocli.cli.shell.signals import ending
-from metrocli.formats.aside import written_aside
+from metrocli.formats.file_bytes import written_aside
 from pathlib import Path
 import ctypes
 with ending(), written_aside(Path(sys.argv[1])) as aside:

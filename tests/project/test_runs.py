@@ -19,7 +19,7 @@ from metrocli.errors import InputError
 from metrocli.formats import hdf5
 from metrocli.project.running import crew, memo
 from metrocli.project.running.crew import processes
-from metrocli.project.running.lock import locked
+from metrocli.project.running.files import locked
 from metrocli.project.steps import load_project
 
 JOB = """\
@@ -222,7 +222,7 @@ def test_results_keep_their_time_when_nothing_changed(project: Path, metrocli: C
 HOLD = """
 import sys, time
 from pathlib import Path
-from metrocli.project.running.lock import locked
+from metrocli.project.running.files import locked
 with locked(Path("metrocli.yaml"), False):
     print("held", flush=True)
     time.sleep(60)

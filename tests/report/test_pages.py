@@ -18,8 +18,8 @@ from plots import results
 
 from metrocli.cli.console import Console
 from metrocli.record import InputFile, Record, Verdict
-from metrocli.report.content import Content, Diagnosis
 from metrocli.report.findings import worst
+from metrocli.report.html import Content, Diagnosis
 from metrocli.report.html import listed as list_of
 from metrocli.report.project_page import Entry, project_page, ranks
 from metrocli.report.result_page import result_page

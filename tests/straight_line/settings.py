@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 from metrocli.imageset import ImageSet
 from metrocli.result import Result
@@ -24,11 +24,12 @@ from metrocli.settings import (
     Whole,
     setting,
 )
-from metrocli.table import ABSENT, TEXT, Column, Columns, Table
+from metrocli.settings.sections import content, inputs_of
+from metrocli.table import ABSENT, Columns, Table, columns
 from metrocli.tasks.shared.figures import with_std
 from straight_line import KIND
 
-READINGS = Columns((Column("point", TEXT), Column("x", "length"), Column("y", "length")), key=("point",))
+READINGS = Columns(columns("point [text]", "x y [length]"), key=("point",), description="readings")
 
 
 @dataclass(frozen=True)
@@ -39,21 +40,17 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Inputs:
-    """Files of the job."""
-
-    readings: Path = setting(TableFile(READINGS), "readings")
-    known: Path | None = setting(FileOf(results=(KIND.name,), section=Known), "slope from elsewhere", default=None)
-    images: tuple[Path, ...] = setting(ImageFiles(), "pictures", default=())
-
-
-@dataclass(frozen=True)
 class Files:
-    """What they hold; readings are absent before the measurement."""
+    """Files of the job; readings are absent before the measurement."""
 
-    readings: Table = ABSENT
-    known: Result | Known | None = None
-    images: ImageSet | None = None
+    readings: Table = content(TableFile(READINGS), default=ABSENT)
+    known: Result | Known | None = content(
+        FileOf(results=(KIND.name,), section=Known), "slope from elsewhere", needed=False
+    )
+    images: ImageSet | None = content(ImageFiles(), "pictures", needed=False)
+
+
+Inputs = inputs_of(Files)
 
 
 @dataclass(frozen=True)
@@ -68,7 +65,7 @@ class Limits:
 class Settings:
     """A straight line through readings."""
 
-    inputs: Inputs = setting(Section(Inputs), "files")
+    inputs: Any = setting(Section(Inputs), "files")
     noise: float | str = setting(Either(Quantity("length", positive=True), Choice("estimated")), "noise of y")
     estimate: tuple[str, ...] = setting(
         ListOf(Choice("slope", "offset"), distinct=True), "what to estimate", default=("slope", "offset")

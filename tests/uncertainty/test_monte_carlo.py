@@ -14,7 +14,7 @@ from tasks.report_uncertainty.jobs import carry_out
 
 from metrocli.errors import NotConvergedError
 from metrocli.expressions.expression import parse
-from metrocli.project.running.chunks import ChunkFolder
+from metrocli.project.running.files import ChunkFolder
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.distributions import Normal, Uniform
 from metrocli.uncertainty.inputs import Inputs, Quantity, join

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli.adjust.clusters.spread import Excess, Seen, acting
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
 _START, _MOST = 0.5, 8.0

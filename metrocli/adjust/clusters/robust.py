@@ -13,12 +13,11 @@ import numpy as np
 
 from metrocli.adjust.clusters.rows import Rows, numbers_of, rows_of, rows_without_members
 from metrocli.adjust.clusters.sample import Sample
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.covariance import Covariance, shapes_of
 from metrocli.adjust.schur.layout import Layout, without_elimination
 from metrocli.adjust.schur.member_covariance import MemberCovariance
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.frozen import dataclass
 

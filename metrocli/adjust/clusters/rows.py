@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Linear
-from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout, without_elimination
 from metrocli.adjust.solution import Solution
 from metrocli.adjust.sparse.nested_dissection import Sparse
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
 

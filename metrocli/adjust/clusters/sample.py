@@ -12,8 +12,7 @@ import numpy as np
 from metrocli.adjust.clusters.likelihood import Likelihood, most_likely
 from metrocli.adjust.clusters.rows import Rows
 from metrocli.adjust.clusters.spread import Excess, Seen, Spread, products, spreads
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
 _MOSTLY = 0.5

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli.adjust.decompositions import thin_svd
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
 _UNDETERMINED = 1e-9

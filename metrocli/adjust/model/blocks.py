@@ -8,14 +8,11 @@ from enum import Enum
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array as Array
+from metrocli.arrays import Mask
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
-
 
 _LEAST_WAVE = 1e-9
 """Amplitude below which a phase is meaningless"""

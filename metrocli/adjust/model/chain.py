@@ -8,9 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
 

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.chain import Chain, Local, Step
-from metrocli.adjust.model.observations import Index, Mask, Observations
-from metrocli.adjust.model.quantities import Quantity
+from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.model.quantities import OfBlock, Quantity
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
 
@@ -81,29 +82,29 @@ class Group:
         """Return the group with some of its readings."""
         return self.with_observations(self.observations.selected(keep))
 
+    def with_noise_times(self, factor: float) -> Group:
+        """Return the group with a factor on the standard deviations of its readings."""
+        observations = self.observations
+        covariance = None if observations.covariance is None else observations.covariance * factor**2
+        return self.with_observations(replace(observations, sigma=observations.sigma * factor, covariance=covariance))
+
     def _weighted(self, values: Array) -> Array:
         return values if self.weights is None else values * np.sqrt(self.weights)
 
 
 @dataclass(frozen=True)
-class ReadBlock:
+class ReadBlock(OfBlock):
     """The forward model of a prior: the values of a block themselves, as if they were measured.
 
     `value = difference(values, reference)` in the chosen columns, so a reading of zero means "equal to the reference".
     """
 
-    block: str
     reference: Array
     """(members, size)"""
     columns: tuple[int, ...]
     space: Space = Space.FLAT
     takes = None
     gives = Quantity.PARAMETERS
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """The block that it reads."""
-        return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the differences (columns, n) and their derivatives by a step of the block."""
@@ -154,20 +155,14 @@ def priors(block: Block, sigma: Array, free: Mask) -> list[Group]:
 
 
 @dataclass(frozen=True)
-class ReadMembers:
+class ReadMembers(OfBlock):
     """The forward model of a joint prior of several members: some columns of a block, read as one vector."""
 
-    block: str
     reference: Array
     """(members, size)"""
     columns: tuple[int, ...]
     takes = None
     gives = Quantity.PARAMETERS
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """The block that it reads."""
-        return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the differences (m c, 1), member by member, and their derivatives by each, (m, m c, size, 1)."""

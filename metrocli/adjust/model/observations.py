@@ -7,13 +7,12 @@ from dataclasses import field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array as Array
+from metrocli.arrays import Index as Index
+from metrocli.arrays import Mask as Mask
 from metrocli.frozen import dataclass
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
 TIME = "time"
 """Key by which readings differ that are alike in all other keys"""
 

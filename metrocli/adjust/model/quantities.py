@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import Enum
 
 
@@ -34,3 +35,32 @@ class Quantity(Enum):
     LAUNCH_ANGLES = "encoder angles of the launch unit"
     RECEIVER_ANGLES = "encoder angles of the receiver"
     ANGLE = "angle read by one encoder"
+
+
+@dataclass(frozen=True)
+class OfBlock:
+    """A link whose unknowns are those of one block."""
+
+    block: str
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The name of its block."""
+        return (self.block,)
+
+
+@dataclass(frozen=True)
+class AtQuantity(OfBlock):
+    """A link that changes the quantity `at`, so that one effect serves several frames or instruments."""
+
+    at: Quantity
+
+    @property
+    def takes(self) -> Quantity:
+        """The quantity on which it acts."""
+        return self.at
+
+    @property
+    def gives(self) -> Quantity:
+        """The same quantity."""
+        return self.at

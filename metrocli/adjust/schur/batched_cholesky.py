@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 
 _SINGULAR = 1e-15
 """A pivot below this fraction of its diagonal element is rounding"""

@@ -13,10 +13,10 @@ from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.schur.layout import Layout
 from metrocli.adjust.schur.member_covariance import MemberCovariance
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
 

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Linear, Touch
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.schur.layout import Layout
+from metrocli.arrays import Array, Index, Mask
 
 FEW = 200
 """Most reduced unknowns whose matrices are dense and solved by numpy: loading scipy takes longer than it saves"""

@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Index
 from metrocli.frozen import dataclass
 
 

@@ -14,10 +14,10 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.datum import Frame
-from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.schur.normals import Part
 from metrocli.adjust.schur.tiles import Tile
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
 

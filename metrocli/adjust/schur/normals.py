@@ -14,13 +14,13 @@ from typing import Protocol
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.schur.irregular_normals import NormalSums
 from metrocli.adjust.schur.layout import Layout
 from metrocli.adjust.schur.tile_rows import Rows
 from metrocli.adjust.schur.tiled_elimination import EliminatedTile
 from metrocli.adjust.schur.tiles import Tiling
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
 

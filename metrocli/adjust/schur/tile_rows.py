@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Linear
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.schur.layout import Layout
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
 

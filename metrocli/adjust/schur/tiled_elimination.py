@@ -12,8 +12,6 @@ from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Mask
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.schur.batched_cholesky import backward, cholesky, complement, forward
 from metrocli.adjust.schur.tile_rows import (
     Rows,
@@ -25,6 +23,7 @@ from metrocli.adjust.schur.tile_rows import (
     weighted,
     with_zeros,
 )
+from metrocli.arrays import Array, Index, Mask
 
 
 class EliminatedTile:

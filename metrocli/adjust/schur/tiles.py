@@ -13,10 +13,11 @@ from random import Random  # numpy.random takes longer to load than a small job 
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Lattice
+from metrocli.adjust.model.observations import Lattice
 from metrocli.adjust.schur.layout import Layout
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
 READINGS_OF_TILE = 32768

@@ -14,11 +14,10 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.decompositions import pivoted_qr
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.sparse.cholesky import SparseCholesky, factor
 from metrocli.adjust.sparse.nested_dissection import Sparse, connected, dissect
 from metrocli.adjust.sparse.partition import Partition
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
 _STIFFNESS = 1e-9

@@ -12,9 +12,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.sparse.nested_dissection import Front, Sparse
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
 

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
 Sparse = Any

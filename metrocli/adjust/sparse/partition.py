@@ -1,4 +1,4 @@
-"""The sort of each unknown in an adjustment of fields: net, local or border."""
+"""The partition of unknowns into coupled fields and a border, and the sparse Jacobian in its order."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block, Mask
-from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.groups import Group, Linear
+from metrocli.adjust.sparse.nested_dissection import Sparse
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
 
@@ -60,3 +61,38 @@ def _joined(block: Block, groups: Sequence[Group]) -> Mask:
         if index is not None and index.ndim == 2 and len(index) > 1:
             joined[index.ravel()] = True
     return joined
+
+
+def gradient(linears: Sequence[Linear], parts: Partition) -> Array:
+    """Return the gradient `J' residual` at the present values."""
+    total = np.zeros(parts.width)
+    for linear in linears:
+        for touch in linear.touches:
+            towards = np.einsum("dsn,dn->ns", touch.jacobian, linear.residual)
+            columns = parts.columns[touch.block][touch.index]
+            inside = columns >= 0
+            total += np.bincount(columns[inside], towards[inside], minlength=parts.width)
+    return total
+
+
+def jacobian(linears: Sequence[Linear], parts: Partition) -> Sparse:
+    """Return the sparse Jacobian of all groups, one below the other."""
+    from scipy.sparse import csr_array, vstack
+
+    stacked = []
+    for linear in linears:
+        d, n = linear.residual.shape
+        values: list[Array] = []
+        rows: list[Index] = []
+        columns: list[Index] = []
+        for touch in linear.touches:
+            at = parts.columns[touch.block][touch.index]
+            a, s, i = np.nonzero(touch.jacobian)
+            keep = at[i, s] >= 0
+            a, s, i = a[keep], s[keep], i[keep]
+            values.append(touch.jacobian[a, s, i])
+            rows.append(a * n + i)
+            columns.append(at[i, s])
+        entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+        stacked.append(csr_array(entries, shape=(d * n, parts.width)))
+    return vstack(stacked, format="csr")

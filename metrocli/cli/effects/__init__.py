@@ -10,6 +10,9 @@ import click
 from metrocli.cli import options
 from metrocli.cli.console import echo
 from metrocli.cli.shell.choices import kinds, offering
+from metrocli.errors import Fault, InputError, UsageError
+from metrocli.tasks import KINDS
+from metrocli.words import suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,9 +30,6 @@ if TYPE_CHECKING:
 def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -> int:
     """Print the tables of one kind or of all; raise InputError with every fault of the own effects."""
     from metrocli.cli import summary
-    from metrocli.errors import InputError, UsageError
-    from metrocli.tasks import KINDS
-    from metrocli.words import suggestion
 
     if kind is not None and kind not in KINDS:
         raise UsageError(f"no kind of job '{kind}'; {suggestion(kind, KINDS)}")
@@ -52,11 +52,9 @@ def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -
 
 def _own(kind: str, source: Path | None) -> list[Effect]:
     """Return the own effects of a kind: those of a file, else of the project of the working folder, and of packages."""
-    from metrocli.errors import Fault, InputError
     from metrocli.project.own_effects import Defining, of_file, of_packages, of_project
     from metrocli.project.yaml_text import YamlFiles
     from metrocli.settings import path_beside
-    from metrocli.tasks import KINDS
 
     task = KINDS[kind].task()
     taken = {effect.name for effect in task.effects}
@@ -75,8 +73,7 @@ def _own(kind: str, source: Path | None) -> list[Effect]:
 
 def _faults(found: dict[str, tuple[Kind, list[Effect]]]) -> tuple[list[Any], int]:
     """Return a fault for each law that an own effect breaks, and the number of effects."""
-    from metrocli.effects.own.laws import broken
-    from metrocli.errors import Fault
+    from metrocli.effects.own.trials import broken
 
     faults = [
         Fault(f"{effect.name}: {said}", hint=f"an effect for {name}")

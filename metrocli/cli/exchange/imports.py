@@ -8,7 +8,8 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
-from metrocli.imports import FORMATS
+from metrocli.imports import FORMATS, Wishes, imported
+from metrocli.imports.lines import Lines
 
 SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items())
 
@@ -41,8 +42,6 @@ def command(
     from metrocli.cli.summary import as_json as json_text
     from metrocli.formats.csv_text import read_text
     from metrocli.formats.own_files import inside, write_all
-    from metrocli.imports import Wishes, imported
-    from metrocli.imports.lines import Lines
     from metrocli.project import yaml_text
 
     root = None

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from metrocli.errors import Fault, InputError
+from metrocli.project import DIAGNOSIS
+from metrocli.record import DONE
 
 if TYPE_CHECKING:
     from metrocli.plots.beside import Beside, Node
     from metrocli.project.provenance.lineage import Origin
     from metrocli.record import Record
-    from metrocli.report.content import Diagnosis
+    from metrocli.report.html import Diagnosis
     from metrocli.result import Result
 
 _DIAGNOSE = "write it by: metrocli diagnose JOB.yaml --json > FILE.json"
@@ -19,17 +24,12 @@ _STEP = re.compile(r"(.*)\.step([0-9]+)")
 
 def diagnosis_of(result: Path, given: Path | None, record: Record) -> Diagnosis | None:
     """Return the diagnosis that is given, else the one beside the result; raise InputError if it cannot be read."""
-    import json
-
-    from metrocli.project import DIAGNOSIS
-
     path = given or result.with_suffix(DIAGNOSIS)
     if given is None and not path.is_file():
         return None
     # not before: this loads the search for effects
-    from metrocli.errors import Fault, InputError
     from metrocli.project.diagnosed import identity
-    from metrocli.report.content import Diagnosis
+    from metrocli.report.html import Diagnosis
 
     try:
         data: Any = json.loads(path.read_text(encoding="utf-8"))
@@ -55,7 +55,6 @@ def beside_of(result: Path, diagnosis: Diagnosis | None, before: Path | None = N
 
 
 def _before(result: Path, given: Path | None) -> Result | None:
-    from metrocli.errors import InputError
     from metrocli.formats import hdf5
 
     path = given or _earlier(result)
@@ -84,7 +83,6 @@ def _nodes(origin: Origin) -> list[Node]:
     """Return the files of a lineage, each once, by their paths from the folder above that of the result."""
     from metrocli.plots.beside import Node
     from metrocli.project.provenance.lineage import AS_READ, files_of, name_from
-    from metrocli.record import DONE
 
     home = origin.path.parent.parent
     return [

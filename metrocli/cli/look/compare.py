@@ -9,8 +9,9 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import echo
-from metrocli.cli.look import requirement
+from metrocli.cli.look import repeated, requirement
 from metrocli.cli.look.held import held
+from metrocli.words import listed
 
 if TYPE_CHECKING:
     from metrocli.record import Record
@@ -35,8 +36,6 @@ def command(
 ) -> int:
     """Print B minus A, or what repeated measurements show; raises UsageError for a wrong condition or wrong days."""
     if sets or len(others) > 1 or days is not None:
-        from metrocli.cli.look import repeated
-
         files = (first, *others)
         return repeated.sets(files, days, require, as_json) if sets else repeated.series(files, days, require, as_json)
     (second,) = others
@@ -77,7 +76,6 @@ def _figures(found: Comparison, shared: list[str]) -> dict[str, Any]:
 def _text(found: Comparison, shared: list[str]) -> str:
     from metrocli import units
     from metrocli.cli.columns import worst_rows
-    from metrocli.words import listed
 
     rows = [["quantity", "B - A (± u)", "E_n"]]
     for one in sorted(found.compared, key=lambda one: -one.en):

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from metrocli.cli import options
 from metrocli.cli.console import echo, print_files
+from metrocli.cli.look.beside import beside_of, diagnosis_of
 from metrocli.cli.shell.choices import figures, offering
+from metrocli.errors import Fault, InputError, UsageError
 
 if TYPE_CHECKING:
     from metrocli.plots.beside import Beside
-    from metrocli.report.content import Diagnosis
+    from metrocli.report.html import Diagnosis
     from metrocli.result import Result
 
 _FILE = click.Path(path_type=Path)
@@ -34,8 +37,6 @@ def command(result: Path, name: str | None, save: Path | None, as_json: bool, **
 
     A file that metrocli did not write is replaced with `force` only.
     """
-    from metrocli.cli.look.beside import beside_of, diagnosis_of
-    from metrocli.errors import UsageError
     from metrocli.formats import hdf5
     from metrocli.formats.own_files import write_all
 
@@ -69,8 +70,6 @@ def _list(result: Result, beside: Beside, as_json: bool) -> int:
 
 def _drawn(result: Result, name: str, path: Path, beside: Beside, dark: bool) -> bytes:
     """Return the figure for a path, in the format that its ending names."""
-    from tempfile import TemporaryDirectory
-
     from metrocli import plots
 
     plots.check(result, name, path, beside)
@@ -82,8 +81,6 @@ def _drawn(result: Result, name: str, path: Path, beside: Beside, dark: bool) ->
 
 def _of_this(found: Diagnosis | None, given: Path | None) -> Diagnosis | None:
     """Return a diagnosis; raise InputError if one that was given is of another job, or of other inputs."""
-    from metrocli.errors import Fault, InputError
-
     if given is not None and found is not None and not found.of_this:
         hint = "diagnose the job of this result again"
         raise InputError([Fault("this is the diagnosis of another job, or of other inputs", str(given), hint=hint)])

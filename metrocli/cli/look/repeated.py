@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from metrocli.cli.console import echo
 from metrocli.cli.look import requirement
 from metrocli.cli.look.held import held
+from metrocli.errors import UsageError
 
 if TYPE_CHECKING:
     from metrocli.uncertainty.repeated import Repeated
@@ -37,8 +38,6 @@ def series(files: tuple[Path, ...], days: str | None, require: str | None, as_js
 
 def _times(days: str | None, number: int) -> tuple[list[float], str]:
     """Return the times and their unit; without days the numbers of the calibrations."""
-    from metrocli.errors import UsageError
-
     if days is None:
         return [float(i) for i in range(number)], "calibration"
     try:
@@ -87,8 +86,6 @@ def _text_of_series(found: Repeated, files: tuple[Path, ...], time: str) -> str:
 
 def sets(files: tuple[Path, ...], days: str | None, require: str | None, as_json: bool) -> int:
     """Print how far repeated sets scatter; return the exit code."""
-    from metrocli.errors import UsageError
-
     if days is not None or len(files) < FEWEST:
         raise UsageError("--sets takes three or more results, and no --days")
     from metrocli.cli import summary

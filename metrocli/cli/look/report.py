@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +14,9 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, print_files
+from metrocli.cli.look.beside import beside_of, diagnosis_of
+from metrocli.errors import InputError, UsageError
+from metrocli.project import PROJECT_FILE
 
 if TYPE_CHECKING:
     from metrocli.project.staleness import State
@@ -50,9 +55,7 @@ def command(
 
     A file that metrocli did not write is replaced with `force` only.
     """
-    from metrocli.errors import UsageError
     from metrocli.formats.own_files import write_all
-    from metrocli.project import PROJECT_FILE
 
     project = place.is_dir() or place.name == PROJECT_FILE
     if project and diagnosis is not None:
@@ -87,14 +90,11 @@ def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: st
 
     Estimates and tables are in `units`; figures have theirs.
     """
-    from dataclasses import replace
-
     from metrocli.cli import columns
-    from metrocli.cli.look.beside import beside_of, diagnosis_of
     from metrocli.cli.look.inches import in_units
     from metrocli.formats import hdf5
-    from metrocli.project.provenance.standards import with_standards
-    from metrocli.report.content import Content
+    from metrocli.project.provenance.comparison import with_standards
+    from metrocli.report.html import Content
     from metrocli.report.result_page import result_page
 
     found, record = hdf5.read(result)
@@ -113,7 +113,6 @@ def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: st
 
 def _project(place: Path, out: Path | None, units: str, done: Counter) -> dict[Path, str]:
     """Return the page that leads to those of all results that exist, and these."""
-    from metrocli.errors import InputError
     from metrocli.project.staleness import states
     from metrocli.project.steps import load_project, name_of_project, project_file
     from metrocli.report.project_page import Entry, project_page
@@ -142,17 +141,13 @@ def _project(place: Path, out: Path | None, units: str, done: Counter) -> dict[P
 
 def _verdict(result: Path, record: Record | None) -> str:
     """Return the verdict of the diagnosis beside a result, or "" without one of this result."""
-    from metrocli.cli.look.beside import diagnosis_of
-
     held = None if record is None else diagnosis_of(result, None, record)
     return str(held.data["verdict"]) if held is not None and held.of_this else ""
 
 
 def _charts(found: Sequence[State], home: Path) -> Iterator[Html]:
     """Yield the control charts of each job with a list of parts."""
-    from itertools import groupby
-
-    from metrocli.project.provenance.gathered import table_of
+    from metrocli.project.provenance.comparison import table_of
     from metrocli.report.pictures import control_charts
 
     several = [state for state in found if state.step.job.wishes.part is not None and state.label is not None]

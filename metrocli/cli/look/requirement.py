@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from metrocli.cli.console import echo
+from metrocli.errors import UsageError
 from metrocli.frozen import dataclass
 
 NOT_MET = 6
@@ -41,8 +42,6 @@ def option(examples: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
 
 def read(text: str | None, figures: Sequence[str]) -> Requirement | None:
     """Return the condition, None if none is given; raises UsageError for one that is not on one of the figures."""
-    from metrocli.errors import UsageError
-
     if text is None:
         return None
     parts = _FORM.fullmatch(text)

@@ -22,7 +22,7 @@ def command(project: Path, out: Path, only: tuple[str, ...], force: bool, as_jso
     from metrocli.cli import summary
     from metrocli.formats import csv
     from metrocli.formats.own_files import write_all
-    from metrocli.project.provenance.gathered import table_of
+    from metrocli.project.provenance.comparison import table_of
     from metrocli.project.staleness import states
     from metrocli.project.steps import load_project, selected
 

@@ -33,7 +33,7 @@ def command(
     """Print whether the result is the same; exit code 6 if it is another one. Written only with --output."""
     from metrocli.cli.summary import as_json as json_text
     from metrocli.formats import hdf5
-    from metrocli.project.provenance.again import rerun
+    from metrocli.project.provenance.comparison import rerun
     from metrocli.uncertainty.workers import Workers
 
     console = Console(quiet or as_json, verbose)

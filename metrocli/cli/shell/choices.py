@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from metrocli.errors import InputError
+from metrocli.tasks import KINDS
 
 if TYPE_CHECKING:
     import click
@@ -18,8 +22,6 @@ def offering(words: Callable[[], Iterable[str]]) -> Complete:
 
 def kinds() -> Iterable[str]:
     """Return the kinds of job."""
-    from metrocli.tasks import KINDS
-
     return KINDS
 
 
@@ -32,9 +34,6 @@ def figures() -> Iterable[str]:
 
 def tables(context: click.Context, parameter: click.Parameter, begun: str) -> list[str]:
     """Return the names of the tables of the result that the line names; none if it names none that can be read."""
-    from pathlib import Path
-
-    from metrocli.errors import InputError
     from metrocli.formats import hdf5
 
     # click leaves the arguments of a line whose last option has no value yet where it keeps those that nobody wants

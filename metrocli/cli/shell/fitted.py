@@ -81,7 +81,7 @@ def _prose(line: str, width: int) -> list[str]:
 def _table(lines: Sequence[str], width: int) -> Iterator[str]:
     """Yield the lines of a table in parts of at most `width` characters."""
     columns = _columns(lines)
-    keys = _keys(columns)
+    keys = 1 if len(columns) < 3 or len(set(columns[0])) == len(columns[0]) else 2
     while keys and (room := width - sum(len(column[0]) + len(_GAP) for column in columns[:keys])) < _LEAST:
         keys -= 1
     if not keys or len(columns) <= keys:
@@ -122,8 +122,3 @@ def _columns(lines: Sequence[str]) -> list[list[str]]:
     used = "".join(" " if all(line[k] == " " for line in padded) else "x" for k in range(width))
     spans = [found.span() for found in re.finditer("x+(?: x+)*", used)]
     return [[line[start:end] for line in padded] for start, end in spans]
-
-
-def _keys(columns: Sequence[Sequence[str]]) -> int:
-    """Return how many of the first columns tell the rows apart: one, or two where one does not."""
-    return 1 if len(columns) < 3 or len(set(columns[0])) == len(columns[0]) else 2

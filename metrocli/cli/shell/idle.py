@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import sys
 
+from metrocli.project import PROJECT_FILE
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +22,6 @@ def nothing_to_do(arguments: Sequence[str]) -> bool:
     places = [word for word in arguments[1:] if word not in _QUIET]
     if arguments[:1] != ["run"] or len(places) > 1 or any(word.startswith("-") for word in places):
         return False
-    from metrocli.project import PROJECT_FILE
     from metrocli.project.running.memo import unmoved_jobs
 
     place = places[0] if places else "."

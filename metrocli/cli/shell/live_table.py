@@ -9,7 +9,7 @@ import time
 import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 from metrocli.cli.console import printable
 from metrocli.cli.shell.fitted import terminal_size
@@ -118,32 +118,39 @@ def live_table(total: int, shown: bool) -> Iterator[LiveTable]:
 
     A table that is not `shown` is never drawn.
     """
-    terminal = sys.stderr
+    table = LiveTable(total, to_terminal, lambda: terminal_size(sys.stderr.fileno()))
+    try:
+        with redrawn(table.draw, _FIRST_S, _EVERY_S) if shown else nullcontext():
+            yield table
+    finally:
+        table.clear()
 
-    def write(text: str) -> None:
-        sys.stdout.flush()
-        terminal.write(text)
-        terminal.flush()
 
-    table = LiveTable(total, write, lambda: terminal_size(terminal.fileno()))
+def to_terminal(text: str) -> None:
+    """Write to the terminal of stderr at once, after what was printed."""
+    sys.stdout.flush()
+    sys.stderr.write(text)
+    sys.stderr.flush()
+
+
+@contextmanager
+def redrawn(draw: Callable[[], None], first: float, every: float) -> Iterator[None]:
+    """Draw in a thread after the `first` seconds, and then `every` so many, until the context ends."""
     over = threading.Event()
 
-    def redraw() -> None:
-        pause = _FIRST_S
+    def go_on() -> None:
+        pause = first
         while not over.wait(pause):
-            table.draw()
-            pause = _EVERY_S
+            draw()
+            pause = every
 
-    thread = threading.Thread(target=redraw, daemon=True)
-    if shown:
-        thread.start()
+    thread = threading.Thread(target=go_on, daemon=True)
+    thread.start()
     try:
-        yield table
+        yield
     finally:
         over.set()
-        if shown:
-            thread.join()
-        table.clear()
+        thread.join()
 
 
 def has_terminal() -> bool:

@@ -13,7 +13,7 @@ from typing import Any
 
 from metrocli.cli.console import LINES, printable
 from metrocli.cli.shell.fitted import terminal_size
-from metrocli.cli.shell.live_table import cropped, time_text
+from metrocli.cli.shell.live_table import cropped, redrawn, time_text, to_terminal
 
 _FIRST_S, _EVERY_S = 2.0, 0.5
 """Time before the line appears, and between two drawings of it [s]"""
@@ -111,30 +111,12 @@ def with_progress(command: Callable[..., int]) -> Callable[..., int]:
 
 @contextmanager
 def _drawn_line() -> Iterator[None]:
-    terminal = sys.stderr
-
-    def write(text: str) -> None:
-        sys.stdout.flush()
-        terminal.write(text)
-        terminal.flush()
-
-    line = ProgressLine(write, lambda: terminal_size(terminal.fileno())[0])
-    over = threading.Event()
-
-    def redraw() -> None:
-        pause = _FIRST_S
-        while not over.wait(pause):
-            line.draw()
-            pause = _EVERY_S
-
-    thread = threading.Thread(target=redraw, daemon=True)
-    thread.start()
+    line = ProgressLine(to_terminal, lambda: terminal_size(sys.stderr.fileno())[0])
     LINES.append(line)
     try:
-        yield
+        with redrawn(line.draw, _FIRST_S, _EVERY_S):
+            yield
     finally:
-        over.set()
-        thread.join()
         LINES.remove(line)
         with line.away():
             pass

@@ -96,7 +96,7 @@ def _watch(heard: int, done: threading.Event) -> None:
 def _take_back() -> None:
     """Remove what is half written and end the processes that compute for this one."""
     # only what the command has loaded: a module that is being imported at this moment cannot be waited for
-    aside = sys.modules.get("metrocli.formats.aside")
+    aside = sys.modules.get("metrocli.formats.file_bytes")
     if aside is not None and hasattr(aside, "discard_all"):
         aside.discard_all()
     processes = sys.modules.get("multiprocessing.process")

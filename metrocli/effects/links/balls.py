@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
-from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.links.of_block import OfBlock
+from metrocli.adjust.model.quantities import OfBlock, Quantity
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.instruments.ball_grid import HOLLOW, VIEW
 

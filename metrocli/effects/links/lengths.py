@@ -1,14 +1,16 @@
-"""Effects on the length reading: drifts, jumps and offsets, and errors that depend on the direction of the beam."""
+"""Effects on lengths and on the beams that measure them."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
-from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.links.of_block import OfBlock
+from metrocli.adjust.model.quantities import OfBlock, Quantity
+from metrocli.arrays import Array
+from metrocli.effects.effect import ELAPSED
 from metrocli.frozen import dataclass
+from metrocli.instruments.launch_unit import UNIT
+from metrocli.instruments.tracer import TRACER
 
 _AS_IT_IS = np.ones((1, 1, 1))
 
@@ -63,3 +65,128 @@ class LengthScale(OfBlock):
         """Return the length (1, n)."""
         factor = 1 + local.rows(self.block)
         return Step(value * factor, factor[:, None] * _AS_IT_IS, {self.block: value[:, None]})
+
+
+_EYE = np.eye(3)[:, :, None]
+
+
+@dataclass(frozen=True)
+class BeamScale(OfBlock):
+    """The beam is scaled: `b (1 + scale c)`, c = 1 or a condition; column scale [1], or rate [1/K or 1/s]."""
+
+    tracer: str = TRACER
+    condition: str = ""
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of tracers, where the beams begin, and its own block."""
+        return (self.tracer, self.block)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n), displaced along its beam, with derivatives by point, tracer and its own block."""
+        beam = value - local.rows(self.tracer)[:3]
+        factor = local.observations.conditions[self.condition] if self.condition else np.ones(beam.shape[1])
+        scale = local.rows(self.block)[0] * factor
+        by_tracer = np.zeros((3, local.members(self.tracer).shape[1], len(factor)))
+        by_tracer[:, :3] = -_EYE * scale
+        by_block = {self.tracer: by_tracer, self.block: (beam * factor)[:, None]}
+        return Step(value + beam * scale, _EYE * (1 + scale), by_block)
+
+
+@dataclass(frozen=True)
+class AirGradient(OfBlock):
+    """The index of the air changes with height: `b (1 + gradient (z - z0)/2)`; column gradient [1/mm].
+
+    z - z0 is the height of the point above the tracer, along z of the points' frame. The mean index along the beam is
+    that of half the height. The bend of the beam changes its length only to the second order of the gradient.
+    """
+
+    tracer: str = TRACER
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of tracers, where the beams begin, and its own block."""
+        return (self.tracer, self.block)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n), displaced along its beam, with derivatives by point, tracer and its own block."""
+        beam = value - local.rows(self.tracer)[:3]
+        gradient, half = local.rows(self.block)[0], beam[2] / 2
+        by_beam = _EYE * (gradient * half)
+        by_beam[:, 2] += gradient / 2 * beam
+        by_tracer = np.zeros((3, local.members(self.tracer).shape[1], len(half)))
+        by_tracer[:, :3] = -by_beam
+        by_block = {self.tracer: by_tracer, self.block: (beam * half)[:, None]}
+        return Step(value + gradient * half * beam, _EYE + by_beam, by_block)
+
+
+@dataclass(frozen=True)
+class TracerDrift(OfBlock):
+    """A tracer moves: `x0 += v t`, which from the tracer looks like `x -= v t`; columns vx, vy, vz [mm/s]."""
+
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n)."""
+        t = local.observations.conditions[ELAPSED]
+        return Step(value - local.rows(self.block) * t, _EYE, {self.block: -_EYE * t})
+
+
+@dataclass(frozen=True)
+class _BesideBeam(OfBlock):
+    """The beam passes a control point at a distance h along a unit vector l across it; column h [mm].
+
+    The beam then runs along `b - h l`.
+    """
+
+    unit: str = UNIT
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    def across(self, beam: Array) -> tuple[Array, Array]:
+        """Return the unit vector l of beams (3, n), and its derivatives by them (3, 3, n)."""
+        raise NotImplementedError
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of the launch unit, where the beams begin, and its own block."""
+        return (self.unit, self.block)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n) to which a beam without offset would run in this direction, with derivatives."""
+        h = local.rows(self.block)[0]
+        across, turns = self.across(value - local.rows(self.unit)[:3])
+        by_beam = -h * turns
+        by_unit = np.zeros((3, local.members(self.unit).shape[1], value.shape[1]))
+        by_unit[:, :3] = -by_beam
+        return Step(value - h * across, _EYE + by_beam, {self.unit: by_unit, self.block: -across[:, None]})
+
+
+class BeamOffset(_BesideBeam):
+    """The offset is horizontal, to the left of the outgoing beam: it turns the base angles of both ends."""
+
+    def across(self, beam: Array) -> tuple[Array, Array]:
+        """Return the horizontal unit vector to the left of beams."""
+        ahead, left, level = _level(beam)
+        return left, -ahead[:, None] * left[None] / level
+
+
+class BeamHeight(_BesideBeam):
+    """The offset is in the vertical plane of the beam, upwards: it turns the tilt angles of both ends."""
+
+    def across(self, beam: Array) -> tuple[Array, Array]:
+        """Return the unit vector up, square to beams in their vertical plane."""
+        ahead, left, level = _level(beam)
+        length = np.hypot(level, beam[2])
+        sine, cosine = beam[2] / length, level / length
+        vertical = np.array([0.0, 0.0, 1.0])[:, None]
+        up, along = cosine * vertical - sine * ahead, cosine * ahead + sine * vertical
+        turn = sine / level * left
+        return up, -along[:, None] * up[None] / length - turn[:, None] * left[None]
+
+
+def _level(beam: Array) -> tuple[Array, Array, Array]:
+    """Return the horizontal unit vectors ahead and to the left of beams (3, n), and their horizontal lengths (n,)."""
+    level, zero = np.hypot(beam[0], beam[1]), np.zeros(beam.shape[1])
+    return np.stack([beam[0], beam[1], zero]) / level, np.stack([-beam[1], beam[0], zero]) / level, level

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.model.quantities import AtQuantity
+from metrocli.arrays import Array
 from metrocli.effects.acting import Variable
-from metrocli.effects.links.of_block import AtQuantity
 from metrocli.errors import InputError
 from metrocli.expressions.derivatives import Jets, NoValueError
 from metrocli.expressions.expression import Expression

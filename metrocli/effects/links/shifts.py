@@ -1,14 +1,14 @@
-"""Effects that displace a point: by a constant, or in proportion to a condition such as time."""
+"""Effects that shift and turn points on their way to a camera: poses, the coupling, and the axes of the machine."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
-from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.links.of_block import AtQuantity, OfBlock
+from metrocli.adjust.model.quantities import AtQuantity, OfBlock, Quantity
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
+from metrocli.geometry.rotations import cross_matrix
 
 _EYE = np.eye(3)[:, :, None]
 
@@ -94,3 +94,58 @@ class MachineError(OfBlock):
         by_pose = np.zeros((3, len(commanded), value.shape[1]))
         by_pose[self.moved, self.along] = -error
         return Step(value + by_error[:, 0] * error, _EYE, {self.poses: by_pose, self.block: by_error})
+
+
+@dataclass(frozen=True)
+class CouplingTilt(OfBlock):
+    """The holder is tilted: `R_S <- R_S Ry(beta_s) Rx(alpha_s)`; columns alpha_s, beta_s [rad].
+
+    A point in the taper therefore becomes `X <- Rx' Ry' X`.
+    """
+
+    takes = gives = Quantity.POINT_IN_TAPER
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n)."""
+        angles = local.members(self.block)[-1]
+        (ca, cb), (sa, sb) = np.cos(angles), np.sin(angles)
+        about_x, by_alpha = np.diag([1, ca, ca]), np.diag([0, -sa, -sa])
+        about_y, by_beta = np.diag([cb, 1, cb]), np.diag([-sb, 0, -sb])
+        about_x[1, 2], about_x[2, 1], by_alpha[1, 2], by_alpha[2, 1] = sa, -sa, ca, -ca
+        about_y[0, 2], about_y[2, 0], by_beta[0, 2], by_beta[2, 0] = -sb, sb, -cb, cb
+        turn = about_x @ about_y
+        by_angles = np.stack([by_alpha @ about_y @ value, about_x @ by_beta @ value], axis=1)
+        return Step(turn @ value, turn[:, :, None], {self.block: by_angles})
+
+
+@dataclass(frozen=True)
+class MachineAngles(OfBlock):
+    """The spindle is turned about its commanded position d by `theta = r (d_i - m)`, to first order.
+
+    Columns rx, ry, rz [rad/mm]: about x, y, z of the machine. m is the middle of all commanded poses along axis i. In
+    the spindle's frame points are displaced by the opposite: `X -= theta x (X - d)`.
+    """
+
+    axis: int
+    poses: str = "spindle"
+    """Block of the commanded poses (x, y, z, ...)"""
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of commanded poses, and its own block."""
+        return (self.poses, self.block)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n) relative to the spindle as it truly stands."""
+        commanded, rates = local.rows(self.poses), local.rows(self.block)
+        along = local.members(self.poses)[:, self.axis]
+        position = commanded[self.axis] - (along.min() + along.max()) / 2
+        lever = value - commanded[:3]
+        turned = np.moveaxis(cross_matrix((rates * position).T), 0, -1)
+        by_rates = np.moveaxis(cross_matrix(lever.T), 0, -1) * position
+        by_pose = np.zeros((3, len(commanded), value.shape[1]))
+        by_pose[:, :3] = turned
+        by_pose[:, self.axis] -= np.cross(rates, lever, axis=0)
+        moved = value - np.einsum("abn,bn->an", turned, lever)
+        return Step(moved, np.eye(3)[:, :, None] - turned, {self.poses: by_pose, self.block: by_rates})

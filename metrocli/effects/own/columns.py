@@ -12,7 +12,7 @@ from typing import Any
 from metrocli import units
 from metrocli.effects.acting import Acting, Variable, measured
 from metrocli.effects.effect import Effect
-from metrocli.effects.own.names import WORD
+from metrocli.effects.own.definition import WORD
 from metrocli.expressions.dimensions import Compound, compound
 from metrocli.expressions.expression import CONSTANTS, FUNCTIONS
 from metrocli.settings import TableFile

@@ -12,9 +12,20 @@ from metrocli.adjust.model.chain import Link
 from metrocli.effects.acting import Acting, Variable
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.own import OwnTerms
-from metrocli.effects.own.definition import Definition, Given, Scan, text_of
-from metrocli.effects.own.names import constants_of_data, lacking, near_name, not_free
-from metrocli.effects.own.parameters import components, of_unit, shape, values_tried
+from metrocli.effects.own.definition import (
+    Definition,
+    Given,
+    Scan,
+    components,
+    constants_of_data,
+    lacking,
+    near_name,
+    not_free,
+    of_unit,
+    shape,
+    text_of,
+    values_tried,
+)
 from metrocli.effects.own.trials import Trial, is_wave, without_value
 from metrocli.errors import Fault
 from metrocli.expressions.derivatives import NoValueError
@@ -103,16 +114,15 @@ class _Reader:
         if self.unknown or self.unclear:
             return replace(plain, lacks=lacking(self.unknown, self.unclear))
         self._units(acting, used)
+        wave = None if self.faults else self._tried(used)
         if self.faults:
             return None
-        wave = self._tried(used)
-        if self.faults:
-            return None
-        ordered = self._in_order(parameters, wave)
+        first = wave or ()  # amplitude and phase of a wave come first
+        ordered = sorted(parameters, key=lambda one: first.index(one.name) if one.name in first else len(first))
         template = acting.variables_at(sample | ({"axis": "{axis}"} if "axis" in where else {}))
         return replace(
             plain,
-            parameters=ordered,
+            parameters=tuple(ordered),
             link=self._link(acting, list(used), ordered, scanned, wave),
             scanned=tuple(scanned),
             space=Space.WAVE if wave else Space.FLAT,
@@ -213,13 +223,13 @@ class _Reader:
                     self.faults.append(
                         model.fault(ExpressionError(f"unknown variable '{part.name}'", part.start, hint))
                     )
-        for key, names in (("parameters", self.given.parameters), ("scan", self.given.scan)):
-            for name in names:
-                if name not in named:
-                    self._fault(
-                        f"{key}.{name}", f"the parameter '{name}' changes nothing", "use it in `adds`, or leave it out"
-                    )
+        self._idle(name for name in own if name not in named)
         return used
+
+    def _idle(self, names: Iterable[str]) -> None:
+        for name in names:
+            key = "parameters" if name in self.given.parameters else "scan"
+            self._fault(f"{key}.{name}", f"the parameter '{name}' changes nothing", "use it in `adds`, or leave it out")
 
     def _units(self, acting: Acting, used: Mapping[str, Variable]) -> None:
         named = {name: compound(one.unit) for name, one in used.items()}
@@ -247,32 +257,21 @@ class _Reader:
         except NoValueError as error:
             self.faults.append(model.fault(without_value(error)))
             return None
-        for name, scan in self.given.scan.items():
-            self._ends(name, scan, trial)
+        for name, end in ((name, end) for name, scan in self.given.scan.items() for end in (scan.low, scan.high)):
+            if not trial.has_value_at(name, end.value):
+                self.faults.append(end.fault("`adds` has no value there", "a period or time constant is above 0"))
         if not trial.vanishes:
             hint = "where all its parameters are 0 an effect adds 0"
             self.faults.append(model.fault(ExpressionError("this is not 0 where all parameters are 0", 0, hint)))
             return None
         idle = [name for name in (*plausible, *ranges) if name not in trial.moving]
-        for name in idle:
-            key = "parameters" if name in plausible else "scan"
-            self._fault(f"{key}.{name}", f"the parameter '{name}' changes nothing", "use it in `adds`, or leave it out")
+        self._idle(idle)
         still = [name for name in plausible if name not in trial.moving_at_zero and name not in idle]
         wave = is_wave(trial, list(plausible), still)
         for name in still if wave is None else ():
             hint = f"try it at several values instead: scan: {{{name}: {{from: ..., to: ..., steps: 60}}}}"
             self._fault(f"parameters.{name}", f"'{name}' changes nothing where all parameters are 0", hint)
         return wave
-
-    def _ends(self, name: str, scan: Scan, trial: Trial) -> None:
-        for end in (scan.low, scan.high):
-            if not trial.has_value_at(name, end.value):
-                self.faults.append(end.fault("`adds` has no value there", "a period or time constant is above 0"))
-
-    def _in_order(self, parameters: Sequence[Parameter], wave: tuple[str, str] | None) -> tuple[Parameter, ...]:
-        """Return the parameters, amplitude and phase of a wave first."""
-        first = wave or ()
-        return tuple(sorted(parameters, key=lambda one: first.index(one.name) if one.name in first else len(first)))
 
     def _link(
         self,

@@ -1,15 +1,132 @@
-"""The definition of an effect of one's own, as a file has it under `define:`."""
+"""One definition of an effect of one's own: its names, parameters and texts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
+from metrocli import units
+from metrocli.arrays import Array
+from metrocli.effects.acting import ALONG, Acting
+from metrocli.effects.effect import Parameter
 from metrocli.errors import Fault
+from metrocli.expressions.dimensions import Compound, base_unit
+from metrocli.expressions.expression import CONSTANTS, FUNCTIONS, NAME, ExpressionError
 from metrocli.expressions.written import AnyQuantity, Measure, Model, ModelText
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings import BAD, At, ListOf, MapOf, Placed, Schema, Section, Text, Whole, setting
+from metrocli.words import in_a_row, nearest
+
+WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_KEYS = ("name", "by", "std")
+"""Keys of `effects:` that no parameter can have as its name"""
+_OTHER = "choose another name"
+
+
+def not_free(
+    given: tuple[Iterable[str], Iterable[str]], known: Container[str], where: Sequence[str]
+) -> Iterator[tuple[str, str, str]]:
+    """Yield key, fault and hint for each parameter and scanned parameter (`given`) whose name is not free."""
+    parameters, scan = given
+    seen: set[str] = set()
+    for key, name in [*(("parameters", name) for name in parameters), *(("scan", name) for name in scan)]:
+        if not WORD.fullmatch(name):
+            yield f"{key}.{name}", f"'{name}' is not a name", "write letters, digits and _"
+        elif name in (*FUNCTIONS, *CONSTANTS, *_KEYS, *where):
+            yield f"{key}.{name}", f"'{name}' has a meaning of its own", _OTHER
+        elif name in known:
+            yield f"{key}.{name}", f"'{name}' is a variable there", _OTHER
+        elif name in seen:
+            yield f"{key}.{name}", f"'{name}' is also under parameters", _OTHER
+        seen.add(name)
+
+
+def constants_of_data(expression: str, refused: Mapping[str, str]) -> Iterator[ExpressionError]:
+    """Yield an error for each constant in an expression that is the name of a column too; `refused` has the remedy."""
+    for name, value in CONSTANTS.items():
+        found = re.search(rf"\b{name}\b", expression)
+        if found is not None and name in refused:
+            said = f"'{name}' is {value:.6g}, and a column of the data has this name"
+            yield ExpressionError(said, found.start(), refused[name])
+
+
+def near_name(name: str, known: Iterable[str]) -> str:
+    """Return the question whether the nearest known name is meant; empty if none is near."""
+    near = nearest(name, known)
+    return f"did you mean '{near}'?" if near else ""
+
+
+def lacking(unknown: Mapping[str, str], unclear: Iterable[ExpressionError]) -> str:
+    """Return why the data do not have an effect: constants that are columns too, and unknown names with their hints."""
+    names = [f"{name} ({hint})" if hint else name for name, hint in unknown.items()]
+    found = dict.fromkeys(f"{one.message} ({one.hint})" for one in unclear)
+    return "; ".join([*found, *([f"needs a column {in_a_row(names)}"] if names else [])])
+
+
+_FINER = 100
+"""Values by which the best one of a scan is refined, in one of its steps"""
+_NOT_MEANT = ("wavelength", "temperature", "slope", "humidity", "frequency")
+"""Dimensions that share their units with the one that a parameter has"""
+
+
+def components(acting: Acting, where: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the components that an effect with these kinds of place can change."""
+    along = (ALONG,) if "axis" in where and "axis" in acting.where and len(acting.components) > 1 else ()
+    return (*acting.components, *along)
+
+
+def shape(components: Sequence[str]) -> str:
+    """Return how `adds` is written for a quantity with these components, for messages."""
+    if components == ("",):
+        return "adds: EXPRESSION"
+    return f"adds: {{{components[0]}: EXPRESSION}}; components: {', '.join(components)}"
+
+
+def of_unit(
+    name: str,
+    text: str,
+    unit: Compound | None,
+    plausible: float,
+    grid: Callable[[Mapping[str, Array]], Array] | None = None,
+    tried: int = 120,
+) -> Parameter:
+    """Return a parameter with the dimension of its unit, or with base units if no dimension has that unit."""
+    symbol = units.plain_symbol(text.strip())
+    if unit is None or symbol in ("", "1"):
+        return Parameter(name, "", plausible, grid=grid, tried=tried)
+    for dimension in units.DIMENSIONS.values():
+        if symbol in dimension.symbols and dimension.coherent == 1.0 and dimension.name not in _NOT_MEANT:
+            return Parameter(name, dimension.name, plausible, grid=grid, tried=tried)
+    plain = Parameter(name, "", plausible, grid=grid, tried=tried, base=_base_unit(unit))
+    return replace(plain, shown=text.strip(), given=unit.factor)
+
+
+def _base_unit(unit: Compound) -> str:
+    """Return a unit in base units with negative powers last: mm s-2."""
+    return base_unit(tuple(sorted(unit.powers, key=lambda power: power[1] < 0)))
+
+
+def values_tried(name: str, scan: Scan, adds: Iterable[Model]) -> Array:
+    """Return the values of a scan, even in 1/value for a name that only divides, such as a period, else even.
+
+    Between those that are tried are those by which the best one is refined.
+    """
+    low, high, count = scan.low.value, scan.high.value, (scan.steps - 1) * _FINER + 1
+    if low > 0 and all(_only_divides(model, name) for model in adds):
+        return np.asarray(1 / np.linspace(1 / high, 1 / low, count))
+    return np.linspace(low, high, count)
+
+
+def _only_divides(model: Model, name: str) -> bool:
+    """Return whether a name occurs in an expression only behind a division sign, as the period of a wave does."""
+    text = model.expression.text
+    named = [part for part in model.expression.parts if part.operation == NAME and part.name == name]
+    return all(text[: part.start].rstrip().endswith("/") for part in named)
 
 
 @dataclass(frozen=True)

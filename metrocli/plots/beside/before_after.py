@@ -6,13 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.plots.against import CAPTION, LABELS, Panel, draw_panel, panel_of
 from metrocli.plots.beside import Beside
-from metrocli.plots.noise_bands import Array, trend
+from metrocli.plots.magnify import MOST, words
+from metrocli.plots.noise_bands import trend
 from metrocli.plots.readings import Residuals, residuals_of
 from metrocli.plots.style import Canvas
-from metrocli.plots.thinning import MOST, Index, words
 from metrocli.result import Result
 
 _PLACES = 40
@@ -68,7 +69,7 @@ def data(result: Result, beside: Beside) -> BeforeAfter | None:
         return None
     view = max(views, key=lambda one: one.change)
     sets = list(zip(*pairs, strict=True))
-    first, last = (_rms(np.concatenate([one.w[one.checked] for one in side])) for side in sets)
+    first, last = (float(np.sqrt(np.mean(np.concatenate([one.w[one.checked] for one in side]) ** 2))) for side in sets)
     readings = sum(int(one.checked.sum()) for one in sets[1])
     before, after = view.panel("before", view.old), view.panel("after", view.new)
     return BeforeAfter(view.about, view.place, before, after, readings, (first, last))
@@ -100,10 +101,6 @@ def _structure(x: Array, w: Array) -> float:
     found = trend(x, w)
     m = len(found.means)
     return float((((found.means / found.stds) ** 2).sum() - m) / np.sqrt(2 * m))
-
-
-def _rms(w: Array) -> float:
-    return float(np.sqrt(np.mean(w**2)))
 
 
 def height(found: BeforeAfter) -> float:

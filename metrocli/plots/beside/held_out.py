@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.plots.beside import Beside
-from metrocli.plots.noise_bands import Array
 from metrocli.plots.style import Canvas
 from metrocli.result import Result
 

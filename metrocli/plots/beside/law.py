@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.plots.beside import Beside, chosen_law, law_in_words, sizes_in_words
-from metrocli.plots.magnify import micro
-from metrocli.plots.noise_bands import Array
+from metrocli.plots.magnify import micro, thinned, words
 from metrocli.plots.style import Canvas
-from metrocli.plots.thinning import Index, thinned, words
 from metrocli.result import Result
 
 _AS_CURVE = (

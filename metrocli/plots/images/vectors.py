@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
-from metrocli.plots.magnify import in_words, magnification, round_size
-from metrocli.plots.noise_bands import Array, largest_of
+from metrocli.plots.magnify import in_words, magnification, round_size, thinned_vectors, words
+from metrocli.plots.noise_bands import largest_of
 from metrocli.plots.readings import image_residuals
 from metrocli.plots.style import Canvas, arrows
-from metrocli.plots.thinning import thinned_vectors, words
 from metrocli.result import Result
 
 _MOST = 500
@@ -27,7 +26,7 @@ class Vectors:
     """(n, 2) px"""
     vectors: Array
     """(n, 2) px, as measured"""
-    beyond: npt.NDArray[np.bool_]
+    beyond: Mask
     """(n,) whether |w| of u or v exceeds what noise reaches in 5 % of measurements"""
     magnification: float
     scale: float

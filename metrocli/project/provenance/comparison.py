@@ -1,16 +1,52 @@
-"""What changed between two results, and what in their jobs and inputs did."""
+"""Results held against each other, gathered in one table, and made again."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from metrocli import units
+from metrocli.errors import Fault, InputError
 from metrocli.formats import hdf5
 from metrocli.frozen import dataclass
+from metrocli.progress import SILENT, Progress
 from metrocli.project import meaning, yaml_text
+from metrocli.project.campaign import KEY
+from metrocli.project.inputs import content_now, input_files
+from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.provenance.lineage import Origin, files_of, trace
+from metrocli.project.runner import HERE, compute
+from metrocli.project.staleness import State
 from metrocli.record import Record
-from metrocli.result import Estimate
+from metrocli.result import Estimate, Result
+from metrocli.table import Table
+from metrocli.uncertainty.workers import Workers
+
+
+def with_standards(result: Path, record: Record) -> Record:
+    """Return the record of a result with the certificates that the jobs of the results below it state.
+
+    Files are named as the job of this result would name them. What the job itself states stays as it is.
+    """
+    origin, *below = files_of(trace(result))
+    home = origin.job.parent if origin.job else result.parent
+    own = {name for name, _ in record.references()}
+    found = dict(pair for one in below if one.label is not None for pair in _stated(one, home))
+    return replace(record, below=tuple((name, number) for name, number in found.items() if name not in own))
+
+
+def _stated(origin: Origin, home: Path) -> Iterator[tuple[str, str]]:
+    record = hdf5.read_record(origin.path)[1]
+    files = {one.path for one in record.inputs}
+    folder = origin.job.parent if origin.job else origin.path.parent
+    for name, number in record.references():
+        if number:
+            yield Path(os.path.relpath(folder / name, home)).as_posix() if name in files else name, number
 
 
 @dataclass(frozen=True)
@@ -85,3 +121,79 @@ def _settings(a: Record, b: Record, first: Path, second: Path) -> list[str]:
 def _inputs(a: Record, b: Record) -> list[str]:
     contents: Mapping[str, str] = {one.path: one.content for one in b.inputs}
     return meaning.changed_inputs(a.inputs, b.inputs, contents.__getitem__)
+
+
+_OWN = ("job", "status", "up_to_date", "sigma0")
+
+
+def table_of(states: Iterable[State]) -> Table:
+    """Return a row for each job that has a result which can be believed.
+
+    Columns: job, the columns of its list of parts, status, up_to_date (yes or no), sigma0, and for each estimate NAME
+    and NAME.std; empty where a result has no such estimate. Where names meet, columns of the list are called for.NAME,
+    estimates estimates.NAME. Raises InputError if there is no result.
+    """
+    rows: list[dict[str, str | float]] = []
+    parts: list[Mapping[str, str]] = []
+    known: dict[str, str] = {}
+    for state in states:
+        if state.label is None:
+            continue
+        result, record = hdf5.read(state.step.job.output)
+        part = state.step.job.wishes.part
+        parts.append(part.values if part else {})
+        sigma0 = result.statistics.get("sigma0")
+        row: dict[str, str | float] = {"job": state.step.name, "status": record.status}
+        row |= {"up_to_date": "no" if state.reason else "yes"}
+        row |= {"sigma0": float(sigma0)} if isinstance(sigma0, float | int) else {}
+        for one in result.estimates:
+            named = _named(one)
+            row |= {named: one.value, f"{named}.std": one.std}
+            known |= {named: one.unit, f"{named}.std": one.unit}
+        rows.append(row)
+    if not rows:
+        raise InputError("the project has no results yet; run it first")
+    names = dict.fromkeys(name for row in rows for name in row)
+    taken = {*names, *(f"{name}_{units.suffix_of(known.get(name, ''))}" for name in names)}
+    listed = {name: f"{KEY}.{name}" if name in taken else name for part in parts for name in part}
+    columns = {"job": _column([row["job"] for row in rows])}
+    columns |= {shown: _column([part.get(name) for part in parts]) for name, shown in listed.items()}
+    columns |= {name: _column([row.get(name) for row in rows]) for name in names}
+    return Table(columns, known)
+
+
+def _named(one: Estimate) -> str:
+    """Return the name of the column of an estimate, with its unit where a CSV has no ending for it."""
+    name = one.name if one.unit in ("", "1") or units.suffix_of(one.unit) else f"{one.name} [{one.unit}]"
+    return f"estimates.{name}" if name in _OWN else name
+
+
+def _column(cells: Sequence[str | float | None]) -> np.ndarray:
+    if any(isinstance(cell, str) for cell in cells):
+        return np.array(["" if cell is None else str(cell) for cell in cells])
+    return np.array([np.nan if cell is None else cell for cell in cells], dtype=float)
+
+
+def rerun(
+    path: Path, accept_doubtful: bool = False, progress: Progress = SILENT, workers: Workers = HERE
+) -> tuple[Result, Record, bool]:
+    """Return the result of a file made again with its record, and whether it is the same bit for bit.
+
+    The job is the text in the result, not its file. Raises InputError with each input that is not what it was.
+    """
+    result, record = hdf5.read(path)
+    job = _job_of(path, record, accept_doubtful)
+    changed = meaning.changed_inputs(record.inputs, input_files(job), lambda name: content_now(job, name))
+    if changed:
+        hint = "restore it from where the record has its sha256 (metrocli lineage), or run the job as it is now"
+        raise InputError([Fault(line, str(path), hint=hint) for line in changed])
+    strict = bool(result.warnings) and set(result.warnings) <= set(record.doubts)
+    again, new = compute(job, progress, workers, strict)
+    return again, new, new.content == record.content
+
+
+def _job_of(path: Path, record: Record, accept_doubtful: bool) -> JobFile:
+    if not record.job_file:
+        raise InputError([Fault("the result does not name its job file", str(path))])
+    file = Path(os.path.normpath(path.parent / record.job_file))
+    return load(file, Wishes(output=path, accept_doubtful=accept_doubtful, text=record.job_text))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import traceback
 from collections.abc import Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -10,6 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 from pathlib import Path
+from threading import Thread
 from typing import Any, Protocol
 
 from metrocli import tasks
@@ -167,9 +169,6 @@ def _new_pool(count: int) -> ProcessPoolExecutor:
 
 def _prepare(kinds: Mapping[str, Any]) -> None:
     """Prepare a process: the kinds of job of the one that started it, and no answer to Ctrl-C of its own."""
-    import signal
-    from threading import Thread
-
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     Thread(target=_end_with_parent, daemon=True).start()
     tasks.KINDS.update(kinds)

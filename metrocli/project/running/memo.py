@@ -158,7 +158,7 @@ def _write(project_file: str, jobs: list[list[str]], files: dict[str, list[Any]]
     from pathlib import Path
 
     from metrocli.errors import InputError
-    from metrocli.formats.aside import write_bytes
+    from metrocli.formats.file_bytes import write_bytes
 
     files = {name: [seen if _settled(seen, begun_ns) else seen[:1], digest] for name, (seen, digest) in files.items()}
     folder, name = os.path.split(project_file)

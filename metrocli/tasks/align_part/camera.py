@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.groups import Group, joint_prior
+from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
@@ -15,7 +16,7 @@ from metrocli.imageset import ImageSet
 from metrocli.instruments.camera import LENS, TAPER
 from metrocli.instruments.lens import PARAMETERS
 from metrocli.result import Result
-from metrocli.tasks.shared.images.camera_settings import CameraFile
+from metrocli.tasks.shared.images.settings import CameraFile
 
 
 @dataclass(frozen=True)

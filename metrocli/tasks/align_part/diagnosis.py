@@ -1,18 +1,25 @@
-"""What `diagnose` needs of an alignment: model, covariates, held-out images and the result that matters."""
+"""What `diagnose` needs of an alignment, and the errors that no residual of it can show."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
+from metrocli import units
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
-from metrocli.instruments.camera import TAPER, TARGET
+from metrocli.instruments.camera import LENS, TAPER, TARGET
+from metrocli.table import Table
 from metrocli.tasks.align_part import KIND
 from metrocli.tasks.align_part.effects import EFFECTS
 from metrocli.tasks.align_part.problem import Problem
+from metrocli.tasks.align_part.settings import Files
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.covariates import at_solution, covariate, covariates, folds, named, refit
+from metrocli.tasks.shared.images.eccentricity import diameters
+from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
 
 def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
@@ -47,3 +54,64 @@ def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
         sharing=len(np.unique(index["view"])),
         made_together=("image",),
     )
+
+
+_SEAT = units.parse_quantity("5 um", "length")
+_LISTED, _LISTED_WORDS = units.parse_quantity("1 mm", "length"), "1 mm"
+
+
+def uncontrolled(problem: Problem, adjusted: Adjusted, files: Files) -> Table:
+    """Return what the pose of the part absorbs or no reading uses, and the error from a plausible size of each."""
+    return table_of((*_rows(problem, adjusted), *_of_lists(adjusted, files)))
+
+
+def _of_lists(adjusted: Adjusted, files: Files) -> Iterator[Hidden]:
+    """Yield lists that only the predictions of a result use."""
+    if files.supports is not None:
+        upright = poses.rotation_of(adjusted.solution.blocks[spindle.PART].values[0])[2, 2]
+        yield Hidden(
+            "listed places of the supports, such as exchanged columns (how far to raise each)",
+            _LISTED_WORDS,
+            _LISTED * float(np.sqrt(max(1 - upright**2, 0.0))),
+            "the part measured again after the supports are raised",
+        )
+    if files.points is not None:
+        yield Hidden(
+            "listed places of `points`, such as exchanged columns (where they are predicted)",
+            _LISTED_WORDS,
+            _LISTED,
+            "`metrocli verify` with these points as the machine's probe measures them",
+        )
+
+
+def _rows(problem: Problem, adjusted: Adjusted) -> Iterator[Hidden]:
+    blocks = adjusted.solution.blocks
+    used = adjusted.group.observations.index
+    held = blocks[spindle.SPINDLE].values[np.unique(used[spindle.SPINDLE]), :3]
+    extent = float(np.linalg.norm(np.ptp(held, axis=0)))
+    yield Hidden(
+        "common scale of the machine and of the target list (places of points)",
+        SCALE_WORDS,
+        SCALE * extent,
+        "temperature of machine and part; calibrated lengths on both",
+    )
+    yield Hidden(
+        "seat of the camera along the spindle (the part along the view)",
+        "5 um",
+        _SEAT,
+        "a target of known place in the machine",
+    )
+    if not blocks[LENS].free.any():
+        lens, index = blocks[LENS].named(), adjusted.group.observations.index
+        angle = float(blocks[spindle.COUPLING].values[0, 0])
+        held = blocks[spindle.SPINDLE].values[index[spindle.SPINDLE]]
+        to_camera = spindle.part_in_camera(blocks[spindle.PART].values[0], held, angle, blocks[TAPER].values[0])
+        depth = poses.apply(to_camera, blocks[TARGET].values[index[TARGET]])[:, 2]
+        yield Hidden(
+            "cx and cy of the camera file, taken as exact, or its image_size (the part across the view)",
+            "1 px",
+            float(np.median(depth)) / lens.get("f", lens.get("fx", np.inf)),
+            "a calibration result as camera, with its covariance; the spindle turned between images",
+        )
+    if problem.sighted.eccentric:
+        yield from diameters(adjusted.group, blocks, problem.sighted.targets.radius)

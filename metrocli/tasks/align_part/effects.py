@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter
-from metrocli.effects.links.affine import Stretch
-from metrocli.effects.links.coupling_tilt import CouplingTilt
-from metrocli.effects.links.eccentricity import TargetEccentricity
-from metrocli.effects.links.growth import Growth
-from metrocli.effects.links.lens_changes import LensChange
-from metrocli.effects.links.machine_angles import MachineAngles
-from metrocli.effects.links.shifts import MachineBow, MachineError, Shift
-from metrocli.tasks.shared.images.effects import PERSPECTIVE_BLUR, rolling_shutter
-from metrocli.tasks.shared.images.places import IMAGE, image_point
-from metrocli.units import parse_quantity
+from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, sizes
+from metrocli.effects.links.images import LensChange, TargetEccentricity
+from metrocli.effects.links.points import Growth, Stretch
+from metrocli.effects.links.shifts import CouplingTilt, MachineAngles, MachineBow, MachineError, Shift
+from metrocli.tasks.shared.images.places import IMAGE, PERSPECTIVE_BLUR, image_point, rolling_shutter
 
 _MENDIKUTE = "Mendikute et al."
 _PART, _MACHINE, _TAPER = Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_TAPER
@@ -22,19 +16,11 @@ _PART, _MACHINE, _TAPER = Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE, Qua
 EXPANSION = "part-expansion"
 
 
-def _size(name: str, dimension: str, plausible: str) -> Parameter:
-    return Parameter(name, dimension, parse_quantity(plausible, dimension))
-
-
-def _sizes(names: tuple[str, ...], dimension: str, plausible: str) -> tuple[Parameter, ...]:
-    return tuple(_size(name, dimension, plausible) for name in names)
-
-
-def _spindle_growth(by: str, condition: str, rate: Parameter, usual: str) -> Effect:
+def _spindle_growth(by: str, condition: str, rate: tuple[Parameter, ...], usual: str) -> Effect:
     return Effect(
         "spindle-growth",
         "the spindle grows along its axis while the images are taken: bearings and motor warm up or cool down",
-        (rate,),
+        rate,
         lambda block, where: Shift(block, Quantity.POINT_IN_SPINDLE, sign=-1.0, condition=condition, first=2),
         where=("by",),
         by=by,
@@ -61,7 +47,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "clamping-angle",
         "the camera's holder is clamped in the spindle at an angle that the 6D job takes as zero",
-        (_size("gamma_s", "angle", "2 deg"),),
+        sizes("gamma_s", "angle", "2 deg"),
         columns_of="coupling",
         confused_with=("coupling-tilt", "coupling-shift"),
         usual="0.01 mrad to 2 deg",
@@ -71,7 +57,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "coupling-tilt",
         "the holder sits tilted in the spindle: dirt or a chip in the taper",
-        _sizes(("alpha_s", "beta_s"), "angle", "0.3 mrad"),
+        sizes("alpha_s beta_s", "angle", "0.3 mrad"),
         lambda block, where: CouplingTilt(block),
         confused_with=("principal-point-shift", "coupling-shift"),
         usual="0.01 to 0.3 mrad",
@@ -81,7 +67,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "coupling-shift",
         "the holder sits sideways in the spindle",
-        _sizes(("dx", "dy"), "length", "0.2 mm"),
+        sizes("dx dy", "length", "0.2 mm"),
         lambda block, where: Shift(block, _TAPER, sign=-1.0),
         confused_with=("coupling-tilt", "principal-point-shift"),
         usual="1 to 200 um",
@@ -91,7 +77,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         EXPANSION,
         "the part is warmer or colder than when its targets were measured",
-        (_size("scale", "ratio", "500 ppm"),),
+        sizes("scale", "ratio", "500 ppm"),
         lambda block, where: Growth(block, _PART),
         confused_with=("focal-change", "machine-scale"),
         usual="10 to 300 ppm",
@@ -101,7 +87,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "stretched-targets",
         "the list of targets is longer in x than in y, or sheared: it was measured with a wrong scale in one direction",
-        (_size("stretch", "ratio", "1 percent"), _size("shear", "angle", "10 mrad")),
+        (*sizes("stretch", "ratio", "1 percent"), *sizes("shear", "angle", "10 mrad")),
         lambda block, where: Stretch(block, _PART),
         confused_with=("machine-scale", "machine-squareness", "part-expansion"),
         usual="10 to 2000 ppm",
@@ -111,7 +97,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "moved-target",
         "a target is not at its listed position: it was knocked, mistaken for another, or measured wrongly",
-        _sizes(("dx", "dy", "dz"), "length", "5 mm"),
+        sizes("dx dy dz", "length", "5 mm"),
         lambda block, where: Shift(block, _PART),
         where=("target",),
         confused_with=("bad-pose",),
@@ -123,7 +109,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "bad-pose",
         "in one image the machine was not at the position in the file: not settled, or a wrong line in the file",
-        _sizes(("dx", "dy", "dz"), "length", "5 mm"),
+        sizes("dx dy dz", "length", "5 mm"),
         lambda block, where: Shift(block, _MACHINE, sign=-1.0),
         where=("image",),
         confused_with=("moved-target",),
@@ -135,7 +121,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "focal-change",
         "the focal length is not that of the calibration: temperature, focus, another aperture",
-        (_size("ratio", "ratio", "1 percent"),),
+        sizes("ratio", "ratio", "1 percent"),
         lambda block, where: LensChange(block, multiplied=(("f", "fx", "fy"),)),
         confused_with=("part-expansion", "radial-distortion"),
         usual="1e-5 to 1e-3",
@@ -145,7 +131,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "principal-point-shift",
         "the sensor or the lens has moved sideways since the camera was calibrated",
-        _sizes(("du", "dv"), "pixel", "50 px"),
+        sizes("du dv", "pixel", "50 px"),
         lambda block, where: LensChange(block, added=(("cx",), ("cy",))),
         confused_with=("coupling-tilt", "coupling-shift"),
         usual="0.05 to 10 px",
@@ -155,7 +141,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "machine-scale",
         "an axis of the machine moves farther or less far than it reads: temperature of its scale, wrong pitch",
-        (_size("scale", "ratio", "200 ppm"),),
+        sizes("scale", "ratio", "200 ppm"),
         lambda block, where: MachineError(block, "xyz".index(where["axis"]), "xyz".index(where["axis"])),
         where=("axis",),
         confused_with=("part-expansion", "focal-change", "machine-angular"),
@@ -166,7 +152,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "machine-squareness",
         "two axes of the machine are not square to each other",
-        (_size("angle", "angle", "200 urad"),),
+        sizes("angle", "angle", "200 urad"),
         lambda block, where: MachineError(block, "xyz".index(where["pair"][0]), "xyz".index(where["pair"][1])),
         where=("pair",),
         confused_with=("part-drift", "clamping-angle", "machine-angular"),
@@ -177,7 +163,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "machine-straightness",
         "an axis of the machine is bent: it runs on an arc instead of a straight line",
-        _sizes(("b1", "b2"), "curvature", "1e-7 1/mm"),
+        sizes("b1 b2", "curvature", "1e-7 1/mm"),
         lambda block, where: MachineBow(block, "xyz".index(where["axis"])),
         where=("axis",),
         confused_with=("machine-squareness", "machine-scale"),
@@ -188,7 +174,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "machine-angular",
         "roll, pitch and yaw of an axis of the machine grow along it: the spindle, and the camera in it, turn",
-        _sizes(("rx", "ry", "rz"), "curvature", "1e-7 1/mm"),
+        sizes("rx ry rz", "curvature", "1e-7 1/mm"),
         lambda block, where: MachineAngles(block, "xyz".index(where["axis"])),
         where=("axis",),
         confused_with=("machine-scale", "machine-squareness"),
@@ -199,7 +185,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "part-drift",
         "the part moves in the machine while the images are taken: clamping, floor, warming up",
-        _sizes(("vx", "vy", "vz"), "speed", "0.1 mm/min"),
+        sizes("vx vy vz", "speed", "0.1 mm/min"),
         lambda block, where: Shift(block, _MACHINE, condition=ELAPSED),
         needs=("t",),
         confused_with=("machine-squareness", "bad-pose", "spindle-growth"),
@@ -207,8 +193,8 @@ EFFECTS: tuple[Effect, ...] = (
         reveal="the first poses again at the end",
         source="ISO 230-3: drift over time",
     ),
-    _spindle_growth("t", ELAPSED, _size("rate", "speed", "10 um/min"), "1 um/h to 1 um/min"),
-    _spindle_growth("T", WARMING, Parameter("rate", plausible=0.1, base="mm K-1"), "1e-3 to 1e-2"),
+    _spindle_growth("t", ELAPSED, sizes("rate", "speed", "10 um/min"), "1 um/h to 1 um/min"),
+    _spindle_growth("T", WARMING, (Parameter("rate", plausible=0.1, base="mm K-1"),), "1e-3 to 1e-2"),
     Effect(
         "radial-distortion",
         "the distortion of the lens is not that of its calibration",

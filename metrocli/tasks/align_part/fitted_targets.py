@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, prior_of_members, priors
-from metrocli.adjust.model.observations import Mask
+from metrocli.arrays import Array, Mask
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.result import Result
@@ -83,11 +83,10 @@ def target_list(targets: Table | Result, part: Part | None = None) -> TargetList
         )
     covariance = _joint(targets.arrays["targets_own"], targets.arrays["targets_common"])
     std = np.sqrt(np.einsum("nknk->nk", covariance))
-    columns = {name: found.columns[name] for name in ("target", "x", "y", "z")}
-    columns |= {f"sigma_{axis}": std[:, k] for k, axis in enumerate("xyz")}
-    units = {name: "mm" for name in columns if name != "target"}
-    table = Table(columns, units, "the targets of the fit-part result")
-    return TargetList(table, covariance if std.any() else None, warnings)
+    columns = {"target": found.columns["target"], "x y z [mm]": found.stacked("xyz")}
+    table = Table.of(columns | {"sigma_x sigma_y sigma_z [mm]": std})
+    named = replace(table, file="the targets of the fit-part result")
+    return TargetList(named, covariance if std.any() else None, warnings)
 
 
 def _joint(own: Array, common: Array) -> Array:

@@ -1,26 +1,23 @@
-"""Corrections of the fixture: the zero point for the machine, and how far screws raise the part until it is level."""
+"""Corrections of the fixture: the zero point of the part, how far screws raise it, and where its points are."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.geometry.rotations import rotation_from_euler, rotation_from_vector
-from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.geometry.rotations import cross_matrix, rotation_from_euler, rotation_from_vector
+from metrocli.table import Columns, Table, columns
+from metrocli.uncertainty.predicted import COMMON, CORE, POINTS_COVARIANCE
 from metrocli.units import SPREAD, format_quantity
 
-if TYPE_CHECKING:
-    from metrocli.table import Values
-
 SUPPORTS = Columns(
-    (Column("support", TEXT), Column("x", "length"), Column("y", "length"), Column("z", "length", required=False)),
+    columns("support [text]", "x y z? [length]"),
     key=("support",),
     description="supports of the part, in the machine, that raise it along z",
 )
@@ -112,14 +109,10 @@ def _propagated(function: Callable[[Array], Array], values: Array, covariance: A
 def _zero_point(values: Array, std: Array, level: tuple[Array, Array] | None = None) -> Table:
     """Return the table `zero_point`; `level` are the values after the screws, with their uncertainties."""
     rows = [number for _, number in _ORDER]
-    columns: dict[str, Values] = {
-        "move": np.array([name for name, _ in _ORDER]),
-        "value": values[rows],
-        "std": std[rows],
-    }
+    table = Table.of({"move": [name for name, _ in _ORDER], "value": values[rows], "std": std[rows]})
     if level is not None:
-        columns |= {"levelled": level[0][rows], "levelled_std": level[1][rows]}
-    return Table({**columns, "unit": np.array(["mm"] * 3 + ["rad"] * 3)})
+        table = table.joined({"levelled": level[0][rows], "levelled_std": level[1][rows]})
+    return table.joined({"unit": ["mm"] * 3 + ["rad"] * 3})
 
 
 def must_level(supports: Table) -> None:
@@ -187,16 +180,14 @@ def _screws(values: Array, covariance: Array, supports: Table) -> Table:
     # column j: what is left to raise after the screws up to j
     left = np.tril(size[order][:, None] * np.ones(len(size)), -1)
     slopes = np.linalg.lstsq(np.column_stack([places[order], np.ones(len(size))]), left, rcond=None)[0][:2]
-    return Table(
+    return Table.of(
         {
-            "support": np.array(supports.texts("support"), dtype=str)[order],
-            "x": places[order, 0],
-            "y": places[order, 1],
-            "raise": size[order],
-            "raise_std": std[order],
-            "tilt_left": np.hypot(*slopes),
-        },
-        {**dict.fromkeys(("x", "y", "raise", "raise_std"), "mm"), "tilt_left": "rad"},
+            "support [text]": np.array(supports.texts("support"), dtype=str)[order],
+            "x y [mm]": places[order],
+            "raise [mm]": size[order],
+            "raise_std [mm]": std[order],
+            "tilt_left [rad]": np.hypot(*slopes),
+        }
     )
 
 
@@ -224,3 +215,26 @@ def _in_words(found: Table, level: tuple[Array, Array], tilt_left: float) -> Ite
         f"tilt that may be left: {1e3 * tilt_left:.2g} mm/m (95 % of measurements leave less); "
         "measure again if it matters that nothing slips"
     )
+
+
+def predicted_points(
+    points: Table, pose: Array, covariance: Array, growth: float = 0.0
+) -> tuple[Table, dict[str, Array]]:
+    """Return the table `points` in the machine, and the arrays of its covariance.
+
+    `X_machine = R (1 + g) X + d`, with `dX_machine = u + w x R X + R X dg` for a step (u, w) of the pose (6,).
+    `covariance` (6 + k, 6 + k) is of x, y, z, alpha, beta, gamma and k unknowns that g sums up; to it a point adds its
+    own sigma, if it has one.
+    """
+    listed = points.stacked(("x", "y", "z"))
+    places = listed * (1 + growth)
+    turn = poses.rotation_of(pose)
+    by_step = np.concatenate([np.tile(np.eye(3), (len(places), 1, 1)), -cross_matrix(places @ turn.T)], axis=2)
+    by_growth = np.repeat((listed @ turn.T)[:, :, None], len(covariance) - 6, axis=2)
+    common = np.concatenate([by_step @ np.linalg.inv(poses.euler_form_by_step(pose)), by_growth], axis=2)
+    own = (points.numbers("sigma", 0.0) ** 2)[:, None, None] * np.eye(3)
+    whole = common @ covariance @ np.swapaxes(common, 1, 2) + own
+    std = np.sqrt(np.einsum("nkk->nk", whole))
+    at = poses.apply(pose, places)
+    table = Table.of({"point [text]": points.texts("point"), "x y z [mm]": at, "sx sy sz [mm]": std})
+    return table, {POINTS_COVARIANCE: whole, COMMON: common, CORE: covariance}

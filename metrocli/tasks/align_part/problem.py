@@ -7,10 +7,9 @@ from dataclasses import field, replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.effects.extension import with_known_effect
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
@@ -28,8 +27,9 @@ from metrocli.tasks.align_part.spindle_poses import SpindlePoses, note_of
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside, placed
+from metrocli.tasks.shared.images.simulation import Shown, Sights, image_group
 from metrocli.tasks.shared.images.target_list import images_needed
-from metrocli.tasks.shared.owed_to_inputs import Source
+from metrocli.tasks.shared.joint_covariance import Source
 from metrocli.tasks.shared.part import Part
 
 _ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
@@ -172,3 +172,35 @@ def _start(camera: CameraModel, sighted: Sighted, held: Array, free_angle: bool)
             if value < misfit:
                 best, misfit, chosen = pose, value, float(angle)
     return best, chosen
+
+
+@dataclass(frozen=True)
+class Truth:
+    """True poses and clamping angle of a simulation."""
+
+    part: Array
+    """Pose of the part in the machine (6,)"""
+    held: Array
+    """Poses of the spindle (images, 6)"""
+    angle: float
+    """Clamping angle [rad]"""
+
+
+def true_model(camera: CameraModel, shown: Shown, seen: Sights, truth: Truth) -> Model:
+    """Return the model of the alignment at the truth, with the exact image points as readings.
+
+    Effects are planted in this model.
+    """
+    lens, taper = (block.fixed() for block in camera.blocks())
+    made = (
+        spindle.part_block(truth.part, 1.0, 1.0),
+        spindle.coupling_block(truth.angle, free=False),
+        lens,
+        taper,
+        target_block(shown.targets.points, shown.targets.names, False, 1.0),
+        spindle.spindle_block(truth.held, shown.images),
+    )
+    group = image_group(shown, seen, Chain((*spindle.to_camera(), lens_link(camera.convention))), spindle.SPINDLE)
+    places = places_of(shown.images, shown.targets.names)
+    blocks = {block.name: block for block in made}
+    return Model(blocks, (group,), None, (IMAGES,), places, nominal={TARGET: shown.targets.points})

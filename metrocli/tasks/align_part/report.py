@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli.adjust.adjustment import covariance_at
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.solution import Residuals, Solution
+from metrocli.arrays import Array
 from metrocli.effects.estimates import estimates as effect_estimates
 from metrocli.effects.estimates import free_blocks
 from metrocli.effects.estimates import tables as effect_results
@@ -21,12 +21,11 @@ from metrocli.instruments.camera import TARGET
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.align_part import KIND
+from metrocli.tasks.align_part.diagnosis import uncontrolled
 from metrocli.tasks.align_part.effects import EXPANSION
-from metrocli.tasks.align_part.fixturing import corrections
-from metrocli.tasks.align_part.gauging import predicted_points
+from metrocli.tasks.align_part.fixturing import corrections, predicted_points
 from metrocli.tasks.align_part.problem import Problem
 from metrocli.tasks.align_part.settings import Files
-from metrocli.tasks.align_part.uncontrolled import uncontrolled
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.camera_parameters import HIGH
 from metrocli.tasks.shared.images.tables import (
@@ -36,7 +35,7 @@ from metrocli.tasks.shared.images.tables import (
     suspect_images,
     suspect_readings,
 )
-from metrocli.tasks.shared.owed_to_inputs import owed
+from metrocli.tasks.shared.joint_covariance import owed
 from metrocli.tasks.shared.statistics import (
     Statistics,
     basic_statistics,
@@ -170,9 +169,7 @@ def _targets(adjusted: Adjusted, table: Table) -> Table:
         return table
     rows = [block.members.index(name) for name in table.texts("target")]
     std = np.sqrt(np.einsum("mii->mi", adjusted.solution.covariance_or_raise().members(TARGET)[rows]))
-    columns = dict(zip("xyz", block.values[rows].T, strict=True))
-    columns |= {f"s{axis}": std[:, k] for k, axis in enumerate("xyz")}
-    return Table({**table.columns, **columns}, {**table.units, **dict.fromkeys(columns, "mm")})
+    return table.joined({"x y z [mm]": block.values[rows], "sx sy sz [mm]": std})
 
 
 def _growth(problem: Problem, solution: Solution) -> float:
@@ -189,7 +186,7 @@ def _statistics(problem: Problem, adjusted: Adjusted, found: Residuals, predicti
         "images": len(problem.sighted.images),
     }
     if adjusted.noise is not None:
-        statistics = with_noise(statistics, adjusted.solution, adjusted.noise, adjusted.structured)
+        statistics = with_noise(statistics, adjusted.solution, {"noise": adjusted.noise}, adjusted.structured)
     if prediction is not None:
         statistics |= {"predicted_std_gamma_s": prediction.std, "predicted_correlation_gamma_s": prediction.correlation}
     return statistics

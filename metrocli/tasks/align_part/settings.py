@@ -3,89 +3,75 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
+from typing import Any
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
 from metrocli.result import Result
 from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Quantity, Section, TableFile, setting
-from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.settings.sections import content, inputs_of
+from metrocli.table import Columns, Table, columns
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.align_part.fixturing import SUPPORTS
 from metrocli.tasks.shared.figures import POSE, adjusted
-from metrocli.tasks.shared.images.camera_settings import CameraFile, Extrinsics
-from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults, shutter_setting, targets_setting
+from metrocli.tasks.shared.images.settings import (
+    CameraFile,
+    Extrinsics,
+    eccentricity_setting,
+    image_faults,
+    shutter_setting,
+    targets_setting,
+)
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
+from metrocli.tasks.shared.noise import NOISE_HELP
 from metrocli.tasks.shared.part import Part
-from metrocli.tasks.shared.structured_noise import NOISE_HELP
 from metrocli.units.ranges import Range, range_of
 
 POSES = Columns(
-    (
-        Column("image", TEXT),
-        Column("x", "length"),
-        Column("y", "length"),
-        Column("z", "length"),
-        *(Column(name, "angle", required=False) for name in ("a", "b", "c")),
-        Column("t", "time", required=False),
-        Column("temp", "temperature", required=False),
-    ),
+    columns("image [text]", "x y z [length]", "a? b? c? [angle]", "t? [time]", "temp? [temperature]"),
     ("image",),
     "commanded poses of the spindle",
 )
 
-_SIGMA = Column("sigma", "length", required=False, allowed=Range(0.0, range_of("length").high))
+_SIGMA = columns("sigma? [length]", allowed=Range(0.0, range_of("length").high))
 POINTS = Columns(
-    (Column("point", TEXT), *(Column(axis, "length") for axis in "xyz"), _SIGMA),
+    (*columns("point [text]", "x y z [length]"), *_SIGMA),
     ("point",),
     "points of the part, in its frame",
 )
 
 
 @dataclass(frozen=True)
-class Inputs:
+class Files:
     """The camera, the spindle's poses, the targets, and their image points or the images."""
 
-    camera: Path = setting(
+    camera: Result | CameraFile = content(
         FileOf(("calibrate-camera",), CameraFile),
         "result of calibrate-camera (rig cmm), or a camera written by hand (.yaml)",
     )
-    poses: Path = setting(TableFile(POSES), "commanded pose of the spindle for each image")
-    targets: Path = setting(
+    poses: Table = content(TableFile(POSES), "commanded pose of the spindle for each image")
+    targets: Table | Result = content(
         Either(TableFile(TARGETS), FileOf(("fit-part",))),
         "coordinates of targets in the part (CSV), or the result of fit-part that has them",
     )
-    machine: Path | None = setting(
+    machine: Result | None = content(
         FileOf(("calibrate-machine",)),
         "result of calibrate-machine, by whose errors the poses of the spindle are corrected",
-        default=None,
+        needed=False,
     )
-    supports: Path | None = setting(
-        TableFile(SUPPORTS), "supports that raise the part along z of the machine", default=None
+    supports: Table | None = content(
+        TableFile(SUPPORTS), "supports that raise the part along z of the machine", needed=False
     )
-    points: Path | None = setting(
-        TableFile(POINTS), "points of the part whose places in the machine are predicted, to gauge them", default=None
+    points: Table | None = content(
+        TableFile(POINTS), "points of the part whose places in the machine are predicted, to gauge them", needed=False
     )
-    observations: Path | None = setting(TableFile(OBSERVATIONS), "image coordinates of targets", default=None)
-    images: tuple[Path, ...] | None = setting(
-        ImageFiles(), "images, such as img/*.png, instead of observations", default=None
-    )
+    observations: Table | None = content(TableFile(OBSERVATIONS), needed=False)
+    images: ImageSet | None = content(ImageFiles(), "images, such as img/*.png, instead of observations", needed=False)
 
 
-@dataclass(frozen=True)
-class Files:
-    """The contents of the input files."""
-
-    camera: Result | CameraFile
-    poses: Table
-    targets: Table | Result
-    machine: Result | None = None
-    supports: Table | None = None
-    points: Table | None = None
-    observations: Table | None = None
-    images: ImageSet | None = None
+Inputs = inputs_of(Files)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +88,7 @@ class AlignSimulation:
 class Settings:
     """Locate a part in the machine from images of a camera in the spindle (6D), with its clamping angle (7D)."""
 
-    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    inputs: Any = setting(Section(Inputs), "the files of the job")
     noise: float | str = setting(
         Either(Quantity("pixel", positive=True, minimum=1e-9), Choice(*FROM_RESIDUALS)),
         NOISE_HELP,

@@ -8,41 +8,43 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.errors import InputError, UndeterminedError, together
+from metrocli.errors import InputError, UndeterminedError, all_faults
 from metrocli.geometry.poses import EULER, pose_from_euler
-from metrocli.imageset import ImageSet
 from metrocli.instruments.spindle_camera import part_in_camera
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
-from metrocli.table import Table
 from metrocli.tasks.align_part.camera import camera_of
 from metrocli.tasks.align_part.diagnosis import adjusted_job
 from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION, PLACES
 from metrocli.tasks.align_part.fitted_targets import target_list
 from metrocli.tasks.align_part.fixturing import must_level
-from metrocli.tasks.align_part.problem import Problem, build
+from metrocli.tasks.align_part.problem import Problem, Truth, build, true_model
 from metrocli.tasks.align_part.report import delivered, explained, predicted, report
 from metrocli.tasks.align_part.settings import Files, Settings
-from metrocli.tasks.align_part.simulation import Truth, true_model
 from metrocli.tasks.align_part.spindle_poses import SpindlePoses
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
-from metrocli.tasks.shared.images.effects import not_sought
-from metrocli.tasks.shared.images.planted_effects import planted, refuse_pictures
-from metrocli.tasks.shared.images.rendering import Draw, pictures
+from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE
 from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
-from metrocli.tasks.shared.images.simulation import Shown, sightings_table, sights
+from metrocli.tasks.shared.images.simulation import (
+    Draw,
+    Shown,
+    pictures,
+    planted,
+    refuse_pictures,
+    sightings_table,
+    sights,
+)
 from metrocli.tasks.shared.images.target_list import known_targets
 
 
 def run(job: Job[Settings, Files]) -> Result:
     """Locate the part of a job.
 
-    Raises InputError if the files do not fit together, UndeterminedError if the readings do not determine the
+    Raises InputError if the files do not fit all_faults, UndeterminedError if the readings do not determine the
     unknowns, and NotConvergedError if the adjustment does not converge.
     """
     problem = prepared(job)
@@ -83,17 +85,17 @@ def check(job: Job[Settings, Files]) -> None:
     if images is None:
         prepared(job)
         return
-    together(
-        lambda: None if files.supports is None else must_level(files.supports),
-        lambda: camera_of(files.camera).must_fit(images),
-        lambda: target_list(files.targets, job.settings.part),
-        lambda: SpindlePoses(files.poses, files.machine).must_be_known(_shown(files.poses, images)),
-    )
-
-
-def _shown(poses: Table, images: ImageSet) -> Index:
-    """Return the rows of the poses of images."""
-    return np.flatnonzero(np.isin(poses.texts("image"), images.names))
+    with all_faults() as each:
+        with each():
+            if files.supports is not None:
+                must_level(files.supports)
+        with each():
+            camera_of(files.camera).must_fit(images)
+        with each():
+            target_list(files.targets, job.settings.part)
+        with each():
+            shown = np.flatnonzero(np.isin(files.poses.texts("image"), images.names))
+            SpindlePoses(files.poses, files.machine).must_be_known(shown)
 
 
 def solved(settings: Settings, problem: Problem) -> Adjusted:

@@ -6,11 +6,10 @@ from collections import Counter
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import plane_frame

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
@@ -67,17 +67,18 @@ def compare_models(problem: Problem) -> Table:
     chosen = _chosen(fitted)
     moves = [_moved(model, fitted[chosen]) for model in fitted]
     remarks = [_remark(model, i == chosen) for i, model in enumerate(fitted)]
-    columns = {
-        "model": np.array([model.name for model in fitted]),
-        "unknowns": np.array([model.solution.unknowns for model in fitted]),
-        "rms": np.array([model.rms for model in fitted]),
-        "held_out": np.array([model.held_out for model in fitted]),
-        "p_value": np.array([float("nan"), *(_significance(a, b) for a, b in pairwise(fitted))]),
-        "camera_moves": np.array([find_unit("um", "length").outside(move) for move, _ in moves]),
-        "camera_turns": np.array([find_unit("arcsec", "angle").outside(turn) for _, turn in moves]),
-        "remark": np.array(remarks),
-    }
-    return Table(columns, {"rms": "px", "held_out": "px", "camera_moves": "um", "camera_turns": "arcsec"})
+    return Table.of(
+        {
+            "model": [model.name for model in fitted],
+            "unknowns": [model.solution.unknowns for model in fitted],
+            "rms [px]": [model.rms for model in fitted],
+            "held_out [px]": [model.held_out for model in fitted],
+            "p_value": [float("nan"), *(_significance(a, b) for a, b in pairwise(fitted))],
+            "camera_moves [um]": [find_unit("um", "length").outside(move) for move, _ in moves],
+            "camera_turns [arcsec]": [find_unit("arcsec", "angle").outside(turn) for _, turn in moves],
+            "remark": remarks,
+        }
+    )
 
 
 def _climb(problem: Problem) -> Iterator[Fitted]:

@@ -3,30 +3,21 @@
 from __future__ import annotations
 
 from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter
-from metrocli.effects.links.affine import Stretch
-from metrocli.effects.links.eccentricity import TargetEccentricity
-from metrocli.effects.links.growth import Growth
-from metrocli.effects.links.lens_changes import LensChange
-from metrocli.effects.links.plane_bend import PlaneBend
+from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, sizes
+from metrocli.effects.links.images import LensChange, TargetEccentricity
+from metrocli.effects.links.points import Growth, PlaneBend, Stretch
 from metrocli.effects.links.shifts import Shift
-from metrocli.tasks.shared.images.effects import PERSPECTIVE_BLUR, rolling_shutter
-from metrocli.tasks.shared.images.places import IMAGE, image_point
-from metrocli.units import parse_quantity
+from metrocli.tasks.shared.images.places import IMAGE, PERSPECTIVE_BLUR, image_point, rolling_shutter
 
 _LENS = "lens"
 _FOCAL = ("f", "fx", "fy")
-
-
-def _size(name: str, dimension: str, plausible: str) -> Parameter:
-    return Parameter(name, dimension, parse_quantity(plausible, dimension))
 
 
 def _focal_drift(by: str, condition: str, dimension: str, plausible: str, usual: str) -> Effect:
     return Effect(
         "focal-drift",
         "the focal length changes while the images are taken: the lens warms up or its focus creeps",
-        (_size("rate", dimension, plausible),),
+        sizes("rate", dimension, plausible),
         lambda block, where: LensChange(block, multiplied=(_FOCAL,), condition=condition),
         where=("by",),
         by=by,
@@ -42,7 +33,7 @@ def _moved_target(frame: Quantity) -> Effect:
     return Effect(
         "moved-target",
         "a target is not at its listed position: it was knocked, mistaken for another, or measured wrongly",
-        tuple(_size(name, "length", "5 mm") for name in ("dx", "dy", "dz")),
+        sizes("dx dy dz", "length", "5 mm"),
         lambda block, where: Shift(block, frame),
         where=("target",),
         confused_with=("target-plane-bend",),
@@ -57,7 +48,7 @@ def _scale_of_targets(frame: Quantity) -> Effect:
     return Effect(
         "scale-of-targets",
         "all coordinates of the list are too large or too small: a printed board that grew, a wrong pitch",
-        (_size("scale", "ratio", "1 percent"),),
+        sizes("scale", "ratio", "1 percent"),
         lambda block, where: Growth(block, frame),
         confused_with=("focal-drift",),
         usual="1e-5 to 1e-3",
@@ -109,7 +100,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "stretched-targets",
         "the list of targets is longer in x than in y, or sheared: a printer's feed, paper that grows across its grain",
-        (_size("stretch", "ratio", "1 percent"), _size("shear", "angle", "10 mrad")),
+        (*sizes("stretch", "ratio", "1 percent"), *sizes("shear", "angle", "10 mrad")),
         lambda block, where: Stretch(block, Quantity.POINT_ON_BOARD),
         confused_with=("aspect-ratio", "axis-skew"),
         usual="10 to 2000 ppm",
@@ -139,7 +130,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "principal-point",
         "the axis of the lens does not meet the image at the point that the job gives",
-        tuple(_size(name, "pixel", "200 px") for name in ("cx", "cy")),
+        sizes("cx cy", "pixel", "200 px"),
         columns_of=_LENS,
         confused_with=("decentring-distortion", "thin-prism"),
         usual="1 to 50 px",
@@ -161,7 +152,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "target-plane-bend",
         "the board is not flat: paper on a bent plate, a plate under its own weight",
-        tuple(_size(name, "curvature", "1e-4 1/mm") for name in ("bxx", "bxy", "byy")),
+        sizes("bxx bxy byy", "curvature", "1e-4 1/mm"),
         lambda block, where: PlaneBend(block),
         confused_with=("radial-distortion", "aspect-ratio"),
         usual="1e-7 to 1e-5 1/mm",
@@ -173,7 +164,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "principal-point-drift",
         "the sensor or the lens moves sideways in the camera while the images are taken",
-        tuple(_size(name, "image speed", "20 px/h") for name in ("rate_u", "rate_v")),
+        sizes("rate_u rate_v", "image speed", "20 px/h"),
         lambda block, where: LensChange(block, added=(("cx",), ("cy",)), condition=ELAPSED),
         needs=("t",),
         confused_with=("focal-drift",),

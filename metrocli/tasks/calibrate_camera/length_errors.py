@@ -10,9 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments.camera import TARGET
@@ -20,7 +19,7 @@ from metrocli.result import Scalar
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.readings import ends_of
 from metrocli.tasks.calibrate_camera.settings import LengthLimit
-from metrocli.uncertainty.coverage import COVERAGE
+from metrocli.uncertainty.numbers import COVERAGE
 from metrocli.units import format_quantity
 
 LINES, ON_A_LINE, LONGEST = 7, 5, 2 / 3
@@ -69,36 +68,37 @@ def length_errors(tests: Table, solution: Solution, seen: Index, limit: LengthLi
     measured, variance = _measured(solution, ends)
     calibrated = tests.numbers("length")
     error, std = measured - calibrated, np.sqrt(np.maximum(variance, 0.0) + tests.numbers("sigma") ** 2)
-    columns = {
-        "from": np.array(tests.texts("from")),
-        "to": np.array(tests.texts("to")),
-        "line": np.array(_lines(tests)),
-        "calibrated": calibrated,
-        "measured": measured,
-        "error": error,
-        "std": std,
-        "en": np.abs(error) / (COVERAGE[0] * std),
-    }
+    en = np.abs(error) / (COVERAGE[0] * std)
+    table = Table.of(
+        {
+            "from": tests.texts("from"),
+            "to": tests.texts("to"),
+            "line": tests.texts("line") if "line" in tests else [str(row + 1) for row in range(len(tests))],
+            "calibrated [mm]": calibrated,
+            "measured [mm]": measured,
+            "error [mm]": error,
+            "std [mm]": std,
+            "en": en,
+        }
+    )
     largest = int(np.abs(error).argmax())
     statistics: dict[str, Scalar] = {
         "test_lengths": len(error),
         "length_measuring_error": float(np.abs(error).max()),
-        "length_max_en": float(columns["en"].max()),
+        "length_max_en": float(en.max()),
     }
     notes = [
         f"length measuring error (VDI/VDE 2634-1) of {len(error)} test lengths: "
         f"{format_quantity(float(error[largest]), 'mm', float(std[largest]))} (standard uncertainty) at most, "
-        f"{columns['from'][largest]} - {columns['to'][largest]}; largest E_n {columns['en'].max():.2f}"
+        f"{tests.texts('from')[largest]} - {tests.texts('to')[largest]}; largest E_n {en.max():.2f}"
     ]
     if limit is not None:
         allowed = limit.of(calibrated)
-        columns["limit"] = allowed
+        table = table.joined({"limit [mm]": allowed})
         share = np.abs(error) / allowed
         statistics["length_error_over_limit"] = float(share.max())
         verdict = "kept" if share.max() <= 1 else "NOT kept"
         notes.append(f"the limit is {verdict}: at most {100 * share.max():.0f} % of it is used")
-    units = dict.fromkeys(("calibrated", "measured", "error", "std", "limit"), "mm")
-    table = Table(columns, {name: unit for name, unit in units.items() if name in columns})
     placed = block.values[seen > 1]
     notes += list(_short_of_the_guideline(table, float(np.linalg.norm(np.ptp(placed, axis=0)))))
     return LengthErrors(table, statistics, tuple(notes))
@@ -113,11 +113,6 @@ def _measured(solution: Solution, ends: Index) -> tuple[Array, Array]:
     each, between = covariance.members(TARGET), covariance.apart(TARGET, *ends)
     whole = each[ends[0]] + each[ends[1]] - between - np.swapaxes(between, 1, 2)
     return measured, np.einsum("na,nab,nb->n", along, whole, along)
-
-
-def _lines(tests: Table) -> list[str]:
-    """Return the line of each length; without the column each is a line of its own."""
-    return tests.texts("line") if "line" in tests else [str(row + 1) for row in range(len(tests))]
 
 
 def _short_of_the_guideline(table: Table, diagonal: float) -> Iterator[str]:

@@ -8,13 +8,14 @@ import numpy as np
 
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Index
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.instruments import camera
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
 from metrocli.tasks.shared.images.sightings import Sighted
-from metrocli.tasks.shared.pairs import repeated
+from metrocli.tasks.shared.lists import repeated
 
 _STRANGE = "not in the list of targets"
 _FEWEST_READINGS = 4

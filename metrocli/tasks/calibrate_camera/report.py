@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.schur.covariance import Covariance
 from metrocli.adjust.solution import Residuals, Solution
+from metrocli.arrays import Array, Index
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
@@ -20,15 +19,17 @@ from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.advice import not_found, seen_from_behind, turned_too_little
-from metrocli.tasks.calibrate_camera.coverage import coverage
-from metrocli.tasks.calibrate_camera.held_values import held_doubts
+from metrocli.tasks.calibrate_camera.diagnosis import uncontrolled
+from metrocli.tasks.calibrate_camera.doubts import PrincipalPoint, held_doubts, principal_point, too_near
 from metrocli.tasks.calibrate_camera.length_errors import LengthErrors, length_errors
-from metrocli.tasks.calibrate_camera.lens_conventions import conventions_table, form_covariance, photogrammetric_form
-from metrocli.tasks.calibrate_camera.nearness import too_near
-from metrocli.tasks.calibrate_camera.principal_point import PrincipalPoint, principal_point
+from metrocli.tasks.calibrate_camera.lens_conventions import (
+    conventions_table,
+    coverage,
+    form_covariance,
+    photogrammetric_form,
+)
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.settings import Camera, Settings
-from metrocli.tasks.calibrate_camera.uncontrolled import uncontrolled
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.camera_parameters import HIGH, POSE_UNITS, Parameters, parameters, unit_of
 from metrocli.tasks.shared.images.tables import (
@@ -50,9 +51,6 @@ from metrocli.tasks.shared.statistics import (
 )
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.uncertainty.predicted import POINTS_COVARIANCE
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 
 @dataclass(frozen=True)
@@ -185,7 +183,9 @@ def _statistics(solved: _Calibration) -> Statistics:
         "convention": problem.convention,
     }
     return (
-        statistics if adjusted.noise is None else with_noise(statistics, solution, adjusted.noise, adjusted.structured)
+        statistics
+        if adjusted.noise is None
+        else with_noise(statistics, solution, {"noise": adjusted.noise}, adjusted.structured)
     )
 
 
@@ -193,14 +193,12 @@ def _views(solved: _Calibration) -> Table:
     table = solved.rms_table("image", solved.index("view"), solved.problem.sighted.images)
     if solved.problem.rig == "cmm":
         return table
-    columns, units = dict(table.columns), dict(table.units)
     values = solved.solution.blocks[camera.VIEW].values
     change = poses.euler_form_by_step(values)
     std = np.sqrt(np.einsum("vab,vbc,vac->va", change, solved.covariance.members(camera.VIEW), change))
-    for i, (name, unit) in enumerate(zip(poses.EULER, POSE_UNITS, strict=True)):
-        columns[name], columns[f"s_{name}"] = poses.euler_form(values)[:, i], std[:, i]
-        units |= {name: unit, f"s_{name}": unit}
-    return Table(columns, units)
+    pairs = np.stack([poses.euler_form(values), std], axis=2)
+    headings = [f"{name} s_{name} [{unit}]" for name, unit in zip(poses.EULER, POSE_UNITS, strict=True)]
+    return table.joined(dict(zip(headings, np.swapaxes(pairs, 0, 1), strict=True)))
 
 
 def _view_covariances(solved: _Calibration) -> dict[str, Array]:
@@ -214,10 +212,9 @@ def _view_covariances(solved: _Calibration) -> dict[str, Array]:
 
 def _camera(solved: _Calibration) -> Table:
     """Return every lens parameter of the model, estimated or fixed, for jobs that use the camera."""
-    lens = solved.lens
-    std = np.sqrt(np.diag(solved.covariance.of(camera.LENS)))
-    units = np.array([unit_of(name) for name in lens.columns])
-    return Table({"parameter": np.array(lens.columns), "value": lens.values[0], "std": std, "unit": units})
+    lens, std = solved.lens, np.sqrt(np.diag(solved.covariance.of(camera.LENS)))
+    units = [unit_of(name) for name in lens.columns]
+    return Table.of({"parameter": lens.columns, "value": lens.values[0], "std": std, "unit": units})
 
 
 def _points(solved: _Calibration) -> tuple[Table, dict[str, Array]]:
@@ -225,17 +222,18 @@ def _points(solved: _Calibration) -> tuple[Table, dict[str, Array]]:
     block = solved.solution.blocks[camera.TARGET]
     each = solved.covariance.members(camera.TARGET)
     std = np.sqrt(np.einsum("mii->mi", each))
-    known = np.bincount(solved.index(camera.TARGET), minlength=len(block.members)) > 0
-    columns: dict[str, Values] = {"point": np.array(block.members)[known]}
-    columns |= {name: block.values[known, i] for i, name in enumerate("xyz")}
-    columns |= {f"s{name}": std[known, i] for i, name in enumerate("xyz")}
-    columns["rays"] = np.bincount(solved.index(camera.TARGET), minlength=len(block.members))[known]
-    columns["ray_angle"] = _ray_angles(solved)[known]
-    units = {**dict.fromkeys(("x", "y", "z", "sx", "sy", "sz"), "mm"), "ray_angle": "rad"}
-    return Table(columns, units), {
-        POINTS_COVARIANCE: each[known],
-        **factors(solved.covariance, camera.TARGET, known),
-    }
+    rays = np.bincount(solved.index(camera.TARGET), minlength=len(block.members))
+    known = rays > 0
+    table = Table.of(
+        {
+            "point": np.array(block.members)[known],
+            "x y z [mm]": block.values[known],
+            "sx sy sz [mm]": std[known],
+            "rays": rays[known],
+            "ray_angle [rad]": _ray_angles(solved)[known],
+        }
+    )
+    return table, {POINTS_COVARIANCE: each[known], **factors(solved.covariance, camera.TARGET, known)}
 
 
 def _ray_angles(solved: _Calibration) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any, ClassVar
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS
@@ -11,12 +10,14 @@ from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
 from metrocli.instruments.lens import PARAMETERS, PIXELS
 from metrocli.settings import Choice, Either, ImageFiles, ListOf, Quantity, Section, TableFile, Whole, setting
-from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.settings.sections import content, inputs_of
+from metrocli.table import Columns, Table, columns
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.figures import POSE, adjusted
-from metrocli.tasks.shared.images.camera_settings import Extrinsics, LensValues
 from metrocli.tasks.shared.images.settings import (
     ESTIMATE,
+    Extrinsics,
+    LensValues,
     eccentricity_setting,
     image_faults,
     shutter_setting,
@@ -24,15 +25,15 @@ from metrocli.tasks.shared.images.settings import (
 )
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
-from metrocli.tasks.shared.structured_noise import NOISE_HELP
+from metrocli.tasks.shared.noise import NOISE_HELP
 
 SCALE_BARS = Columns(
-    (Column("from", TEXT), Column("to", TEXT), Column("length", "length"), Column("sigma", "length")),
+    columns("from to [text]", "length sigma [length]"),
     ("from", "to"),
     "calibrated distances",
 )
 TEST_LENGTHS = Columns(
-    (*SCALE_BARS.columns, Column("line", TEXT, required=False)),
+    columns("from to [text]", "length sigma [length]", "line? [text]"),
     ("from", "to"),
     "calibrated lengths that test the network",
 )
@@ -130,33 +131,23 @@ class CameraSimulation:
 
 
 @dataclass(frozen=True)
-class Inputs:
+class Files:
     """Image points and targets, or images and a pattern."""
 
-    observations: Path | None = setting(TableFile(OBSERVATIONS), "image coordinates of targets", default=None)
-    targets: Path | None = setting(TableFile(TARGETS), "coordinates of targets", default=None)
-    images: tuple[Path, ...] | None = setting(
-        ImageFiles(), "images, such as img/*.jpg, instead of observations", default=None
+    observations: Table | None = content(TableFile(OBSERVATIONS), needed=False)
+    targets: Table | None = content(TableFile(TARGETS), needed=False)
+    images: ImageSet | None = content(ImageFiles(), "images, such as img/*.jpg, instead of observations", needed=False)
+    scale_bars: Table | None = content(
+        TableFile(SCALE_BARS), "calibrated distances between targets (rig network)", needed=False
     )
-    scale_bars: Path | None = setting(
-        TableFile(SCALE_BARS), "calibrated distances between targets (rig network)", default=None
-    )
-    test_lengths: Path | None = setting(
+    test_lengths: Table | None = content(
         TableFile(TEST_LENGTHS),
         "calibrated distances between targets that take no part in the adjustment and test it (rig network)",
-        default=None,
+        needed=False,
     )
 
 
-@dataclass(frozen=True)
-class Files:
-    """The contents of the input files."""
-
-    observations: Table | None = None
-    targets: Table | None = None
-    images: ImageSet | None = None
-    scale_bars: Table | None = None
-    test_lengths: Table | None = None
+Inputs = inputs_of(Files)
 
 
 @dataclass(frozen=True)
@@ -171,7 +162,7 @@ class Settings:
         Choice("board", "cmm", "network"),
         "board: a target board in unknown poses; cmm: targets placed by a CMM; network: unknown points and poses",
     )
-    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    inputs: Any = setting(Section(Inputs), "the files of the job")
     noise: float | str = setting(
         Either(Quantity("pixel", positive=True, minimum=1e-9), Choice(*FROM_RESIDUALS)),
         NOISE_HELP,

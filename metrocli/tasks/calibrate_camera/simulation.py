@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.effects.model import Model, Place
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
@@ -19,8 +18,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.readings import ends_of
 from metrocli.tasks.calibrate_camera.settings import CameraSimulation
 from metrocli.tasks.shared.images.adjustment import IMAGES
-from metrocli.tasks.shared.images.planted_effects import image_group
-from metrocli.tasks.shared.images.simulation import Shown, Sights
+from metrocli.tasks.shared.images.simulation import Shown, Sights, image_group
 from metrocli.tasks.shared.images.target_list import Targets
 
 _FIRST_TEMPERATURE = 20.0

@@ -17,25 +17,33 @@ from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.advice import explained, ran_out, strange_images
+from metrocli.tasks.calibrate_camera.build import build, robustly_started
 from metrocli.tasks.calibrate_camera.compare import compare_models
 from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
-from metrocli.tasks.calibrate_camera.problem import Problem, build, robustly_started
+from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.report import report
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_views, true_model, with_lengths
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.camera_parameters import delivered
-from metrocli.tasks.shared.images.effects import not_sought
-from metrocli.tasks.shared.images.planted_effects import planted, refuse_pictures
-from metrocli.tasks.shared.images.rendering import Draw, pictures
+from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE
 from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
-from metrocli.tasks.shared.images.simulation import Shown, sightings_table, sights, true_targets
+from metrocli.tasks.shared.images.simulation import (
+    Draw,
+    Shown,
+    pictures,
+    planted,
+    refuse_pictures,
+    sightings_table,
+    sights,
+    true_targets,
+)
 from metrocli.tasks.shared.images.target_list import known_targets
-from metrocli.tasks.shared.known_places import listed_places
+from metrocli.tasks.shared.lists import listed_places
 
 _FEWEST = {"board": 4, "cmm": 1, "network": 4}
 """Fewest targets of an image, for each rig"""

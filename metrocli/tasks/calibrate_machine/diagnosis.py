@@ -1,4 +1,4 @@
-"""Prepare a solved machine calibration for diagnosis."""
+"""A solved machine calibration in the form that diagnosis works on, and what its readings share."""
 
 from __future__ import annotations
 
@@ -7,24 +7,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Space
+from metrocli.adjust.clusters.robust import Clusters
+from metrocli.adjust.model.blocks import Space
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
 from metrocli.effects.effect import ELAPSED, WARMING, Effect
+from metrocli.effects.estimates import free_blocks
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.geometry import poses
-from metrocli.instruments.machine import POSITION, TOOL, Machine
+from metrocli.instruments.machine import POSITION, SQUARENESS, TOOL, Machine
 from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracer import TRACER, beams, reach_of_machine
-from metrocli.instruments.tracker import TRACKER
+from metrocli.instruments.tracker import LEG, TRACKER
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.effects import OF_LENGTHS, OF_LINES, OF_MACHINES
+from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS
 from metrocli.tasks.calibrate_machine.solve import Solved, refitted
-from metrocli.tasks.calibrate_machine.structure import clusters_of
-from metrocli.tasks.shared.structured_noise import count
+from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, count, in_blocks, noise_found
 
 _FOLDS = 10
 _NO_STOPS = "the machine does not stop at the readings"
@@ -128,3 +131,26 @@ def _parts(group: Group) -> Index:
     when: Array = conditions.get("t", np.arange(group.observations.count, dtype=float))
     rank = np.argsort(np.argsort(when, kind="stable"), kind="stable")
     return np.asarray(rank * _FOLDS // len(rank))
+
+
+def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
+    """Return the noise of a solved calibration.
+
+    Raises UndeterminedError for fewer than five lines or legs, or ten points, if it is structured.
+    """
+    blocks = solved.solution.blocks
+    tools = (TOOL,) if blocks[TOOL].free.any() else ()
+    delivered = tuple(name for name in ERROR_BLOCKS if blocks[name].free.any())
+    estimates = (SQUARENESS, *tools, *free_blocks(solved.problem.effects))
+    return noise_found((solved.solution, factor), model, lambda: clusters_of(solved), estimates, delivered)
+
+
+def clusters_of(solved: Solved) -> Clusters:
+    """Return which readings may share errors: those of one line (six-dof), of one leg, or of successive points."""
+    readings = solved.problem.readings
+    observations = readings.observations
+    for block, over in ((LINE, "lines"), (LEG, "legs of the path")):
+        if block in observations.index:
+            return Clusters({readings.name: observations.index[block]}, over)
+    order = observations.conditions.get("t", np.arange(observations.count, dtype=float))
+    return Clusters({readings.name: in_blocks(order)}, POINTS_IN_TIME)

@@ -2,51 +2,37 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from metrocli.frozen import dataclass
-from metrocli.settings import TableFile, setting
-from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.settings import TableFile
+from metrocli.settings.sections import content, inputs_of
+from metrocli.table import Columns, Table, columns
 from metrocli.tasks.shared.environment import WEATHER
-from metrocli.tasks.shared.known_places import SIGMAS
+from metrocli.tasks.shared.lists import SIGMAS
 
-_PLACE = tuple(Column(name, "length") for name in ("x", "y", "z"))
-_TOOL = Column("tool", TEXT, required=False)
-_TIME = Column("t", "time", required=False)
-_AIR = Column("temp", "temperature", required=False)
-_SIDES = tuple(Column(f"from_{axis}", required=False) for axis in "xyz")
+_SIDES = "from_x? from_y? from_z?"
 POINTS = Columns(
-    (
-        Column("point", TEXT),
-        *_PLACE,
-        *(Column(name, "length") for name in ("mx", "my", "mz")),
-        _TIME,
-        _TOOL,
-        *_SIDES,
-    ),
+    columns("point [text]", "x y z mx my mz [length]", "t? [time]", "tool? [text]", _SIDES),
     ("point",),
     "commanded points, and where the tracker measured them",
     measured=("mx", "my", "mz"),
     alike=("x", "y", "z"),
 )
-PATH = Columns((*_PLACE, _TOOL, Column("feed", "speed", required=False)), (), "vertices of the path, in order")
+PATH = Columns(columns("x y z [length]", "tool? [text]", "feed? [speed]"), (), "vertices of the path, in order")
 TRACK = Columns(
-    (*_PLACE, _TIME, _TOOL),
+    columns("x y z [length]", "t? [time]", "tool? [text]"),
     (),
     "points of the tracker along the path",
     measured=("x", "y", "z"),
     fewest_copied=50,
 )
 LINES = Columns(
-    (
-        Column("line", TEXT),
-        Column("axis", TEXT),
-        Column("position", "length"),
-        *(Column(name, "length") for name in ("ex", "ey", "ez")),
-        *(Column(name, "angle") for name in ("ea", "eb", "ec")),
-        *(Column(name, "length", required=False) for name in ("x", "y", "z")),
-        _TIME,
-        _AIR,
+    columns(
+        "line axis [text]",
+        "position ex ey ez [length]",
+        "ea eb ec [angle]",
+        "x? y? z? [length]",
+        "t? [time]",
+        "temp? [temperature]",
     ),
     (),
     "lines of a laser with six degrees of freedom",
@@ -57,15 +43,9 @@ LINES = Columns(
 
 LENGTHS = Columns(
     (
-        Column("point", TEXT),
-        Column("station", TEXT),
-        *_PLACE,
-        Column("length", "length"),
-        _TOOL,
-        _TIME,
-        _AIR,
+        *columns("point station [text]", "x y z length [length]", "tool? [text]", "t? [time]", "temp? [temperature]"),
         *WEATHER,
-        *_SIDES,
+        *columns(_SIDES),
     ),
     (),
     "commanded points, and the lengths read there by tracking interferometers",
@@ -73,31 +53,22 @@ LENGTHS = Columns(
     alike=("station",),
 )
 STATIONS = Columns(
-    (Column("station", TEXT), *_PLACE, Column("dead_path", "length", required=False, may_be_empty=True), *SIGMAS),
+    (*columns("station [text]", "x y z [length]", "dead_path?* [length]"), *SIGMAS),
     ("station",),
     "approximate places of the stations",
 )
 
 
 @dataclass(frozen=True)
-class Inputs:
+class Files:
     """The files of a job: which of them are needed depends on the method."""
 
-    points: Path | None = setting(TableFile(POINTS), "standstill: commanded and measured points", default=None)
-    path: Path | None = setting(TableFile(PATH), "on-the-fly: vertices of the path", default=None)
-    track: Path | None = setting(TableFile(TRACK), "on-the-fly: points of the tracker", default=None)
-    lines: Path | None = setting(TableFile(LINES), "six-dof: lines along axes and diagonals", default=None)
-    lengths: Path | None = setting(TableFile(LENGTHS), "lengths: commanded points and lengths", default=None)
-    stations: Path | None = setting(TableFile(STATIONS), "lengths: approximate places of the stations", default=None)
+    points: Table | None = content(TableFile(POINTS), "standstill: commanded and measured points", needed=False)
+    path: Table | None = content(TableFile(PATH), "on-the-fly: vertices of the path", needed=False)
+    track: Table | None = content(TableFile(TRACK), "on-the-fly: points of the tracker", needed=False)
+    lines: Table | None = content(TableFile(LINES), "six-dof: lines along axes and diagonals", needed=False)
+    lengths: Table | None = content(TableFile(LENGTHS), "lengths: commanded points and lengths", needed=False)
+    stations: Table | None = content(TableFile(STATIONS), "lengths: approximate places of the stations", needed=False)
 
 
-@dataclass(frozen=True)
-class Files:
-    """The tables read from the inputs; None where the job has no such file."""
-
-    points: Table | None = None
-    path: Table | None = None
-    track: Table | None = None
-    lines: Table | None = None
-    lengths: Table | None = None
-    stations: Table | None = None
+Inputs = inputs_of(Files)

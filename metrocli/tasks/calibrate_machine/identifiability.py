@@ -16,15 +16,15 @@ import numpy as np
 
 from metrocli.adjust.decompositions import pivoted_qr, thin_svd
 from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, unit_noise, unknowns_of
-from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.model.blocks import Block
+from metrocli.arrays import Array, Index
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, TOOL, Machine, errors_of
 from metrocli.instruments.tracer import AIR, STOP, TRACER
-from metrocli.tasks.calibrate_machine.determination import Determination
 from metrocli.tasks.calibrate_machine.layout import cure_of
 from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.tables import Determination
 from metrocli.tasks.calibrate_machine.volume import rows_over_volume
 
 _HARMLESS = 1e-4

@@ -4,19 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from math import ceil
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.acceptance.positioning import FIGURES, Measured, at_each_target, expanded, figures
 from metrocli.words import in_a_row, listed
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _SAME = 0.01
 """Targets of two runs are the same within this [mm]"""
@@ -67,18 +62,20 @@ def positioning(runs: Sequence[Run], known: Measured) -> tuple[Table | None, tup
     warnings = (*left_out, *_too_few(whole), *_apart(_lines(runs)))
     if not whole:
         return None, warnings
-    columns: dict[str, Values] = {
-        "axis": np.array([one.axis for one in whole]),
-        "at": np.array([_named(one.axis, one.at) for one in whole]),
-        "line": np.array([one.name for one in whole]),
-        "runs_up": np.array([len(one.up) for one in whole]),
-        "runs_down": np.array([len(one.down) for one in whole]),
-    }
     found = [figures(one.up, one.down) for one in whole]
     spread = [expanded(one.up, one.down, one.targets, known) for one in whole]
-    columns |= {name: np.array([one[name] for one in found]) for name in FIGURES}
-    columns |= {f"U_{name}": np.array([one[name] for one in spread]) for name in FIGURES}
-    return Table(columns, {name: "mm" for name in columns if name.removeprefix("U_") in FIGURES}), warnings
+    table = Table.of(
+        {
+            "axis": [one.axis for one in whole],
+            "at": [_named(one.axis, one.at) for one in whole],
+            "line": [one.name for one in whole],
+            "runs_up": [len(one.up) for one in whole],
+            "runs_down": [len(one.down) for one in whole],
+            **{f"{name} [mm]": [one[name] for one in found] for name in FIGURES},
+            **{f"U_{name} [mm]": [one[name] for one in spread] for name in FIGURES},
+        }
+    )
+    return table, warnings
 
 
 def _whole(runs: Sequence[Run]) -> tuple[list[_Line], list[str]]:
@@ -158,13 +155,9 @@ def at_targets(runs: Sequence[Run]) -> Table | None:
     for one in _whole(runs)[0]:
         texts = {"axis": one.axis, "at": _named(one.axis, one.at), "line": one.name}
         labels = {name: np.full(len(one.targets), text) for name, text in texts.items()}
-        means, spread = at_each_target(one.up, one.down)
-        numbers = dict(zip(("up", "down", "s_up", "s_down"), (*means, *spread), strict=True))
-        parts.append(labels | {"position": one.targets} | numbers)
-    if not parts:
-        return None
-    columns: dict[str, Values] = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
-    return Table(columns, dict.fromkeys(("position", "up", "s_up", "down", "s_down"), "mm"))
+        numbers = np.concatenate(at_each_target(one.up, one.down))
+        parts.append(Table.of({**labels, "position [mm]": one.targets, "up down s_up s_down [mm]": numbers.T}))
+    return Table.stack(parts) if parts else None
 
 
 def _lines(runs: Sequence[Run]) -> list[tuple[str, tuple[float, ...], str]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 
 _FLAT = 0.02
 """Places whose spread square to a line or plane is below this share of their largest spread lie in it"""

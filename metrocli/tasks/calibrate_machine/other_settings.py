@@ -17,7 +17,7 @@ from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.settings import MachineSettings, Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.lengths import ESTIMATED
-from metrocli.tasks.shared.structured_noise import DECLARED
+from metrocli.tasks.shared.noise import DECLARED
 from metrocli.units.people import format_quantity
 
 _VAGUE = 1.0

@@ -8,10 +8,10 @@ from typing import Self
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, prior
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index, Mask
 from metrocli.effects.acting import NOMINAL
 from metrocli.effects.extension import extended
 from metrocli.effects.model import Model, Place
@@ -38,6 +38,7 @@ from metrocli.instruments.tracer import AIR, POINT, STOP, TRACER
 from metrocli.instruments.tracer import aspects as beam_aspects
 from metrocli.instruments.tracker import LEG, TRACKER
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.iso230 import Run
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.lengths import PathNoise, with_noise
 from metrocli.words import suggestion
@@ -63,8 +64,8 @@ class Problem(Modelled):
     warnings: tuple[str, ...] = ()
     facts: Mapping[str, float] = field(default_factory=dict)
     """Additional statistics of the method, by name"""
-    tables: Mapping[str, Table] = field(default_factory=dict)
-    """Results that come from the readings alone, without the model, such as the figures of ISO 230-2"""
+    runs: tuple[Run, ...] = ()
+    """Runs along single axes, for the figures of ISO 230-2"""
     noise: PathNoise | None = None
     """Standard deviations of lengths, which follow from the solution; None for other readings"""
     notes: tuple[str, ...] = ()
@@ -88,6 +89,17 @@ class Problem(Modelled):
     def with_noise(self, noise: PathNoise, blocks: Mapping[str, Block]) -> Self:
         """Return the problem at the values of `blocks` with another noise of its lengths."""
         return replace(self, model=with_noise(self.model.with_blocks(blocks), self.readings.name, noise), noise=noise)
+
+    def with_noise_times(self, factor: float) -> Self:
+        """Return the problem with a factor on the declared noise of its readings."""
+        if self.noise is not None:
+            return self.with_noise(self.noise.times(factor), self.blocks)
+        return self.with_model(self.model.with_group(self.readings.with_noise_times(factor)))
+
+    def selected(self, keep: Mask) -> Self:
+        """Return the problem with some of its readings."""
+        model = self.model.with_group(self.readings.selected(keep))
+        return replace(self, model=model, per_reading=self.per_reading[keep])
 
     def with_effects(self, wanted: Iterable[Wanted]) -> Self:
         """Return the problem extended by the effects of a job.

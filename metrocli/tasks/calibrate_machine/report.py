@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.solution import Solution
 from metrocli.effects.estimates import estimates as effect_estimates
 from metrocli.effects.estimates import free_blocks
@@ -20,19 +19,32 @@ from metrocli.instruments.tracker import TRACKER
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
-from metrocli.tasks.calibrate_machine.determination import Determination
+from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability
+from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.solve import Solved
-from metrocli.tasks.calibrate_machine.tables import Tables, least_squares_squareness, tables_of, tool_names, unit_of
+from metrocli.tasks.calibrate_machine.tables import (
+    Determination,
+    Tables,
+    least_squares_squareness,
+    tables_of,
+    tool_names,
+    unit_of,
+)
 from metrocli.tasks.calibrate_machine.volume_report import NOT_CONTAINED, volume_tables
 from metrocli.tasks.calibrate_machine.warnings import cures, identifiability_notes, machine_warnings, uncontrolled
-from metrocli.tasks.shared.statistics import Statistics, basic_statistics, found_notes, noise_notes, with_found
-from metrocli.tasks.shared.structured_noise import NoiseFound
+from metrocli.tasks.shared.noise import NoiseFound
+from metrocli.tasks.shared.statistics import (
+    Statistics,
+    basic_statistics,
+    columns_with_std,
+    estimates_of_block,
+    found_notes,
+    noise_notes,
+    with_found,
+)
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 SIGN = "actual minus commanded"
 
@@ -47,6 +59,7 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
     volume = volume_tables(tables, identified, settings.volume, solved.problem.tools_used)
     tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
     found = (*_estimates(solution), *effect_estimates(added, solution))
+    figures, of_figures = _positioning(solved.problem.runs, settings, noise.factor)
     return Result(
         kind=KIND.name,
         title="",
@@ -62,27 +75,39 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
             **_tracker(solution),
             **_lines(solution),
             **_stations(solution),
-            **solved.problem.tables,
+            **figures,
             **volume,
             "residuals": _residuals(solved),
             "suspects": _suspects(solved),
             "rejected": _named_tests(solved, [name for name, _ in solved.rejected], [w for _, w in solved.rejected]),
-            "tables_entries": _entries(tables),
+            "tables_entries": Table.of_rows(("error", "position [mm]"), tables.entries),
             TABLE: hidden,
             **effect_tables,
         },
         arrays={"tables_covariance": tables.covariance, **effect_arrays},
-        warnings=tuple(machine_warnings(solved, settings)),
+        warnings=tuple(machine_warnings(solved, settings, of_figures)),
         shown=(
             ShownTable("errors", ("error", "status", "with", "largest", "largest_std", "unit")),
             ShownTable("volumetric"),
-            *map(ShownTable, solved.problem.tables),
+            *map(ShownTable, figures),
             *([ShownTable("suspects")] if len(solved.suspects.rows) else []),
         ),
         notes=(*_notes(solved, settings, noise), *in_words(hidden)),
         details=noise.details([one.name for one in found]),
         plain=("dof",),
     )
+
+
+def _positioning(runs: Sequence[Run], settings: Settings, factor: float) -> tuple[dict[str, Table], tuple[str, ...]]:
+    """Return the figures of ISO 230-2 and the means at their targets, of runs along single axes, and warnings."""
+    if not runs:
+        return {}, ()
+    # readings scatter evenly over the range at rest (ISO 230-2:2014, annex A: E_VE)
+    own = factor * (settings.noise.displacement or 0.0)
+    reading = float(np.hypot(own, settings.positioning.environment / np.sqrt(12)))
+    figures, warnings = positioning(runs, Measured(reading, settings.positioning.scale))
+    tables = {"positioning": figures, "positioning_targets": at_targets(runs)}
+    return {name: one for name, one in tables.items() if one is not None}, warnings
 
 
 def _notes(solved: Solved, settings: Settings, noise: NoiseFound) -> Iterator[str]:
@@ -107,22 +132,15 @@ def _wanted(name: str, identified: Identifiability) -> bool:
     return identified.status[name] != Determination.NOT_ESTIMATED
 
 
-def _estimates(solution: Solution) -> list[Estimate]:
+def _estimates(solution: Solution) -> tuple[Estimate, ...]:
     """Return the estimated squareness errors, then the estimated tool vectors."""
     square, tool = solution.blocks[SQUARENESS], solution.blocks[TOOL]
-    std = solution.std(SQUARENESS)[0]
-    found = [
-        Estimate(name, float(square.values[0, i]), float(std[i]), "rad")
-        for i, name in enumerate(SQUARENESS_NAMES)
-        if square.free[0, i]
-    ]
+    found = estimates_of_block(square, solution.std(SQUARENESS), (("rad",),) * 3, lambda _, name: name)
     if not tool.free.any():
         return found
-    names, spread = tool_names(solution.blocks), solution.std(TOOL)
-    return found + [
-        Estimate(f"{names[i]}.{tool.columns[k]}", float(tool.values[i, k]), float(spread[i, k]), "mm")
-        for i, k in zip(*np.nonzero(tool.free), strict=True)
-    ]
+    names = dict(zip(tool.members, tool_names(solution.blocks), strict=True))
+    spread, units = solution.std(TOOL), (("mm",),) * 3
+    return found + estimates_of_block(tool, spread, units, lambda tool, axis: f"{names[tool]}.{axis}")
 
 
 def _table(tables: Tables, name: str, identified: Identifiability) -> Table:
@@ -131,7 +149,7 @@ def _table(tables: Tables, name: str, identified: Identifiability) -> Table:
     if identified.status[name] == Determination.UNDETERMINED:
         value, std = np.full_like(value, np.nan), np.full_like(std, np.inf)
     unit = unit_of(name)
-    return Table({"position": position, "value": value, "std": std}, {"position": "mm", "value": unit, "std": unit})
+    return Table.of({"position [mm]": position, f"value [{unit}]": value, f"std [{unit}]": std})
 
 
 def _errors(tables: Tables, identified: Identifiability) -> Table:
@@ -140,56 +158,61 @@ def _errors(tables: Tables, identified: Identifiability) -> Table:
     open_ones = np.array([identified.status[name] == Determination.UNDETERMINED for name in names])
     largest = np.array([np.abs(value).max() for _, value, _ in of])
     std = np.array([std.max() for _, _, std in of])
-    units = np.array([unit_of(name) for name in names])
-    columns: dict[str, Values] = {
-        "error": np.array(names),
-        "axis": np.array([name[2] for name in names]),
-        "unit": units,
-        "status": np.array([identified.status[name] for name in names]),
-        "with": np.array([" ".join(identified.partners.get(name, ())) for name in names]),
-        "largest": np.where(open_ones, np.nan, largest),
-        "largest_std": np.where(open_ones, np.inf, std),
-    }
-    return Table(columns)
+    return Table.of(
+        {
+            "error": names,
+            "axis": [name[2] for name in names],
+            "unit": [unit_of(name) for name in names],
+            "status": [identified.status[name] for name in names],
+            "with": [" ".join(identified.partners.get(name, ())) for name in names],
+            "largest": np.where(open_ones, np.nan, largest),
+            "largest_std": np.where(open_ones, np.inf, std),
+        }
+    )
 
 
 def _squareness(tables: Tables, identified: Identifiability) -> Table:
     lsq, covariance = least_squares_squareness(tables)
     ends = [tables.of(name) for name in SQUARENESS_NAMES]
-    columns: dict[str, Values] = {
-        "error": np.array(SQUARENESS_NAMES),
-        "status": np.array([identified.status[name] for name in SQUARENESS_NAMES]),
-        "end_points": np.array([value[0] for _, value, _ in ends]),
-        "s_end_points": np.array([std[0] for _, _, std in ends]),
-        "least_squares": lsq,
-        "s_least_squares": np.sqrt(np.maximum(np.diag(covariance), 0.0)),
-    }
-    return Table(columns, {name: "rad" for name in columns if name not in ("error", "status")})
+    return Table.of(
+        {
+            "error": SQUARENESS_NAMES,
+            "status": [identified.status[name] for name in SQUARENESS_NAMES],
+            "end_points [rad]": [value[0] for _, value, _ in ends],
+            "s_end_points [rad]": [std[0] for _, _, std in ends],
+            "least_squares [rad]": lsq,
+            "s_least_squares [rad]": np.sqrt(np.maximum(np.diag(covariance), 0.0)),
+        }
+    )
 
 
 def _axes(tables: Tables) -> Table:
     axes = tables.machine.axes
-    columns: dict[str, Values] = {
-        "axis": np.array(AXES),
-        "low": tables.machine.low,
-        "high": tables.machine.high,
-        "knots": np.array([len(axis.knots) for axis in axes]),
-        "reference": tables.machine.home,
-        "place": np.array([tables.machine.order.index(i) + 1 for i in range(3)]),
-    }
-    return Table(columns, dict.fromkeys(("low", "high", "reference"), "mm"))
+    return Table.of(
+        {
+            "axis": AXES,
+            "low [mm]": tables.machine.low,
+            "high [mm]": tables.machine.high,
+            "knots": [len(axis.knots) for axis in axes],
+            "reference [mm]": tables.machine.home,
+            "place": [tables.machine.order.index(i) + 1 for i in range(3)],
+        }
+    )
 
 
 def _tools(solved: Solved, solution: Solution) -> Table:
     block = solution.blocks[TOOL]
     std = solution.std(TOOL) if block.free.any() else np.zeros(block.values.shape)
     used, open_ones = solved.problem.tools_used, solved.identified.open_tools
-    columns: dict[str, Values] = {"tool": np.array(tool_names(solution.blocks))}
-    columns |= {axis: block.values[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"s{axis}": std[:, i] for i, axis in enumerate("xyz")}
-    columns["measured"] = np.array([name in used for name in block.members])
-    columns["predictable"] = np.array([name not in open_ones for name in block.members])
-    return Table(columns, {f"{s}{axis}": "mm" for axis in "xyz" for s in ("", "s")})
+    return Table.of(
+        {
+            "tool": tool_names(solution.blocks),
+            "x y z [mm]": block.values,
+            "sx sy sz [mm]": std,
+            "measured": [name in used for name in block.members],
+            "predictable": [name not in open_ones for name in block.members],
+        }
+    )
 
 
 def _tracker(solution: Solution) -> dict[str, Table]:
@@ -197,13 +220,8 @@ def _tracker(solution: Solution) -> dict[str, Table]:
         return {}
     block, std = solution.blocks[TRACKER], solution.std(TRACKER)[0]
     units = ["mm"] * 3 + ["rad"] * 3
-    columns: dict[str, Values] = {
-        "parameter": np.array(block.columns),
-        "value": block.values[0],
-        "std": std,
-        "unit": np.array(units),
-    }
-    return {"tracker": Table(columns)}
+    columns = {"parameter": block.columns, "value": block.values[0], "std": std, "unit": units}
+    return {"tracker": Table.of(columns)}
 
 
 def _stations(solution: Solution) -> dict[str, Table]:
@@ -211,44 +229,33 @@ def _stations(solution: Solution) -> dict[str, Table]:
     if TRACER not in solution.blocks:
         return {}
     block, std = solution.blocks[TRACER], solution.std(TRACER)
-    columns: dict[str, Values] = {"station": np.array(block.members)}
-    columns |= {name: block.values[:, i] for i, name in enumerate(block.columns)}
-    columns |= {f"s{name}" if i < 3 else f"s_{name}": std[:, i] for i, name in enumerate(block.columns)}
-    return {"stations": Table(columns, {name: "mm" for name in columns if name not in ("station", "scale", "s_scale")})}
+    values = {"x y z dead_path [mm]": block.values[:, :4], "scale": block.values[:, 4]}
+    spread = {"sx sy sz s_dead_path [mm]": std[:, :4], "s_scale": std[:, 4]}
+    return {"stations": Table.of({"station": block.members, **values, **spread})}
 
 
 def _lines(solution: Solution) -> dict[str, Table]:
     """Return the misalignment of each six-dof line: offsets of the channels, and slopes across the beam."""
     if LINE not in solution.blocks:
         return {}
-    block, std = solution.blocks[LINE], solution.std(LINE)
-    columns: dict[str, Values] = {"line": np.array(block.members)}
-    units: dict[str, str] = {}
-    for i, name in enumerate(block.columns):
-        columns |= {name: block.values[:, i], f"s_{name}": std[:, i]}
-        units |= dict.fromkeys((name, f"s_{name}"), "mm" if name in ("ex", "ey", "ez") else "rad")
-    return {"lines": Table(columns, units)}
+    block = solution.blocks[LINE]
+    units = ["mm" if name in ("ex", "ey", "ez") else "rad" for name in block.columns]
+    return {"lines": Table.of({"line": block.members, **columns_with_std(block, solution.std(LINE), units)})}
 
 
 def _residuals(solved: Solved) -> Table:
     observations, found = solved.problem.readings.observations, solved.residuals
-    columns: dict[str, Values] = {name: np.array(values) for name, values in observations.keys.items()}
-    columns |= {axis: observations.conditions[axis] for axis in "xyz"}
-    units = dict.fromkeys("xyz", "mm")
+    places = {f"{axis} [mm]": observations.conditions[axis] for axis in "xyz"}
+    columns: dict[str, Any] = {**observations.keys, **places}
     for i, component in enumerate(observations.components):
+        unit = "rad" if component in ("ea", "eb", "ec") else "mm"
         columns |= {
-            f"residual_{component}": found.values[i],
-            f"sigma_{component}": _sigma(solved, i),
+            f"residual_{component} [{unit}]": found.values[i],
+            f"sigma_{component} [{unit}]": observations.deviations[i],
             f"normalised_{component}": found.normalised[i],
             f"redundancy_{component}": found.redundancy[i],
         }
-        unit = "rad" if component in ("ea", "eb", "ec") else "mm"
-        units |= {f"residual_{component}": unit, f"sigma_{component}": unit}
-    return Table(columns, units)
-
-
-def _sigma(solved: Solved, component: int) -> Array:
-    return np.asarray(solved.problem.readings.observations.deviations[component])
+    return Table.of(columns)
 
 
 def _suspects(solved: Solved) -> Table:
@@ -259,17 +266,7 @@ def _suspects(solved: Solved) -> Table:
 def _named_tests(solved: Solved, names: list[str], tests: list[float]) -> Table:
     key = next(iter(solved.problem.readings.observations.keys))
     order = np.argsort(-np.array(tests, dtype=float), kind="stable")
-    return Table({key: np.array(names, dtype=str)[order], "w": np.array(tests, dtype=float)[order]})
-
-
-def _entries(tables: Tables) -> Table:
-    return Table(
-        {
-            "error": np.array([name for name, _ in tables.entries]),
-            "position": np.array([at for _, at in tables.entries]),
-        },
-        {"position": "mm"},
-    )
+    return Table.of({key: np.array(names, dtype=str)[order], "w": np.array(tests, dtype=float)[order]})
 
 
 def _statistics(solved: Solved, settings: Settings) -> Statistics:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
 from typing import Any, ClassVar
 
 from metrocli.frozen import dataclass
@@ -25,8 +24,8 @@ from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.shared.environment import Environment
 from metrocli.tasks.shared.figures import adjusted
 from metrocli.tasks.shared.lengths import REPEATABILITY, REPEATABILITY_WORDS, LengthNoise, Scale
+from metrocli.tasks.shared.noise import model_setting
 from metrocli.tasks.shared.part import Warm
-from metrocli.tasks.shared.structured_noise import model_setting
 
 ON_THE_FLY, STANDSTILL, SIX_DOF, LENGTHS = "on-the-fly", "standstill", "six-dof", "lengths"
 _INPUTS = {STANDSTILL: ("points",), ON_THE_FLY: ("path", "track"), SIX_DOF: ("lines",), LENGTHS: ("lengths",)}
@@ -105,13 +104,6 @@ class LateralNoise:
 _LATERAL = Either(Quantity("length", positive=True), Section(LateralNoise))
 
 
-def _times(part: float | LateralNoise | str | None, factor: float) -> Any:
-    """Return a part of the noise times a factor; words and parts that are absent stay."""
-    if isinstance(part, LateralNoise):
-        return LateralNoise(factor * part.constant, factor * part.proportional)
-    return factor * part if isinstance(part, float) else part
-
-
 @dataclass(frozen=True)
 class Noise:
     """Standard deviations of the tracker (beam, lateral), the laser (displacement ...) or lengths (constant ...)."""
@@ -133,10 +125,6 @@ class Noise:
     repeatability: float | str | None = setting(REPEATABILITY, f"lengths: {REPEATABILITY_WORDS}", default=None)
 
     model: str = model_setting()
-
-    def times(self, factor: float) -> Noise:
-        """Return the noise with all parts times a factor."""
-        return Noise(**{part.name: _times(getattr(self, part.name), factor) for part in fields(self)})
 
     @property
     def of_lengths(self) -> LengthNoise:
@@ -207,7 +195,7 @@ class Settings:
 
     method: str = setting(Choice(ON_THE_FLY, STANDSTILL, SIX_DOF, LENGTHS), "how the machine was measured")
     machine: MachineSettings = setting(Section(MachineSettings), "axes and tools")
-    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    inputs: Any = setting(Section(Inputs), "the files of the job")
     noise: Noise = setting(Section(Noise), "standard deviations of the readings")
     estimate: str | tuple[str, ...] = setting(
         Either(Choice("all"), ListOf(Choice(*ALL_NAMES, "COY", "BOZ", "AOZ"), distinct=True)),

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index, Values
 from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
 from metrocli.effects.model import Model
@@ -55,16 +53,12 @@ from metrocli.tasks.calibrate_machine.volume import grid_of
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.environment import air_of
 from metrocli.tasks.shared.lengths import PathNoise, shared_at_stops, stops_of
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
+from metrocli.tasks.shared.statistics import CONDITIONS, heading
 
 _MISALIGNED = np.array([0.01] * 3 + [1e-4] * 5)
 """Standard deviations of the simulated misalignment of a line: three offsets [mm], five angles [rad]"""
 _FIRST_TEMPERATURE = 20.0
 """At the first reading [degC] (ISO 1)"""
-_CONDITIONS = {"t": "s", "temp": "degC", "pressure": "hPa", "humidity": "percent"}
-"""Conditions of lengths that a simulation takes over from the job's file, with their units"""
 _STATIONS = 4
 _AROUND = np.array([[-0.4, -0.4, 0.1], [1.4, -0.3, 0.8], [1.3, 1.4, 0.0], [-0.4, 1.3, 1.0], [0.5, -0.9, 1.2]])
 """Places of simulated stations, as shares of the travel"""
@@ -117,20 +111,21 @@ def _points(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[
     """Return points at the commanded positions of the job, or at random positions and the corners of the volume."""
     flow = _stops(job, truth.machine, rng)
     seen, model = _seen(job, truth, flow, rng)
-    names, n = list(job.settings.tools), seen.shape[1]
-    columns: dict[str, Values] = {"point": np.array([f"P{i + 1:03d}" for i in range(n)])}
-    columns |= dict(zip(POSITION, flow.position, strict=True))
-    columns |= {f"m{axis}": row for axis, row in zip(POSITION, seen, strict=True)}
-    columns |= _written(flow)
-    if names != [""]:
-        columns["tool"] = np.array(names)[flow.tool]
-    return Table(columns, dict.fromkeys(("x", "y", "z", "mx", "my", "mz"), "mm") | _CONDITIONS), model
+    names = [f"P{i + 1:03d}" for i in range(seen.shape[1])]
+    table = Table.of({"point": names, "x y z [mm]": flow.position.T, "mx my mz [mm]": seen.T, **_written(flow)})
+    return table.joined(_tools(job, flow.tool)), model
+
+
+def _tools(job: _Measurement, tool: Index) -> dict[str, Values]:
+    """Return the column of the tools; none where the job has one."""
+    names = list(job.settings.tools)
+    return {} if names == [""] else {"tool": np.array(names)[tool]}
 
 
 def _written(flow: Flow) -> dict[str, Array]:
     """Return the conditions that have columns in a file; the way since a turn follows from the positions."""
     ways = {SINCE.format(axis=axis) for axis in POSITION}
-    return {name: values for name, values in flow.conditions.items() if name not in ways}
+    return {heading(name): values for name, values in flow.conditions.items() if name not in ways}
 
 
 def _stops(job: _Measurement, machine: Machine, rng: np.random.Generator) -> Flow:
@@ -177,8 +172,8 @@ def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple
     )
     noise = PathNoise.of(job.settings.noise.of_lengths)
     returns = 0.0 if noise.std is not None else noise.repeatability
-    columns: dict[str, Values] = {"point": points, "station": np.array(names)[station], **_written(flow)}
-    air, blocks = air_of(job.settings.environment, Table(columns), "station"), {TRACER: block}
+    table = Table.of({"point": points, "station": np.array(names)[station], **_written(flow)})
+    air, blocks = air_of(job.settings.environment, table, "station"), {TRACER: block}
     members, point = np.unique(points, return_inverse=True)
     stops = stops_of(visits(flow.position, flow.tool, point), flow.conditions.get("t"))
     flow = replace(
@@ -200,12 +195,8 @@ def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple
     sigma = np.sqrt(noise.constant**2 + (noise.proportional * path) ** 2)
     first = np.array([int(np.argmax(station == i)) for i in range(len(names))])
     length = path + deviation + rng.normal(size=len(path)) * sigma - path[first][station]
-    columns |= dict(zip(POSITION, flow.position, strict=True))
-    columns["length"] = length if air is None else length / air.towards
-    if list(job.settings.tools) != [""]:
-        columns["tool"] = np.array(list(job.settings.tools))[flow.tool]
-    units = dict.fromkeys((*POSITION, "length"), "mm") | _CONDITIONS
-    return Table(columns, {name: unit for name, unit in units.items() if name in columns}), model
+    read_as = length if air is None else length / air.towards
+    return table.joined({"x y z [mm]": flow.position.T, "length [mm]": read_as, **_tools(job, flow.tool)}), model
 
 
 def _readings_of_stations(
@@ -218,7 +209,7 @@ def _readings_of_stations(
         station = np.array([names.index(name) for name in table.texts("station")])
         points = np.array(table.texts("point"), dtype=str)
         flow = Flow(commanded(machine_of(job.settings), table), tools_of(table, job.settings), {})
-        given = table.conditions(*_CONDITIONS, *SIDES)
+        given = table.conditions(*CONDITIONS, *SIDES)
         return names, station, replace(flow, conditions=given | since_turns(flow.position, given)), points
     once, n = _stops(job, machine, rng), job.simulation.points
     names = [f"S{i + 1}" for i in range(_STATIONS)] if listed is None else listed.texts("station")
@@ -246,10 +237,8 @@ def _track(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[T
     given = {"t": time, **{name: signs[leg] for name, signs in zip(SIDES, path.last_moves(), strict=True)}}
     given |= path.since_turns(leg, along) | path.axis_speeds(leg, path.speeds(leg, along, time))
     seen, model = _seen(job, truth, Flow(path.at(leg, along), path.tool[leg], given), rng)
-    columns: dict[str, Values] = {**dict(zip(POSITION, seen, strict=True)), "t": time}
-    if "tool" in listed:
-        columns["tool"] = np.array(list(job.settings.tools))[path.tool[leg]]
-    return Table(columns, {**dict.fromkeys(POSITION, "mm"), "t": "s"}), model
+    table = Table.of({"x y z [mm]": seen.T, "t [s]": time})
+    return table.joined(_tools(job, path.tool[leg]) if "tool" in listed else {}), model
 
 
 def _feeds(job: _Measurement, table: Table, path: Path) -> Array:
@@ -271,20 +260,10 @@ def _lines(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[T
     readings, model = job.read(truth.model(line_chain(truth.machine), {LINE: block.with_values(shifts)}, flow))
     root = np.linalg.cholesky(np.moveaxis(laser_noise(job.settings).covariance(along[lines.of].T), -1, 0))
     readings = readings + np.einsum("nab,bn->an", root, rng.normal(size=readings.shape))
-    columns: dict[str, Values] = {
-        "line": np.array(lines.names)[lines.of],
-        "axis": np.array(lines.axis)[lines.of],
-        "position": lines.distance,
-        **dict(zip(CHANNELS, readings, strict=True)),
-        **given,
-    }
-    if table is not None:
-        columns |= {axis: lines.position[i] for i, axis in enumerate(POSITION) if axis in table}
-    units = {
-        "position": "mm",
-        **dict.fromkeys(POSITION, "mm"),
-        **_CONDITIONS,
-        **dict.fromkeys(CHANNELS[:3], "mm"),
-        **dict.fromkeys(CHANNELS[3:], "rad"),
-    }
-    return Table(columns, units), model
+    names = {"line": np.array(lines.names)[lines.of], "axis": np.array(lines.axis)[lines.of]}
+    channels = {" ".join(CHANNELS[:3]) + " [mm]": readings[:3].T, " ".join(CHANNELS[3:]) + " [rad]": readings[3:].T}
+    when = {heading(name): one for name, one in given.items()}
+    places = (
+        {} if table is None else {f"{axis} [mm]": lines.position[i] for i, axis in enumerate(POSITION) if axis in table}
+    )
+    return Table.of({**names, "position [mm]": lines.distance, **channels, **when, **places}), model

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from metrocli.adjust.adjustment import adjust
-from metrocli.adjust.iterated_weights import adjust_with_iterated_weights
-from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import Fit, Suspects, robust_start, suspects
+from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds, worst_of
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.problem import Problem
-from metrocli.tasks.shared.lengths import settled
+from metrocli.tasks.shared.lengths import with_repeatability
 
-_ROUNDS = 30
 _VAGUE = (
     "\nan unknown tool vector cannot be separated from the tracker's place: give `tool_uncertainty` as a few mm, "
     "not more"
@@ -46,6 +42,11 @@ class Solved:
         name = self.problem.readings.name
         return residuals_of(self.solution, next(group for group in self.solution.groups if group.name == name))
 
+    @property
+    def read(self) -> tuple[Residuals, ...]:
+        """The residuals of all readings."""
+        return (self.residuals,)
+
     @cached_property
     def suspects(self) -> Suspects:
         """The readings that do not fit the others."""
@@ -59,31 +60,44 @@ def solve(problem: Problem, remove: bool) -> Solved:
     adjustment does not converge.
     """
     identified = identify(problem)
-    state: Mapping[str, Block] = robust_start(identified.blocks.values(), problem.groups, problem.readings.name)
-    rejected: tuple[tuple[str, float], ...] = ()
-    for _ in range(_ROUNDS):
-        solved = Solved(*_adjusted(problem.with_blocks(state), identified), rejected)
-        worst = _worst(solved.suspects) if remove else np.zeros(0, dtype=np.intp)
-        if not worst.size:
-            break
-        names = solved.problem.names
-        tests = dict(zip(solved.suspects.rows.tolist(), solved.suspects.tests.tolist(), strict=True))
-        rejected = (*rejected, *((names[i], tests[i]) for i in worst.tolist()))
-        problem, state = _without(solved.problem, worst), solved.solution.blocks
-        identified = identify(problem)
-        state = {name: replace(block, free=identified.blocks[name].free) for name, block in state.items()}
-    return solved
+    start = robust_start(identified.blocks.values(), problem.groups, problem.readings.name)
+    begun = _Using(problem.with_blocks(start), identified, ())
+
+    def fewer(used: _Using, solved: Solved) -> tuple[_Using, bool]:
+        worst, found, names = worst_of(solved.suspects), solved.suspects, solved.problem.names
+        if not remove or not worst.size:
+            return used, False
+        keep = np.ones(len(names), dtype=bool)
+        keep[found.rows[worst]] = False
+        left = solved.problem.selected(keep)
+        identified = identify(left)
+        values = solved.solution.blocks.items()
+        state = {name: replace(block, free=identified.blocks[name].free) for name, block in values}
+        gone = (
+            (names[row], test)
+            for row, test in zip(found.rows[worst].tolist(), found.tests[worst].tolist(), strict=True)
+        )
+        return _Using(left.with_blocks(state), identified, (*used.rejected, *gone)), True
+
+    return in_rounds(begun, _Using.solved, fewer)[1]
+
+
+@dataclass(frozen=True)
+class _Using:
+    """A problem without the readings that were rejected, at the values to start from."""
+
+    problem: Problem
+    identified: Identifiability
+    rejected: tuple[tuple[str, float], ...]
+
+    def solved(self) -> Solved:
+        problem, solution = with_repeatability(self.problem, adjusted, self.problem.readings.name)
+        return Solved(problem, self.identified, solution, self.rejected)
 
 
 def solved_again(solved: Solved, problem: Problem) -> Solved:
     """Return the solution of a relinearised problem of the same readings; their identifiability is taken over."""
-    return Solved(*_adjusted(problem, solved.identified), solved.rejected)
-
-
-def _adjusted(problem: Problem, identified: Identifiability) -> tuple[Problem, Identifiability, Solution]:
-    """Return the adjustment; an unknown repeatability is estimated with it."""
-    problem, solution = settled(problem, adjusted, problem.readings.name)
-    return problem, identified, solution
+    return _Using(problem, solved.identified, solved.rejected).solved()
 
 
 def adjusted(problem: Problem) -> Solution:
@@ -109,20 +123,3 @@ def refitted(problem: Problem) -> Solution:
     aspects = problem.model.aspects if problem.effects else {}
     noise = (problem.readings.name, problem.noise)
     return adjust_with_iterated_weights(blocks, problem.groups, noise, None, aspects)
-
-
-def _worst(doubtful: Suspects) -> Index:
-    """Return the readings to leave out next: those with a test of at least half the largest one.
-
-    A large gross error also raises the tests of good readings, but less; these are tested again without it.
-    """
-    if not doubtful.rows.size:
-        return doubtful.rows
-    return np.asarray(doubtful.rows[doubtful.tests >= doubtful.tests.max() / 2])
-
-
-def _without(problem: Problem, rows: Index) -> Problem:
-    keep = np.ones(problem.readings.observations.count, dtype=bool)
-    keep[rows] = False
-    model = problem.model.with_group(problem.readings.selected(keep))
-    return replace(problem, model=model, per_reading=problem.per_reading[keep])

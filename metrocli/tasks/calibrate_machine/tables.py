@@ -6,17 +6,31 @@ The gauge of the tables: straightness is zero at both ends, all others are zero 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from enum import StrEnum
 
 import numpy as np
 
 from metrocli.adjust.dense_jacobian import Unknowns, covariance_of, unknowns_of
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import SQUARENESS, SQUARENESS_NAMES, TOOL, Axis, Machine, errors_of, is_angle
 from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS
 from metrocli.tasks.shared.part import Warm
 from metrocli.units import internal_unit
+
+
+class Determination(StrEnum):
+    """What the readings determine of an error."""
+
+    DETERMINED = "determined"
+    TOGETHER = "together"
+    """Only combined with errors that are held at zero"""
+    UNDETERMINED = "undetermined"
+    """Held at zero"""
+    NOT_ESTIMATED = "not estimated"
+
 
 NO_SCALES: Mapping[str, Warm] = {}
 """Axes whose scales have 20 degC, or a temperature that the job does not give"""

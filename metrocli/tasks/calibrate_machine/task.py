@@ -12,11 +12,11 @@ from metrocli.errors import InputError
 from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
-from metrocli.tasks.calibrate_machine.diagnosis import adjusted_job
+from metrocli.tasks.calibrate_machine.diagnosis import adjusted_job, noise_of
 from metrocli.tasks.calibrate_machine.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths
-from metrocli.tasks.calibrate_machine.methods.on_the_fly import on_the_fly
+from metrocli.tasks.calibrate_machine.methods.on_the_fly import measurement, on_the_fly
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.other_settings import other_settings
@@ -28,9 +28,8 @@ from metrocli.tasks.calibrate_machine.report import report
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, SIX_DOF, STANDSTILL, Settings
 from metrocli.tasks.calibrate_machine.simulation import simulated
 from metrocli.tasks.calibrate_machine.solve import Solved, solve
-from metrocli.tasks.calibrate_machine.structure import noise_of
 from metrocli.tasks.job import Job, Task
-from metrocli.tasks.shared.structured_noise import settled
+from metrocli.tasks.shared.noise import weighed
 
 if TYPE_CHECKING:
     from metrocli.tasks.job import Adjustment
@@ -45,27 +44,23 @@ def run(job: Job[Settings, Files]) -> Result:
 
 def with_adjustment(job: Job[Settings, Files]) -> tuple[Result, Adjustment]:
     """Return the result of `run`, and what gives its adjustment in the form that diagnosis works on."""
-    solved, factor = _settled(job)
+    solved, factor = _solved(job)
     found = report(solved, job.settings, noise_of(solved, job.settings.noise.model, factor))
     return found, partial(adjusted_job, solved)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Adjust the calibration and return it in the form that diagnosis works on."""
-    return adjusted_job(_settled(job)[0])
+    return adjusted_job(_solved(job)[0])
 
 
-def _settled(job: Job[Settings, Files]) -> tuple[Solved, float]:
+def _solved(job: Job[Settings, Files]) -> tuple[Solved, float]:
     """Return the solved calibration, and how many times the declared noise its readings have."""
-    return settled(job.settings.noise, lambda factor: _solved(job, factor), lambda one: [one.residuals])
-
-
-def _solved(job: Job[Settings, Files], factor: float = 1.0) -> Solved:
-    settings, files = replace(job.settings, noise=job.settings.noise.times(factor)), job.files
+    settings, files = job.settings, job.files
+    model, remove = settings.noise.model, settings.outliers == "remove"
     if files.path is not None and files.track is not None:
-        return on_the_fly(settings, files.path, files.track, job.effects)
-    scaled = replace(job, settings=settings)
-    return solve(problem_of(scaled).with_effects(job.effects), settings.outliers == "remove")
+        return weighed(model, measurement(settings, files.path, files.track, job.effects), on_the_fly)
+    return weighed(model, problem_of(job).with_effects(job.effects), lambda problem: solve(problem, remove))
 
 
 def problem_of(job: Job[Settings, Files]) -> Problem:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array, Index
 from metrocli.effects.model import Model
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import (
@@ -30,9 +30,6 @@ from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Setting
 from metrocli.tasks.calibrate_machine.tables import grown
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
 from metrocli.tasks.shared.part import Warm
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _COMPONENTS = {Quantity.ERROR_MOTION: 6, Quantity.LENGTH: 1}
 """Components of a reading by what it reads; all others have three"""
@@ -116,23 +113,16 @@ def warmed(truth: Truth, scales: Mapping[str, Warm], rng: np.random.Generator) -
 
 def true_errors(settings: Settings, truth: Truth) -> Table:
     """Return the true error tables, interpolated at the knots of the job."""
-    names, at, length, angle = [], [], [], []
+    parts = []
     for axis, fine in zip(machine_of(settings).axes, truth.machine.axes, strict=True):
         for k, name in enumerate(errors_of(axis.letter)):
             table = fine.from_raw[k] @ truth.blocks[fine.block].values[:, k]
             values = np.interp(axis.knots, fine.knots, table)
             none = np.full(len(values), np.nan)
-            names += [name] * len(values)
-            at.append(axis.knots)
-            length.append(none if is_angle(name) else values)
-            angle.append(values if is_angle(name) else none)
-    columns: dict[str, Values] = {
-        "error": np.array(names),
-        "position": np.concatenate(at),
-        "value": np.concatenate(length),
-        "turn": np.concatenate(angle),
-    }
-    return Table(columns, {"position": "mm", "value": "mm", "turn": "rad"})
+            length, angle = (none, values) if is_angle(name) else (values, none)
+            knots = {"error": [name] * len(values), "position [mm]": axis.knots}
+            parts.append(Table.of({**knots, "value [mm]": length, "turn [rad]": angle}))
+    return Table.stack(parts)
 
 
 def blocks_of(

@@ -1,4 +1,4 @@
-"""The error of the tool over the volume, predicted from the tables with its uncertainty."""
+"""The error of the tool over the volume, predicted from the tables with its uncertainty, and its summary."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from metrocli.adjust.dense_jacobian import Unknowns, rows
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments.machine import POSITION, TOOL, ErrorMotion, Machine

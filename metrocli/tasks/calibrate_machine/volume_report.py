@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL
 from metrocli.table import Table
@@ -16,10 +15,6 @@ from metrocli.tasks.calibrate_machine.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.settings import Volume
 from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.calibrate_machine.volume import Prediction, grid_of, predict, without_rigid_motion
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
-
 
 NOT_CONTAINED = (
     "volumetric: errors without shift and rotation of the whole, and the standard uncertainty of their vectors (RMS). "
@@ -40,7 +35,7 @@ def volume_tables(
     along, figures = diagonals(tables, drawn, first)
     return {
         "volumetric": _summary(grids, tools, measured),
-        "volume": _stacked([grid.table(tools[i]) for i, grid in enumerate(grids)]),
+        "volume": Table.stack([grid.table(tools[i]) for i, grid in enumerate(grids)]),
         "diagonals": along,
         "diagonal_figures": figures,
         "circular": circular(tables, drawn, first, wanted.circle),
@@ -61,10 +56,8 @@ class _OnGrid:
         n = self.position.shape[1]
         std = np.full((3, n), np.inf) if self.is_open else self.prediction.std
         error = np.full((3, n), np.nan) if self.is_open else self.prediction.error
-        columns: dict[str, Values] = {"tool": np.repeat(np.array([tool], dtype=str), n)}
-        for prefix, values in (("", self.position), ("e", error), ("s_e", std)):
-            columns |= {f"{prefix}{axis}": row for axis, row in zip("xyz", values, strict=True)}
-        return Table(columns, {name: "mm" for name in columns if name != "tool"})
+        grid = {"x y z [mm]": self.position.T, "ex ey ez [mm]": error.T, "s_ex s_ey s_ez [mm]": std.T}
+        return Table.of({"tool": np.repeat(np.array([tool], dtype=str), n), **grid})
 
 
 def _on_grid(tables: Tables, position: Array, tool: int, is_open: bool) -> _OnGrid:
@@ -83,16 +76,12 @@ def _summary(grids: Sequence[_OnGrid], tools: Sequence[str], measured: Sequence[
     unknown = np.array([grid.is_open for grid in grids])
     mean = np.array([grid.shape.mean() for grid in grids])
     largest = np.array([grid.shape.max() for grid in grids])
-    columns: dict[str, Values] = {
-        "tool": np.array([name or "tool" for name in tools]),
-        "measured": np.array([name in measured for name in tools]),
-        "mean_error": np.where(unknown, np.nan, mean),
-        "largest_error": np.where(unknown, np.nan, largest),
-        "uncertainty": np.where(unknown, np.inf, np.array([grid.left for grid in grids])),
-    }
-    return Table(columns, dict.fromkeys(("mean_error", "largest_error", "uncertainty"), "mm"))
-
-
-def _stacked(parts: Sequence[Table]) -> Table:
-    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0]}
-    return Table(columns, parts[0].units)
+    return Table.of(
+        {
+            "tool": [name or "tool" for name in tools],
+            "measured": [name in measured for name in tools],
+            "mean_error [mm]": np.where(unknown, np.nan, mean),
+            "largest_error [mm]": np.where(unknown, np.nan, largest),
+            "uncertainty [mm]": np.where(unknown, np.inf, np.array([grid.left for grid in grids])),
+        }
+    )

@@ -1,9 +1,9 @@
-"""Warnings of a machine calibration, and what its measurement determines and does not control."""
+"""Warnings of a machine calibration, what its measurement determines and does not control, and how its stations lie."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -36,11 +36,11 @@ def cures(settings: Settings) -> tuple[str, ...]:
     return (REMOVE, REPEATS) if settings.method == LENGTHS and settings.noise.repeatability is None else (REMOVE,)
 
 
-def machine_warnings(solved: Solved, settings: Settings) -> list[str]:
-    """Return the warnings of a calibration: noise, undetermined errors, weak designs, outliers."""
+def machine_warnings(solved: Solved, settings: Settings, more: Sequence[str] = ()) -> list[str]:
+    """Return the warnings of a calibration: readings, `more`, noise, undetermined errors, weak designs, outliers."""
     identified = solved.identified
     wording = cures(settings)
-    lines = [*solved.problem.warnings, *noise_warnings(solved.solution, wording)]
+    lines = [*solved.problem.warnings, *more, *noise_warnings(solved.solution, wording)]
     if identified.undetermined:
         lines.append(
             f"this measurement does not determine {' '.join(identified.undetermined)}: left out of the tables"

@@ -7,14 +7,13 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
 from metrocli.adjust.decompositions import pivoted_qr
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
-from metrocli.geometry.surfaces import Array, Index
 from metrocli.tasks.fit_part.fit import LEAST_MOTION, most_of_many
-from metrocli.tasks.fit_part.own_patches import on_own_patches
+from metrocli.tasks.fit_part.nominals import on_own_patches
 from metrocli.tasks.fit_part.stock import Local, Stock
 from metrocli.words import in_a_row
 
@@ -127,9 +126,7 @@ def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun
     return Contradiction(tuple(stock.nominal.names[one] for one in surfaces), least, points)
 
 
-def _least(
-    stock: Stock, rows: npt.NDArray[np.bool_], into: Array, begun: Local, enough: float = np.inf
-) -> tuple[float, Array]:
+def _least(stock: Stock, rows: Mask, into: Array, begun: Local, enough: float = np.inf) -> tuple[float, Array]:
     """Return the largest least overstock of some points and their duals, nan without points."""
     if not rows.any():
         return np.nan, np.zeros(0)
@@ -225,7 +222,7 @@ def must_be_determined(stock: Stock, into: Array, aim: str) -> tuple[str, ...]:
     return ()
 
 
-def motions_without(stock: Stock, local: Local, chosen: npt.NDArray[np.bool_]) -> list[str]:
+def motions_without(stock: Stock, local: Local, chosen: Mask) -> list[str]:
     """Return the motions that change the overstock of no chosen point, in words."""
     smooth, rows = stock.smooth_rows(local) * chosen[:, None], local.rows * chosen[:, None]
     return [motion_in_words(local, one) for one in _null_space(smooth, rows)]
@@ -259,7 +256,7 @@ def _along_axes(directions: Array) -> Array:
     return np.asarray(along.T[: len(directions)] @ back)
 
 
-def _is_shift(step: Array) -> npt.NDArray[np.bool_]:
+def _is_shift(step: Array) -> Mask:
     """Return whether steps (..., 6) have no turn that counts."""
     return np.asarray(np.linalg.norm(step[..., 3:], axis=-1) < _NO_TURN * np.linalg.norm(step[..., :3], axis=-1))
 

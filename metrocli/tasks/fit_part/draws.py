@@ -1,8 +1,4 @@
-"""Covariance of a pose that points at the minimum hold, from fits to points with drawn errors.
-
-Errors of a usual size exchange the points that hold the pose, which a derivative with the same points cannot know.
-Method: docs/algorithms/overstock-fit.md.
-"""
+"""Random draws of points, and the fit of each."""
 
 from __future__ import annotations
 
@@ -11,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from metrocli.adjust.small_programmes import Optimum, highest, quadratic
+from metrocli.arrays import Array, Index
 from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.geometry.surfaces import Array, Index
 from metrocli.tasks.fit_part.fit import MOST, SLACK, Aim, Fit, convex
 from metrocli.tasks.fit_part.uncertainty import Sensitivity, gradient_by_point, sensitivity
 from metrocli.uncertainty.predicted import Places

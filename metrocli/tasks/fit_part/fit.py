@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from metrocli.adjust.small_programmes import highest, quadratic, smallest
+from metrocli.arrays import Array
 from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.geometry.surfaces import Array
 from metrocli.tasks.fit_part.stock import Local, Stock
 
 EVEN, MOST, LEAST_MOTION = "even", "most", "least-motion"

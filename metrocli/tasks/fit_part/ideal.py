@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.geometry.surfaces import Array, Surface, Surfaces, cone, cylinder, plane, sphere
+from metrocli.geometry.surfaces import Surface, Surfaces, cone, cylinder, plane, sphere
 from metrocli.geometry.triangles import Triangles
 from metrocli.tasks.fit_part.nominals import OfMesh, OfSurfaces
 from metrocli.tasks.fit_part.settings import CONE, CYLINDER, PLANE, SIZES, NominalFile, SurfaceEntry

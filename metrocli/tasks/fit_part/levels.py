@@ -10,10 +10,9 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
-from metrocli.geometry.surfaces import Array, Index
 from metrocli.tasks.fit_part.stock import Nominal, Stock
 
 SAMPLE = 3000
@@ -53,7 +52,7 @@ class Levels:
     """Standard deviation with which it is compared (n,) [mm]"""
 
     @property
-    def outlying(self) -> npt.NDArray[np.bool_]:
+    def outlying(self) -> Mask:
         """Which points are left out (n,)."""
         return np.asarray(np.abs(self.off) > LIMIT * self.scatter)
 

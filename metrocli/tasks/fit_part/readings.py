@@ -7,15 +7,14 @@ from dataclasses import field
 from fnmatch import fnmatchcase
 
 import numpy as np
-import numpy.typing as npt
 
-from metrocli.errors import Fault, InputError, together
+from metrocli.arrays import Array, Index, Mask
+from metrocli.errors import Fault, InputError, all_faults
 from metrocli.frozen import dataclass
-from metrocli.geometry.surfaces import Array, Index
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.fit_part.settings import Settings
-from metrocli.tasks.shared.known_places import sigmas
+from metrocli.tasks.shared.lists import sigmas
 from metrocli.tasks.shared.part import growth_of
 from metrocli.uncertainty.predicted import Places, independent, points_of
 from metrocli.words import listed, suggestion
@@ -41,7 +40,7 @@ class Points:
         """Covariance of each point (n, 3, 3) mm^2."""
         return self.places.covariance
 
-    def of(self, rows: npt.NDArray[np.bool_]) -> Points:
+    def of(self, rows: Mask) -> Points:
         """Return some of the points."""
         names = tuple(name for name, kept in zip(self.names, rows.tolist(), strict=True) if kept)
         return Points(names, self.places.of(rows))
@@ -75,11 +74,13 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
     table = points.tables.get("points") if isinstance(points, Result) else points
     if table is None:
         raise InputError("the result among the inputs has no table of points: a camera needs `rig: network`")
-    places, chosen, said = together(
-        lambda: _points(settings, points, table),
-        lambda: _chosen_targets(settings, table),
-        lambda: _said(settings, table, () if of_mesh else names),
-    )
+    with all_faults() as each:
+        with each():
+            places = _points(settings, points, table)
+        with each():
+            chosen = _chosen_targets(settings, table)
+        with each():
+            said = _said(settings, table, () if of_mesh else names)
     named = np.array([bool(one) and one != TARGET_WORD for one in said])
     target = chosen | np.array([one == TARGET_WORD for one in said])
     warnings, apart = [], np.zeros(len(said), dtype=bool)
@@ -147,7 +148,7 @@ def _measured(settings: Settings, points: Table | Result, table: Table) -> Point
     return Points(names, independent(table.stacked(("x", "y", "z")), sigma[:, :, None] ** 2 * np.eye(3)))
 
 
-def _chosen_targets(settings: Settings, table: Table) -> npt.NDArray[np.bool_]:
+def _chosen_targets(settings: Settings, table: Table) -> Mask:
     names = table.texts("point")
     chosen = np.zeros(len(names), dtype=bool)
     faults = []

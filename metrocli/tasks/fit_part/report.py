@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.geometry import poses
-from metrocli.geometry.surfaces import Array
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.fit_part import KIND
 from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION
 from metrocli.tasks.fit_part.monte_carlo import Check
-from metrocli.tasks.fit_part.sentences import notes, warnings
+from metrocli.tasks.fit_part.sentences import notes, uncontrolled, warnings
 from metrocli.tasks.fit_part.solve import Solved
 from metrocli.tasks.fit_part.uncertainty import of_result
-from metrocli.tasks.fit_part.uncontrolled import uncontrolled
 from metrocli.tasks.shared.statistics import Statistics
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
 _NO_CHANCE = 1e-9
@@ -113,16 +107,17 @@ def _overstock(solved: Solved) -> Table:
     local = stock.at(solved.fit.into)
     outward = local.shape.normal @ poses.rotation_of(solved.fit.into)
     std = np.sqrt(np.einsum("na,nab,nb->n", outward, places.covariance, outward))
-    columns: dict[str, Values] = {
-        "point": np.array(places.names, dtype=str),
-        "surface": np.array(stock.nominal.names, dtype=str)[stock.surface],
-        "overstock": local.overstock,
-        "s_overstock": std,
-        "below": below(local.overstock, std, solved.minimum),
-        "used": solved.used.astype(np.int64),
-        **{axis: local.points[:, k] for k, axis in enumerate("xyz")},
-    }
-    return Table(columns, dict.fromkeys(("overstock", "s_overstock", "x", "y", "z"), "mm"))
+    return Table.of(
+        {
+            "point [text]": places.names,
+            "surface": np.array(stock.nominal.names, dtype=str)[stock.surface],
+            "overstock [mm]": local.overstock,
+            "s_overstock [mm]": std,
+            "below": below(local.overstock, std, solved.minimum),
+            "used": solved.used.astype(np.int64),
+            "x y z [mm]": local.points,
+        }
+    )
 
 
 def _std_of_means(solved: Solved) -> Array:
@@ -150,18 +145,19 @@ def _surfaces(solved: Solved, overstock: Table, std_of_means: Array) -> Table:
     present, first, counts = np.unique(of_point[order], return_index=True, return_counts=True)
     total = np.bincount(of_point, value)[present]
     chance = -np.expm1(np.bincount(of_point, clean)[present])
-    columns: dict[str, Values] = {
-        "surface": np.array(solved.stock.nominal.names, dtype=str)[present],
-        "points": counts,
-        "least": value[order][first],
-        "s_least": std[order][first],
-        "mean": total / counts,
-        "s_mean": std_of_means,
-        "largest": value[order][first + counts - 1],
-        "least_at": names[order][first],
-        "below": np.where(chance > _NO_CHANCE, chance, 0.0),
-    }
-    return Table(columns, dict.fromkeys(("least", "s_least", "mean", "s_mean", "largest"), "mm"))
+    return Table.of(
+        {
+            "surface": np.array(solved.stock.nominal.names, dtype=str)[present],
+            "points": counts,
+            "least [mm]": value[order][first],
+            "s_least [mm]": std[order][first],
+            "mean [mm]": total / counts,
+            "s_mean [mm]": std_of_means,
+            "largest [mm]": value[order][first + counts - 1],
+            "least_at": names[order][first],
+            "below": np.where(chance > _NO_CHANCE, chance, 0.0),
+        }
+    )
 
 
 def _holding(solved: Solved) -> Table:
@@ -213,11 +209,9 @@ def _targets(solved: Solved) -> tuple[Table, dict[str, Array]]:
     common = _factor(shared, block_diag(sense.core, sense.own))
     whole = own + common @ np.swapaxes(common, 1, 2)
     std = np.sqrt(np.einsum("nkk->nk", whole))
-    columns: dict[str, Values] = {"target": np.array(targets.names, dtype=str)}
-    columns |= {axis: points[:, k] for k, axis in enumerate("xyz")}
-    columns |= {f"sigma_{axis}": std[:, k] for k, axis in enumerate("xyz")}
+    table = Table.of({"target [text]": targets.names, "x y z [mm]": points, "sigma_x sigma_y sigma_z [mm]": std})
     arrays = {"targets_covariance": whole, "targets_own": own, "targets_common": common}
-    return Table(columns, {name: "mm" for name in columns if name != "target"}), arrays
+    return table, arrays
 
 
 def _factor(common: Array, core: Array) -> Array:

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli import units
+from metrocli.arrays import Mask
+from metrocli.errors import NotConvergedError
 from metrocli.table import Table
 from metrocli.tasks.fit_part.contradiction import motions_without
 from metrocli.tasks.fit_part.draws import DRAWS
-from metrocli.tasks.fit_part.fit import MOST
-from metrocli.tasks.fit_part.solve import Solved
+from metrocli.tasks.fit_part.fit import MOST, most_of_many
+from metrocli.tasks.fit_part.solve import Solved, fitted_part
+from metrocli.tasks.shared.part import taken_as_exact
+from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 from metrocli.words import in_a_row, listed
 
 _ALIKE = 1e-7
@@ -57,7 +62,7 @@ def notes(solved: Solved, holding: Table) -> Iterator[str]:
         yield drawn
 
 
-def exchanged(solved: Solved, low: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def exchanged(solved: Solved, low: Mask) -> Mask:
     """Return which of the low points (n,) others can stand for: their rows depend on those of the others.
 
     A point that is as low by chance, such as one that ends a motion which no other holds, has a dual of 0 alone.
@@ -115,3 +120,47 @@ def warnings(solved: Solved, surfaces: Table, rejected: Table) -> Iterator[str]:
             f"chance that the overstock is below the minimum somewhere, by errors of measurement: {in_a_row(unclean)}; "
             "a larger minimum allows for them"
         )
+
+
+_STEEL = units.parse_quantity("11.5 ppm", "ratio")
+"""Growth of steel by 1 K"""
+
+
+def uncontrolled(solved: Solved) -> Table:
+    """Return what the overstock absorbs, and its largest change by a plausible size of each."""
+    return table_of(_rows(solved))
+
+
+def _rows(solved: Solved) -> Iterator[Hidden]:
+    part, per_scale = solved.prepared.part, by_scale(solved)
+    yield Hidden(
+        "common scale of the measured points (overstock of opposite surfaces)",
+        SCALE_WORDS,
+        SCALE * per_scale,
+        "scale bars that are calibrated, and test lengths beside them",
+    )
+    if part is None:
+        yield Hidden(
+            "temperature of the raw part at its measurement (overstock of opposite surfaces)",
+            "1 K of steel (11.5 um/m)",
+            _STEEL * per_scale,
+            "`part:` with temperature and expansion; the overstock holds at the temperature of the measurement",
+        )
+    yield from taken_as_exact(part, per_scale, "overstock of opposite surfaces")
+
+
+def by_scale(solved: Solved) -> float:
+    """Return the largest change of an overstock by a relative change of the scale of the points [mm].
+
+    The part is fitted again to points that are larger about their middle; NaN where it then has no pose.
+    """
+    stock, begin = solved.stock, (solved.fit.into, np.inf, solved.fit.duals)
+    middle = stock.measured.mean(axis=0)
+    larger = replace(stock, measured=middle + (stock.measured - middle) * (1 + SCALE))
+    if solved.aim.name == MOST:
+        begin = most_of_many(larger, solved.fit.into)
+    try:
+        _, fitted = fitted_part(larger, solved.aim.name, solved.minimum, begin, solved.prepared.start)
+    except NotConvergedError:
+        return float("nan")
+    return float(np.abs(fitted.local.overstock - solved.fit.local.overstock).max(initial=0.0)) / SCALE

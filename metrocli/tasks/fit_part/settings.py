@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from pathlib import Path
+from typing import Any
 
 from metrocli.frozen import dataclass
 from metrocli.geometry.triangles import Triangles
@@ -23,20 +23,16 @@ from metrocli.settings import (
     Whole,
     setting,
 )
-from metrocli.table import ABSENT, TEXT, Column, Columns, Table
+from metrocli.settings.sections import content, inputs_of
+from metrocli.table import ABSENT, Columns, Table, columns
 from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION, MOST
 from metrocli.tasks.shared.figures import POSE, with_std
-from metrocli.tasks.shared.known_places import SIGMAS
+from metrocli.tasks.shared.lists import SIGMAS
 from metrocli.tasks.shared.part import FIGURES, Part
 from metrocli.words import in_a_row
 
 POINTS = Columns(
-    (
-        Column("point", TEXT),
-        *(Column(axis, "length") for axis in "xyz"),
-        Column("surface", TEXT, required=False, may_be_empty=True),
-        *SIGMAS,
-    ),
+    (*columns("point [text]", "x y z [length]", "surface?* [text]"), *SIGMAS),
     key=("point",),
     description="points measured on the raw part, and coded targets",
 )
@@ -107,24 +103,20 @@ class NominalFile:
 
 
 @dataclass(frozen=True)
-class Inputs:
+class Files:
     """The measured points and the ideal part."""
 
-    points: Path = setting(
-        Either(TableFile(POINTS), FileOf(("calibrate-camera", "multilaterate"))),
-        "points on the raw part (CSV), or the result that measured them",
-    )
-    nominal: Path = setting(
+    nominal: NominalFile | Triangles = content(
         Either(FileOf(section=NominalFile), MeshFile()), "ideal part: surfaces (.yaml) or a mesh (.stl, .ply, .obj)"
     )
+    points: Table | Result = content(
+        Either(TableFile(POINTS), FileOf(("calibrate-camera", "multilaterate"))),
+        "points on the raw part (CSV), or the result that measured them",
+        default=ABSENT,
+    )
 
 
-@dataclass(frozen=True)
-class Files:
-    """The contents of the input files."""
-
-    nominal: NominalFile | Triangles
-    points: Table | Result = ABSENT
+Inputs = inputs_of(Files)
 
 
 @dataclass(frozen=True)
@@ -163,7 +155,7 @@ class MonteCarlo:
 class Settings:
     """Lay the ideal part into a measured raw part, with the minimum overstock everywhere."""
 
-    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    inputs: Any = setting(Section(Inputs), "the files of the job")
     overstock: Overstock = setting(Section(Overstock), "the overstock that is wanted")
     targets: tuple[str, ...] = setting(
         ListOf(Text()), "names of coded targets among the points, such as T*, which are no points of a surface", ()

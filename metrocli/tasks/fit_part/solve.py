@@ -1,16 +1,15 @@
-"""Solve a fit-part job: start, chips and flash, feasibility, fit, uncertainty."""
+"""The functions of fit-part, and the solution of its fit."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Mask
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.geometry.surfaces import Array
 from metrocli.geometry.triangles import Triangles
 from metrocli.result import Result
 from metrocli.table import Table
@@ -51,7 +50,7 @@ class Solved:
 
     prepared: Prepared
     levels: Levels
-    used: npt.NDArray[np.bool_]
+    used: Mask
     """Which surface points take part in the fit (n,)"""
     stock: Stock
     """Of the points that take part"""

@@ -10,9 +10,9 @@ from typing import Protocol
 
 import numpy as np
 
+from metrocli.arrays import Array, Index
 from metrocli.geometry import poses
-from metrocli.geometry.rotations import Array, rotation_from_vector
-from metrocli.geometry.surfaces import Index
+from metrocli.geometry.rotations import rotation_from_vector
 
 _ANYWHERE = 200
 """Random rotations tried if surfaces are named; neighbours are about 30 degrees apart"""

@@ -12,12 +12,12 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix, rotation_from_vector
-from metrocli.geometry.surfaces import Array, Index, Shape
+from metrocli.geometry.surfaces import Shape
 
 
 class Nominal(Protocol):
@@ -99,7 +99,7 @@ class Local:
         bent: Array = moves.reshape(-1, 6).T @ (bend @ moves).reshape(-1, 6)
         return bent + self.turning(self.shape.normal * weights[:, None])
 
-    def of(self, rows: npt.NDArray[np.bool_]) -> Local:
+    def of(self, rows: Mask) -> Local:
         """Return some of the points, with the same centre and lever."""
         return replace(self, points=self.points[rows], shape=self.shape.of(np.flatnonzero(rows)))
 
@@ -131,6 +131,6 @@ class Stock:
         """Return the derivative of each overstock by the step, (n, 6), but for what the facets of a mesh bring."""
         return local.rows_along(self.nominal.smooth_normals(local.points, self.surface))
 
-    def of(self, rows: Index | npt.NDArray[np.bool_]) -> Stock:
+    def of(self, rows: Index | Mask) -> Stock:
         """Return the stock of some of the points."""
         return replace(self, measured=self.measured[rows], surface=self.surface[rows])

@@ -1,17 +1,13 @@
-"""Covariance of the fitted pose from that of the points, with the minimum overstock active at some of them.
-
-The optimum is where `gradient = sum duals rows` and `o = minimum` at the active points. Its derivative by the points
-gives the sensitivity of the pose; the same points are held active. Method: docs/algorithms/overstock-fit.md.
-"""
+"""The uncertainty of a fitted part, and the errors that no residual of it can show."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix
-from metrocli.geometry.surfaces import Array
 from metrocli.tasks.fit_part.fit import MOST, Aim, Fit
 from metrocli.uncertainty.predicted import Places
 

@@ -1,4 +1,4 @@
-"""A location in the form that diagnosis needs."""
+"""A location in the form that diagnosis needs, what readings of one pose share, and what no residual can show."""
 
 from __future__ import annotations
 
@@ -7,20 +7,25 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli import units
 from metrocli.adjust.adjustment import adjust
-from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.clusters.robust import Clusters
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered, PerReading
 from metrocli.effects.effect import ELAPSED, WARMING
+from metrocli.effects.estimates import free_blocks
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.errors import InputError
 from metrocli.instruments import launch_unit as lu
+from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.effects import EFFECTS
 from metrocli.tasks.locate_launch_unit.solve import Located
+from metrocli.tasks.shared.noise import NoiseFound, noise_found
+from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
 _FOLDS = 10
 """Parts into which poses are divided for cross-validation"""
@@ -98,3 +103,38 @@ def _parts(when: Array) -> Index:
     """Return the part of each pose, (n,): ten parts of about equal size, in order of time, each held out together."""
     rank = np.argsort(np.argsort(when, kind="stable"), kind="stable")
     return np.asarray(rank * min(_FOLDS, len(when)) // len(when))
+
+
+def noise_of(located: Located, model: str, factor: float) -> NoiseFound | None:
+    """Return the noise of a located unit; None for methods without residuals of all readings.
+
+    Raises UndeterminedError for fewer than five poses if it is structured.
+    """
+    if located.solution is None or located.problem is None:
+        return None
+    pose = {group.name: group.observations.index[lu.RECEIVER] for group in located.used}
+    estimates = (lu.UNIT, *free_blocks(located.problem.effects))
+    return noise_found((located.solution, factor), model, lambda: Clusters(pose, "poses"), estimates)
+
+
+_OFFSET = units.parse_quantity("10 um", "length")
+
+
+def uncontrolled(receiver: Array, place: Array) -> Table:
+    """Return what the place of the unit absorbs; `receiver` (n, 3) mm, `place` (3,) mm in the machine."""
+    return table_of(_rows(receiver, place))
+
+
+def _rows(receiver: Array, place: Array) -> Iterator[Hidden]:
+    yield Hidden(
+        "common scale of machine and distances (place of the unit, seen from the poses)",
+        SCALE_WORDS,
+        SCALE * float(np.linalg.norm(receiver - place, axis=1).max()),
+        "temperature of the machine; a calibrated distance",
+    )
+    yield Hidden(
+        "control point of the receiver along the spindle (place of the unit)",
+        "10 um",
+        _OFFSET,
+        "the length of the receiver measured; it moves all poses alike",
+    )

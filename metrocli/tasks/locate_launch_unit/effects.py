@@ -8,23 +8,17 @@ from dataclasses import replace
 from metrocli.adjust.model.chain import Link
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.acting import PLACE, TIMED, Acting, beam_from, components, point, scalar, seen_from
-from metrocli.effects.effect import Effect, Parameter
-from metrocli.effects.links.beams import BeamHeight, BeamOffset
-from metrocli.effects.links.encoders import BaseTilt, EncoderLag, EncoderOffset, Harmonic, NonOrthogonality
-from metrocli.effects.links.lengths import LengthOffset, LengthScale
+from metrocli.effects.effect import Effect, sizes
+from metrocli.effects.links.angles import BaseTilt, EncoderLag, EncoderOffset, Harmonic, NonOrthogonality
+from metrocli.effects.links.lengths import BeamHeight, BeamOffset, LengthOffset, LengthScale
 from metrocli.effects.links.points import AxisError
 from metrocli.effects.links.shifts import Shift
 from metrocli.instruments.launch_unit import ENCODERS, TURNED, UNIT
-from metrocli.units import parse_quantity
 
 LAUNCH, RECEIVER = UNITS = "launch", "receiver"
 """Names of the two units as places of effects"""
 AXES, PAIRS = ("x", "y", "z"), ("xy", "xz", "yz")
 _MURALIKRISHNAN = "Muralikrishnan et al. 2009, ASME B89.4.19 performance evaluation tests and geometric misalignments"
-
-
-def _size(name: str, dimension: str, plausible: str) -> Parameter:
-    return Parameter(name, dimension, parse_quantity(plausible, dimension))
 
 
 def _eccentricity(block: str, where: Mapping[str, str]) -> Link:
@@ -93,7 +87,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "encoder-eccentricity",
         "the disc of one encoder is not centred on its axis",
-        (_size("c1", "angle", "100 arcsec"), _size("s1", "angle", "100 arcsec")),
+        sizes("c1 s1", "angle", "100 arcsec"),
         _eccentricity,
         where=("encoder",),
         confused_with=("encoder-offset", "base-tilt", "axis-nonorthogonality", "beam-offset"),
@@ -104,7 +98,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "encoder-harmonic",
         "the disc of one encoder is oval or bent: its error has two waves in a turn",
-        (_size("c2", "angle", "20 arcsec"), _size("s2", "angle", "20 arcsec")),
+        sizes("c2 s2", "angle", "20 arcsec"),
         _harmonic,
         where=("encoder",),
         confused_with=("encoder-eccentricity", "axis-nonorthogonality"),
@@ -115,7 +109,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "encoder-offset",
         "the zero of one encoder is not aligned with the axes of its unit",
-        (_size("offset", "angle", "1 deg"),),
+        sizes("offset", "angle", "1 deg"),
         _offset,
         where=("encoder",),
         confused_with=("encoder-eccentricity", "base-tilt", "axis-nonorthogonality", "beam-offset"),
@@ -126,7 +120,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "belt-hysteresis",
         "a belt between axis and encoder stretches: the angle lags by the direction in which the axis came",
-        (_size("width", "angle", "200 arcsec"),),
+        sizes("width", "angle", "200 arcsec"),
         _lag,
         where=("encoder",),
         needs=(TURNED,),
@@ -139,7 +133,7 @@ EFFECTS: tuple[Effect, ...] = (
         "base-tilt",
         "the base axis of one unit is not parallel to z: of the machine for the launch unit, of the spindle for the "
         "receiver",
-        (_size("tx", "angle", "1 deg"), _size("ty", "angle", "1 deg")),
+        sizes("tx ty", "angle", "1 deg"),
         _tilt,
         where=("unit",),
         confused_with=("encoder-eccentricity", "encoder-offset", "machine-squareness"),
@@ -150,7 +144,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "axis-nonorthogonality",
         "the tilt axis of one unit is not square to its base axis",
-        (_size("angle", "angle", "1 deg"),),
+        sizes("angle", "angle", "1 deg"),
         _skew,
         where=("unit",),
         confused_with=("encoder-offset", "encoder-eccentricity", "beam-offset"),
@@ -161,7 +155,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "beam-offset",
         "the beam passes the intersection of a unit's axes at a distance, in launch unit or receiver (not separable)",
-        (_size("h", "length", "2 mm"),),
+        sizes("h", "length", "2 mm"),
         lambda block, where: BeamOffset(block),
         confused_with=("axis-nonorthogonality", "encoder-offset", "encoder-eccentricity"),
         usual="10 um to 2 mm",
@@ -171,7 +165,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "beam-height",
         "the beam passes above or below the intersection of a unit's axes, in launch unit or receiver (not separable)",
-        (_size("v", "length", "2 mm"),),
+        sizes("v", "length", "2 mm"),
         lambda block, where: BeamHeight(block),
         confused_with=("encoder-offset", "encoder-eccentricity"),
         usual="10 um to 2 mm",
@@ -181,7 +175,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "distance-offset",
         "all distances are off by the same amount: their zero is not at the control points",
-        (_size("offset", "length", "10 mm"),),
+        sizes("offset", "length", "10 mm"),
         lambda block, where: LengthOffset(block),
         needs=("distance",),
         confused_with=("distance-scale",),
@@ -192,7 +186,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "distance-scale",
         "all distances are too long in proportion: wavelength, air, or the machine's own scale",
-        (_size("scale", "ratio", "1 percent"),),
+        sizes("scale", "ratio", "1 percent"),
         lambda block, where: LengthScale(block),
         needs=("distance",),
         confused_with=("distance-offset", "machine-scale"),
@@ -204,7 +198,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "machine-scale",
         "the scale of one axis of the machine is wrong: it moves farther than it reads, in proportion",
-        (_size("scale", "ratio", "1000 ppm"),),
+        sizes("scale", "ratio", "1000 ppm"),
         _scale,
         where=("axis",),
         confused_with=("machine-squareness", "distance-scale"),
@@ -215,7 +209,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "machine-squareness",
         "two axes of the machine are not square to each other",
-        (_size("angle", "angle", "1 mrad"),),
+        sizes("angle", "angle", "1 mrad"),
         _squareness,
         where=("pair",),
         confused_with=("machine-scale", "base-tilt"),
@@ -226,7 +220,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "bad-pose",
         "in one pose the receiver was not at its listed position",
-        tuple(_size(name, "length", "100 mm") for name in ("dx", "dy", "dz")),
+        sizes("dx dy dz", "length", "100 mm"),
         lambda block, where: Shift(block, Quantity.POINT_IN_MACHINE),
         where=("pose",),
         of_all="the receiver is not at the listed positions: the machine's repeatability, or errors from pose to pose",

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.geometry.angles import wrapped
+from metrocli.geometry.rotations import wrapped
 from metrocli.instruments.launch_unit import direction
 
 AXES = "xyz"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,18 +13,24 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit import KIND
-from metrocli.tasks.locate_launch_unit.further import Further, Wanted, candidates, further, information
 from metrocli.tasks.locate_launch_unit.lines import AXES, Line, Reach, commanded, measurable
-from metrocli.tasks.locate_launch_unit.margin import Margin, Uncertainty, Window, beam_position
-from metrocli.tasks.locate_launch_unit.plan_settings import Planned
+from metrocli.tasks.locate_launch_unit.margin import (
+    Further,
+    Margin,
+    Uncertainty,
+    Wanted,
+    Window,
+    beam_position,
+    candidates,
+    further,
+    information,
+)
 from metrocli.tasks.locate_launch_unit.programs import Motion, farthest_corner, line_program
 from metrocli.tasks.locate_launch_unit.report import UNITS
-from metrocli.tasks.locate_launch_unit.settings import Noise
+from metrocli.tasks.locate_launch_unit.settings import Noise, Planned
 from metrocli.tasks.locate_launch_unit.solve import Located
 from metrocli.units import find_unit
 
-if TYPE_CHECKING:
-    from metrocli.table import Values
 _SHOWN_OF_LINES = (
     "line", "points", "near", "far", "probability", "probability_at_range", "safe_distance", "probability_aligned",
 )  # fmt: skip
@@ -99,35 +104,30 @@ def _margins(prospect: Prospect) -> Table:
         [np.sqrt(np.diag(beam_position(line, prospect.uncertain, line.distance.max()))) for line in lines]
     )
     aims = [commanded(line.beam, float(prospect.located.values[3]), planned.spindle) for line in lines]
-    columns: dict[str, Values] = {
-        "line": np.array([line.name for line in lines]),
-        "points": np.array([len(line.points) for line in lines]),
-        "near": np.array([line.distance.min() for line in lines]),
-        "far": np.array([line.distance.max() for line in lines]),
-        **{name: np.array([aim[name] for aim in aims]) for name in aims[0]},
-        "probability": np.array([margin.probability() for margin in margins]),
-        "probability_at_range": np.array([margin.probability(limit) for margin in margins]),
-        "safe_distance": np.minimum([margin.safe_distance(planned.confidence) for margin in margins], limit),
-        "probability_aligned": np.array([margin.probability_aligned() for margin in margins]),
-        "s_beside": spread[:, 0],
-        "s_above": spread[:, 1],
-    }
-    lengths = dict.fromkeys(("near", "far", "safe_distance", "s_beside", "s_above"), "mm")
-    return Table(columns, lengths | dict.fromkeys(aims[0], "rad"))
+    return Table.of(
+        {
+            "line": [line.name for line in lines],
+            "points": [len(line.points) for line in lines],
+            "near [mm]": [line.distance.min() for line in lines],
+            "far [mm]": [line.distance.max() for line in lines],
+            **{f"{name} [rad]": [aim[name] for aim in aims] for name in aims[0]},
+            "probability": [margin.probability() for margin in margins],
+            "probability_at_range": [margin.probability(limit) for margin in margins],
+            "safe_distance [mm]": np.minimum([margin.safe_distance(planned.confidence) for margin in margins], limit),
+            "probability_aligned": [margin.probability_aligned() for margin in margins],
+            "s_beside s_above [mm]": spread,
+        }
+    )
 
 
 def _points(lines: Sequence[Line]) -> Table:
     """Return /points: every receiver position, in the order of the programs and the columns of calibrate-machine."""
-    points = np.concatenate([line.points for line in lines])
-    name = np.concatenate([np.repeat(line.name, len(line.points)) for line in lines])
-    columns: dict[str, Values] = {
-        "line": name,
-        "axis": name,
-        "position": np.concatenate([line.position for line in lines]),
-        **{axis: points[:, i] for i, axis in enumerate(AXES)},
-        "distance": np.concatenate([line.distance for line in lines]),
-    }
-    return Table(columns, dict.fromkeys(("position", *AXES, "distance"), "mm"))
+    parts = []
+    for line in lines:
+        name = np.repeat(line.name, len(line.points))
+        at = {"position [mm]": line.position, "x y z [mm]": line.points, "distance [mm]": line.distance}
+        parts.append(Table.of({"line": name, "axis": name, **at}))
+    return Table.stack(parts)
 
 
 def _further(prospect: Prospect, reach: Reach) -> list[Further]:
@@ -146,14 +146,13 @@ def _further_table(prospect: Prospect, more: Sequence[Further]) -> dict[str, Tab
         return {}
     wanted, encoder = prospect.wanted, prospect.noise.encoder
     known = [Uncertainty(one.location, encoder) for one in more]
-    places = np.array([one.receiver for one in more])
-    columns: dict[str, Values] = {
+    columns = {
         "poses": len(prospect.located.readings.names) + 1 + np.arange(len(more)),
-        **{axis: places[:, i] for i, axis in enumerate(AXES)},
-        "probability": np.array([wanted.worst(each) for each in known], dtype=float),
-        "probability_aligned": np.array([wanted.worst_aligned(each) for each in known], dtype=float),
+        "x y z [mm]": [one.receiver for one in more],
+        "probability": [wanted.worst(each) for each in known],
+        "probability_aligned": [wanted.worst_aligned(each) for each in known],
     }
-    return {"further_poses": Table(columns, dict.fromkeys(AXES, "mm"))}
+    return {"further_poses": Table.of(columns)}
 
 
 def _programs(prospect: Prospect) -> tuple[dict[str, Table | str], list[str]]:

@@ -7,7 +7,7 @@ from itertools import pairwise, permutations
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.nc_program import Block, Dwell, Feed, Rapid, Stop, program, written
 from metrocli.tasks.locate_launch_unit.lines import AXES, Line, commanded

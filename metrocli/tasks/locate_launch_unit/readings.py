@@ -6,30 +6,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Mask
+from metrocli.arrays import Array, Mask
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
-from metrocli.geometry.angles import wrapped
+from metrocli.geometry.rotations import wrapped
 from metrocli.instruments.launch_start import Beams
-from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.table import Columns, Table, columns
 from metrocli.tasks.shared.environment import WEATHER, Air, Environment, air_of, unused
-from metrocli.tasks.shared.known_places import SIGMAS, sigmas
+from metrocli.tasks.shared.lists import SIGMAS, sigmas
 
 ANGLES = ("phi1", "phi2", "phi3", "phi4")
-_PLACE = (
-    Column("pose", TEXT),
-    *(Column(axis, "length") for axis in "xyz"),
-    Column("spindle", "angle"),
-)
-_CONDITIONS = (Column("t", "time", required=False), Column("temp", "temperature", required=False), *WEATHER)
+_PLACE = columns("pose [text]", "x y z [length]", "spindle [angle]")
+_CONDITIONS = (*columns("t? [time]", "temp? [temperature]"), *WEATHER)
 POSES = Columns(
-    (
-        *_PLACE,
-        *(Column(angle, "angle") for angle in ANGLES),
-        Column("distance", "length", required=False, may_be_empty=True),
-        *_CONDITIONS,
-        *SIGMAS,
-    ),
+    (*_PLACE, *columns("phi1 phi2 phi3 phi4 [angle]", "distance?* [length]"), *_CONDITIONS, *SIGMAS),
     ("pose",),
     "receiver positions and encoder angles of aligned poses",
     measured=ANGLES,

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import minimal_detectable
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
+from metrocli.arrays import Array
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments import launch_unit as lu
 from metrocli.result import Estimate, Result, Scalar, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit import KIND
+from metrocli.tasks.locate_launch_unit.diagnosis import uncontrolled
 from metrocli.tasks.locate_launch_unit.problem import Problem
 from metrocli.tasks.locate_launch_unit.readings import Readings
 from metrocli.tasks.locate_launch_unit.solve import Located
-from metrocli.tasks.locate_launch_unit.uncontrolled import uncontrolled
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
+from metrocli.tasks.shared.noise import NoiseFound
 from metrocli.tasks.shared.statistics import (
     REMOVE,
     basic_statistics,
@@ -30,12 +29,8 @@ from metrocli.tasks.shared.statistics import (
     noise_warnings,
     with_found,
 )
-from metrocli.tasks.shared.structured_noise import NoiseFound
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.words import listed
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 UNITS = ("mm", "mm", "mm", "rad")
 _TABLES = {"angles": tuple(lu.ENCODERS), "distances": (lu.DISTANCE,)}
@@ -151,10 +146,8 @@ def _beams(located: Located) -> Table:
     beams = readings.beams
     along = np.einsum("ni,ni->n", beams.towards, -out)
     miss = np.linalg.norm(-out - along[:, None] * beams.towards, axis=1)
-    columns: dict[str, Values] = {"pose": np.array(readings.names), "length": length}
-    columns |= {f"w{axis}": out[:, i] / length for i, axis in enumerate("xyz")}
-    columns |= {"miss": miss}
-    return Table(columns, {"length": "mm", "miss": "mm"})
+    away = {"pose": readings.names, "length [mm]": length, "wx wy wz": out / length[:, None]}
+    return Table.of({**away, "miss [mm]": miss})
 
 
 def _residuals(parts: list[tuple[Group, Residuals]], located: Located) -> Table:
@@ -163,31 +156,23 @@ def _residuals(parts: list[tuple[Group, Residuals]], located: Located) -> Table:
     It is for the test for outliers that is made, and 80 % power.
     """
     groups, found = [group.observations for group, _ in parts], [residuals for _, residuals in parts]
-    columns: dict[str, Values] = {
-        key: np.concatenate([np.array(o.keys[key]) for o in groups]) for key in ("pose", "reading")
-    }
+    keys = {key: np.concatenate([np.array(o.keys[key]) for o in groups]) for key in ("pose", "reading")}
+    unit = f"[{groups[0].unit}]"
     numbers = {
-        "value": [o.readings for o in groups],
-        "residual": [one.values for one in found],
-        "sigma": [one.sigma for one in found],
+        f"value {unit}": [o.readings for o in groups],
+        f"residual {unit}": [one.values for one in found],
+        f"sigma {unit}": [one.sigma for one in found],
         "normalised": [one.normalised for one in found],
         "redundancy": [one.redundancy for one in found],
-        "detectable": [minimal_detectable(one, located.critical, located.noise) for one in found],
+        f"detectable {unit}": [minimal_detectable(one, located.critical, located.noise) for one in found],
     }
-    columns |= {name: np.concatenate([part[0] for part in values]) for name, values in numbers.items()}
-    return Table(columns, dict.fromkeys(("value", "residual", "sigma", "detectable"), groups[0].unit))
+    return Table.of({**keys, **{name: np.concatenate([part[0] for part in one]) for name, one in numbers.items()}})
 
 
 def _outliers(located: Located) -> Table:
     """Return /outliers: the readings that do not fit the others, the largest first."""
-    found = located.outliers
-    return Table(
-        {
-            "pose": np.array([one.pose for one in found], dtype=str),
-            "reading": np.array([one.group for one in found], dtype=str),
-            "w": np.array([one.test for one in found], dtype=float),
-        }
-    )
+    rows = [(one.pose, one.group, one.test) for one in located.outliers]
+    return Table.of_rows(("pose [text]", "reading [text]", "w"), rows)
 
 
 def _told(outliers: Table, critical: float, removed: bool) -> list[str]:

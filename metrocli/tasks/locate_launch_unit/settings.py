@@ -4,37 +4,104 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import numpy as np
+
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.settings import Choice, Flag, ListOf, Quantity, Section, TableFile, setting
+from metrocli.nc_program import CONTROLS
+from metrocli.settings import Choice, Flag, ListOf, Number, Quantity, Section, TableFile, setting
+from metrocli.settings.sections import content, inputs_of
 from metrocli.table import ABSENT, Table
-from metrocli.tasks.locate_launch_unit.plan_settings import Planned
 from metrocli.tasks.locate_launch_unit.readings import PLACES, POSES
 from metrocli.tasks.shared.environment import Environment
 from metrocli.tasks.shared.figures import adjusted
-from metrocli.tasks.shared.structured_noise import DECLARED, model_setting
+from metrocli.tasks.shared.noise import DECLARED, model_setting
+from metrocli.units import parse_quantity
+
+_RANGE = ListOf(Quantity("length"), length=2)
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Lowest and highest position of each axis."""
+
+    x: tuple[float, ...] = setting(_RANGE, "range of x")
+    y: tuple[float, ...] = setting(_RANGE, "range of y")
+    z: tuple[float, ...] = setting(_RANGE, "range of z")
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Check that each range begins with its lowest position."""
+        for axis in "xyz":
+            low, high = getattr(self, axis)
+            if not low < high:
+                yield axis, f"the range of {axis} must begin with its lowest position"
+
+    @property
+    def box(self) -> Array:
+        """Lowest and highest position of x, y, z [mm], (3, 2)."""
+        return np.array([self.x, self.y, self.z])
+
+
+@dataclass(frozen=True)
+class Range:
+    """Measuring range of the receiver."""
+
+    straightness: float = setting(
+        Quantity("length", positive=True),
+        "largest distance of the beam from the centre",
+        default=parse_quantity("250 um", "length"),
+    )
+    angle: float = setting(
+        Quantity("angle", positive=True), "largest pitch and yaw", default=parse_quantity("500 urad", "angle")
+    )
+    distance: float = setting(
+        Quantity("length", positive=True),
+        "largest distance from the launch unit",
+        default=parse_quantity("4 m", "length"),
+    )
+
+
+@dataclass(frozen=True)
+class Planned:
+    """The lines to measure from the located unit, and the motion along them."""
+
+    axes: Axes = setting(Section(Axes), "range of each axis")
+    step: float = setting(Quantity("length", positive=True), "distance between measured points")
+    standoff: float = setting(Quantity("length", positive=True), "least distance of receiver and launch unit")
+    diagonals: tuple[str, ...] = setting(
+        ListOf(Choice("xy", "yz", "xz"), distinct=True), "face diagonals to measure", default=("xy", "yz", "xz")
+    )
+    range: Range = setting(Section(Range), "measuring range of the receiver", default=Range())
+    spindle: float = setting(Quantity("angle"), "angle of the locked spindle", default=0.0)
+    feed: float = setting(
+        Quantity("speed", positive=True), "feed along the lines", default=parse_quantity("2 m/min", "speed")
+    )
+    dwell: float = setting(Quantity("time", positive=True), "standstill at each point", default=3.0)
+    control: str = setting(Choice(*CONTROLS), "control for which the NC programs are written", default="linuxcnc")
+    confidence: float = setting(Number(above=0.0, maximum=0.999), "probability that counts as safe", default=0.95)
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Check that a line has room for two points."""
+        if self.standoff + self.step > self.range.distance:
+            yield "standoff", "no two points fit between standoff and range.distance"
+
 
 METHODS = ("adjustment", "lines", "closed-loop")
 
 
 @dataclass(frozen=True)
-class Inputs:
+class Files:
     """Aligned poses, and positions to measure at."""
 
-    poses: Path = setting(TableFile(POSES), "receiver positions and encoder angles of aligned poses")
-    places: Path | None = setting(
-        TableFile(PLACES), "receiver positions to measure at, for simulate and plan", default=None
+    poses: Table = content(TableFile(POSES), default=ABSENT)
+    places: Table | None = content(
+        TableFile(PLACES), "receiver positions to measure at, for simulate and plan", needed=False
     )
 
 
-@dataclass(frozen=True)
-class Files:
-    """Contents of the inputs; the poses are absent before the measurement."""
-
-    poses: Table = ABSENT
-    places: Table | None = None
+Inputs = inputs_of(Files)
 
 
 @dataclass(frozen=True)
@@ -47,7 +114,7 @@ class Noise:
     )
     model: str = model_setting()
 
-    def times(self, factor: float) -> Noise:
+    def with_noise_times(self, factor: float) -> Noise:
         """Return the noise with both parts times a factor."""
         distance = None if self.distance is None else factor * self.distance
         return replace(self, encoder=factor * self.encoder, distance=distance)
@@ -70,7 +137,7 @@ class Settings:
         "part": "no points of a part are measured here; the machine's growth is the effect machine-scale"
     }
 
-    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    inputs: Any = setting(Section(Inputs), "the files of the job")
     noise: Noise = setting(Section(Noise), "standard deviations of the readings")
     method: str = setting(Choice(*METHODS), "adjustment, or one of the paper's two", default="adjustment")
     environment: Environment | None = setting(

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
 from metrocli.effects.wanted import Wanted
-from metrocli.geometry.angles import wrapped
+from metrocli.geometry.rotations import wrapped
 from metrocli.instruments import launch_unit as lu
 from metrocli.simulation import Simulation
 from metrocli.table import Table
@@ -19,12 +18,7 @@ from metrocli.tasks.locate_launch_unit.problem import build
 from metrocli.tasks.locate_launch_unit.readings import ANGLES, Readings
 from metrocli.tasks.locate_launch_unit.settings import Noise, Truth
 from metrocli.tasks.shared.environment import Environment, air_of
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
-
-
-_UNITS = {"distance": "mm", "t": "s", "temp": "degC", "pressure": "hPa", "humidity": "percent"}
+from metrocli.tasks.shared.statistics import CONDITIONS, heading
 
 
 def simulated(
@@ -41,18 +35,18 @@ def simulated(
     """
     readings, added = _exact(truth, noise, places, effects)
     angles = wrapped(readings.angles + rng.normal(size=readings.angles.shape) * noise.encoder)
-    columns: dict[str, Values] = {"pose": np.array(readings.names)}
-    columns |= dict(zip("xyz", readings.receiver.T, strict=True))
-    columns |= {"spindle": readings.spindle} | dict(zip(ANGLES, angles, strict=True))
-    units = dict.fromkeys("xyz", "mm") | dict.fromkeys(("spindle", *ANGLES), "rad")
+    table = Table.of(
+        {"pose [text]": readings.names, "x y z [mm]": readings.receiver, "spindle [rad]": readings.spindle}
+    )
+    table = table.joined({f"{' '.join(ANGLES)} [rad]": angles.T})
     if truth.distances:
         distance = readings.distance + rng.normal(size=len(readings.names)) * (noise.distance or 0.0)
         air = air_of(environment, places)
-        columns["distance"] = distance if air is None else distance * (1 + rng.normal() * air.std) / air.towards
-    columns |= places.conditions(*(name for name in _UNITS if name != "distance"))
-    units |= {name: unit for name, unit in _UNITS.items() if name in columns}
+        read = distance if air is None else distance * (1 + rng.normal() * air.std) / air.towards
+        table = table.joined({"distance [mm]": read})
+    when = {heading(name): one for name, one in places.conditions(*CONDITIONS).items()}
     true = dict(zip("xyz", truth.place, strict=True)) | {"gamma": float(wrapped(truth.gamma))}
-    return Simulation({"poses.csv": Table(columns, units)}, true | added)
+    return Simulation({"poses.csv": table.joined(when)}, true | added)
 
 
 def _exact(truth: Truth, noise: Noise, places: Table, effects: Sequence[Wanted]) -> tuple[Readings, dict[str, float]]:

@@ -7,20 +7,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli.adjust.adjustment import adjust
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
+from metrocli.arrays import Array
 from metrocli.effects.estimates import absorbed
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
-from metrocli.geometry.angles import wrapped
+from metrocli.geometry.rotations import wrapped
 from metrocli.instruments import launch_unit as lu
 from metrocli.instruments.launch_start import Meeting, closed_loop, lines, set_up_angle, spread
 from metrocli.tasks.locate_launch_unit.misread import misread
-from metrocli.tasks.locate_launch_unit.outliers import Outlier, screened
-from metrocli.tasks.locate_launch_unit.problem import WEAK, Problem, build, uncertainty_along
+from metrocli.tasks.locate_launch_unit.problem import WEAK, Outlier, Problem, build, screened, uncertainty_along
 from metrocli.tasks.locate_launch_unit.readings import Readings
 from metrocli.tasks.locate_launch_unit.settings import Noise
 from metrocli.words import listed
@@ -63,7 +62,7 @@ class Located:
     """Noise of the readings without outliers, in units of the declared one, at least 1: to it the tests refer"""
 
     @property
-    def read(self) -> tuple[Group, ...]:
+    def used(self) -> tuple[Group, ...]:
         """The groups of readings that were used; none without an adjustment."""
         if self.solution is None or self.problem is None:
             return ()
@@ -71,9 +70,9 @@ class Located:
         return tuple(group for group in self.solution.groups if group.name in names)
 
     @property
-    def residuals(self) -> list[Residuals]:
+    def read(self) -> list[Residuals]:
         """The residuals of all readings that were used."""
-        return [] if self.solution is None else [residuals_of(self.solution, group) for group in self.read]
+        return [] if self.solution is None else [residuals_of(self.solution, group) for group in self.used]
 
     @property
     def place(self) -> Array:

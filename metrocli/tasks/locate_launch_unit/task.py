@@ -14,7 +14,7 @@ from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.locate_launch_unit import KIND
-from metrocli.tasks.locate_launch_unit.diagnosis import adjusted_job
+from metrocli.tasks.locate_launch_unit.diagnosis import adjusted_job, noise_of
 from metrocli.tasks.locate_launch_unit.effects import EFFECTS, PLACES
 from metrocli.tasks.locate_launch_unit.plan import figures, planned_measurement
 from metrocli.tasks.locate_launch_unit.readings import read
@@ -22,8 +22,7 @@ from metrocli.tasks.locate_launch_unit.report import report
 from metrocli.tasks.locate_launch_unit.settings import METHODS, Files, Settings
 from metrocli.tasks.locate_launch_unit.simulation import simulated
 from metrocli.tasks.locate_launch_unit.solve import How, Located, locate
-from metrocli.tasks.locate_launch_unit.structure import noise_of
-from metrocli.tasks.shared.structured_noise import settled
+from metrocli.tasks.shared.noise import weighed
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -35,7 +34,7 @@ def run(job: Job[Settings, Files]) -> Result:
 def _located(job: Job[Settings, Files], how: How) -> tuple[Located, float]:
     """Return the located unit, and how many times the declared noise its readings have."""
     readings, noise = read(job.files.poses, job.settings.environment), job.settings.noise
-    return settled(noise, lambda factor: locate(readings, noise.times(factor), how), lambda one: one.residuals)
+    return weighed(noise.model, noise, lambda noise: locate(readings, noise, how))
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
@@ -50,21 +49,16 @@ def _how(job: Job[Settings, Files]) -> How:
 def compare(job: Job[Settings, Files]) -> Table:
     """Return the result of each method for the poses, or the reason why it was refused."""
     readings, noise = read(job.files.poses, job.settings.environment), job.settings.noise
-    rows: list[list[float]] = []
-    outcome = []
+    rows: list[tuple[str | float, ...]] = []
     for method in METHODS:
         try:
             located = locate(readings, noise, How(method))
         except MetrocliError as error:
-            rows.append([float("nan")] * 8)
-            outcome.append(str(error).splitlines()[0].removeprefix("error: "))
+            rows.append((method, *[float("nan")] * 8, str(error).splitlines()[0].removeprefix("error: ")))
         else:
-            rows.append([*located.values, *np.sqrt(np.diag(located.covariance))])
-            outcome.append("")
-    names = ("x", "y", "z", "gamma", "sx", "sy", "sz", "sgamma")
-    units = {name: "rad" if name.endswith("gamma") else "mm" for name in names}
-    columns = dict(zip(names, np.array(rows).T, strict=True))
-    return Table({"method": np.array(METHODS), **columns, "refused": np.array(outcome)}, units)
+            rows.append((method, *located.values, *np.sqrt(np.diag(located.covariance)), ""))
+    lengths = [f"{name} [mm]" for name in ("x", "y", "z", "sx", "sy", "sz")]
+    return Table.of_rows(("method", *lengths[:3], "gamma [rad]", *lengths[3:], "sgamma [rad]", "refused"), rows)
 
 
 def check(job: Job[Settings, Files]) -> None:

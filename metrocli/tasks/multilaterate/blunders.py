@@ -10,10 +10,10 @@ from random import Random
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.robust import robust_start
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
@@ -204,3 +204,17 @@ def brought_back(network: Network, state: Mapping[str, Block], gross: Mapping[in
     values = block.values.copy()
     values[rows] = network.nominal[rows]
     return {**state, t.POINT: replace(block, values=values)}
+
+
+def too_few(network: Network) -> dict[int, Rejected]:
+    """Return the lengths of points that fewer than three tracers read."""
+    few = ((network.seen < 3) & network.unknown)[network.lengths.observations.index[t.POINT]]
+    return {int(row): Rejected(int(row), float("nan"), Reason.FEW_TRACERS) for row in np.flatnonzero(few)}
+
+
+def unchecked(network: Network, keep: Mask) -> Mask:
+    """Return which lengths belong to points that lost so many that the others cannot be trusted, (n,)."""
+    point = network.lengths.observations.index[t.POINT]
+    lost = network.seen - np.bincount(point, keep, minlength=len(network.nominal))
+    gone = (lost > most_wrong(network.seen)) & network.unknown
+    return np.asarray(gone[point])

@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.adjust.medians import median
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.probed.covariance import Joint
-from metrocli.tasks.multilaterate.probed.tips import ANY, Tips, tips_of
+from metrocli.tasks.multilaterate.probed.tips import ANY, Joint, Tips, tips_of
 from metrocli.tasks.multilaterate.problem import Network
 from metrocli.tasks.multilaterate.settings import Correction, Files, Settings
 from metrocli.tasks.shared.part import Part
 from metrocli.uncertainty.predicted import COMMON, CORE
 from metrocli.words import listed
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _ELSEWHERE = 0.2
 """Median distance of probing points from their replayed points, as a share of the extent, that is implausible"""
@@ -94,10 +88,9 @@ def corrected(
     if part is not None:
         moved, joint = moved * part.shrinkage, joint.at_reference(part, moved * part.shrinkage)
     covariance = joint.each()
-    columns: dict[str, Values] = {name: table.columns[name] for name in ("feature", "point", "tip") if name in table}
-    columns |= {name: moved[:, i] for i, name in enumerate("xyz")}
-    columns |= {f"s{name}": np.sqrt(covariance[:, i, i]) for i, name in enumerate("xyz")}
-    return Table(columns, dict.fromkeys(("x", "y", "z", "sx", "sy", "sz"), "mm")), joint
+    names = {name: table.columns[name] for name in ("feature", "point", "tip") if name in table}
+    std = np.sqrt(np.einsum("nkk->nk", covariance))
+    return Table.of({**names, "x y z [mm]": moved, "sx sy sz [mm]": std}), joint
 
 
 def _joint(

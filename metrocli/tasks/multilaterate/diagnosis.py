@@ -1,4 +1,4 @@
-"""A multilateration in the form that diagnosis needs."""
+"""A multilateration in the form that diagnosis needs, and what lengths read one after the other share."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.clusters.robust import Clusters
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, ReadBlock
-from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
 from metrocli.effects.acting import NOMINAL
-from metrocli.effects.effect import ELAPSED, WARMING, Effect
+from metrocli.effects.effect import ELAPSED, WARMING
+from metrocli.effects.estimates import free_blocks
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model, Place
 from metrocli.instruments import tracer as t
@@ -23,8 +26,8 @@ from metrocli.tasks.multilaterate import KIND
 from metrocli.tasks.multilaterate.effects import EFFECTS, RANGING
 from metrocli.tasks.multilaterate.problem import LENGTHS
 from metrocli.tasks.multilaterate.solve import Solved, refitted
-from metrocli.tasks.multilaterate.structure import clusters_of
-from metrocli.tasks.shared.structured_noise import count
+from metrocli.tasks.shared.environment import blocks_of
+from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, count, in_blocks, noise_found
 from metrocli.units import parse_quantity
 
 FOLDS = 10
@@ -50,7 +53,7 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
     return AdjustedJob(
         KIND.name,
         model,
-        _effects(network.absolute),
+        tuple(replace(one, usual=RANGING.get(one.name, one.usual)) if network.absolute else one for one in EFFECTS),
         tuple(covariates(model)),
         ("tracer",),
         {LENGTHS: folds(group.observations.index[t.POINT], group.observations.conditions)},
@@ -60,11 +63,6 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         sharing=count(clusters_of(solved)),
         offers=offers,
     )
-
-
-def _effects(absolute: bool) -> tuple[Effect, ...]:
-    """Return the table of effects, with the usual sizes of distance meters where the lengths are absolute."""
-    return tuple(replace(one, usual=RANGING.get(one.name, one.usual)) if absolute else one for one in EFFECTS)
 
 
 def covariates(model: Model) -> list[Covariate]:
@@ -215,3 +213,36 @@ def _with_bar(model: Model, ends: tuple[int, int]) -> Model:
     observations = Observations(np.zeros((1, 1)), np.array(_BAR), index, components=("length",), unit="mm")
     bar = Group("offered distance", Chain((DistanceBetween(t.POINT),)), observations)
     return replace(model, groups=(*model.groups, bar.with_observations(bar.simulated(model.blocks).observations)))
+
+
+def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
+    """Return the noise of a solved network; raises UndeterminedError for fewer than ten points if it is structured."""
+    estimates = (t.TRACER, *blocks_of(solved.solution), *free_blocks(solved.network.effects))
+
+    def clusters() -> Clusters:
+        # the lengths of a point are from several tracers, whose errors are independent of each other
+        free = solved.network.datum is not None
+        return Clusters({solved.group.name: clusters_of(solved)}, POINTS_IN_TIME, grows=False, free=free)
+
+    return noise_found((solved.solution, factor), model, clusters, estimates)
+
+
+def clusters_of(solved: Solved) -> Index:
+    """Return the block of points in time of each length used, (n,).
+
+    All lengths of a point are in one block, so that each point belongs to one. Points follow each other by the mean
+    time of their lengths, without times by the first length in the file.
+    """
+    observations = solved.group.observations
+    point = observations.index[t.POINT]
+    used, number = np.unique(point, return_inverse=True)
+    return in_blocks(_order(observations.conditions.get("t"), number, len(used)))[number]
+
+
+def _order(time: Array | None, number: Index, count: int) -> Array:
+    """Return by what the points are in order, (count,)."""
+    if time is not None:
+        return np.asarray(np.bincount(number, time, count) / np.bincount(number, minlength=count))
+    first = np.full(count, len(number), dtype=float)
+    np.minimum.at(first, number, np.arange(len(number)))
+    return first

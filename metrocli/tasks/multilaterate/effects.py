@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.acting import point
-from metrocli.tasks.shared.length_effects import LENGTH_EFFECTS
-from metrocli.tasks.shared.length_places import AT, BEAM, DIRECTION, length
+from metrocli.tasks.shared.length_effects import AT, BEAM, DIRECTION, LENGTH_EFFECTS, length
 
 EFFECTS = LENGTH_EFFECTS
 """The table of effects, in the order of docs/effects"""

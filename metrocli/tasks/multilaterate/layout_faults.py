@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array
 from metrocli.effects.estimates import absorbed
 from metrocli.instruments import tracer as t
 from metrocli.tasks.multilaterate.problem import Network

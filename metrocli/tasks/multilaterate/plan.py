@@ -7,14 +7,14 @@ more tracer.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.robust import critical_value
 from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.arrays import Array
 from metrocli.effects.estimates import estimates
 from metrocli.errors import UndeterminedError
 from metrocli.instruments import tracer as t
@@ -22,15 +22,12 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
-from metrocli.tasks.multilaterate.layout import Layout, root_mean_square, worst_direction
-from metrocli.tasks.multilaterate.reliability import UNITS, reliability
-from metrocli.tasks.multilaterate.tracer_candidates import Ranking, ranked
+from metrocli.tasks.multilaterate.layout import Layout, Ranking, ranked, root_mean_square, worst_direction
+from metrocli.tasks.multilaterate.reliability import reliability
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
+from metrocli.tasks.shared.statistics import estimates_of_block
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.units import roughly
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _HEAD = "tracers, and distances of points along lines through the volume:"
 _FEWEST_CHECKED = 4
@@ -75,26 +72,22 @@ def planned(layout: Layout, candidates: Table | None) -> Plan:
 
 def _points(layout: Layout) -> Table:
     std = np.sqrt(np.maximum(np.einsum("mii->mi", layout.covariances), 0.0))
-    columns: dict[str, Values] = {"point": np.array(layout.names)}
-    columns |= {axis: layout.places[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"s{axis}": std[:, i] for i, axis in enumerate("xyz")}
-    columns["worst"] = worst_direction(layout.covariances)
-    return Table(columns, {name: "mm" for name in columns if name != "point"})
+    places = {"point": layout.names, "x y z [mm]": layout.places, "sx sy sz [mm]": std}
+    return Table.of({**places, "worst [mm]": worst_direction(layout.covariances)})
 
 
 def _lengths(layout: Layout) -> Table:
     """Return redundancy, minimal detectable error and external reliability of each length."""
     group = layout.network.lengths
     found, critical = residuals_of(layout.solution, group), critical_value(group.observations.count)
-    columns: dict[str, Values] = {name: np.array(values) for name, values in group.observations.keys.items()}
-    columns |= {"sigma": group.observations.sigma[0], **reliability(layout.solution, group, found, critical)}
-    return Table(columns, {"sigma": "mm", **UNITS})
+    table = Table.of({**group.observations.keys, "sigma [mm]": group.observations.sigma[0]})
+    return table.joined(reliability(layout.solution, group, found, critical))
 
 
-def _tracers(solution: Solution) -> Iterator[Estimate]:
-    block, std = solution.blocks[t.TRACER], solution.std(t.TRACER)
-    for i, j in np.argwhere(block.free[:, :3]):
-        yield Estimate(f"{block.members[i]}.{block.columns[j]}", float(block.values[i, j]), float(std[i, j]), "mm")
+def _tracers(solution: Solution) -> tuple[Estimate, ...]:
+    block, units = solution.blocks[t.TRACER], (("mm",),) * 3
+    places = replace(block, free=block.free & (np.arange(block.size) < 3))
+    return estimates_of_block(places, solution.std(t.TRACER), units, lambda tracer, name: f"{tracer}.{name}")
 
 
 def _lines(layout: Layout) -> Iterator[Estimate]:

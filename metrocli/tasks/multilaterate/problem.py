@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import field, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.iterated_weights import Aspect
-from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
-from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.rounds import Aspect
+from metrocli.arrays import Array, Index, Mask
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
-from metrocli.errors import InputError, together
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
-from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.readings import Readings, join, matched
-from metrocli.tasks.multilaterate.settings import Settings
-from metrocli.tasks.shared.environment import Air, air_of, priors_of, unused
-from metrocli.tasks.shared.lengths import PathNoise, Scale, scale_priors, stop_priors, stops_of, with_noise
-from metrocli.tasks.shared.pairs import told_apart
-from metrocli.tasks.shared.tracer_places import places_of
-from metrocli.words import listed
+from metrocli.tasks.multilaterate.readings import Readings, distances_of, read
+from metrocli.tasks.multilaterate.settings import Files, Settings
+from metrocli.tasks.shared.environment import Air, priors_of
+from metrocli.tasks.shared.lengths import PathNoise, Scale, stop_priors, with_noise
+from metrocli.tasks.shared.tracers import places_of
 
-LENGTHS, DISTANCES = "lengths", "distances"
-"""Names of the groups: lengths from tracers, and calibrated distances between points"""
+LENGTHS = "lengths"
+"""Name of the group of lengths from tracers"""
 
 
 @dataclass(frozen=True)
@@ -78,6 +73,10 @@ class Network(Modelled):
         """Return the network at the values of `blocks` with another noise of its lengths."""
         return replace(self, model=with_noise(self.model.with_blocks(blocks), LENGTHS, noise), noise=noise)
 
+    def with_noise_times(self, factor: float) -> Network:
+        """Return the network with a factor on the declared noise of its lengths."""
+        return self.with_noise(self.noise.times(factor), self.blocks)
+
     def only(self, keep: Mask) -> Network:
         """Return the network with only these lengths; points that lose all their lengths are no longer unknowns."""
         lengths = self.lengths.selected(keep)
@@ -95,127 +94,40 @@ def _without(group: Group, left: Mask) -> Group:
     return group if index is None else group.selected(np.asarray(left[np.atleast_2d(index)].all(axis=0)))
 
 
-def build(settings: Settings, lengths: Table, points: Table, tracers: Table | None, distances: Table | None) -> Network:
+def build(settings: Settings, files: Files) -> Network:
     """Return the adjustment of the files, with starting values found from the lengths; raises as `places_of` does."""
-    readings = join(lengths, points, tracers, settings.measures == "absolute")
-    return network_of(settings, readings, places_of(readings.by_tracers), lengths, distances)
+    readings = read(settings, files)
+    return network_of(settings, readings, places_of(readings.seen_by), files.distances)
 
 
-def network_of(
-    settings: Settings, readings: Readings, places: Array, lengths: Table, distances: Table | None
-) -> Network:
+def network_of(settings: Settings, readings: Readings, places: Array, distances: Table | None = None) -> Network:
     """Return the adjustment of readings; `places` (tracers, 5) are the starting values of the tracers.
 
     Raises InputError that lists every fault in the calibrated distances.
     """
-    names, sigma = readings.names, readings.point_sigma
+    sigma, tracers = readings.sigma, readings.tracers
     free = (sigma != 0) & (readings.seen > 0)[:, None]
-    point_block = t.point_block(readings.nominal, names, free, readings.extent)
-    tracer_block = _tracers(settings, readings, places)
-    air = air_of(settings.environment, lengths, "tracer")
-    observations = _observations(settings, readings, lengths, air)
+    extent = readings.seen_by.extent
+    points = t.point_block(readings.nominal, readings.names, free, extent)
+    stations = t.tracer_block(
+        places, tracers.names, tracers.free(readings.absolute, settings.scale is not None), extent
+    )
     noise = PathNoise.of(settings.noise)
-    blocks = {t.POINT: point_block, t.TRACER: tracer_block}
-    stop_block = None
-    if noise.repeatability:
-        stops, alone = _stops(readings, observations.conditions.get("t"))
-        observations = replace(observations, conditions={**observations.conditions, t.ALONE: alone})
-        stop_block = t.stop_block(stops)
-    if stop_block is not None:
-        blocks[t.STOP] = stop_block
-        observations = replace(observations, index={**observations.index, t.STOP: stops})
-    if air is not None:
-        blocks[t.AIR] = air.block
-        observations = replace(observations, conditions={**observations.conditions, t.AIR: air.ratio})
-    forward = t.chain(stops=stop_block is not None, in_air=air is not None)
-    group = noise.at(Group(LENGTHS, forward, observations), blocks)
-    tracer_sigma = np.column_stack([readings.tracer_sigma, np.full((len(readings.stations), 2), np.nan)])
-    others = (
-        *priors(point_block, sigma, free),
-        *priors(tracer_block, tracer_sigma, tracer_block.free),
-        *scale_priors(settings.scale, tracer_block),
-        *priors_of(air),
-        *stop_priors(stop_block, noise.repeatability),
-        *_distances(distances, names, readings.seen),
+    more = (readings.stops, None if readings.air is None else readings.air.block)
+    blocks = {block.name: block for block in (points, stations, *more) if block is not None}
+    forward = t.chain(stops=readings.stops is not None, in_air=readings.air is not None)
+    groups = (
+        noise.at(Group(LENGTHS, forward, readings.observations), blocks),
+        *priors(points, sigma, free),
+        *tracers.known(stations, settings.scale),
+        *priors_of(readings.air),
+        *stop_priors(readings.stops, noise.repeatability),
+        *distances_of(distances, readings.names, readings.seen),
     )
-    inner = settings.datum != "points" and bool(tracer_block.free[:, :3].any()) and bool(free.any())
-    datum = t.datum(point_block, free.all(axis=1).astype(float)) if inner else None
-    absolute = settings.measures == "absolute"
-    acting = {
-        "tracer": Place(tracer_block.members, t.TRACER),
-        "point": Place(point_block.members, t.POINT),
-    }
+    inner = settings.datum != "points" and bool(stations.free[:, :3].any()) and bool(free.any())
+    datum = t.datum(points, free.all(axis=1).astype(float)) if inner else None
+    acting = {"tracer": Place(stations.members, t.TRACER), "point": Place(points.members, t.POINT)}
     nominal = {t.POINT: readings.nominal}
-    model = Model(blocks, (group, *others), datum, (LENGTHS,), acting, t.aspects(t.reach()), nominal=nominal)
-    warnings = (*_unused(readings), *unused(settings.environment, lengths))
-    return Network(model, noise, readings.nominal, absolute, readings.said, warnings, settings.scale, air)
-
-
-def _of_each(names: tuple[str, ...], index: Index) -> tuple[str, ...]:
-    """Return the name of each reading's member; readings of the same member share the text in memory."""
-    return tuple(np.array(names, dtype=object)[index].tolist())
-
-
-def _observations(settings: Settings, readings: Readings, lengths: Table, air: Air | None) -> Observations:
-    """Return the lengths, corrected for the air, with their points, tracers and conditions."""
-    keys = {"point": _of_each(readings.names, readings.point), "tracer": _of_each(readings.stations, readings.station)}
-    conditions = lengths.conditions("t", "temp")
-    return Observations(
-        readings.length[None] if air is None else (readings.length * air.towards)[None],
-        np.array(settings.noise.constant),
-        {t.POINT: readings.point, t.TRACER: readings.station},
-        keys=told_apart(keys, readings.point * len(readings.stations) + readings.station, conditions.get("t")),
-        conditions=conditions,
-        components=("length",),
-        unit="mm",
-    )
-
-
-def _stops(readings: Readings, time: Array | None) -> tuple[Index, Array]:
-    """Return the number of the stop of each length, from 1, and 1 where its variance has the repeatability, (n,) each.
-
-    A stop that is the only one of its unknown point needs neither: the point is where the carrier stood.
-    """
-    stops = stops_of(readings.point, time)
-    alone = stops == 0
-    _, first = np.unique(stops, return_index=True)
-    begins = alone.copy()
-    begins[first] = True
-    several = np.bincount(readings.point, begins)[readings.point] > 1
-    known: Mask = np.asarray(np.isfinite(readings.point_sigma).any(axis=1))
-    kept = np.asarray(several | known[readings.point])
-    stops = np.where(kept, stops, 0)
-    return np.searchsorted(np.unique(np.append(stops, 0)), stops), (alone & kept).astype(float)
-
-
-def _unused(readings: Readings) -> tuple[str, ...]:
-    """Return a warning of points without a length, and one of tracers without a reading."""
-    unseen = [readings.names[row] for row in np.flatnonzero(readings.seen == 0)]
-    warnings = (f"{len(unseen)} points have no length: {listed(unseen)}",) if unseen else ()
-    return warnings + ((f"tracers without a reading are left out: {listed(readings.idle)}",) if readings.idle else ())
-
-
-def _tracers(settings: Settings, readings: Readings, places: Array) -> Block:
-    free = np.ones((len(readings.stations), 5), dtype=bool)
-    free[:, :3] = readings.tracer_sigma != 0
-    free[:, 3] = settings.measures != "absolute"
-    free[:, 4] = settings.scale is not None
-    return t.tracer_block(places, readings.stations, free, readings.extent)
-
-
-def _distances(table: Table | None, names: Sequence[str], seen: Index) -> list[Group]:
-    if table is None:
-        return []
-    ends = np.stack(together(*(partial(matched, table, column, names, "the points") for column in ("from", "to"))))
-    length, sigma = table.numbers("length"), table.numbers("sigma")
-    wrong = {
-        "a distance to a point that no tracer reads": (seen[ends] == 0).any(axis=0),
-        "a distance of a point to itself": ends[0] == ends[1],
-        "a distance is not above zero": length <= 0,
-        "the standard deviation of a distance is not above zero": sigma <= 0,
-    }
-    faults = [table.fault_at(row, text) for text, rows in wrong.items() for row in np.flatnonzero(rows).tolist()]
-    if faults:
-        raise InputError(faults)
-    observations = Observations(length[None], sigma[None], {t.POINT: ends}, components=("length",), unit="mm")
-    return [Group(DISTANCES, Chain((DistanceBetween(t.POINT),)), observations)]
+    model = Model(blocks, groups, datum, (LENGTHS,), acting, t.aspects(t.reach()), nominal=nominal)
+    warnings, air = readings.warnings, readings.air
+    return Network(model, noise, readings.nominal, readings.absolute, tracers.said, warnings, settings.scale, air)

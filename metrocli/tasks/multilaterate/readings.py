@@ -1,167 +1,152 @@
-"""Readings of tracers, matched to the lists of points and tracers and their uncertainties."""
+"""The readings of a network, finished: lengths of tracers, and calibrated distances between their points."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
-from itertools import repeat
 
 import numpy as np
-import numpy.typing as npt
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
-from metrocli.copies import row_hashes
-from metrocli.errors import InputError, together
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array, Index, Mask
+from metrocli.errors import InputError, all_faults
 from metrocli.frozen import dataclass
-from metrocli.table import MOST_FAULTS, Table
-from metrocli.tasks.shared.known_places import sigmas
-from metrocli.tasks.shared.tracer_places import Seen, few_of_each
-from metrocli.words import nearest
+from metrocli.instruments import tracer as t
+from metrocli.instruments.frames import DistanceBetween
+from metrocli.table import Table
+from metrocli.tasks.multilaterate.settings import Files, Settings
+from metrocli.tasks.shared.environment import Air, air_of, unused
+from metrocli.tasks.shared.lengths import PathNoise, stops_of
+from metrocli.tasks.shared.lists import matched, refuse, sigmas
+from metrocli.tasks.shared.tracers import Seen, Tracers, few_of_each, observed, tracers_of
+from metrocli.words import listed
 
-Texts = npt.NDArray[np.str_]
+DISTANCES = "distances"
+"""Name of the group of calibrated distances"""
 
 
 @dataclass(frozen=True)
 class Readings:
-    """Lengths, each with its rows in the lists of points and tracers."""
+    """The lengths of a network and the lists that they refer to."""
 
     names: tuple[str, ...]
-    stations: tuple[str, ...]
-    """Tracers with at least one reading"""
-    idle: tuple[str, ...]
-    """Listed tracers without a reading"""
-    length: Array
-    point: Index
-    station: Index
+    """All listed points"""
     nominal: Array
     """Listed places of the points, (points, 3)"""
-    said: Array
-    """Listed places of the tracers, (tracers, 3), nan if not listed"""
-    point_sigma: Array
+    sigma: Array
     """Standard uncertainties of the listed points, (points, 3), nan if not given"""
-    tracer_sigma: Array
-    """Standard uncertainties of the listed tracers, (tracers, 3), nan if not given"""
+    tracers: Tracers
+    observations: Observations
+    """The lengths, corrected for the air; with their stops, where the noise has a repeatability"""
+    stops: Block | None
+    """The deviations of stops that several lengths share"""
+    air: Air | None
     absolute: bool
-    file: str = ""
+    seen_by: Seen
+    """What the search of the tracers takes of them"""
+    warnings: tuple[str, ...] = ()
 
     @cached_property
     def seen(self) -> Index:
         """Number of lengths to each point, (points,)."""
-        return np.bincount(self.point, minlength=len(self.names))
-
-    @cached_property
-    def extent(self) -> float:
-        """Largest side of the box around the points that are read [mm]."""
-        return float(np.ptp(self.nominal[self.seen > 0], axis=0).max()) or 1.0
-
-    @property
-    def by_tracers(self) -> Seen:
-        """Lengths of each tracer, as the search of its place takes them: of many a random sample."""
-        rows = few_of_each(self.station, len(self.stations))
-        return Seen(
-            self.stations,
-            self.station[rows],
-            self.nominal[self.point[rows]],
-            self.length[rows],
-            self.said,
-            self.tracer_sigma,
-            self.extent,
-            self.absolute,
-            self.file,
-        )
+        return np.bincount(self.observations.index[t.POINT], minlength=len(self.names))
 
 
-def join(lengths: Table, points: Table, tracers: Table | None, absolute: bool) -> Readings:
-    """Match lengths to points and tracers.
+def read(settings: Settings, files: Files) -> Readings:
+    """Return the lengths, matched to points and tracers and corrected for the air.
 
     Raises InputError that lists every length without a point or tracer, and every impossible reading.
     """
+    lengths, points, tracers = files.lengths, files.points, files.tracers
     if len(lengths) == 0:
         raise InputError([lengths.fault("the file has no lengths")])
-    listed = sorted(set(lengths.texts("tracer"))) if tracers is None else tracers.texts("tracer")
-    names, in_points = points.texts("point"), points.file or "the list of points"
-    point, place, point_sigma, tracer_sigma, _ = together(
-        lambda: matched(lengths, "point", points.columns["point"].astype(str), in_points),
-        lambda: matched(lengths, "tracer", listed, "" if tracers is None else tracers.file),
-        lambda: sigmas(points),
-        lambda: None if tracers is None else sigmas(tracers),
-        lambda: _refuse_readings(lengths, absolute),
-    )
-    used = np.bincount(place, minlength=len(listed)) > 0
-    rows, station = np.flatnonzero(used), (np.cumsum(used) - 1)[place]
-    stations = [listed[row] for row in rows]
-    if tracers is None:
-        said = sigma = np.full((len(stations), 3), np.nan)
-    else:
-        said, sigma = tracers.stacked("xyz")[rows], tracer_sigma[rows]
-        _refuse_negative_paths(lengths, station, tracers, rows)
-    return Readings(
-        tuple(names),
-        tuple(stations),
-        tuple(listed[row] for row in np.flatnonzero(~used)),
-        lengths.numbers("length"),
-        point,
-        station,
-        points.stacked("xyz"),
-        said,
-        point_sigma,
-        sigma,
-        absolute,
-        lengths.file,
-    )
+    absolute, names = settings.measures == "absolute", tuple(points.texts("point"))
+    with all_faults() as each:
+        with each():
+            point = matched(lengths, "point", points.columns["point"].astype(str), points.file or "the list of points")
+        with each():
+            read_by = tracers_of(lengths, tracers, lambda texts: sorted(set(texts)), "tracer")
+        with each():
+            sigma = sigmas(points)
+        with each():
+            _refuse_readings(lengths, absolute)
+    length, nominal = lengths.numbers("length"), points.stacked("xyz")
+    if tracers is not None:
+        path = length + tracers.numbers("dead_path", np.nan)[read_by.rows][read_by.of]
+        text = "length plus dead path is {:g} mm, which is not above zero".format
+        if (path <= 0).any():
+            raise InputError(lengths.faults_at(np.flatnonzero(path <= 0), lambda row: text(path[row])))
+    air = air_of(settings.environment, lengths, "tracer")
+    observations = observed(lengths, read_by, (names, point), lengths.conditions("t", "temp"), air)
+    stops = None
+    if PathNoise.of(settings.noise).repeatability:
+        numbers, alone = _stops(point, sigma, observations.conditions.get("t"))
+        stops = t.stop_block(numbers)
+        index = {} if stops is None else {t.STOP: numbers}
+        conditions = {**observations.conditions, t.ALONE: alone}
+        observations = replace(observations, index={**observations.index, **index}, conditions=conditions)
+    read_points = nominal[np.bincount(point, minlength=len(names)) > 0]
+    extent = float(np.ptp(read_points, axis=0).max()) or 1.0
+    rows = few_of_each(read_by)
+    seen = Seen(read_by, rows, nominal[point[rows]], length[rows], extent, absolute, lengths.file)
+    found = Readings(names, nominal, sigma, read_by, observations, stops, air, absolute, seen)
+    return replace(found, warnings=(*_unused(found), *unused(settings.environment, lengths)))
 
 
-def matched(table: Table, column: str, names: Sequence[str] | Texts, where: str) -> Index:
-    """Return for each row of a column the position of its name in `names`, (n,).
+def _stops(point: Index, sigma: Array, time: Array | None) -> tuple[Index, Array]:
+    """Return the number of the stop of each length, from 1, and 1 where its variance has the repeatability, (n,) each.
 
-    Raises InputError that lists every name not found, with the nearest name as a hint.
+    A stop that is the only one of its unknown point needs neither: the point is where the carrier stood.
     """
-    quick = _by_hashes(table.columns[column].astype(str), np.array(names, dtype=np.str_))
-    if quick is not None:
-        return quick
-    place = {name: i for i, name in enumerate(names)}
-    values = table.texts(column)
-    found = np.fromiter(map(place.get, values, repeat(-1)), dtype=np.intp, count=len(values))
-    strange = np.flatnonzero(found < 0)
-    if strange.size:
-        meant = {name: nearest(name, names) for name in {values[row] for row in strange[:MOST_FAULTS].tolist()}}
-        hints = {name: f"did you mean '{found}'?" for name, found in meant.items() if found}
-        text = f"{column} '{{}}' is not in {where}".format
-        raise InputError(table.faults_at(strange, lambda row: text(values[row]), lambda row: hints.get(values[row])))
-    return found
+    stops = stops_of(point, time)
+    alone = stops == 0
+    begins = alone.copy()
+    begins[np.unique(stops, return_index=True)[1]] = True
+    several = np.bincount(point, begins)[point] > 1
+    known: Mask = np.asarray(np.isfinite(sigma).any(axis=1))
+    kept = np.asarray(several | known[point])
+    stops = np.where(kept, stops, 0)
+    return np.searchsorted(np.unique(np.append(stops, 0)), stops), (alone & kept).astype(float)
 
 
-def _by_hashes(texts: Texts, names: Texts) -> Index | None:
-    """Return the position in `names` of each text, (n,); None if one is not there, or if chance gives equal hashes.
-
-    Whole columns are so compared many times faster than text by text.
-    """
-    if not len(texts) or not len(names):
-        return None
-    width = max(texts.dtype, names.dtype)
-    here, there = (row_hashes(Table({"": one.astype(width)}), ("",)) for one in (texts, names))
-    order = np.argsort(there)
-    begins = np.flatnonzero(np.append(True, here[1:] != here[:-1]))  # of the runs of rows with one name
-    found = order[np.searchsorted(there[order[:-1]], here[begins])]
-    places = np.repeat(found, np.diff(begins, append=len(here)))
-    return places if (names[places] == texts).all() else None
+def _unused(readings: Readings) -> tuple[str, ...]:
+    """Return a warning of points without a length, and one of tracers without a reading."""
+    unseen = [readings.names[row] for row in np.flatnonzero(readings.seen == 0)]
+    warnings = (f"{len(unseen)} points have no length: {listed(unseen)}",) if unseen else ()
+    idle = readings.tracers.idle
+    return warnings + ((f"tracers without a reading are left out: {listed(idle)}",) if idle else ())
 
 
 def _refuse_readings(lengths: Table, absolute: bool) -> None:
     values = lengths.numbers("length")
-    if absolute and (values <= 0).any():
-        wrong = np.flatnonzero(values <= 0)
-        raise InputError(lengths.faults_at(wrong, lambda row: "an absolute distance is not above zero"))
+    refuse(lengths, {"an absolute distance is not above zero": np.asarray(absolute & (values <= 0))})
     if len(values) > 1 and np.ptp(values) == 0:
         raise InputError([lengths.fault("all lengths are equal", "is this the right column?")])
 
 
-def _refuse_negative_paths(lengths: Table, station: Index, tracers: Table, rows: Index) -> None:
-    """Raise InputError that lists every length whose sum with the given dead path is not above zero."""
-    dead = tracers.numbers("dead_path", float("nan"))[rows][station]
-    path = lengths.numbers("length") + dead
-    bad = np.flatnonzero(path <= 0)
-    if bad.size:
-        text = "length plus dead path is {:g} mm, which is not above zero"
-        raise InputError(lengths.faults_at(bad, lambda row: text.format(path[row])))
+def distances_of(table: Table | None, names: Sequence[str], seen: Index) -> list[Group]:
+    """Return the group of calibrated distances; none without a list.
+
+    Raises InputError that lists every fault in them.
+    """
+    if table is None:
+        return []
+    ends = np.zeros((2, len(table)), dtype=np.intp)
+    with all_faults() as each:
+        for end, column in enumerate(("from", "to")):
+            with each():
+                ends[end] = matched(table, column, names, "the points")
+    length, sigma = table.numbers("length"), table.numbers("sigma")
+    wrong = {
+        "a distance to a point that no tracer reads": (seen[ends] == 0).any(axis=0),
+        "a distance of a point to itself": ends[0] == ends[1],
+        "a distance is not above zero": length <= 0,
+        "the standard deviation of a distance is not above zero": sigma <= 0,
+    }
+    refuse(table, {text: np.asarray(rows) for text, rows in wrong.items()})
+    observations = Observations(length[None], sigma[None], {t.POINT: ends}, components=("length",), unit="mm")
+    return [Group(DISTANCES, Chain((DistanceBetween(t.POINT),)), observations)]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import TIME
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments import tracer as t
@@ -20,35 +19,32 @@ from metrocli.tasks.multilaterate.blunders import Reason
 from metrocli.tasks.multilaterate.correction import Probing, astray, corrected, distant, wrong_entries
 from metrocli.tasks.multilaterate.features.report import FEATURES, SHOWN, exchanging, fitted
 from metrocli.tasks.multilaterate.features.wanted import Wanted
-from metrocli.tasks.multilaterate.reliability import UNITS as RELIABILITY_UNITS
 from metrocli.tasks.multilaterate.reliability import reliability
 from metrocli.tasks.multilaterate.solve import Solved, noise_of_tests
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
 from metrocli.tasks.shared.joint_covariance import factors
-from metrocli.tasks.shared.pairs import name_of
+from metrocli.tasks.shared.lists import name_of
+from metrocli.tasks.shared.noise import NoiseFound
 from metrocli.tasks.shared.part import Part
 from metrocli.tasks.shared.statistics import (
     REMOVE,
     REPEATS,
     Statistics,
     basic_statistics,
+    columns_with_std,
     condition_columns,
+    estimates_of_block,
     found_notes,
     noise_notes,
     noise_warnings,
-    units_of,
     with_found,
 )
-from metrocli.tasks.shared.structured_noise import NoiseFound
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.uncertainty.predicted import COMMON, CORE
 from metrocli.words import listed
 
-if TYPE_CHECKING:
-    from metrocli.table import Values
-
-_UNITS = (("mm",), ("mm",), ("mm",), ("mm",), ("1", SCALE))
+_UNITS = ("mm", "mm", "mm", "mm", "")
 _INDEPENDENT = (
     "the covariance between so many points is left out: features take their points as independent, and their stated "
     "uncertainty may be too small; give features a job of their own points"
@@ -140,11 +136,9 @@ def _shown(solved: Solved) -> Iterator[ShownTable]:
 
 
 def _tracer_estimates(solution: Solution) -> tuple[Estimate, ...]:
-    block, std = solution.blocks[t.TRACER], solution.std(t.TRACER)
-    return tuple(
-        Estimate(f"{block.members[i]}.{block.columns[k]}", float(block.values[i, k]), float(std[i, k]), *_UNITS[k])
-        for i, k in zip(*np.nonzero(block.free), strict=True)
-    )
+    units = (("mm",), ("mm",), ("mm",), ("mm",), ("1", SCALE))
+    block = solution.blocks[t.TRACER]
+    return estimates_of_block(block, solution.std(t.TRACER), units, lambda tracer, name: f"{tracer}.{name}")
 
 
 def _points(solved: Solved, solution: Solution, part: Part | None) -> tuple[Table, dict[str, Array]]:
@@ -162,71 +156,56 @@ def _points(solved: Solved, solution: Solution, part: Part | None) -> tuple[Tabl
         if pairs:
             pairs[COMMON], pairs[CORE] = part.of_factors(places, pairs[COMMON], pairs[CORE])
     std = np.sqrt(np.maximum(np.einsum("mii->mi", each), 0.0))
-    columns: dict[str, Values] = {"point": np.array(block.members)[seen]}
-    columns |= {name: places[:, i] for i, name in enumerate("xyz")}
-    columns |= {f"s{name}": std[:, i] for i, name in enumerate("xyz")}
-    columns |= {f"error_{name}": error[:, i] for i, name in enumerate("xyz")}
-    arrays = {"points_covariance": each, **pairs}
-    return Table(columns, {name: "mm" for name in columns if name != "point"}), arrays
+    columns = {"point": np.array(block.members)[seen], "x y z [mm]": places, "sx sy sz [mm]": std}
+    table = Table.of(columns | {"error_x error_y error_z [mm]": error})
+    return table, {"points_covariance": each, **pairs}
 
 
 def _tracers(solution: Solution) -> Table:
     block = solution.blocks[t.TRACER]
-    std = solution.std(t.TRACER)
-    columns: dict[str, Values] = {"tracer": np.array(block.members)}
-    for i, name in enumerate(block.columns):
-        columns[name], columns[f"s_{name}"] = block.values[:, i], std[:, i]
-    units = {f"{s}{name}": "mm" for name in ("x", "y", "z", "dead_path") for s in ("", "s_")}
-    return Table(columns, units)
+    return Table.of({"tracer": block.members, **columns_with_std(block, solution.std(t.TRACER), _UNITS)})
 
 
 def _residuals(solved: Solved) -> Table:
     """Return /residuals, with minimal detectable error and external reliability of each length."""
     observations, found = solved.group.observations, solved.residuals
     blocks = {"point": t.POINT, "tracer": t.TRACER}  # whose names become a column faster than those of the readings
-    columns: dict[str, Values] = {
+    keys = {
         name: np.array(solved.solution.blocks[blocks[name]].members)[observations.index[blocks[name]]]
         if name in blocks
         else np.array(values)
         for name, values in observations.keys.items()
     }
-    columns |= {
-        "reading": observations.readings[0],
-        "residual": found.values[0],
-        "sigma": found.sigma[0],
+    numbers = {
+        "reading [mm]": observations.readings[0],
+        "residual [mm]": found.values[0],
+        "sigma [mm]": found.sigma[0],
         "normalised": found.normalised[0],
-        **reliability(solved.solution, solved.group, found, solved.critical, noise_of_tests(solved.solution)),
     }
-    when = condition_columns(observations)
-    in_mm = dict.fromkeys(("reading", "residual", "sigma", *RELIABILITY_UNITS), "mm")
-    return Table({**columns, **when}, in_mm | units_of(when))
+    noise = noise_of_tests(solved.solution)
+    more = reliability(solved.solution, solved.group, found, solved.critical, noise)
+    return Table.of({**keys, **numbers, **more, **condition_columns(observations)})
 
 
 def _rejected(solved: Solved) -> Table:
     observations = solved.whole.lengths.observations
     chosen = sorted(solved.rejected, key=lambda one: one.row)
     rows = [one.row for one in chosen]
-    return Table(
-        {
-            **{key: np.array([values[i] for i in rows], dtype=str) for key, values in observations.keys.items()},
-            "reading": observations.readings[0, rows],
-            "w": np.array([one.test for one in chosen], dtype=float),
-            "reason": np.array([str(one.reason) for one in chosen], dtype=str),
-        },
-        {"reading": "mm"},
-    )
+    keys = {f"{key} [text]": [values[row] for row in rows] for key, values in observations.keys.items()}
+    tests = {"w": [one.test for one in chosen], "reason [text]": [str(one.reason) for one in chosen]}
+    return Table.of({**keys, "reading [mm]": observations.readings[0, rows], **tests})
 
 
 def _suspects(solved: Solved) -> Table:
     found, keys = solved.suspects, solved.whole.lengths.observations.keys
     times = [keys[TIME][one.rows[0]] if one.tracer else "" for one in found] if TIME in keys else []
-    return Table(
+    return Table.of(
         {
-            "point": np.array([one.point for one in found], dtype=str),
-            "tracer": np.array([one.tracer or "ambiguous" for one in found], dtype=str),
-            **({TIME: np.array(times, dtype=str)} if times else {}),
-            "or": np.array([" ".join(one.others) for one in found], dtype=str),
-            "w": np.array([one.test for one in found], dtype=float),
+            "point [text]": [one.point for one in found],
+            "tracer [text]": [one.tracer or "ambiguous" for one in found],
+            **({TIME: times} if times else {}),
+            "or [text]": [" ".join(one.others) for one in found],
+            "w": [one.test for one in found],
         }
     )
 

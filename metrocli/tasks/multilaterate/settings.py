@@ -2,90 +2,70 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import Any
 
 from metrocli.frozen import dataclass
 from metrocli.settings import At, Choice, Either, MapOf, Placed, Quantity, Section, TableFile, setting
-from metrocli.table import ABSENT, TEXT, Column, Columns, Table
+from metrocli.settings.sections import content, inputs_of
+from metrocli.table import ABSENT, Columns, Table, columns
 from metrocli.tasks.shared.environment import WEATHER, Environment
 from metrocli.tasks.shared.figures import adjusted
-from metrocli.tasks.shared.known_places import SIGMAS
 from metrocli.tasks.shared.lengths import LengthNoise, Scale
+from metrocli.tasks.shared.lists import SIGMAS
 from metrocli.tasks.shared.part import FIGURES, Part
 
 SHAPES = ("line", "plane", "circle", "sphere", "cylinder", "cone")
-_PLACE = tuple(Column(axis, "length") for axis in "xyz")
 LENGTHS = Columns(
-    (
-        Column("point", TEXT),
-        Column("tracer", TEXT),
-        Column("length", "length"),
-        Column("t", "time", required=False),
-        Column("temp", "temperature", required=False),
-        *WEATHER,
-    ),
+    (*columns("point tracer [text]", "length [length]", "t? [time]", "temp? [temperature]"), *WEATHER),
     ("point", "tracer", "t"),
     "lengths read by the tracers",
     measured=("length",),
     alike=("tracer",),
 )
 POINTS = Columns(
-    (Column("point", TEXT), *_PLACE, *SIGMAS, Column("tip", TEXT, required=False)),
+    (*columns("point [text]", "x y z [length]"), *SIGMAS, *columns("tip? [text]")),
     ("point",),
     "approximate points: the mover's readings",
 )
 TRACERS = Columns(
-    (Column("tracer", TEXT), *_PLACE, Column("dead_path", "length", required=False, may_be_empty=True), *SIGMAS),
+    (*columns("tracer [text]", "x y z [length]", "dead_path?* [length]"), *SIGMAS),
     ("tracer",),
     "approximate places of the tracers",
 )
 CANDIDATES = Columns(
-    (Column("candidate", TEXT), *_PLACE), ("candidate",), "places where one more tracer could stand, for `plan`"
+    columns("candidate [text]", "x y z [length]"),
+    ("candidate",),
+    "places where one more tracer could stand, for `plan`",
 )
 PROBING = Columns(
-    (
-        Column("feature", TEXT),
-        Column("point", TEXT, may_be_empty=True),
-        Column("tip", TEXT, required=False),
-        *_PLACE,
-    ),
+    columns("feature point* tip? [text]", "x y z [length]"),
     (),
     "the mover's readings on the workpiece",
 )
-TIPS = Columns((Column("tip", TEXT), *_PLACE, *SIGMAS), ("tip",), "probe tips, from the mover's reference point")
+TIPS = Columns(
+    (*columns("tip [text]", "x y z [length]"), *SIGMAS), ("tip",), "probe tips, from the mover's reference point"
+)
 DISTANCES = Columns(
-    (Column("from", TEXT), Column("to", TEXT), Column("length", "length"), Column("sigma", "length")),
+    columns("from to [text]", "length sigma [length]"),
     ("from", "to"),
     "calibrated distances between points",
 )
 
 
 @dataclass(frozen=True)
-class Inputs:
+class Files:
     """The lengths that the tracers read, and the mover's readings of the points."""
 
-    lengths: Path = setting(TableFile(LENGTHS), "lengths read by the tracers")
-    points: Path = setting(TableFile(POINTS), "approximate points: the mover's readings")
-    tracers: Path | None = setting(TableFile(TRACERS), "approximate places of the tracers", default=None)
-    probing: Path | None = setting(TableFile(PROBING), "the mover's readings on the workpiece", default=None)
-    tips: Path | None = setting(TableFile(TIPS), "probe tips, from the mover's reference point", default=None)
-    distances: Path | None = setting(TableFile(DISTANCES), "calibrated distances between points", default=None)
-    candidates: Path | None = setting(
-        TableFile(CANDIDATES), "places where one more tracer could stand, for `plan`", default=None
-    )
+    lengths: Table = content(TableFile(LENGTHS), default=ABSENT)
+    points: Table = content(TableFile(POINTS), default=ABSENT)
+    tracers: Table | None = content(TableFile(TRACERS), needed=False)
+    probing: Table | None = content(TableFile(PROBING), needed=False)
+    tips: Table | None = content(TableFile(TIPS), needed=False)
+    distances: Table | None = content(TableFile(DISTANCES), needed=False)
+    candidates: Table | None = content(TableFile(CANDIDATES), needed=False)
 
 
-@dataclass(frozen=True)
-class Files:
-    """Contents of the inputs; the lengths are absent before the measurement."""
-
-    lengths: Table = ABSENT
-    points: Table = ABSENT
-    tracers: Table | None = None
-    probing: Table | None = None
-    tips: Table | None = None
-    distances: Table | None = None
-    candidates: Table | None = None
+Inputs = inputs_of(Files)
 
 
 @dataclass(frozen=True)
@@ -133,7 +113,7 @@ class Feature:
 class Settings:
     """Find reflector positions from lengths, with the tracers' places, dead paths and scales (multilateration)."""
 
-    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    inputs: Any = setting(Section(Inputs), "the files of the job")
     noise: LengthNoise = setting(Section(LengthNoise), "standard deviation of a length")
     measures: str = setting(
         Choice("changes", "absolute"), "interferometer (dead paths unknown) or absolute distance", default="changes"

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array
 from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
 from metrocli.effects.model import Model, Place
@@ -20,17 +19,11 @@ from metrocli.simulation import Simulation
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.layout import Planned
 from metrocli.tasks.multilaterate.problem import LENGTHS
-from metrocli.tasks.multilaterate.readings import matched
 from metrocli.tasks.multilaterate.settings import LengthSimulation, Settings
 from metrocli.tasks.shared.environment import Air, air_of
-from metrocli.tasks.shared.known_places import listed_places
 from metrocli.tasks.shared.lengths import LengthNoise, PathNoise, shared_at_stops, stops_of
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
-
-
-_UNITS = {"length": "mm", "t": "s", "temp": "degC", "pressure": "hPa", "humidity": "percent"}
+from metrocli.tasks.shared.lists import listed_places, matched
+from metrocli.tasks.shared.statistics import CONDITIONS, heading
 
 
 def simulated(
@@ -66,11 +59,11 @@ def simulated(
     reading = reading + _returns(settings.noise, observations, actual, places, rng)
     reading = reading if air is None else reading / air.towards
     said = places + rng.normal(0.0, 1.0, places.shape) * truth.tracer_error
-    columns: dict[str, Values] = {"point": design.columns["point"], "tracer": design.columns["tracer"]}
-    columns |= {"length": reading} | design.conditions(*_UNITS)
+    when = {heading(name): one for name, one in design.conditions(*CONDITIONS).items()}
+    lengths = Table.of({**{name: design.columns[name] for name in ("point", "tracer")}, "length [mm]": reading, **when})
     names = planned.tracers.texts("tracer")
     files = {
-        "lengths.csv": Table(columns, {name: unit for name, unit in _UNITS.items() if name in columns}),
+        "lengths.csv": lengths,
         "tracers.csv": listed_places("tracer", names, said),
         "true_points.csv": listed_places("point", planned.points.texts("point"), actual),
     }

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.adjustment import covariance_at
-from metrocli.adjust.iterated_weights import adjust_with_iterated_weights
 from metrocli.adjust.medians import median
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Mask
 from metrocli.adjust.robust import as_likely, critical_value
+from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
+from metrocli.arrays import Array, Mask
 from metrocli.effects.estimates import absorbed
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
@@ -24,15 +24,16 @@ from metrocli.tasks.multilaterate.blunders import (
     Rejected,
     brought_back,
     far_off,
-    most_wrong,
     not_converged,
     quick_start,
+    too_few,
+    unchecked,
     undisturbed_start,
 )
 from metrocli.tasks.multilaterate.layout_faults import carries, explained
 from metrocli.tasks.multilaterate.problem import LENGTHS, Network
-from metrocli.tasks.shared.lengths import settled
-from metrocli.tasks.shared.pairs import name_of
+from metrocli.tasks.shared.lengths import with_repeatability
+from metrocli.tasks.shared.lists import name_of
 
 _EQUAL = 1e-4
 """Tests of a point that differ by less than this share are equal"""
@@ -51,8 +52,6 @@ _NO_PLACES = (
 _PLACES = "lengths, points and tracers do not belong together (units, axes, names)"
 _DELAY = ", or all lengths share a large error, such as a delay: `effects: [{name: length-offset}]` estimates it"
 """Why points are far from their list: with and without listed places of all tracers, and if lengths are absolute"""
-_ROUNDS = 30
-"""Largest number of adjustments while outliers are removed"""
 _POINTS_NEAR, _TRACERS_NEAR = 0.02, 0.5
 """Plausible deviations of points and tracers from their lists, as shares of the measured volume"""
 _NOISY = 3.0
@@ -97,6 +96,11 @@ class Solved:
         return next(group for group in self.solution.groups if group.name == LENGTHS)
 
     @property
+    def read(self) -> tuple[Residuals, ...]:
+        """The residuals of all readings."""
+        return (self.residuals,)
+
+    @property
     def astray(self) -> float:
         """How far points and tracers lie from their lists, relative to the plausible deviation.
 
@@ -119,7 +123,7 @@ def solve(network: Network, remove: bool) -> Solved:
     Raises UndeterminedError if the layout does not determine the points, NotConvergedError if the adjustment does not
     converge or converges far from the mover's readings.
     """
-    out = _too_few(network) if remove else {}
+    out = too_few(network) if remove else {}
     start = network.only(_kept(network, out))
     groups = [start.lengths, *start.others]
     if network.effects:
@@ -128,20 +132,25 @@ def solve(network: Network, remove: bool) -> Solved:
     if len(network.nominal) <= _SMALL_ENOUGH:
         _must_carry(start, covariance_at(state.values(), groups, start.datum))
     gross = far_off(network, state) if remove else {}
-    state = brought_back(network, state, gross)
-    out, back = gross | out, bool(gross)
-    for _ in range(_ROUNDS):
-        solved = _adjusted(network, state, out)
-        state = dict(solved.solution.blocks)
-        worst = _worst(solved) if remove else {}
-        if back and not worst:
-            out, back = _without_innocent(solved, out), False
-            continue
-        more = worst or (_doubtful(solved) if out else {})
-        if not more:
-            break
-        out |= more
-    return solved
+    begun = _Using(brought_back(network, state, gross), gross | out, bool(gross))
+
+    def fewer(used: _Using, solved: Solved) -> tuple[_Using, bool]:
+        state, worst = solved.solution.blocks, _worst(solved) if remove else {}
+        if used.back and not worst:
+            return _Using(state, _without_innocent(solved, used.out), False), True
+        more = worst or (_doubtful(solved) if used.out else {})
+        return _Using(state, used.out | more, used.back), bool(more)
+
+    return in_rounds(begun, lambda used: _adjusted(network, used.state, used.out), fewer)[1]
+
+
+@dataclass(frozen=True)
+class _Using:
+    """Values to start from, the lengths to leave out, and whether some of these may fit and come back."""
+
+    state: Mapping[str, Block]
+    out: dict[int, Rejected]
+    back: bool
 
 
 def refitted(network: Network, keep: Mask) -> Solution:
@@ -151,11 +160,11 @@ def refitted(network: Network, keep: Mask) -> Solution:
 
 def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejected]) -> Solved:
     keep = _kept(network, out)
-    lost = _unchecked(network, keep) & keep
+    lost = unchecked(network, keep) & keep
     keep &= ~lost
     used = network.only(keep)
     blocks = {name: replace(block, free=used.blocks[name].free) for name, block in state.items()}
-    used, solution = settled(used.with_blocks(blocks), _weighted, LENGTHS)
+    used, solution = with_repeatability(used.with_blocks(blocks), _weighted, LENGTHS)
     network = replace(network, noise=used.noise)
     _must_carry(used, solution)
     if not solution.outcome.good:
@@ -180,12 +189,6 @@ def _kept(network: Network, out: Mapping[int, Rejected]) -> Mask:
     keep = np.ones(network.lengths.observations.count, dtype=bool)
     keep[list(out)] = False
     return keep
-
-
-def _too_few(network: Network) -> dict[int, Rejected]:
-    """Return the lengths of points that fewer than three tracers read."""
-    few = ((network.seen < 3) & network.unknown)[network.lengths.observations.index[t.POINT]]
-    return {int(row): Rejected(int(row), float("nan"), Reason.FEW_TRACERS) for row in np.flatnonzero(few)}
 
 
 def _must_carry(network: Network, solution: Solution) -> None:
@@ -213,14 +216,6 @@ def _must_be_near(network: Network, solution: Solution) -> None:
 def _noise_of(network: Network) -> float:
     """Return how far noise alone may move points of a network [mm]."""
     return _NOISY * float(median(network.lengths.observations.deviations.ravel()))
-
-
-def _unchecked(network: Network, keep: Mask) -> Mask:
-    """Return which lengths belong to points that lost so many that the others cannot be trusted, (n,)."""
-    point = network.lengths.observations.index[t.POINT]
-    lost = network.seen - np.bincount(point, keep, minlength=len(network.nominal))
-    gone = (lost > most_wrong(network.seen)) & network.unknown
-    return np.asarray(gone[point])
 
 
 def _doubtful(solved: Solved) -> dict[int, Rejected]:

@@ -10,7 +10,8 @@ from metrocli import units
 from metrocli.adjust.solution import Solution
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.problem import DISTANCES, Network
+from metrocli.tasks.multilaterate.problem import Network
+from metrocli.tasks.multilaterate.readings import DISTANCES
 from metrocli.tasks.shared.part import Part, taken_as_exact
 from metrocli.tasks.shared.uncontrolled import AIR, AIR_WORDS, ASSUMED, ASSUMED_CONTROL, Hidden, table_of
 

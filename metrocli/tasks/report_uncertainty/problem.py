@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,15 +20,13 @@ from metrocli.settings import Placed
 from metrocli.table import Table
 from metrocli.tasks.report_uncertainty import correlations
 from metrocli.tasks.report_uncertainty import decisions as uncertainty_decisions
-from metrocli.tasks.report_uncertainty.copied_readings import repeated
+from metrocli.tasks.report_uncertainty.correlations import repeated
+from metrocli.tasks.report_uncertainty.entries import Entries
 from metrocli.tasks.report_uncertainty.quantity import column_of, quantity, unit_of
-from metrocli.tasks.report_uncertainty.sources import identity, shared
+from metrocli.tasks.report_uncertainty.values import identity, shared
 from metrocli.uncertainty.distributions import Normal, Sampled
 from metrocli.uncertainty.inputs import Block, Inputs, NotSemiDefiniteError, Quantity, join
 from metrocli.words import suggestion
-
-if TYPE_CHECKING:
-    from metrocli.tasks.report_uncertainty.entries import Entries
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 

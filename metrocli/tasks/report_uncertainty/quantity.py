@@ -28,6 +28,7 @@ from metrocli.uncertainty.distributions import (
     Uniform,
 )
 from metrocli.uncertainty.inputs import Quantity
+from metrocli.words import suggestion
 
 _OTHER_NAMES = {"rectangular": "uniform", "U": "arcsine", "poisson": "counts"}
 _WIDTHS = {"uniform": math.sqrt(3), "triangular": math.sqrt(6), "arcsine": math.sqrt(2)}
@@ -195,8 +196,6 @@ def _from_table(name: str, given: Given, table: Table | None) -> Quantity:
 
 def column_of(given: Given, table: Table) -> str:
     """Return the column of a quantity: the one it names, or the only column of numbers."""
-    from metrocli.words import suggestion
-
     numeric = [column for column in table if table.columns[column].dtype.kind == "f"]
     if given.column is None:
         if len(numeric) == 1:

@@ -192,25 +192,11 @@ def _budget(found: Found, measurands: Sequence[_Measurand]) -> Table:
                 measurand.name, item.name, item.value / scale, item.std / scale, item.unit.text, shape,
                 linear.sensitivities[i] * scale / factor, linear.contributions[i] / factor, share, item.dof,
             ))  # fmt: skip
-    names = (
-        "measurand",
-        "contributor",
-        "value",
-        "std",
-        "unit",
-        "distribution",
-        "sensitivity",
-        "contribution",
-        "share",
-        "dof",
-    )
-    texts = {"measurand", "contributor", "unit", "distribution"}
-    columns = list(zip(*rows, strict=True)) or [()] * len(names)
-    kinds = {name: np.str_ if name in texts else float for name in names}
-    return Table(
-        {name: np.array(column, dtype=kinds[name]) for name, column in zip(names, columns, strict=True)},
-        {"share": "percent"},
-    )
+    headings = (
+        "measurand [text]", "contributor [text]", "value", "std", "unit [text]", "distribution [text]", "sensitivity",
+        "contribution", "share [percent]", "dof",
+    )  # fmt: skip
+    return Table.of_rows(headings, rows)
 
 
 def _share(linear: Linear, along: Any, i: int) -> float:

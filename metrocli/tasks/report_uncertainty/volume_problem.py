@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.errors import Fault, InputError
 from metrocli.expressions.derivatives import NoValueError
 from metrocli.expressions.dimensions import compound, described, unit_of
@@ -18,14 +17,11 @@ from metrocli.frozen import dataclass
 from metrocli.geometry.poses import EULER
 from metrocli.result import Result
 from metrocli.settings import Placed
-from metrocli.tasks.report_uncertainty.sources import contributors, identity, shared
+from metrocli.tasks.report_uncertainty.entries import Contributor, Entries
+from metrocli.tasks.report_uncertainty.values import contributors, identity, shared
 from metrocli.uncertainty.volume import AXES, Contribution, grid, of_models, of_pose
 from metrocli.words import suggestion
 
-if TYPE_CHECKING:
-    from metrocli.tasks.report_uncertainty.entries import Contributor, Entries
-
-Array = npt.NDArray[np.float64]
 PLACES = ("X", "Y", "Z")
 """Names of a point's coordinates in the models of contributors"""
 

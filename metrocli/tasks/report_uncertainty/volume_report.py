@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.expressions.dimensions import converted
 from metrocli.expressions.expression import Expression, parse
 from metrocli.frozen import dataclass
@@ -33,7 +33,6 @@ from metrocli.uncertainty.volume import AXES, Contribution, Extremes, by_source,
 from metrocli.uncertainty.workers import Workers
 from metrocli.units import two_digits
 
-Array = npt.NDArray[np.float64]
 PLAIN = (
     "k",
     "dof",
@@ -173,22 +172,20 @@ def _tables(problem: VolumeProblem, found: Extremes, axes: list[_Axis], settings
         "contribution",
         "share",
     )
-    columns = {name: np.array(column) for name, column in zip((*names, "dof"), zip(*rows, strict=True), strict=True)}
-    lengths = dict.fromkeys(("value", "std", "contribution"), "mm")
-    columns_of_map = dict(zip("xyz", problem.points.T, strict=True))
-    columns_of_map |= {f"u_{name}": column for name, column in zip("xyz", found.each.T, strict=True)}
+    units = dict.fromkeys(("value", "std", "contribution"), " [mm]") | {"share": " [percent]"}
     maxima = {
-        "axis": np.array([axis.name for axis in axes]),
-        "u": np.array([axis.std for axis in axes]),
-        "U": np.array([axis.k * axis.std for axis in axes]),
-        "u_pointwise": np.array([axis.pointwise for axis in axes]),
-        "U_pointwise": np.array([axis.k * axis.pointwise for axis in axes]),
-    } | {name: np.array([axis.place[n] for axis in axes]) for n, name in enumerate(AXES)}
+        "axis": [axis.name for axis in axes],
+        "u [mm]": [axis.std for axis in axes],
+        "U [mm]": [axis.k * axis.std for axis in axes],
+        "u_pointwise [mm]": [axis.pointwise for axis in axes],
+        "U_pointwise [mm]": [axis.k * axis.pointwise for axis in axes],
+        "x y z [mm]": [axis.place for axis in axes],
+    }
     return {
         "sources": _sources(settings),
-        "budget": Table(columns, lengths | {"share": "percent"}),
-        "map": Table(columns_of_map, dict.fromkeys(columns_of_map, "mm")),
-        "maxima": Table(maxima, dict.fromkeys([name for name in maxima if name != "axis"], "mm")),
+        "budget": Table.of_rows([name + units.get(name, "") for name in (*names, "dof")], rows),
+        "map": Table.of({"x y z [mm]": problem.points, "u_x u_y u_z [mm]": found.each}),
+        "maxima": Table.of(maxima),
     }
 
 
@@ -196,8 +193,7 @@ def _sources(settings: Entries) -> Table:
     """Return the sources that each contributor contains, so that a job that uses this result can detect duplicates."""
     given = [placed.value for placed in settings.contributors]
     rows = [(label, item.name) for item in given for label in (item.name, item.source, *item.includes) if label]
-    labels, names = zip(*rows, strict=True)
-    return Table({"source": np.array(labels), "contributor": np.array(names)})
+    return Table.of_rows(("source", "contributor"), rows)
 
 
 def _warnings(details: Mapping[str, Mapping[str, Any]]) -> list[str]:

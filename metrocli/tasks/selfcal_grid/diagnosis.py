@@ -1,27 +1,30 @@
-"""The adjusted self-calibration in the form that diagnosis works on."""
+"""The adjusted self-calibration in the form that diagnosis works on, and what readings of a view share."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.coupled_fields import adjust_fields
-from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.clusters.robust import MOST, growth, must_be_few, must_suffice
+from metrocli.adjust.clusters.rows import rows_of_table
+from metrocli.adjust.clusters.sample import Sample
+from metrocli.adjust.coupled_fields import CorrelatedDesign, FieldSolution, adjust_fields
 from metrocli.adjust.model.chain import Chain
-from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
+from metrocli.frozen import dataclass
 from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.selfcal_grid import KIND
 from metrocli.tasks.selfcal_grid.effects import EFFECTS
 from metrocli.tasks.selfcal_grid.problem import READINGS, Problem
 from metrocli.tasks.selfcal_grid.solve import Solved
-from metrocli.tasks.selfcal_grid.structure import sharing
+from metrocli.tasks.shared.noise import Structured, count, in_blocks
 
 FOLDS = 10
 _FEWEST = 4
@@ -118,3 +121,78 @@ def folds(ball: Index, view: Index) -> Index:
     A ball with at most ten readings loses no more than one of them to each part.
     """
     return np.asarray((7 * ball + 3 * view + ball // FOLDS) % FOLDS)
+
+
+_OVER = "blocks of successive balls"
+
+
+@dataclass(frozen=True)
+class _Robust:
+    """The covariance of fields over clusters."""
+
+    sample: Sample
+    design: CorrelatedDesign
+    white: Array
+    """Variances of all unknowns for independent errors, (unknowns,)"""
+
+    @property
+    def clusters(self) -> int:
+        """Number of clusters."""
+        return len(self.sample.clusters)
+
+    def inflation(self, names: Sequence[str]) -> float:
+        """Return the root mean square growth of the standard uncertainties of blocks."""
+        columns = self._columns(names)
+        return growth(np.diag(self.design.matrix)[columns], self.white[columns])
+
+    def dof(self, names: Sequence[str]) -> Array:
+        """Return the degrees of freedom (k,) of the variances of the free entries of blocks."""
+        return self.sample.dof(self._columns(names))
+
+    def _columns(self, names: Sequence[str]) -> Index:
+        found = np.concatenate([self.design.partition.columns[name].ravel() for name in names])
+        return np.asarray(found[found >= 0])
+
+
+def with_structure(solved: Solved) -> tuple[Solved, Structured]:
+    """Return the adjustment with the covariance that lets successive readings of a view share errors.
+
+    Raises UndeterminedError for too few readings, and InputError for more unknowns than fit into one table.
+    """
+    from scipy.sparse import eye_array
+
+    design, groups = solved.design, solved.solution.groups
+    must_be_few(design.partition.width)
+    cluster = clusters_of(solved)
+    must_suffice(count(cluster), _OVER)
+    white = design.covariance(eye_array(design.partition.width, format="csr"))
+    residual = [group.observations.whitened(group.residuals(solved.solution.blocks)) for group in groups]
+    # a reading has its components one after the other: all of x, all of y, all of z
+    of_rows = [np.tile(cluster, len(residual[0])), *(np.full(part.size, -1) for part in residual[1:])]
+    rows = rows_of_table(design.jacobian, np.concatenate([part.ravel() for part in residual]), np.concatenate(of_rows))
+    sample = Sample.of(white, rows, rows.common, solved.solution.dof)
+    found = CorrelatedDesign(
+        design.partition, design.jacobian, design.reduction, design.constraint, sample.covariance()
+    )
+    estimates = (bg.VIEW, *(one.block for one in solved.problem.effects))
+    robust = _Robust(sample, found, np.diag(white))
+    structured = Structured(robust, (bg.MACHINE,), estimates, _OVER)
+    return replace(solved, found=FieldSolution(solved.solution, found)), structured
+
+
+def sharing(solved: Solved) -> int:
+    """Return the number of blocks whose readings may share errors; 0 if the fields are too large for one table."""
+    return count(clusters_of(solved)) if solved.design.partition.width <= MOST else 0
+
+
+def clusters_of(solved: Solved) -> Index:
+    """Return the block of successive readings of one view of each reading, (n,); by time, else in the file's order."""
+    observations = solved.problem.readings.observations
+    view = observations.index[bg.VIEW]
+    order = observations.conditions.get("t", np.arange(observations.count, dtype=float))
+    found, first = np.zeros(observations.count, dtype=np.intp), 0
+    for one in np.unique(view).tolist():
+        mine = np.flatnonzero(view == one)
+        found[mine] = first + in_blocks(order[mine])
+        first = int(found[mine].max()) + 1
+    return found

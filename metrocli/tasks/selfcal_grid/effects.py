@@ -6,15 +6,10 @@ from dataclasses import replace
 
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.acting import Acting, commanded, point, seen_from
-from metrocli.effects.effect import ELAPSED, Effect, Parameter, change_points
+from metrocli.effects.effect import ELAPSED, Effect, Parameter, change_points, sizes
 from metrocli.effects.links.balls import BallShift, Bending, Growth, ReadingDrift, ReadingScale, ReadingStep
-from metrocli.units import parse_quantity
 
 AXES = ("x", "y", "z")
-
-
-def _size(name: str, dimension: str, plausible: str) -> Parameter:
-    return Parameter(name, dimension, parse_quantity(plausible, dimension))
 
 
 _PLACES = ("view", "ball", "axis")
@@ -37,7 +32,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "artefact-expansion",
         "the artefact is warmer or colder in one view than in the first",
-        (_size("scale", "ratio", "50 ppm"),),
+        sizes("scale", "ratio", "50 ppm"),
         lambda block, where: Growth(block),
         where=("view",),
         not_first=("view",),
@@ -49,7 +44,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "artefact-bending",
         "the artefact bends under its own weight or its clamps in one view",
-        (_size("b", "curvature", "1e-6 1/mm"),),
+        sizes("b", "curvature", "1e-6 1/mm"),
         lambda block, where: Bending(block),
         where=("view",),
         confused_with=("artefact-expansion", "axis-expansion"),
@@ -60,7 +55,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "drift-in-view",
         "machine and artefact move against each other while one view is measured",
-        tuple(_size(name, "speed", "20 um/h") for name in ("vx", "vy", "vz")),
+        sizes("vx vy vz", "speed", "20 um/h"),
         lambda block, where: ReadingDrift(block, ELAPSED),
         where=("view",),
         needs=("t",),
@@ -72,7 +67,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "reseated-artefact",
         "the artefact was knocked or seated anew in the middle of one view",
-        tuple(_size(name, "length", "0.1 mm") for name in ("dx", "dy", "dz")),
+        sizes("dx dy dz", "length", "0.1 mm"),
         lambda block, where: ReadingStep(block),
         where=("view",),
         scanned=(Parameter("at", "time", grid=change_points),),
@@ -85,7 +80,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "moved-ball",
         "one ball came loose and sits elsewhere from one view on",
-        tuple(_size(name, "length", "0.1 mm") for name in ("dx", "dy", "dz")),
+        sizes("dx dy dz", "length", "0.1 mm"),
         lambda block, where: BallShift(block),
         where=("ball",),
         scanned=(Parameter("from_view", place="view"),),
@@ -97,7 +92,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "axis-expansion",
         "the scale of one axis of the machine is warmer or colder in one view",
-        (_size("scale", "ratio", "50 ppm"),),
+        sizes("scale", "ratio", "50 ppm"),
         lambda block, where: ReadingScale(block, AXES.index(where["axis"])),
         where=("view", "axis"),
         confused_with=("artefact-expansion", "artefact-bending", "drift-in-view"),

@@ -7,16 +7,17 @@ combines the misfit and the uncertainty of the measurement.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import product
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
-from metrocli.errors import InputError
+from metrocli import units
+from metrocli.arrays import Array, Index, Mask
+from metrocli.errors import InputError, UsageError
 from metrocli.frozen import dataclass
 from metrocli.instruments.ball_grid import numbers_at
+from metrocli.result import Estimate, Result
 from metrocli.table import Table
 
 _DEGREES = 6
@@ -159,15 +160,13 @@ def error_map(points: Table, field: SiteErrors, covariance: Covariance, form: Sm
     value, std = _trilinear_errors((at, weights), field, covariance)
     bend = _bend(field)[np.maximum(at, 0)].max(axis=1) / np.sqrt(3)
     inner = (np.abs(weights).max(axis=1) < 1 - 1e-9)[:, None]
-    columns = {"point": np.array(points.texts("point"))} | {axis: places[:, n] for n, axis in enumerate("xyz")}
-    columns |= {f"e{axis}": value[:, n] for n, axis in enumerate("xyz")}
     total = np.sqrt(std**2 + np.where(inner, bend, 0.0) ** 2)
-    columns |= {f"s_e{axis}": total[:, n] for n, axis in enumerate("xyz")}
+    columns = {"point": points.texts("point"), "x y z [mm]": places}
+    columns |= {"ex ey ez [mm]": value, "s_ex s_ey s_ez [mm]": total}
     if form is not None:
-        smoothed, spread_of = form.at(places)
-        columns |= {f"smooth_e{axis}": smoothed[:, n] for n, axis in enumerate("xyz")}
-        columns |= {f"s_smooth_e{axis}": spread_of[:, n] for n, axis in enumerate("xyz")}
-    return Table(columns, {name: "mm" for name in columns if name != "point"})
+        smoothed, spread = form.at(places)
+        columns |= {"smooth_ex smooth_ey smooth_ez [mm]": smoothed, "s_smooth_ex s_smooth_ey s_smooth_ez [mm]": spread}
+    return Table.of(columns)
 
 
 def _trilinear_errors(corners: tuple[Index, Array], field: SiteErrors, covariance: Covariance) -> tuple[Array, Array]:
@@ -194,3 +193,50 @@ def _bend(field: SiteErrors) -> Array:
         noise = variance[after[both]] + 4 * variance[both] + variance[before[both]]
         total[both] += np.sqrt(np.maximum(second**2 - noise, 0.0)) / 8
     return total
+
+
+def error_at(result: Result, place: Sequence[str]) -> tuple[Estimate, ...]:
+    """Return the machine error at x, y, z, trilinear and by the smooth form, with standard uncertainties.
+
+    If the result holds no covariance of the sites, the sites count as fully correlated, which gives the largest
+    uncertainty that is possible. Raises UsageError if the result has no machine error, a coordinate is not a length, or
+    the point is not between measured sites.
+    """
+    if "machine_error" not in result.tables:
+        raise UsageError(f"the result of {result.kind} has no machine error")
+    try:
+        point = [units.parse_quantity(text, "length") for text in place]
+    except units.QuantityError as error:
+        raise UsageError(f"--at: {error.message}; {error.hint}") from error
+    table = result.tables["machine_error"]
+    sites = np.asarray(np.rint(table.stacked("ijk")), dtype=np.intp)
+    values, std = (table.stacked([f"{s}e{axis}" for axis in "xyz"]) for s in ("", "s_"))
+    field = SiteErrors(sites, float(result.arrays["pitch"][0]), values, std)
+    points = Table.of({"point": ["here"], "x y z": [point]})
+    try:
+        found = error_map(points, field, lambda weights: _covariance(result, weights), _smooth(result))
+    except InputError as error:
+        raise UsageError(f"--at: the point is not between measured sites ({error.faults[0].hint})") from error
+    names = [name for name in found if name[0] == "e" or name.startswith("smooth")]
+    return tuple(
+        Estimate(name, float(found.numbers(name)[0]), float(found.numbers(f"s_{name}")[0]), "mm") for name in names
+    )
+
+
+def _covariance(result: Result, weights: Array) -> Array:
+    whole = result.arrays.get("machine_error_covariance")
+    if whole is None:
+        std = result.tables["machine_error"].stacked(["s_ex", "s_ey", "s_ez"])
+        bound = np.abs(weights) @ np.where(np.isfinite(std), std, 0.0)
+        return np.asarray(np.einsum("nc,mc->cnm", bound, bound))
+    sites = weights.shape[1]
+    parts = whole.reshape(sites, 3, sites, 3)
+    return np.stack([weights @ parts[:, c, :, c] @ weights.T for c in range(3)])
+
+
+def _smooth(result: Result) -> Smooth | None:
+    arrays = {name.partition("/")[2]: values for name, values in result.arrays.items() if name.startswith("smooth/")}
+    if not arrays:
+        return None
+    kept = ("centre", "half", "coefficients", "covariance", "misfit")
+    return Smooth(round(float(arrays["degree"][0])), *(arrays[name] for name in kept))

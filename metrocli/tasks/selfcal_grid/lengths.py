@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.table import Table
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _MOST = 1400
 """Largest number of sites of which all pairs are calculated"""
@@ -77,11 +71,12 @@ def _by_length(length: Array, error: Array) -> Table:
     np.maximum.at(largest, at, np.abs(error))
     square = np.bincount(at, error**2, minlength=_BINS)
     used = count > 0
-    columns: dict[str, Values] = {
-        "from_length": edges[:-1][used],
-        "to_length": edges[1:][used],
-        "lengths": count[used],
-        "largest_error": largest[used],
-        "rms_error": np.sqrt(square[used] / count[used]),
-    }
-    return Table(columns, {name: "mm" for name in columns if name != "lengths"})
+    return Table.of(
+        {
+            "from_length [mm]": edges[:-1][used],
+            "to_length [mm]": edges[1:][used],
+            "lengths": count[used],
+            "largest_error [mm]": largest[used],
+            "rms_error [mm]": np.sqrt(square[used] / count[used]),
+        }
+    )

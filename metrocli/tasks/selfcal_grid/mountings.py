@@ -12,8 +12,7 @@ from itertools import permutations, product
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments.ball_grid import View

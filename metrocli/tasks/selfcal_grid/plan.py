@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Index
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments import ball_grid as bg
@@ -21,9 +20,6 @@ from metrocli.tasks.selfcal_grid.readings import Readings
 from metrocli.tasks.selfcal_grid.settings import Settings, turn_in_words
 from metrocli.tasks.selfcal_grid.simulation import balls_on, views_on_the_grid
 from metrocli.tasks.selfcal_grid.solve import design
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _TRIED = 5
 """Largest number of balls per side of the grid on which sets of views are compared; noise gains hardly depend on it"""
@@ -56,10 +52,9 @@ class _Given:
         ends = [np.clip(self.lengths.stacked(one), -half, half) for one in names]
         length = np.linalg.norm(ends[0] - ends[1], axis=1) * self.settings.grid.pitch
         kept = length > 0
-        columns: dict[str, Values] = {"length": length[kept], "sigma": self.lengths.numbers("sigma")[kept]}
-        for one, end in zip(names, ends, strict=True):
-            columns |= {name: end[kept, n] for n, name in enumerate(one)}
-        return Table(columns) if kept.any() else None
+        known = {"length": length[kept], "sigma": self.lengths.numbers("sigma")[kept]}
+        of = {" ".join(one): end[kept] for one, end in zip(names, ends, strict=True)}
+        return Table.of({**known, **of}) if kept.any() else None
 
 
 def plan(settings: Settings, lengths: Table | None = None) -> Plan:
@@ -116,21 +111,18 @@ def _problem(views: Sequence[bg.View], half: Index, given: _Given) -> Problem:
     values = [view.sites(one) * settings.grid.pitch for view, one in zip(views, each, strict=True)]
     count = [len(one) for one in each]
     ball = np.concatenate(each)
-    columns: dict[str, Values] = {"view": np.repeat(np.array([view.name for view in views]), count)}
-    columns |= {name: ball[:, n] for n, name in enumerate("ijk")}
+    table = Table.of({"view": np.repeat([view.name for view in views], count), "i j k": ball})
     view = np.repeat(np.arange(len(views)), count)
-    readings = Readings(tuple(views), view, ball, np.concatenate(values), Table(columns))
+    readings = Readings(tuple(views), view, ball, np.concatenate(values), table)
     return build(readings, (half, settings.grid.pitch), settings.declared, given.lengths_on(half))
 
 
 def _table(rows: Sequence[tuple[str, _Worth | None]]) -> Table:
-    columns: dict[str, Values] = {
-        "views": np.array([words for words, _ in rows]),
-        "undetermined": np.array([str(worth.found.count) if worth else "more" for _, worth in rows]),
-        "noise_gain": np.array([worth.gain if worth else np.inf for _, worth in rows]),
-        "largest_gain": np.array([worth.largest if worth else np.inf for _, worth in rows]),
-    }
-    return Table(columns)
+    found = [
+        (words, str(worth.found.count), worth.gain, worth.largest) if worth else (words, "more", np.inf, np.inf)
+        for words, worth in rows
+    ]
+    return Table.of_rows(("views", "undetermined", "noise_gain", "largest_gain"), found)
 
 
 def _sheet(settings: Settings, views: Sequence[bg.View]) -> Table:
@@ -139,10 +131,6 @@ def _sheet(settings: Settings, views: Sequence[bg.View]) -> Table:
     places = np.concatenate([view.sites(one) for view, one in zip(views, each, strict=True)]) * settings.grid.pitch
     ball = np.concatenate(each)
     count = [len(one) for one in each]
-    columns: dict[str, Values] = {
-        "view": np.repeat(np.array([view.name for view in views]), count),
-        "mounting": np.repeat(np.array([turn_in_words(view.turn) for view in views]), count),
-    }
-    columns |= {name: ball[:, n].astype(np.int64) for n, name in enumerate("ijk")}
-    columns |= {name: places[:, n] for n, name in enumerate("xyz")}
-    return Table(columns, dict.fromkeys("xyz", "mm"))
+    names = {"view": [view.name for view in views], "mounting": [turn_in_words(view.turn) for view in views]}
+    each_row = {name: np.repeat(texts, count) for name, texts in names.items()}
+    return Table.of({**each_row, "i j k": ball.astype(np.int64), "x y z [mm]": places})

@@ -10,10 +10,11 @@ from typing import Self
 import numpy as np
 
 from metrocli.adjust.coupled_fields import Design, Fields
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array, Index, Mask
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
 from metrocli.errors import InputError
@@ -23,7 +24,7 @@ from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid.effects import AXES
 from metrocli.tasks.selfcal_grid.readings import Readings, ball_name
-from metrocli.tasks.shared.pairs import repeated, told_apart
+from metrocli.tasks.shared.lists import repeated, told_apart
 from metrocli.words import suggestion
 
 _EXACT = 1e-2
@@ -148,7 +149,10 @@ def build(readings: Readings, size: tuple[Index, float], noise: float, lengths: 
         np.array(noise),
         index,
         keys=_keys(readings.table),
-        conditions=_conditions(readings, pitch),
+        conditions={
+            **readings.table.conditions("t", "temp"),
+            bg.HOLLOW: bg.hollow(readings.views, readings.view, readings.balls, pitch),
+        },
         components=("x", "y", "z"),
         unit="mm",
     )
@@ -164,13 +168,6 @@ def build(readings: Readings, size: tuple[Index, float], noise: float, lengths: 
     nominal = {bg.MACHINE: np.asarray(all_sites * pitch, dtype=float)}
     model = Model(blocks, present, measured=(READINGS,), places=places, nominal=nominal)
     return Problem(model, grid, readings.views, _conditions_on(grid, blocks, scale_given=len(present) > 1))
-
-
-def _conditions(readings: Readings, pitch: float) -> dict[str, Array]:
-    return {
-        **readings.table.conditions("t", "temp"),
-        bg.HOLLOW: bg.hollow(readings.views, readings.view, readings.balls, pitch),
-    }
 
 
 def _keys(table: Table) -> dict[str, tuple[str, ...]]:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Mask
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index, Mask
 from metrocli.effects.estimates import estimates
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.frozen import dataclass
@@ -21,15 +19,13 @@ from metrocli.tasks.selfcal_grid import warnings as grid_warnings
 from metrocli.tasks.selfcal_grid.determination.undetermined import Open
 from metrocli.tasks.selfcal_grid.error_map import Covariance, SiteErrors, Smooth, error_map, smooth
 from metrocli.tasks.selfcal_grid.lengths import LengthError, largest
+from metrocli.tasks.selfcal_grid.problem import Problem
 from metrocli.tasks.selfcal_grid.solve import LeftOut, Solved
-from metrocli.tasks.selfcal_grid.uncontrolled import uncontrolled
+from metrocli.tasks.selfcal_grid.warnings import uncontrolled
 from metrocli.tasks.shared.statistics import Statistics, basic_statistics, noise_notes, residual_table
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.units import find_unit, with_std
 from metrocli.words import in_a_row
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
 _KEPT = 4_000_000
@@ -100,8 +96,7 @@ def _residuals(solved: Solved) -> Table:
     grid, read = solved.problem.grid, solved.problem.readings.observations
     found = residual_table(solved.residuals[0], solved.problem.readings)
     at = np.repeat((grid.sites * grid.pitch)[read.index[bg.MACHINE]], len(read.components), axis=0)
-    sites = dict(zip("xyz", at.T, strict=True))
-    return Table({**found.columns, **sites}, {**found.units, **dict.fromkeys(sites, "mm")})
+    return found.joined({"x y z [mm]": at})
 
 
 def _at_sites(solved: Solved, machine: _Field) -> SiteErrors:
@@ -118,19 +113,15 @@ def _field(solved: Solved, name: str) -> _Field:
 
 
 def _table(field: _Field) -> Table:
-    columns: dict[str, Values] = {name: field.indices[:, n].astype(np.int64) for n, name in enumerate("ijk")}
-    columns |= {name: field.values[:, n] for n, name in enumerate(bg.COLUMNS)}
-    columns |= {f"s_{name}": field.std[:, n] for n, name in enumerate(bg.COLUMNS)}
-    return Table(columns, {name: "mm" for name in columns if name not in "ijk"})
+    errors = {"ex ey ez [mm]": field.values, "s_ex s_ey s_ez [mm]": field.std}
+    return Table.of({"i j k": field.indices.astype(np.int64), **errors})
 
 
 def _correction(solved: Solved, field: _Field) -> Table:
     """Return the correction to add to a reading near each site, which is minus the machine error."""
-    places = field.indices * solved.problem.grid.pitch
-    columns: dict[str, Values] = {name: np.asarray(places[:, n], dtype=float) for n, name in enumerate("xyz")}
-    columns |= {f"add_{name}": -field.values[:, n] for n, name in enumerate("xyz")}
-    columns |= {f"s_add_{name}": field.std[:, n] for n, name in enumerate("xyz")}
-    return Table(columns, dict.fromkeys(columns, "mm"))
+    places = np.asarray(field.indices * solved.problem.grid.pitch, dtype=float)
+    correction = {"add_x add_y add_z [mm]": -field.values, "s_add_x s_add_y s_add_z [mm]": field.std}
+    return Table.of({"x y z [mm]": places, **correction})
 
 
 def _of_machine(solved: Solved) -> Covariance:
@@ -169,9 +160,7 @@ def _undetermined(found: Open) -> Table:
     rows = [("rigid motion of the machine error", 6), ("rigid motion of the artefact error", 6)]
     rows += [("common scale", 1)] if found.scale else []
     rows += [(one.pattern, one.count) for one in found.families]
-    return Table(
-        {"pattern": np.array([row[0] for row in rows], dtype=str), "directions": np.array([row[1] for row in rows])}
-    )
+    return Table.of_rows(("pattern", "directions"), rows)
 
 
 def _views(solved: Solved, left_out: Sequence[LeftOut]) -> Table:
@@ -183,39 +172,39 @@ def _views(solved: Solved, left_out: Sequence[LeftOut]) -> Table:
     chi2 = np.bincount(view, ((residuals.values / residuals.sigma) ** 2).sum(axis=0), count)
     share = np.bincount(view, residuals.redundancy.sum(axis=0), count)
     readings = np.bincount(view, minlength=count)
-    columns: dict[str, Values] = {
-        "view": np.array([one.name for one in solved.problem.views]),
-        "readings": readings,
-        "rms": np.sqrt(square / np.maximum(3 * readings, 1)),
-        "chi2": chi2,
-        "redundancy": share,
-        "sigma0": np.sqrt(chi2 / np.where(share > _CONTROLLED, share, np.nan)),
-    }
-    if left_out:
-        columns["left_out_chi2"] = np.array([one.chi2 for one in left_out])
-        columns["left_out_dof"] = np.array([one.dof for one in left_out])
-        columns["left_out_p"] = np.array([one.p_value for one in left_out])
-    return Table(columns, {"rms": "mm"})
+    table = Table.of(
+        {
+            "view": [one.name for one in solved.problem.views],
+            "readings": readings,
+            "rms [mm]": np.sqrt(square / np.maximum(3 * readings, 1)),
+            "chi2": chi2,
+            "redundancy": share,
+            "sigma0": np.sqrt(chi2 / np.where(share > _CONTROLLED, share, np.nan)),
+        }
+    )
+    if not left_out:
+        return table
+    fall = {"left_out_chi2": [one.chi2 for one in left_out], "left_out_dof": [one.dof for one in left_out]}
+    return table.joined({**fall, "left_out_p": [one.p_value for one in left_out]})
 
 
-def _reading_columns(solved: Solved, whole: bool, rows: Sequence[int]) -> dict[str, Values]:
-    group = solved.whole.readings if whole else solved.problem.readings
-    return {key: np.array([values[row] for row in rows], dtype=str) for key, values in group.observations.keys.items()}
+def _keys_of(problem: Problem, rows: Sequence[int]) -> dict[str, list[str]]:
+    keys = problem.readings.observations.keys
+    return {f"{key} [text]": [values[row] for row in rows] for key, values in keys.items()}
 
 
 def _suspects(solved: Solved) -> Table:
     rows = solved.suspects.rows
     order = np.argsort(-solved.suspects.tests)
     components = np.abs(solved.residuals[0].normalised[:, rows]).argmax(axis=0)
-    columns = _reading_columns(solved, False, rows[order].tolist())
-    columns["component"] = np.array(["xyz"[n] for n in components[order]], dtype=str)
-    columns["w"] = solved.suspects.tests[order]
-    return Table(columns)
+    keys = _keys_of(solved.problem, rows[order].tolist())
+    of = {"component [text]": ["xyz"[n] for n in components[order]], "w": solved.suspects.tests[order]}
+    return Table.of({**keys, **of})
 
 
 def _rejected(solved: Solved) -> Table:
-    columns = _reading_columns(solved, True, [row for row, _ in solved.rejected])
-    return Table(columns | {"w": np.array([test for _, test in solved.rejected], dtype=float)})
+    keys = _keys_of(solved.whole, [row for row, _ in solved.rejected])
+    return Table.of({**keys, "w": [test for _, test in solved.rejected]})
 
 
 def _map(solved: Solved, machine: _Field, points: Table, form: Smooth | None) -> Table:

@@ -9,25 +9,19 @@ increases its noise gain.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from metrocli.adjust.coupled_fields import Design, adjust_fields, design_of
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.sparse.bordered_factor import BorderedFactor, bordered_factor
 from metrocli.adjust.sparse.nested_dissection import Sparse
 from metrocli.adjust.sparse.partition import Partition
+from metrocli.arrays import Array, Index
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry.poses import rotation_of
 from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid.problem import Problem
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _DRAWS = 20
 
@@ -67,14 +61,15 @@ def in_sequence(problem: Problem) -> Table:
     own = _shape(problem, joint.ravel()[_on_grid(problem)])
     other = _shape(problem, sequence.machine(_reduced_readings(problem))[places])
     gains = noise_gains(problem, np.random.default_rng(0), _DRAWS)
-    columns: dict[str, Values] = {
-        "way": np.array(["joint", "views fitted first, differences"]),
-        "noise_gain": np.array(gains),
-        "rms_machine_error": np.array([_rms(own), _rms(other)]),
-        "rms_difference": np.array([0.0, _rms(other - own)]),
-        "largest_difference": np.array([0.0, float(np.abs(other - own).max())]),
-    }
-    return Table(columns, {name: "mm" for name in columns if name not in ("way", "noise_gain")})
+    return Table.of(
+        {
+            "way": ["joint", "views fitted first, differences"],
+            "noise_gain": gains,
+            "rms_machine_error [mm]": [_rms(own), _rms(other)],
+            "rms_difference [mm]": [0.0, _rms(other - own)],
+            "largest_difference [mm]": [0.0, float(np.abs(other - own).max())],
+        }
+    )
 
 
 def noise_gains(problem: Problem, rng: np.random.Generator, draws: int) -> tuple[float, float]:

@@ -3,34 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.ball_grid import View
 from metrocli.settings import Choice, Either, ListOf, Quantity, Section, TableFile, Text, Whole, setting
-from metrocli.table import ABSENT, TEXT, WHOLE, Column, Columns, Table
+from metrocli.settings.sections import content, inputs_of
+from metrocli.table import ABSENT, Columns, Table, columns
 from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.units import parse_quantity
 
 _QUARTER = np.pi / 2
 _UNIT = parse_quantity("1 um", "length")
-_PLACE = tuple(Column(axis, "length") for axis in "xyz")
 VIEWS = Columns(
-    (
-        Column("view", TEXT),
-        *(Column(name, WHOLE) for name in "ijk"),
-        *_PLACE,
-        Column("repeat", TEXT, required=False),
-        Column("t", "time", required=False),
-        Column("temp", "temperature", required=False),
-    ),
+    columns("view [text]", "i j k [whole]", "x y z [length]", "repeat? [text]", "t? [time]", "temp? [temperature]"),
     ("view", "i", "j", "k", "repeat", "t"),
     "what the machine reads of each ball in each view",
     measured=("x", "y", "z"),
@@ -38,34 +29,23 @@ VIEWS = Columns(
     group=("view", "repeat"),
 )
 LENGTHS = Columns(
-    (
-        Column("view", TEXT, required=False, may_be_empty=True),
-        *(Column(f"{name}{end}", WHOLE) for end in "12" for name in "ijk"),
-        Column("length", "length"),
-        Column("sigma", "length"),
-    ),
+    columns("view?* [text]", "i1 j1 k1 i2 j2 k2 [whole]", "length sigma [length]"),
     (),
     "calibrated distances of balls",
 )
-POINTS = Columns((Column("point", TEXT), *_PLACE), ("point",), "points at which the machine error is wanted")
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """The files of measured and of known values."""
-
-    views: Path = setting(TableFile(VIEWS), "what the machine reads of each ball in each view")
-    lengths: Path | None = setting(TableFile(LENGTHS), "calibrated distances of balls", default=None)
-    map: Path | None = setting(TableFile(POINTS), "points at which the machine error is wanted", default=None)
+POINTS = Columns(columns("point [text]", "x y z [length]"), ("point",), "points at which the machine error is wanted")
 
 
 @dataclass(frozen=True)
 class Files:
-    """The content of the input files; views are absent before the measurement."""
+    """The files of measured and of known values."""
 
-    views: Table = ABSENT
-    lengths: Table | None = None
-    map: Table | None = None
+    views: Table = content(TableFile(VIEWS), default=ABSENT)
+    lengths: Table | None = content(TableFile(LENGTHS), needed=False)
+    map: Table | None = content(TableFile(POINTS), needed=False)
+
+
+Inputs = inputs_of(Files)
 
 
 @dataclass(frozen=True)
@@ -147,7 +127,7 @@ class Settings:
         "part": "no part is measured here; the growth of the artefact is the effect artefact-expansion"
     }
 
-    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    inputs: Any = setting(Section(Inputs), "the files of the job")
     grid: GridSettings = setting(Section(GridSettings), "the artefact")
     views: tuple[ViewSettings, ...] = setting(ListOf(Section(ViewSettings)), "how the artefact stood")
     noise: float | str = setting(

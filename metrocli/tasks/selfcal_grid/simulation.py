@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.effects.estimates import true_values
 from metrocli.effects.extension import extended
 from metrocli.effects.wanted import Wanted
@@ -20,9 +18,6 @@ from metrocli.table import Table
 from metrocli.tasks.selfcal_grid.problem import LENGTHS, build
 from metrocli.tasks.selfcal_grid.readings import read
 from metrocli.tasks.selfcal_grid.settings import GridSimulation, Settings, views_of
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _FILE_UNITS = {"x": "mm", "y": "mm", "z": "mm", "t": "s", "temp": "degC"}
 
@@ -112,14 +107,12 @@ def _design(settings: Settings, truth: GridSimulation) -> Table:
     each = [np.tile(balls_on(view, settings.grid.half), (truth.repeats, 1)) for view in views]
     count, ball = [len(one) for one in each], np.concatenate(each)
     places = np.concatenate([view.sites(one) for view, one in zip(views, each, strict=True)]) * settings.grid.pitch
-    columns: dict[str, Values] = {"view": np.repeat(np.array([view.name for view in views]), count)}
-    columns |= {name: ball[:, n].astype(np.int64) for n, name in enumerate("ijk")}
-    columns |= {name: places[:, n].astype(float) for n, name in enumerate("xyz")}
+    names = {"view": np.repeat([view.name for view in views], count), "i j k": ball.astype(np.int64)}
+    table = Table.of({**names, "x y z [mm]": places.astype(float)})
     if truth.repeats > 1:
         turns = [np.repeat(np.arange(1, truth.repeats + 1), n // truth.repeats) for n in count]
-        columns["repeat"] = np.concatenate(turns).astype(np.str_)
-    columns["t"] = np.asarray(np.arange(len(ball)) * truth.interval, dtype=float)
-    return Table(columns, {"x": "mm", "y": "mm", "z": "mm", "t": "s"})
+        table = table.joined({"repeat": np.concatenate(turns).astype(np.str_)})
+    return table.joined({"t [s]": np.arange(len(ball)) * truth.interval})
 
 
 def _read(design: Table, readings: Array) -> Table:
@@ -136,6 +129,4 @@ def smooth_error(scaled: Array, rng: np.random.Generator) -> Array:
 
 
 def _errors(indices: Index, values: Array) -> Table:
-    columns: dict[str, Values] = {name: indices[:, n].astype(np.int64) for n, name in enumerate("ijk")}
-    columns |= {f"e{name}": values[:, n] for n, name in enumerate("xyz")}
-    return Table(columns, dict.fromkeys(("ex", "ey", "ez"), "mm"))
+    return Table.of({"i j k": indices.astype(np.int64), "ex ey ez [mm]": values})

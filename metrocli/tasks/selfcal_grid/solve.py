@@ -8,12 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.coupled_fields import Design, FieldSolution, adjust_fields, design_of
-from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.probabilities import chi_square_tail
 from metrocli.adjust.robust import Fit, Suspects, suspects
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.adjust.sparse.bordered_factor import OpenDesignError
+from metrocli.arrays import Index, Mask
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments import ball_grid as bg

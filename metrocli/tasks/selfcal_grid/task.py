@@ -17,17 +17,16 @@ from metrocli.tasks.job import Job, Task
 from metrocli.tasks.selfcal_grid import mountings, readings
 from metrocli.tasks.selfcal_grid import plan as planned_views
 from metrocli.tasks.selfcal_grid.determination.undetermined import opened
-from metrocli.tasks.selfcal_grid.diagnosis import adjusted_job
+from metrocli.tasks.selfcal_grid.diagnosis import adjusted_job, with_structure
 from metrocli.tasks.selfcal_grid.effects import EFFECTS, PLACES
-from metrocli.tasks.selfcal_grid.point import error_at
+from metrocli.tasks.selfcal_grid.error_map import error_at
 from metrocli.tasks.selfcal_grid.problem import Problem, build
 from metrocli.tasks.selfcal_grid.report import report
 from metrocli.tasks.selfcal_grid.sequence import in_sequence
 from metrocli.tasks.selfcal_grid.settings import Files, Settings, views_of
 from metrocli.tasks.selfcal_grid.simulation import simulated
 from metrocli.tasks.selfcal_grid.solve import Solved, leave_one_out, solve
-from metrocli.tasks.selfcal_grid.structure import with_structure
-from metrocli.tasks.shared.structured_noise import Structured
+from metrocli.tasks.shared.noise import Structured
 
 _MANY = 20_000
 """Number of readings above which views are left out in turn only if the job asks for it"""

@@ -1,15 +1,19 @@
-"""Warnings of a self-calibration: noise, undetermined directions, outliers, lengths and views that do not agree."""
+"""Warnings of a self-calibration: noise, open directions, outliers, views that disagree, and what none shows."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli import units
+from metrocli.arrays import Array
+from metrocli.table import Table
 from metrocli.tasks.selfcal_grid.determination.undetermined import Open
+from metrocli.tasks.selfcal_grid.problem import Problem
 from metrocli.tasks.selfcal_grid.solve import LeftOut, Solved
 from metrocli.tasks.shared.statistics import beyond_bound, noise_warnings
+from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 from metrocli.words import listed
 
 
@@ -57,3 +61,28 @@ def _disagreeing(left_out: Sequence[LeftOut]) -> list[str]:
         f"{one.chi2:.0f} for {one.dof} degrees of freedom (p = {one.p_value:.1g})"
         for one in sorted(odd, key=lambda one: one.p_value)[:1]
     ]
+
+
+def uncontrolled(problem: Problem) -> Table:
+    """Return what machine and artefact error absorb together, and the error over the grid from a plausible size."""
+    return table_of(_rows(problem))
+
+
+def _rows(problem: Problem) -> Iterator[Hidden]:
+    extent = problem.grid.pitch * float(np.linalg.norm(np.ptp(problem.grid.sites, axis=0)))
+    if problem.scale_given:
+        growth = units.parse_quantity("1.15 ppm", "ratio")
+        yield Hidden(
+            "temperature of the calibrated lengths (scale of both errors)",
+            "0.1 K of steel (1.15 um/m)",
+            growth * extent,
+            "the temperature of the artefact in each view",
+        )
+        return
+    # the gauge gives half of a common scale to the machine, the other half to the artefact
+    yield Hidden(
+        "pitch of the artefact (scale of the machine error over the grid)",
+        SCALE_WORDS,
+        SCALE / 2 * extent,
+        "a calibrated length of the artefact (inputs: lengths)",
+    )

@@ -13,18 +13,19 @@ from typing import Any
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.solution import Solution
-from metrocli.errors import InputError, together
+from metrocli.arrays import Array
+from metrocli.errors import InputError, all_faults
 from metrocli.frozen import dataclass
 from metrocli.instruments.air import CIDDOR, EDLEN, STANDARD_CARBON_DIOXIDE, Weather, index
 from metrocli.instruments.tracer import AIR
 from metrocli.result import SCALE, Estimate
 from metrocli.settings import UNKNOWN, Choice, Known, Limits, Quantity, Section, Uncertain, setting
-from metrocli.table import Column, Table
+from metrocli.table import Table, columns
 
-WEATHER = (Column("pressure", "pressure", required=False), Column("humidity", "humidity", required=False))
+WEATHER = columns("pressure? [pressure]", "humidity? [humidity]")
 """Columns of a reading's own weather, besides its temperature"""
 _COLUMNS = {"temperature": "temp", "pressure": "pressure", "humidity": "humidity"}
 _WORDS = {"temperature": "temperature", "pressure": "pressure", "humidity": "relative humidity"}
@@ -154,8 +155,11 @@ def air_of(environment: Environment | None, table: Table, by: str = "") -> Air |
     """
     if environment is None:
         return None
-    found = together(*(lambda name=name: _values(environment, table, name) for name in _COLUMNS))
-    weather = dict(zip(_COLUMNS, found, strict=True))
+    weather: dict[str, Array] = {}
+    with all_faults() as each:
+        for name in _COLUMNS:
+            with each():
+                weather[name] = _values(environment, table, name)
     refractive = np.broadcast_to(environment.index(Weather(**weather)), (len(table),))
     first = _first(table, by) if by else np.arange(len(table))
     zero = refractive[first]

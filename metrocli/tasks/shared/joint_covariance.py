@@ -1,12 +1,20 @@
-"""Factors of the covariance between any two points of a network, `Q_ab = C_a K C_b'`, as results hold them."""
+"""What the points of a result share with each other, and what its estimates owe to inputs with a covariance."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from hashlib import sha256
+from typing import Any
+
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Mask
+from metrocli.adjust.model.groups import Group
 from metrocli.adjust.schur.covariance import Covariance
+from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Mask
+from metrocli.frozen import dataclass
+from metrocli.table import Table
+from metrocli.uncertainty.comparison import OWED, SHARED
 from metrocli.uncertainty.predicted import COMMON, CORE
 
 _LARGEST = 4_000_000
@@ -35,3 +43,62 @@ def factors(covariance: Covariance, block: str, chosen: Mask) -> dict[str, Array
         core = covariance.of(block)[np.ix_(*[np.repeat(chosen, 3)] * 2)] if size**2 <= _LARGEST else np.zeros((0, 0))
         common = np.eye(size).reshape(-1, 3, size) if size**2 <= _LARGEST else None
     return {} if common is None else {COMMON: common, CORE: covariance.factor * core}
+
+
+@dataclass(frozen=True)
+class Source:
+    """An input whose errors are unknowns `z = K e` of a block, e ~ N(0, I): e is the same for all that use it."""
+
+    block: str
+    turn: Array
+    """K (unknowns, errors), with `K K' = I`"""
+    digest: str
+    """Of its values and their covariance"""
+
+
+def owed(
+    solution: Solution,
+    delivered: Sequence[str],
+    change: Array,
+    inputs: Mapping[str, Group],
+    sources: Mapping[str, Source] | None = None,
+) -> tuple[dict[str, Table], dict[str, Array]]:
+    """Return the table of the inputs and, for each, the factor F of what it adds to the covariance of the estimates.
+
+    `inputs` are correlated observations of parameters, by the name of their input. With the covariance Q of all
+    unknowns, the derivatives J of such an observation and its covariance K = L L', `F = Q J' L^-T` and it adds `F F'`.
+    So the estimates of two results share `F_1 F_2'`. `change` turns the delivered entries into the estimates (m, m).
+    For an input whose errors are unknowns, `F = Q_dz K`.
+    """
+    known = solution.covariance_or_raise()
+    names, digests, factors = [], [], {}
+    free = [np.flatnonzero(solution.blocks[name].free.ravel()) for name in delivered]
+    for name, group in inputs.items():
+        factor = np.zeros((sum(map(len, free)), group.observations.readings.shape[0]))
+        for touch in group.linear(solution.blocks, frozenset(solution.blocks)).touches:
+            size = touch.jacobian.shape[1]
+            columns = int(np.ravel(touch.index)[0]) * size + np.arange(size)
+            rows = [
+                known.between(one, touch.block)[np.ix_(at, columns)] for one, at in zip(delivered, free, strict=True)
+            ]
+            factor += np.concatenate(rows) @ touch.jacobian[:, :, 0].T
+        scale = np.concatenate([solution.by_step(one).ravel()[at] for one, at in zip(delivered, free, strict=True)])
+        factors[OWED + name] = change @ (factor * scale[:, None]) / np.sqrt(known.factor)
+        names.append(name)
+        digests.append(_digest(group))
+    for name, source in (sources or {}).items():
+        parts = [known.between(one, source.block)[at] for one, at in zip(delivered, free, strict=True)]
+        scale = np.concatenate([solution.by_step(one).ravel()[at] for one, at in zip(delivered, free, strict=True)])
+        moved = np.concatenate(parts) * scale[:, None] @ source.turn
+        factors[OWED + name] = change @ moved / np.sqrt(known.factor)
+        names.append(name)
+        digests.append(source.digest)
+    table = Table.of({"input [text]": names, "digest [text]": digests})
+    return ({SHARED: table}, factors) if names else ({}, {})
+
+
+def _digest(group: Group) -> str:
+    """Return a digest of what is observed, by its values and their covariance: equal for the same input alone."""
+    parts: list[Any] = [part for link in group.chain.links for part in getattr(link, "parts", (link,))]
+    observed = [*(part.reference for part in parts), group.observations.covariance]
+    return sha256(b"".join(np.ascontiguousarray(one).tobytes() for one in observed)).hexdigest()

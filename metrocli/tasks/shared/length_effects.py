@@ -1,32 +1,66 @@
-"""Effects on the lengths of tracking interferometers (docs/effects), for every kind of job that takes them."""
+"""Effects on the lengths of tracking interferometers (docs/effects), and quantities on which own ones can act."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from metrocli.adjust.model.chain import Link
-from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, change_points
-from metrocli.effects.links.beams import AirGradient, BeamScale, TracerDrift
-from metrocli.effects.links.lengths import LengthJump, LengthOffset, LengthTerms
+import numpy as np
+
+from metrocli.adjust.model.chain import Link, Local, Step
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array
+from metrocli.effects.acting import Acting, Variable, beam_from, scalar, seen_from
+from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, change_points, sizes
+from metrocli.effects.links.lengths import AirGradient, BeamScale, LengthJump, LengthOffset, LengthTerms, TracerDrift
 from metrocli.effects.links.points import PointStep
-from metrocli.instruments.tracer import COS_2A, INCIDENCE, SIN_2A
-from metrocli.units import parse_quantity
+from metrocli.instruments.tracer import COS_2A, COS_A, INCIDENCE, SIN_2A, SIN_A, TRACER
+
+AT = ("tracer", "point")
+"""Kinds of place at which an effect on lengths can have sizes of its own"""
+
+
+def _path(value: Array, local: Local) -> Step:
+    """Return the geometric distance `|x - x0| = (l + l0) / s` from the length l (1, n), with its derivatives."""
+    tracer = local.rows(TRACER)
+    dead_path, scale = tracer[3], tracer[4]
+    path = (value[0] + dead_path) / scale
+    by_tracer = np.zeros((1, len(tracer), len(path)))
+    by_tracer[0, 3], by_tracer[0, 4] = 1 / scale, -path / scale
+    return Step(path[None], np.broadcast_to(1 / scale, path.shape)[None, None], {TRACER: by_tracer})
+
+
+def _azimuth(value: Array, local: Local) -> Step:
+    given = local.observations.conditions
+    return Step(np.arctan2(given[SIN_A], given[COS_A])[None])
+
+
+def _elevation(value: Array, local: Local) -> Step:
+    return Step(np.arcsin(local.observations.conditions[INCIDENCE] - 1)[None])
+
+
+DIRECTION = (Variable("azimuth", "rad", _azimuth), Variable("elevation", "rad", _elevation))
+"""Constants within an adjustment: otherwise an effect would fix the orientation of a free network"""
+BEAM = (*beam_from(TRACER), *seen_from(TRACER, ("distance",)))
+"""Vector from the tracer to the point, and its length"""
+
+
+def length(*more: Variable) -> Acting:
+    """Return the length as a place to act: itself, time, temperature, nominal coordinates, its beam, and more."""
+    path = Variable("distance", "mm", _path, (TRACER,))
+    return scalar("length", Quantity.LENGTH, "mm", AT, path, *DIRECTION, *more)
+
 
 _HARTIG = "Härtig et al., Coordinate Measurement Technique Considering the 3D-Abbe Principle,"
 
 
-def _size(name: str, dimension: str, plausible: str) -> Parameter:
-    return Parameter(name, dimension, parse_quantity(plausible, dimension))
-
-
-def _refraction(by: str, condition: str, need: str, rate: Parameter, usual: str) -> Effect:
+def _refraction(by: str, condition: str, need: str, rate: tuple[Parameter, ...], usual: str) -> Effect:
     def link(block: str, where: Mapping[str, str]) -> Link:
         return BeamScale(block, condition=condition)
 
     return Effect(
         "refraction-drift",
         "the refractive index of the air changes during the measurement without being corrected",
-        (rate,),
+        rate,
         link,
         by=by,
         needs=(need,),
@@ -42,7 +76,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "tracer-scale",
         "the wavelength or the air correction of one tracer is wrong",
-        (_size("scale", "ratio", "5 ppm"),),
+        sizes("scale", "ratio", "5 ppm"),
         lambda block, where: BeamScale(block),
         where=("tracer",),
         confused_with=("dead-path-drift", "sphere-form", "length-scale"),
@@ -53,7 +87,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "length-scale",
         "all lengths are too long or too short in proportion: the common wavelength, air correction or unit is wrong",
-        (_size("scale", "ratio", "5 percent"),),
+        sizes("scale", "ratio", "5 percent"),
         lambda block, where: BeamScale(block),
         confused_with=("length-offset",),
         usual="0.1 to 20 ppm",
@@ -63,19 +97,19 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "length-offset",
         "all absolute distances are off by the same amount: zero error of the instrument, delay of its electronics",
-        (_size("offset", "length", "1 m"),),
+        sizes("offset", "length", "1 m"),
         lambda block, where: LengthOffset(block),
         confused_with=("length-scale",),
         usual="1 um to 1 m",
         reveal="distances from short to long, or the same line measured in parts",
         source="zero constant of distance meters: Rüeger, Electronic Distance Measurement",
     ),
-    _refraction("T", WARMING, "temp", _size("rate", "expansion", "2e-6 1/K"), "5e-7 to 2e-6 1/K"),
-    _refraction("t", ELAPSED, "t", _size("rate", "rate", "10 ppm/h"), "0.1 to 10 ppm/h"),
+    _refraction("T", WARMING, "temp", sizes("rate", "expansion", "2e-6 1/K"), "5e-7 to 2e-6 1/K"),
+    _refraction("t", ELAPSED, "t", sizes("rate", "rate", "10 ppm/h"), "0.1 to 10 ppm/h"),
     Effect(
         "air-gradient",
         "the refractive index of the air changes with height: the room is warmer under its roof",
-        (_size("gradient", "curvature", "5e-9 1/mm"),),
+        sizes("gradient", "curvature", "5e-9 1/mm"),
         lambda block, where: AirGradient(block),
         confused_with=("length-scale", "tracer-scale"),
         usual="2e-10 to 5e-9 1/mm",
@@ -85,7 +119,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "dead-path-drift",
         "the dead path of one tracer grows: its stand, its optics or the air in it warm up",
-        (_size("rate", "speed", "1 um/min"),),
+        sizes("rate", "speed", "1 um/min"),
         lambda block, where: LengthTerms(block, (ELAPSED,)),
         where=("tracer",),
         needs=("t",),
@@ -97,7 +131,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "dead-path-jump",
         "the beam of one tracer was interrupted and recovered, or the tracer was displaced along the beam",
-        (_size("step", "length", "1 mm"),),
+        sizes("step", "length", "1 mm"),
         lambda block, where: LengthJump(block),
         where=("tracer",),
         scanned=(Parameter("at", "time", grid=change_points),),
@@ -110,7 +144,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "tracer-drift",
         "one tracer moves on its stand during the measurement",
-        tuple(_size(name, "speed", "1 um/min") for name in ("vx", "vy", "vz")),
+        sizes("vx vy vz", "speed", "1 um/min"),
         lambda block, where: TracerDrift(block),
         where=("tracer",),
         needs=("t",),
@@ -123,7 +157,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "sphere-form",
         "the reference sphere of one tracer is out of round",
-        tuple(_size(name, "length", "10 um") for name in ("c2", "s2")),
+        sizes("c2 s2", "length", "10 um"),
         lambda block, where: LengthTerms(block, (COS_2A, SIN_2A)),
         where=("tracer",),
         confused_with=("tracer-scale",),
@@ -134,7 +168,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "reflector-incidence",
         "the length changes with the angle at which the beam enters the reflector",
-        (_size("c", "length", "20 um"),),
+        sizes("c", "length", "20 um"),
         lambda block, where: LengthTerms(block, (INCIDENCE,)),
         confused_with=("tracer-scale",),
         usual="0.5 to 20 um",
@@ -144,7 +178,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "reseated-reflector",
         "the reflector was taken out of its nest, put back, and sits in another place",
-        tuple(_size(name, "length", "1 mm") for name in ("dx", "dy", "dz")),
+        sizes("dx dy dz", "length", "1 mm"),
         lambda block, where: PointStep(block),
         scanned=(Parameter("at", "time", grid=change_points),),
         needs=("t",),
@@ -156,7 +190,7 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "moved-point",
         "one length is wrong",
-        (_size("step", "length", "10 m"),),
+        sizes("step", "length", "10 m"),
         lambda block, where: LengthOffset(block),
         where=("point", "tracer"),
         reveal="this point measured again by this tracer",

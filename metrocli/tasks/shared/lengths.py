@@ -8,22 +8,22 @@ from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, prior, prior_of_members
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.rounds import in_rounds
 from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.arrays import Array, Index
 from metrocli.effects.model import Model
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.settings import Choice, Either, Quantity, setting
-from metrocli.tasks.shared.structured_noise import model_setting
+from metrocli.tasks.shared.noise import model_setting
 from metrocli.units.people import format_quantity
 
 ESTIMATED = "estimated"
 REPEATABILITY = Either(Quantity("length", minimum=0.0), Choice(ESTIMATED))
 REPEATABILITY_WORDS = "standard deviation of each coordinate at a return to the same place; or estimated"
-_ROUNDS = 30
 _SETTLED = 1e-3
 """An estimated repeatability has converged when a round changes it by less than this fraction"""
 _LEAST = 0.02
@@ -38,15 +38,6 @@ class LengthNoise:
     proportional: float = setting(Quantity("ratio", minimum=0.0), "b: the part proportional to the path", default=0.0)
     repeatability: float | str | None = setting(REPEATABILITY, REPEATABILITY_WORDS, default=None)
     model: str = model_setting()
-
-    def times(self, factor: float) -> LengthNoise:
-        """Return the noise with all given parts times a factor."""
-        returned = self.repeatability
-        if isinstance(returned, float):
-            returned = factor * returned
-        return replace(
-            self, constant=factor * self.constant, proportional=factor * self.proportional, repeatability=returned
-        )
 
 
 @dataclass(frozen=True)
@@ -113,9 +104,10 @@ class PathNoise:
         """Return a group of lengths with its standard deviations."""
         return group.with_observations(replace(group.observations, sigma=self(group, blocks)))
 
-    def near(self, other: PathNoise) -> bool:
-        """Return whether an estimated repeatability has converged."""
-        return abs(self.repeatability - other.repeatability) < _SETTLED * other.repeatability
+    def times(self, factor: float) -> PathNoise:
+        """Return the noise with all its parts times a factor."""
+        constant, proportional, returned = self.constant, self.proportional, self.repeatability
+        return PathNoise(factor * constant, factor * proportional, factor * returned, self.std)
 
     def renewed(self, solution: Solution, name: str) -> PathNoise:
         """Return the noise with the repeatability after one step of Fisher scoring (restricted maximum likelihood).
@@ -153,25 +145,31 @@ class Noisy(Protocol):
 P = TypeVar("P", bound=Noisy)
 
 
-def settled(problem: P, adjusted: Callable[[P], Solution], name: str) -> tuple[P, Solution]:
+def with_repeatability(problem: P, adjusted: Callable[[P], Solution], name: str) -> tuple[P, Solution]:
     """Return the solution, and the problem with a repeatability that is estimated; `name` is the group of lengths.
 
     Raises UndeterminedError where only a repeatability as large as the residuals hides the unknowns.
     """
-    solution = adjusted(problem)
-    for _ in range(_ROUNDS):
+    before: list[Solution] = []
+
+    def solve(problem: P) -> Solution:
+        try:
+            before.append(adjusted(problem))
+        except UndeterminedError as error:
+            if before and problem.noise is not None:
+                raise _hidden_by(problem.noise, before[-1], name) from error
+            raise
+        return before[-1]
+
+    def renewed(problem: P, solution: Solution) -> tuple[P, bool]:
         noise = problem.noise
         if noise is None or noise.std is None or not solution.outcome.good:
-            break
+            return problem, False
         better = noise.renewed(solution, name)
-        problem = problem.with_noise(better, solution.blocks)
-        if better.near(noise):
-            break
-        try:
-            solution = adjusted(problem)
-        except UndeterminedError as error:
-            raise _hidden_by(better, solution, name) from error
-    return problem, solution
+        change = abs(better.repeatability - noise.repeatability)
+        return problem.with_noise(better, solution.blocks), not change < _SETTLED * noise.repeatability
+
+    return in_rounds(problem, solve, renewed)
 
 
 def _hidden_by(noise: PathNoise, before: Solution, name: str) -> UndeterminedError:

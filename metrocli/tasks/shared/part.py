@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.settings import Known, Limits, Uncertain, setting

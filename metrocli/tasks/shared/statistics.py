@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Array, Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.probabilities import chi_square_bound
 from metrocli.adjust.solution import Residuals, Solution
-from metrocli.result import Scalar
+from metrocli.arrays import Array
+from metrocli.result import Estimate, Scalar
 from metrocli.table import Table
-from metrocli.tasks.shared.structured_noise import DECLARED, NoiseFound, Structured
+from metrocli.tasks.shared.noise import DECLARED, NoiseFound, Structured
 from metrocli.words import listed
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _ABSURD = 10.0
 """A larger sigma0 means a wrong model or gross errors, not noise"""
@@ -52,28 +50,23 @@ def basic_statistics(solution: Solution, rms: Mapping[str, float]) -> Statistics
 
 
 def with_noise(
-    statistics: Statistics, solution: Solution, noise: float, structured: Structured | None = None
+    statistics: Statistics, solution: Solution, found: Mapping[str, float], structured: Structured | None = None
 ) -> Statistics:
     """Return the statistics of a job whose noise is estimated from the residuals.
 
-    sigma0 then belongs to a unit weight of 1 px, and the global test does not apply.
+    `found` is that noise, by its name. sigma0 then belongs to the unit weight, and the global test does not apply.
     """
+    (size,) = found.values()
     kept = {name: value for name, value in statistics.items() if name not in ("p_value", "sigma0_low", "sigma0_high")}
-    found: Statistics = {"noise_estimated": True, "noise": noise, "sigma0": noise, "chi2": solution.dof * noise**2}
-    return {**kept, **found, **(structured.statistics if structured is not None else {})}
+    noise: Statistics = {"noise_estimated": True, **found, "sigma0": size, "chi2": solution.dof * size**2}
+    return {**kept, **noise, **(structured.statistics if structured is not None else {})}
 
 
 def with_found(statistics: Statistics, noise: NoiseFound) -> Statistics:
-    """Return the statistics of a job whose declared noise is right up to a factor from the residuals.
-
-    sigma0 then is that factor, and the global test does not apply. Declared noise changes nothing.
-    """
+    """Return the statistics of a job whose declared noise is right up to a factor, if that is from the residuals."""
     if noise.model == DECLARED:
         return statistics
-    dof, factor = noise.solution.dof, noise.factor
-    kept = {name: value for name, value in statistics.items() if name != "p_value"}
-    found: Statistics = {"noise_estimated": True, "noise_factor": factor, "sigma0": factor, "chi2": dof * factor**2}
-    return {**kept, **found, **(noise.structured.statistics if noise.structured is not None else {})}
+    return with_noise(statistics, noise.solution, {"noise_factor": noise.factor}, noise.structured)
 
 
 def found_notes(noise: NoiseFound) -> tuple[str, ...]:
@@ -86,37 +79,56 @@ def found_notes(noise: NoiseFound) -> tuple[str, ...]:
 
 def residual_table(residuals: Residuals, group: Group) -> Table:
     """Return the table `residuals`: a row for each coordinate of each reading."""
-    observations = group.observations
+    observations, unit = group.observations, group.observations.unit
     d, n = observations.readings.shape
-    columns: dict[str, Values] = {
-        name: np.repeat(np.array(values, dtype=str), d) for name, values in observations.keys.items()
+    keys = {name: np.repeat(np.array(values, dtype=str), d) for name, values in observations.keys.items()}
+    numbers = {
+        f"reading [{unit}]": observations.readings,
+        f"residual [{unit}]": residuals.values,
+        f"sigma [{unit}]": residuals.sigma,
+        "normalised": residuals.normalised,
+        "redundancy": residuals.redundancy,
     }
-    columns["component"] = np.tile(np.array(observations.components, dtype=str), n)
-    columns["reading"] = observations.readings.T.ravel()
-    for name, values in (
-        ("residual", residuals.values),
-        ("sigma", residuals.sigma),
-        ("normalised", residuals.normalised),
-        ("redundancy", residuals.redundancy),
-    ):
-        columns[name] = np.ascontiguousarray(values.T).ravel()
-    when = condition_columns(observations)
-    columns |= {name: np.repeat(values, d) for name, values in when.items()}
-    return Table(columns, dict.fromkeys(("reading", "residual", "sigma"), observations.unit) | units_of(when))
+    when = {heading: np.repeat(values, d) for heading, values in condition_columns(observations).items()}
+    component = np.tile(np.array(observations.components, dtype=str), n)
+    return Table.of({**keys, "component": component, **{name: one.T.ravel() for name, one in numbers.items()}, **when})
 
 
-_CONDITIONS = {"t": "s", "temp": "degC"}
-"""Conditions of a reading that tables of residuals have where the data have them, with their units"""
+CONDITIONS = {"t": "s", "temp": "degC", "pressure": "hPa", "humidity": "percent"}
+"""Conditions of readings that files have, with their units"""
+
+
+def heading(condition: str) -> str:
+    """Return the heading of a condition in a table: its name and its unit; further columns have none."""
+    return f"{condition} [{CONDITIONS.get(condition, '')}]"
 
 
 def condition_columns(observations: Observations) -> dict[str, Array]:
-    """Return time and temperature of each reading, (n,) each, as far as the data have them."""
-    return {name: observations.conditions[name] for name in _CONDITIONS if name in observations.conditions}
+    """Return time and temperature of each reading, (n,) each, under their headings as far as the data have them."""
+    given = observations.conditions
+    return {heading(name): given[name] for name in ("t", "temp") if name in given}
 
 
-def units_of(conditions: Mapping[str, Array]) -> dict[str, str]:
-    """Return the units of columns of conditions."""
-    return {name: _CONDITIONS[name] for name in conditions}
+def columns_with_std(block: Block, std: Array, units: Sequence[str]) -> dict[str, Array]:
+    """Return the columns of a block (members, size), each with its standard uncertainty `s_NAME`, by heading."""
+    pairs = np.stack([block.values, std], axis=2)
+    return {
+        f"{name} s_{name} [{unit}]": pairs[:, i]
+        for i, (name, unit) in enumerate(zip(block.columns, units, strict=True))
+    }
+
+
+def estimates_of_block(
+    block: Block, std: Array, units: Sequence[tuple[str, ...]], named: Callable[[str, str], str]
+) -> tuple[Estimate, ...]:
+    """Return the free entries of a block, row by row; `named` gives their names by member and column.
+
+    `units` has the unit of each column, and its dimension where reports may use another one.
+    """
+    return tuple(
+        Estimate(named(block.members[i], block.columns[k]), float(block.values[i, k]), float(std[i, k]), *units[k])
+        for i, k in np.argwhere(block.free).tolist()
+    )
 
 
 def chi_interval(solution: Solution) -> tuple[float, float]:

@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from metrocli import units
 from metrocli.frozen import dataclass
 from metrocli.table import Table
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 TABLE = "not_controlled"
 """Name of the table in results and plans"""
@@ -39,12 +33,8 @@ class Hidden:
 
 def table_of(hidden: Iterable[Hidden]) -> Table:
     """Return the table `not_controlled`: effect, assumed, hides [mm], control."""
-    rows = list(hidden)
-    columns: dict[str, Values] = {
-        name: np.array([getattr(row, name) for row in rows], dtype=kind)
-        for name, kind in (("effect", str), ("assumed", str), ("hides", float), ("control", str))
-    }
-    return Table(columns, {"hides": "mm"})
+    rows = [(one.effect, one.assumed, one.hides, one.control) for one in hidden]
+    return Table.of_rows(("effect [text]", "assumed [text]", "hides [mm]", "control [text]"), rows)
 
 
 def in_words(hidden: Table) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ Method: docs/algorithms/monte-carlo-chunks.md.
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections import deque
@@ -225,8 +226,6 @@ def _unanswered(address: str, error: Exception) -> InputError:
 
 def _in_file(path: str) -> str:
     """Return the address that a scheduler file holds."""
-    import json
-
     if not os.path.isfile(path):
         raise InputError(f"--scheduler {path}: no such scheduler file; write tcp://HOST:PORT or the path of one")
     try:

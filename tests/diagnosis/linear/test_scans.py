@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.diagnosis.linear.scans import most_tried, scans
 from metrocli.effects.effect import Effect, Parameter
 

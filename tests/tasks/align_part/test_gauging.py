@@ -14,7 +14,7 @@ from metrocli.geometry import poses
 from metrocli.record import Record
 from metrocli.result import Result
 from metrocli.table import Table
-from metrocli.tasks.align_part.gauging import predicted_points
+from metrocli.tasks.align_part.fixturing import predicted_points
 
 POSE = np.array([120.0, 80, 35, 0.4, -0.3, 1.2])
 STD = np.array([0.02, 0.01, 0.03, 2e-5, 3e-5, 1e-5])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.halves import turned
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import task as calibrate_camera

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from simulated import machine as sim
 
-from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.blocks import Block, Space
 from metrocli.adjust.model.groups import Group
-from metrocli.tasks.calibrate_machine.methods.on_the_fly import on_the_fly
+from metrocli.arrays import Array
+from metrocli.tasks.calibrate_machine.methods.on_the_fly import measurement, on_the_fly
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.problem import Problem
@@ -42,7 +43,7 @@ def along_a_path() -> Problem:
         tool_uncertainty=0.01,
         noise=Noise(beam=1e-3, lateral=5e-3),
     )
-    return on_the_fly(settings, flight.path, flight.track).problem
+    return on_the_fly(measurement(settings, flight.path, flight.track)).problem
 
 
 def with_six_channels() -> Problem:

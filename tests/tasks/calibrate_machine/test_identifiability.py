@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from simulated import machine as sim
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.errors import UndeterminedError
 from metrocli.instruments.machine_path import Path
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
@@ -17,8 +17,8 @@ from metrocli.tasks.calibrate_machine.identifiability import Identifiability, id
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.plans.planned import planned_problem
+from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import machine_of
-from metrocli.tasks.calibrate_machine.settings import PathPlan
 
 KNOTS = (13, 11, 11)
 ALONG_Z = {"T1": (0.0, 0.0, 120.0), "T2": (0.0, 0.0, 220.0)}

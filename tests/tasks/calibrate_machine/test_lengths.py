@@ -19,13 +19,14 @@ from metrocli.project.job import load
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.diagnosis import noise_of
 from metrocli.tasks.calibrate_machine.layout import line_of, stations_lie
-from metrocli.tasks.calibrate_machine.settings import Noise, PathPlan, Settings
+from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
+from metrocli.tasks.calibrate_machine.settings import Noise, Settings
 from metrocli.tasks.calibrate_machine.solve import Solved, solve
-from metrocli.tasks.calibrate_machine.structure import noise_of
 from metrocli.tasks.calibrate_machine.tables import tables_of
 from metrocli.tasks.calibrate_machine.volume import Prediction, predict
-from metrocli.tasks.shared.structured_noise import DECLARED
+from metrocli.tasks.shared.noise import DECLARED
 
 CASES = SHARED / "cases" / "machine-lengths"
 FOUND = sorted(CASES.iterdir()) if CASES.exists() else []

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from simulated import machine as sim
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array
 from metrocli.instruments import machine as m
 
 ORDERS = ["".join(order) for order in permutations("XYZ")]

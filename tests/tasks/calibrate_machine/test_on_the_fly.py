@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from simulated import machine as sim
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.instruments.machine import Axis, Machine
 from metrocli.instruments.machine_path import Path

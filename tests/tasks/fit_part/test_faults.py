@@ -130,7 +130,7 @@ def test_points_of_a_result_come_with_their_covariance() -> None:
     result = Result(
         "calibrate-camera", "", (), np.zeros((0, 0)), {}, {"points": table}, {"points_covariance": covariance}
     )
-    files = Inputs(Path("points.h5"), Path("part.yaml"))
+    files = Inputs(points=Path("points.h5"), nominal=Path("part.yaml"))
     settings = Settings(files, Overstock(0.5), targets=("T*",), surfaces={"a": ("A*",), "b": ("B1",)})
     found = read(settings, result, ("a", "b"), False)
     assert found.surface_points.names == ("A1", "A2", "B1") and found.targets.names == ("T1",)
@@ -155,7 +155,7 @@ def test_beside_marked_targets_a_point_without_surface_is_no_target(of_mesh: boo
     columns = {"point": ["A1", "A2", "B1", "T1"], "surface": ["a", "", "b", "target"], "sigma": [0.1] * 4}
     axes = {axis: places[:, k] for k, axis in enumerate("xyz")}
     table = Table({name: np.array(values) for name, values in columns.items()} | axes)
-    files = Inputs(Path("points.csv"), Path("part.yaml"))
+    files = Inputs(points=Path("points.csv"), nominal=Path("part.yaml"))
     found = read(Settings(files, Overstock(0.5)), table, ("a", "b"), of_mesh)
     assert found.surface_points.names == kept and found.targets.names == ("T1",)
     assert any("A2" in warning for warning in found.warnings) is not of_mesh

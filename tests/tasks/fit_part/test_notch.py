@@ -58,7 +58,9 @@ def test_a_point_counts_for_a_patch_beyond_the_next_and_one_of_no_level_for_none
     points, _ = raw(seed, (3, 9), 0.0)
     mesh, names = notched(), np.array([f"P{n}" for n in range(len(points))])
     table = Table({"point": names, **{axis: points[:, k] for k, axis in enumerate("xyz")}})
-    settings = Settings(Inputs(Path("points.csv"), Path("part.stl")), Overstock(MINIMUM, EVEN), noise=0.02)
+    settings = Settings(
+        Inputs(points=Path("points.csv"), nominal=Path("part.stl")), Overstock(MINIMUM, EVEN), noise=0.02
+    )
     with pytest.raises(UndeterminedError) as raised:
         solve(settings, prepare(settings, mesh, table))
     lines = [line.strip().partition(": ") for line in str(raised.value).splitlines()]

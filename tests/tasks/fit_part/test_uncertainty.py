@@ -53,7 +53,9 @@ def solved_of(one: Casting, part: NominalFile, aim: str = "most", minimum: float
     """What a job gives."""
     columns = {"point": np.array([f"P{n}" for n in range(len(one.points))]), "surface": one.surface}
     places = {axis: one.points[:, k] for k, axis in enumerate("xyz")}
-    settings = Settings(Inputs(Path("points.csv"), Path("part.yaml")), Overstock(minimum, aim), noise=one.sigma)
+    settings = Settings(
+        Inputs(points=Path("points.csv"), nominal=Path("part.yaml")), Overstock(minimum, aim), noise=one.sigma
+    )
     return solve(settings, prepare(settings, part, Table({**columns, **places})))
 
 
@@ -212,7 +214,7 @@ def test_errors_that_points_share_move_pose_and_targets_together(tmp_path: Path)
         whole = own + common @ np.swapaxes(common, 1, 2)
         arrays = {"points_covariance": whole, "points_common": common, "points_core": np.eye(2)}
         named = {name: tuple(f"P{n}" for n in np.flatnonzero(one.surface == name)) for name in np.unique(one.surface)}
-        files = Inputs(Path("points.h5"), Path("part.yaml"))
+        files = Inputs(points=Path("points.h5"), nominal=Path("part.yaml"))
         settings = Settings(files, Overstock(0.5), targets=("T*",), surfaces=named)
         result = Result("calibrate-camera", "", (), np.zeros((0, 0)), {}, {"points": table}, arrays)
         return report(solve(settings, prepare(settings, part, result)))

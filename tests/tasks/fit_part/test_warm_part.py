@@ -79,7 +79,7 @@ def test_the_overstock_has_no_uncertainty_of_where_the_part_stood(tmp_path: Path
 def test_points_that_are_at_20_degc_are_not_taken_there_again(tmp_path: Path) -> None:
     net, part = network(20, 5, noise=0.0), Part(Known(25.0, 0.5), Known(11.5e-6, 1e-6))
     cold = multilaterate.run(multilaterate.TASK.job(replace(settings(), part=part), net.lengths(), net.point_table()))
-    job = Settings(Inputs(Path("points.h5"), Path("part.yaml")), Overstock(0.5), part=part)
+    job = Settings(Inputs(points=Path("points.h5"), nominal=Path("part.yaml")), Overstock(0.5), part=part)
     with pytest.raises(InputError, match="at 20 degC already"):
         read(job, cold, (), of_mesh=True)
     kept = read(replace(job, part=None), cold, (), of_mesh=True)

@@ -13,8 +13,7 @@ from metrocli import nc_program
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.plan import Plan
 from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
-from metrocli.tasks.locate_launch_unit.plan_settings import Axes, Planned, Range
-from metrocli.tasks.locate_launch_unit.settings import Noise, Settings, Truth
+from metrocli.tasks.locate_launch_unit.settings import Axes, Noise, Planned, Range, Settings, Truth
 
 RNG = np.random.default_rng(41)
 PAPER_PLAN = Planned(Axes((-1200.0, 4200.0), (0.0, 1200.0), (0.0, 1600.0)), 50.0, 300.0)

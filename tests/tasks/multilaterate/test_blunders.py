@@ -14,6 +14,7 @@ from metrocli.adjust.solution import residuals_of
 from metrocli.errors import NotConvergedError
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.problem import build
+from metrocli.tasks.multilaterate.settings import Files
 from metrocli.tasks.multilaterate.solve import solve
 
 
@@ -152,7 +153,7 @@ def test_the_least_detectable_error_counts_noise_that_is_larger_than_declared() 
 
 def test_redundancy_sums_to_the_degrees_of_freedom() -> None:
     net = network(30, 5, seed=2)
-    solved = solve(build(settings(5e-7), net.lengths(), net.point_table(), None, None), remove=False)
+    solved = solve(build(settings(5e-7), Files(net.lengths(), net.point_table())), remove=False)
     total = sum(residuals_of(solved.solution, group).redundancy.sum() for group in solved.solution.groups)
     assert total == pytest.approx(solved.solution.dof, rel=1e-7)
     assert solved.solution.dof == (5 - 3) * 30 - 5 * 5 + 6 + 5

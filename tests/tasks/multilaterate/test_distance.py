@@ -17,8 +17,9 @@ from metrocli.record import Record
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.distance import distance
 from metrocli.tasks.multilaterate.problem import build
+from metrocli.tasks.multilaterate.reliability import distance
+from metrocli.tasks.multilaterate.settings import Files
 from metrocli.tasks.multilaterate.solve import solve
 
 
@@ -38,7 +39,7 @@ def test_its_uncertainty_is_that_of_the_full_covariance(known: bool, scale: floa
     result = multilaterate.run(
         multilaterate.TASK.job(settings(scale), net.lengths(), net.point_table(), distances=distances)
     )
-    solved = solve(build(settings(scale), net.lengths(), net.point_table(), None, distances), remove=False)
+    solved = solve(build(settings(scale), Files(net.lengths(), net.point_table(), distances=distances)), remove=False)
     full = solved.solution.covariance_or_raise().of(tracer.POINT)
     points = solved.solution.blocks[tracer.POINT].values
     for a, b in ((0, 1), (3, 17), (19, 4)):

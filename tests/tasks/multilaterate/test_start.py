@@ -15,8 +15,9 @@ from metrocli.formats import csv
 from metrocli.instruments.tracer_start import start
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.problem import build
+from metrocli.tasks.multilaterate.settings import Files
 from metrocli.tasks.multilaterate.solve import solve
-from metrocli.tasks.shared import tracer_places
+from metrocli.tasks.shared import tracers
 from metrocli.tasks.shared.lengths import LengthNoise
 
 LAYOUTS = 500
@@ -217,7 +218,7 @@ def test_a_tracer_with_four_points_that_is_listed(n: int, m: int, seed: int, sca
 def test_the_mirror_image_is_no_result() -> None:
     """It fits the lengths as well as the truth does; started there the adjustment stays there, and says so."""
     net = network(30, 5, seed=3)
-    built = build(settings(), net.lengths(), net.point_table(), None, None)
+    built = build(settings(), Files(net.lengths(), net.point_table()))
     turned = {}
     for name, block in built.blocks.items():
         values = block.values.copy()
@@ -239,18 +240,19 @@ def test_the_factor_of_wrong_lengths_is_sought_for_people_only(monkeypatch: pyte
         calls.append(1)
         return start(*given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(tracer_places, "start", counted)
+    monkeypatch.setattr(tracers, "start", counted)
     rng = np.random.default_rng(8)
     points, place = rng.uniform(0, 1000, (30, 3)), np.array([-700.0, 300, 1900])
     lengths = np.linalg.norm(points - place, axis=1) * 17 + rng.normal(0, 900, 30)
     nowhere, unknown = np.full((1, 3), np.nan), np.full((1, 3), np.nan)
-    seen = tracer_places.Seen(["LT1"], np.zeros(30, dtype=int), points, lengths, nowhere, unknown, 1000.0)
+    one = tracers.Tracers(("LT1",), np.zeros(30, dtype=int), nowhere, unknown, np.zeros(1, dtype=int))
+    seen = tracers.Seen(one, np.arange(30), points, lengths, 1000.0)
     with pytest.raises(InputError, match="do not belong to these points"):
-        tracer_places.places_of(seen)
+        tracers.places_of(seen)
     for_people = len(calls)
     calls.clear()
     with allowance(24), pytest.raises(NotConvergedError):
-        tracer_places.places_of(seen)
+        tracers.places_of(seen)
     assert len(calls) < 6 < for_people
 
 
@@ -261,11 +263,12 @@ def test_a_delay_that_all_ranges_share_is_no_sign_of_wrong_rows() -> None:
     lengths = np.linalg.norm(points - beacons[:, None], axis=2) + 600 + rng.normal(0, 80, (6, 40))
     listed = np.tile(points + rng.normal(0, 50, points.shape), (6, 1))
     names, of_each = [f"A{i}" for i in range(6)], np.repeat(np.arange(6), 40)
-    seen = tracer_places.Seen(names, of_each, listed, lengths.ravel(), beacons, np.zeros((6, 3)), 5000.0, absolute=True)
-    assert (tracer_places.places_of(seen)[:, :3] == beacons).all()
+    known = tracers.Tracers(tuple(names), of_each, beacons, np.zeros((6, 3)), np.arange(6))
+    seen = tracers.Seen(known, np.arange(240), listed, lengths.ravel(), 5000.0, absolute=True)
+    assert (tracers.places_of(seen)[:, :3] == beacons).all()
     lengths[2] = rng.permutation(lengths[2])
     with pytest.raises(InputError) as raised:
-        tracer_places.places_of(replace(seen, length=lengths.ravel()))
+        tracers.places_of(replace(seen, length=lengths.ravel()))
     assert str(raised.value).count("do not belong to these points") == 1
     assert "tracer A2" in str(raised.value)
 
@@ -278,7 +281,7 @@ def test_points_known_no_better_than_their_ranges_are_not_far_from_their_list() 
     for declared in (25.0, 1.0):
         job = replace(settings(measures="absolute"), noise=LengthNoise(declared, 0.0))
         beacons = rough.tracer_table(0.0, sigma=np.zeros(6))
-        built = build(job, rough.lengths(), rough.point_table(), beacons, None)
+        built = build(job, Files(rough.lengths(), rough.point_table(), beacons))
         astray[declared] = solve(built, remove=False).astray
     assert astray[25.0] < 0.7 < 1 < astray[1.0]
 
@@ -289,7 +292,7 @@ def test_points_far_from_their_list_are_explained_by_what_is_listed(listed: bool
     net = replace(network(30, 6, seed=149), dead=np.zeros(6)).read(np.random.default_rng(150))
     beacons = net.tracer_table(0.0, sigma=np.zeros(6)) if listed else None
     late = replace(net, readings=net.readings + 300.0)
-    built = build(settings(measures="absolute"), late.lengths(), late.point_table(), beacons, None)
+    built = build(settings(measures="absolute"), Files(late.lengths(), late.point_table(), beacons))
     with pytest.raises(NotConvergedError) as raised:
         solve(replace(built, nominal=built.nominal + (0.0 if listed else 400.0)), remove=False)
     assert ("length-offset" in str(raised.value)) == listed

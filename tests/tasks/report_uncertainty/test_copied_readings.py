@@ -10,7 +10,7 @@ from tasks.report_uncertainty.jobs import carry_out
 
 from metrocli.errors import Fault
 from metrocli.table import Table
-from metrocli.tasks.report_uncertainty.copied_readings import repeated
+from metrocli.tasks.report_uncertainty.correlations import repeated
 
 SERIES = [50.0012, 50.0019, 50.0007, 50.0015, 50.0011, 50.0021, 50.0009, 50.0014]
 

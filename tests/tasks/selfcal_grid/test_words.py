@@ -14,7 +14,7 @@ from metrocli.instruments.ball_grid import rigid
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import readings as grid_readings
 from metrocli.tasks.selfcal_grid import task as selfcal_grid
-from metrocli.tasks.selfcal_grid.point import error_at
+from metrocli.tasks.selfcal_grid.error_map import error_at
 from metrocli.tasks.selfcal_grid.problem import build
 from metrocli.tasks.selfcal_grid.settings import ViewSettings, views_of
 

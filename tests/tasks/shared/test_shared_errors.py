@@ -73,7 +73,10 @@ def test_errors_of_successive_balls_count_in_the_machine_errors() -> None:
 def network(model: str, points: int = 30, declared: float = 1.0) -> Result:
     net = lengths.network(points, 5, seed=8)
     settings = lengths.settings()
-    settings = replace(settings, noise=replace(lengths.NOISE.times(declared), model=model))
+    size = replace(
+        lengths.NOISE, constant=declared * lengths.NOISE.constant, proportional=declared * lengths.NOISE.proportional
+    )
+    settings = replace(settings, noise=replace(size, model=model))
     return multilaterate.run(multilaterate.TASK.job(settings, net.lengths(), net.point_table(), net.tracer_table()))
 
 

@@ -5,20 +5,14 @@ The tables are quasi-static: what the drives do at a feed, and the reversal betw
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.acceptance.positioning import COVERAGE
 from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.calibrate_machine.volume import predict
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 DIAGONALS = {"PPP": (1, 1, 1), "NPP": (-1, 1, 1), "PNP": (1, -1, 1), "NNP": (-1, -1, 1)}
 """The body diagonals of ISO 230-6 by the direction of travel along X, Y, Z"""
@@ -90,19 +84,11 @@ def diagonals(tables: Tables, drawn: Array, tool: int) -> tuple[Table, Table]:
         towards = np.repeat((end - start)[:, None] / length, _STEPS, axis=1)
         found = _profile(tables, drawn, tool, position, towards)
         row = found.rows - found.rows[0]
-        columns: dict[str, Values] = {
-            "diagonal": np.repeat(np.array([name]), _STEPS),
-            "position": length * share,
-            "deviation": found.values - found.values[0],
-            "std": np.sqrt(np.maximum(np.einsum("np,pq,nq->n", row, tables.raw, row, optimize=True), 0.0)),
-        }
-        parts.append(columns)
+        std = np.sqrt(np.maximum(np.einsum("np,pq,nq->n", row, tables.raw, row, optimize=True), 0.0))
+        along = {"position [mm]": length * share, "deviation [mm]": found.values - found.values[0], "std [mm]": std}
+        parts.append(Table.of({"diagonal": np.repeat(np.array([name]), _STEPS), **along}))
         figures.append((name, length, *found.range_with_u()))
-    together = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return (
-        Table(together, dict.fromkeys(("position", "deviation", "std"), "mm")),
-        _rows(("diagonal", "length", "E", "U_E"), figures),
-    )
+    return Table.stack(parts), Table.of_rows(("diagonal", "length [mm]", "E [mm]", "U_E [mm]"), figures)
 
 
 def circular(tables: Tables, drawn: Array, tool: int, radius: float | None) -> Table:
@@ -129,9 +115,5 @@ def circular(tables: Tables, drawn: Array, tool: int, radius: float | None) -> T
             found.values - centre @ (centre.T @ found.values), found.rows - centre @ (centre.T @ found.rows), drawn
         )
         figures.append((name, own, *left.range_with_u(), float(left.values.max()), float(left.values.min())))
-    return _rows(("plane", "radius", "G", "U_G", "F_max", "F_min"), figures)
-
-
-def _rows(names: tuple[str, ...], rows: Sequence[tuple[str | float, ...]]) -> Table:
-    columns: dict[str, Values] = {name: np.array([row[i] for row in rows]) for i, name in enumerate(names)}
-    return Table(columns, dict.fromkeys(names[1:], "mm"))
+    headings = ("plane", "radius [mm]", "G [mm]", "U_G [mm]", "F_max [mm]", "F_min [mm]")
+    return Table.of_rows(headings, figures)

@@ -1,10 +1,9 @@
 """Effects that may disturb the calibration of a machine, and where those of one's own can act."""
 
 from metrocli.effects.effect import Effect
-from metrocli.tasks.calibrate_machine.effects.laser import OF_THE_LASER
 from metrocli.tasks.calibrate_machine.effects.machine import OF_THE_MACHINE
 from metrocli.tasks.calibrate_machine.effects.places import PLACES
-from metrocli.tasks.calibrate_machine.effects.tracker import OF_THE_TRACKER
+from metrocli.tasks.calibrate_machine.effects.tracker import OF_THE_LASER, OF_THE_TRACKER
 from metrocli.tasks.shared.length_effects import LENGTH_EFFECTS
 
 OF_MACHINES: tuple[Effect, ...] = (*OF_THE_MACHINE, *OF_THE_TRACKER)

@@ -6,35 +6,31 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Space
+from metrocli.adjust.model.blocks import Space
 from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.effect import Effect, Parameter
+from metrocli.arrays import Array
+from metrocli.effects.effect import Effect, Parameter, sizes
 from metrocli.effects.links.motions import (
     AXES,
+    AngularReversal,
     Backlash,
     BacklashGrowth,
+    Hysteresis,
     LoadSag,
     MachineDrift,
     ScrewPitchError,
     ServoLag,
+    StraightnessReversal,
     ThermalGrowth,
 )
-from metrocli.effects.links.reversals import AngularReversal, Hysteresis, StraightnessReversal
 from metrocli.effects.links.shifts import Shift
 from metrocli.instruments.machine_path import SINCE, SPEED
-from metrocli.units import parse_quantity
 
 SCHWENKE = "Schwenke et al. 2008, Geometric error measurement and compensation of machines, CIRP Annals 57"
 
 
-def size(name: str, dimension: str, plausible: str) -> Parameter:
-    """Return a parameter with its plausible size as a text."""
-    return Parameter(name, dimension, parse_quantity(plausible, dimension))
-
-
-def velocity() -> tuple[Parameter, ...]:
-    """Return the parameters of a drift."""
-    return tuple(size(name, "speed", "1 um/min") for name in ("vx", "vy", "vz"))
+VELOCITY = sizes("vx vy vz", "speed", "1 um/min")
+"""Parameters of a drift"""
 
 
 _SHORTEST, _LONGEST = 2.0, 50.0
@@ -75,7 +71,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
     Effect(
         "backlash",
         "the axis stops at another place when it arrives from the other side: play, friction and wind-up of its drive",
-        (size("width", "length", "20 um"),),
+        sizes("width", "length", "20 um"),
         lambda block, where: Backlash(block, where["axis"]),
         where=("axis",),
         needs=("from_{axis}",),
@@ -86,7 +82,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
     Effect(
         "backlash-growth",
         "the play of an axis is not the same along its travel: its screw or rack is worn, or winds up",
-        (size("growth", "ratio", "50 ppm"),),
+        sizes("growth", "ratio", "50 ppm"),
         lambda block, where: BacklashGrowth(block, where["axis"]),
         where=("axis",),
         needs=("from_{axis}",),
@@ -98,7 +94,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
     Effect(
         "hysteresis",
         "the backlash of an axis is not there at once: it builds up over the way since the axis turned, by friction",
-        (size("width", "length", "20 um"),),
+        sizes("width", "length", "20 um"),
         lambda block, where: Hysteresis(block, where["axis"]),
         where=("axis",),
         needs=(SINCE,),
@@ -111,7 +107,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
     Effect(
         "straightness-reversal",
         "an axis that turns shifts what it carries across its direction: play and friction of its guides",
-        (size("width", "length", "10 um"),),
+        sizes("width", "length", "10 um"),
         lambda block, where: StraightnessReversal(block, *where["reversal"]),
         where=("reversal",),
         needs=("from_{reversal[0]}",),
@@ -123,7 +119,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
     Effect(
         "angular-reversal",
         "an axis that turns tips its carriage: it is driven beside its guides, and these give way",
-        tuple(size(name, "angle", "5 arcsec") for name in ("rx", "ry", "rz")),
+        sizes("rx ry rz", "angle", "5 arcsec"),
         lambda block, where: AngularReversal(block, where["axis"]),
         where=("axis",),
         needs=("from_{axis}",),
@@ -135,7 +131,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
     Effect(
         "servo-lag",
         "an axis in motion is behind its command by its speed times a time: the gain of its control is finite",
-        (size("tau", "time", "60 ms"),),
+        sizes("tau", "time", "60 ms"),
         lambda block, where: ServoLag(block, where["axis"]),
         where=("axis",),
         needs=(SPEED,),
@@ -147,7 +143,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
     Effect(
         "screw-pitch-error",
         "the screw or the scale has an error that repeats with every turn and is too short-waved for the knots",
-        (size("amplitude", "length", "10 um"), size("phase", "angle", "6.3 rad")),
+        (*sizes("amplitude", "length", "10 um"), *sizes("phase", "angle", "6.3 rad")),
         lambda block, where: ScrewPitchError(block, where["axis"]),
         where=("axis",),
         scanned=(Parameter("period", "length", grid=_periods, tried=_TRIED),),
@@ -159,7 +155,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
     Effect(
         "thermal-growth",
         "the scale of an axis grows while the machine is measured",
-        (size("rate", "rate", "60 ppm/h"),),
+        sizes("rate", "rate", "60 ppm/h"),
         lambda block, where: ThermalGrowth(block, where["axis"]),
         where=("axis",),
         needs=("t",),
@@ -171,7 +167,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
     Effect(
         "machine-drift",
         "the tool moves against the workpiece while the machine is measured: spindle and column warm up",
-        velocity(),
+        VELOCITY,
         lambda block, where: MachineDrift(block),
         needs=("t",),
         confused_with=("tracker-drift", "thermal-growth"),
@@ -182,7 +178,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
     Effect(
         "repeatability",
         "the carrier does not return to the same place: its positions at stops scatter more than declared",
-        tuple(size(name, "length", "10 um") for name in ("dx", "dy", "dz")),
+        sizes("dx dy dz", "length", "10 um"),
         lambda block, where: Shift(block, Quantity.POINT_IN_MACHINE),
         where=("stop",),
         not_first=("stop",),
@@ -198,7 +194,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         "load-sag",
         "a carriage bends the structure that carries it: the tool sinks with the product of two positions; "
         "no error of a rigid body does this",
-        (size("c", "curvature", "1e-6 1/mm"),),
+        sizes("c", "curvature", "1e-6 1/mm"),
         lambda block, where: LoadSag(block, where["pair"]),
         where=("pair",),
         usual="1e-8 to 1e-6 1/mm",

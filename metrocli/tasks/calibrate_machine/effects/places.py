@@ -20,7 +20,7 @@ from metrocli.effects.acting import (
     point,
     seen_from,
 )
-from metrocli.tasks.shared.length_places import AT, BEAM, length
+from metrocli.tasks.shared.length_effects import AT, BEAM, length
 
 _PLACES = ("axis", "pair")
 _OF_PLACE: Mapping[str, OfPlace] = {"axis": commanded, "pair": of_pair}

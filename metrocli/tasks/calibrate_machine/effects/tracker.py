@@ -1,15 +1,14 @@
-"""Effects on the tracker that measures a machine; docs/effects describes each of them.
-
-Geometric errors are written as in Muralikrishnan et al. 2009, for readings in one face.
-"""
+"""Effects on trackers and lasers that read a machine (docs/effects)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from metrocli.effects.effect import Effect, Parameter
-from metrocli.effects.links.trackers import TrackerMoves, tracker_readings
-from metrocli.tasks.calibrate_machine.effects.machine import SCHWENKE, size, velocity
+from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, sizes
+from metrocli.effects.links.angles import TrackerMoves, tracker_readings
+from metrocli.effects.links.motions import LineTerm
+from metrocli.instruments.six_dof import FROM_START
+from metrocli.tasks.calibrate_machine.effects.machine import SCHWENKE, VELOCITY
 
 _MURALIKRISHNAN = (
     "Muralikrishnan et al. 2009, ASME B89.4.19 performance evaluation tests and geometric misalignments in laser "
@@ -46,7 +45,7 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
     _readings(
         "tracker-eccentricity",
         "the horizontal circle of the tracker is not centred on its axis",
-        tuple(size(name, "angle", "20 arcsec") for name in ("c1", "s1")),
+        sizes("c1 s1", "angle", "20 arcsec"),
         {"azimuth": "c1*cos(azimuth) + s1*sin(azimuth)"},
         "0.1 to 20 arcsec",
         "the same points from the other side of the machine, or with the tracker turned on its stand; two faces",
@@ -55,7 +54,7 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
     _readings(
         "tracker-scale",
         "all distances of the tracker are too long or too short by one factor: wavelength or refractive index of air",
-        (size("scale", "ratio", "5 ppm"),),
+        sizes("scale", "ratio", "5 ppm"),
         {"distance": "scale*distance"},
         "0.1 to 5 ppm",
         "a calibrated length between two nests, measured by the tracker along its beam",
@@ -65,7 +64,7 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
     _readings(
         "tracker-range-zero",
         "the home distance of the tracker, or the constant of its reflector, is wrong: all distances are off alike",
-        (size("r0", "length", "0.1 mm"),),
+        sizes("r0", "length", "0.1 mm"),
         {"distance": "r0"},
         "5 um to 0.1 mm",
         "a length between two nests measured from between them and from outside, in line with them",
@@ -74,7 +73,7 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
     _readings(
         "tracker-beam-offset",
         "the beam leaves the tracker beside the crossing point of its axes",
-        (size("h", "length", "0.2 mm"), size("v", "length", "0.2 mm")),
+        sizes("h v", "length", "0.2 mm"),
         {"azimuth": "h/(distance*cos(elevation))", "elevation": "v/distance"},
         "5 um to 0.2 mm",
         "some points in both faces of the tracker, near to it and far from it",
@@ -83,7 +82,7 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
     _readings(
         "tracker-transit-tilt",
         "the tilt axis of the tracker is not square to its vertical axis",
-        (size("angle", "angle", "20 arcsec"),),
+        sizes("angle", "angle", "20 arcsec"),
         {"azimuth": "angle*tan(elevation)"},
         "0.5 to 20 arcsec",
         _TWO_FACES,
@@ -92,7 +91,7 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
     _readings(
         "tracker-mirror-tilt",
         "the beam leaves the tracker not square to its tilt axis: mirror or laser are tilted",
-        (size("angle", "angle", "20 arcsec"),),
+        sizes("angle", "angle", "20 arcsec"),
         {"azimuth": "angle/cos(elevation)"},
         "0.5 to 20 arcsec",
         _TWO_FACES,
@@ -101,7 +100,7 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
     _readings(
         "tracker-vertical-index",
         "the zero of the vertical circle of the tracker is off: all elevations are too large or too small alike",
-        (size("angle", "angle", "20 arcsec"),),
+        sizes("angle", "angle", "20 arcsec"),
         {"elevation": "angle"},
         "0.5 to 20 arcsec",
         _TWO_FACES,
@@ -110,7 +109,7 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
     _readings(
         "tracker-azimuth-harmonic",
         "the horizontal circle of the tracker has an error of two waves in a turn: its scale is oval or bent",
-        (size("c2", "angle", "10 arcsec"), size("s2", "angle", "10 arcsec")),
+        sizes("c2 s2", "angle", "10 arcsec"),
         {"azimuth": "c2*cos(2*azimuth) + s2*sin(2*azimuth)"},
         "0.1 to 10 arcsec",
         "the same points with the tracker turned on its stand by a quarter of a turn",
@@ -119,7 +118,7 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
     _readings(
         "tracker-vertical-eccentricity",
         "the vertical circle of the tracker is not centred on its axis",
-        (size("c1", "angle", "20 arcsec"), size("s1", "angle", "20 arcsec")),
+        sizes("c1 s1", "angle", "20 arcsec"),
         {"elevation": "c1*cos(elevation) + s1*sin(elevation)"},
         "0.1 to 20 arcsec",
         _TWO_FACES,
@@ -128,7 +127,7 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
     _readings(
         "tracker-vertical-harmonic",
         "the vertical circle of the tracker has an error of two waves in a turn: its scale is oval or bent",
-        (size("c2", "angle", "10 arcsec"), size("s2", "angle", "10 arcsec")),
+        sizes("c2 s2", "angle", "10 arcsec"),
         {"elevation": "c2*cos(2*elevation) + s2*sin(2*elevation)"},
         "0.1 to 10 arcsec",
         "the same points with the tracker at another height, so that their elevations differ",
@@ -137,7 +136,7 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
     _readings(
         "tracker-air-gradient",
         "the refractive index of the air changes with height: the beam is bent, and its distance off",
-        (size("gradient", "curvature", "5e-9 1/mm"),),
+        sizes("gradient", "curvature", "5e-9 1/mm"),
         {"distance": "gradient*distance**2*sin(elevation)/2", "elevation": "-gradient*distance*cos(elevation)/2"},
         "2e-10 to 5e-9 1/mm",
         "the temperature of the air at two heights; the same points with the tracker nearer",
@@ -147,7 +146,7 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
     Effect(
         "tracker-drift",
         "the tracker moves on its stand while the machine is measured",
-        velocity(),
+        VELOCITY,
         lambda block, where: TrackerMoves(block),
         needs=("t",),
         confused_with=("machine-drift", "thermal-growth"),
@@ -157,3 +156,37 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
     ),
 )
 """Effects on the readings of the tracker, and on its stand"""
+
+
+def _refraction(by: str, condition: str, need: str, rate: tuple[Parameter, ...], usual: str) -> Effect:
+    return Effect(
+        "laser-refraction-drift",
+        "the refractive index of the air changes while the laser measures, without being corrected",
+        rate,
+        lambda block, where: LineTerm(block, (condition, FROM_START)),
+        by=by,
+        needs=(need,),
+        confused_with=("thermal-growth", "laser-dead-path-drift"),
+        usual=usual,
+        reveal="temperature and pressure of the air with each reading; a line run again at the end",
+        source="Birch and Downs 1994: -0.955 ppm/K, +0.268 ppm/hPa",
+    )
+
+
+OF_THE_LASER: tuple[Effect, ...] = (
+    Effect(
+        "laser-dead-path-drift",
+        "the zero of the laser drifts on one line: dead path, stand and optics warm up",
+        sizes("rate", "speed", "1 um/min"),
+        lambda block, where: LineTerm(block, (ELAPSED,)),
+        where=("line",),
+        needs=("t",),
+        confused_with=("laser-refraction-drift", "machine-drift", "backlash"),
+        usual="0.05 um/h to 1 um/min",
+        reveal="the line run to and fro, and its first target read again at the end",
+        source=SCHWENKE,
+    ),
+    _refraction("T", WARMING, "temp", sizes("rate", "expansion", "2e-6 1/K"), "5e-7 to 2e-6 1/K"),
+    _refraction("t", ELAPSED, "t", sizes("rate", "rate", "10 ppm/h"), "0.1 to 10 ppm/h"),
+)
+"""Effects on the displacement that the laser reads"""

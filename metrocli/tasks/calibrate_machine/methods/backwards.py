@@ -9,13 +9,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.errors import Fault, InputError
 from metrocli.instruments.machine import AXES, TOOL
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, Settings
 from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
-from metrocli.tasks.shared.tracer_places import Seen
+from metrocli.tasks.shared.tracers import Seen
 
 _NEARER = 0.25
 """The median distance of stations from their list has to fall below this share of itself when they are mirrored"""
@@ -28,10 +28,11 @@ def refuse_backwards(found: Array, seen: Seen) -> None:
 
     Only places listed without a standard uncertainty are compared: the others are kept.
     """
-    rough = np.isfinite(seen.said).all(axis=1) & np.isnan(seen.sigma).all(axis=1)
+    said, sigma = seen.tracers.said, seen.tracers.sigma
+    rough = np.isfinite(said).all(axis=1) & np.isnan(sigma).all(axis=1)
     if not rough.any():
         return
-    found, said = found[rough], seen.said[rough]
+    found, said = found[rough], said[rough]
     twice = seen.points.min(axis=0) + seen.points.max(axis=0)
     mirrored = [_miss(np.where(np.arange(3) == axis, twice - found, found), said) for axis in range(3)]
     axis = int(np.argmin(mirrored))

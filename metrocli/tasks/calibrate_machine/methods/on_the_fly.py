@@ -16,10 +16,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.rounds import in_rounds
 from metrocli.adjust.stream_condensation import Condensed, condense
+from metrocli.arrays import Array, Index
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
@@ -51,7 +53,7 @@ _SETTLED = 1e-4
 _CELLS_IN_A_PERIOD = 8
 _INSIDE = 1e-6
 """Points are moved inside their leg by at least this [mm], so that each belongs to one cell"""
-_ROUNDS = 8
+_ROUNDS = 7
 _WILD = 8.0
 """Points farther off than this many standard deviations are left out; the median distance counts if it is larger"""
 
@@ -69,19 +71,48 @@ class Measurement:
     settings: Settings
     effects: tuple[Wanted, ...] = ()
 
+    def with_noise_times(self, factor: float) -> Measurement:
+        """Return the measurement with a factor on the declared noise of the tracker."""
+        return replace(self, noise=self.noise.times(factor))
 
-def on_the_fly(settings: Settings, path: Table, track: Table, effects: Sequence[Wanted] = ()) -> Solved:
-    """Return the solved calibration; raises InputError if the track does not match the path."""
+
+def measurement(settings: Settings, path: Table, track: Table, effects: Sequence[Wanted] = ()) -> Measurement:
+    """Return a track aligned with its path; raises InputError if it does not match the path."""
     machine = machine_of(settings)
-    blocks = error_blocks(machine, settings)
     legs = path_of(settings, machine, path)
     tool = tools_of(track, settings) if "tool" in track else None
-    vectors = blocks[TOOL].values
-    measured = cut(track, legs, vectors, tool, settings.corner)
+    measured = cut(track, legs, error_blocks(machine, settings)[TOOL].values, tool, settings.corner)
     cells = legs.cells(machine, _longest_cell(effects))
-    whole = Measurement(machine, legs, measured, tracker_noise(settings), cells, settings, tuple(effects))
-    state: Mapping[str, Block] = {**blocks, TRACKER: tracker_block(measured.pose, settings.machine.tool_uncertainty)}
-    return _settled(whole, state)
+    return Measurement(machine, legs, measured, tracker_noise(settings), cells, settings, tuple(effects))
+
+
+def on_the_fly(whole: Measurement) -> Solved:
+    """Solve, and relinearise until no point moves along its leg."""
+    settings = whole.settings
+    tracker = tracker_block(whole.track.pose, settings.machine.tool_uncertainty)
+    solved = solve(problem_at(whole, {**error_blocks(whole.machine, settings), TRACKER: tracker}), False)
+    cut = _without_wild(whole, solved.solution.blocks)
+
+    def at(state: Mapping[str, Block], before: Array) -> _Linearised:
+        return _Linearised(state, ways(cut, state), before)
+
+    def moved(here: _Linearised, again: Solved) -> tuple[_Linearised, bool]:
+        still = np.abs(here.way - here.before).max() < _SETTLED
+        return (here, False) if still else (at(again.solution.blocks, here.way), True)
+
+    begun = at(solved.solution.blocks, np.full(cut.track.points.shape[1], np.inf))
+    return in_rounds(begun, lambda here: solved_again(solved, problem_at(cut, here.state)), moved, _ROUNDS)[1]
+
+
+@dataclass(frozen=True)
+class _Linearised:
+    """A place of linearisation."""
+
+    state: Mapping[str, Block]
+    way: Array
+    """Commanded distance of each point along its leg there, (n,)"""
+    before: Array
+    """The same at the place before"""
 
 
 def _longest_cell(effects: Sequence[Wanted]) -> float:
@@ -97,20 +128,6 @@ def path_of(settings: Settings, machine: Machine, table: Table) -> Path:
     if len(path.lengths) < 2:
         raise InputError([Fault("the path has fewer than two legs", table.file)])
     return path
-
-
-def _settled(whole: Measurement, state: Mapping[str, Block]) -> Solved:
-    """Solve, and relinearise until no point moves along its leg."""
-    solved = solve(problem_at(whole, state), False)
-    whole = _without_wild(whole, solved.solution.blocks)
-    way = np.full(whole.track.points.shape[1], np.inf)
-    for _ in range(_ROUNDS):
-        state = solved.solution.blocks
-        before, way = way, ways(whole, state)
-        solved = solved_again(solved, problem_at(whole, state))
-        if np.abs(way - before).max() < _SETTLED:
-            break
-    return solved
 
 
 def problem_at(whole: Measurement, state: Mapping[str, Block]) -> Problem:

@@ -6,13 +6,11 @@ If all tables are zero, two face diagonals d1, d2 give `C0Y = (d2^2 - d1^2) / (4
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array, Index, Values
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL, Machine
@@ -28,8 +26,7 @@ from metrocli.instruments.six_dof import (
     line_chain,
 )
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
-from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
+from metrocli.tasks.calibrate_machine.iso230 import Run
 from metrocli.tasks.calibrate_machine.problem import (
     SIDES,
     Problem,
@@ -44,9 +41,6 @@ from metrocli.tasks.calibrate_machine.problem import (
 )
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.words import suggestion
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 READINGS = "lines"
 DIRECTIONS = {"x": (0,), "y": (1,), "z": (2,), "xy": (0, 1), "yz": (1, 2), "xz": (0, 2)}
@@ -154,8 +148,7 @@ def _positions(machine: Machine, table: Table, axes: Values) -> Array:
         position[axis] = np.where(axes == name, position[axis], given)
     if faults:
         raise InputError(faults)
-    columns: dict[str, Values] = dict(zip("xyz", position, strict=True))
-    return commanded(machine, Table(columns, table.units, table.file, table.lines))
+    return commanded(machine, table.joined({"x y z [mm]": position.T}))
 
 
 def six_dof(settings: Settings, table: Table) -> Problem:
@@ -168,11 +161,6 @@ def six_dof(settings: Settings, table: Table) -> Problem:
     must_support(machine, lines.position, blocks)
     laser = laser_noise(settings)
     along = lines.along
-    runs = runs_of(lines, table)
-    # readings scatter evenly over the range at rest (ISO 230-2:2014, annex A: E_VE)
-    reading = float(np.hypot(settings.noise.displacement or 0.0, settings.positioning.environment / np.sqrt(12)))
-    figures, warnings = positioning(runs, Measured(reading, settings.positioning.scale))
-    found = {"positioning": figures, "positioning_targets": at_targets(runs)}
     observations = Observations(
         table.stacked(CHANNELS).T,
         np.ones(1),
@@ -193,8 +181,7 @@ def six_dof(settings: Settings, table: Table) -> Problem:
         np.ones(len(table)),
         tuple(settings.tools),
         facts={"lines": len(lines.names)},
-        tables={name: one for name, one in found.items() if one is not None},
-        warnings=warnings,
+        runs=tuple(runs_of(lines, table)),
     )
 
 

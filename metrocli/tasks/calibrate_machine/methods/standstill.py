@@ -10,7 +10,7 @@ from metrocli.errors import Fault, InputError
 from metrocli.instruments.machine import TOOL
 from metrocli.instruments.tracker import TrackerNoise, point_chain, tracker_block
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.methods.frames import tracker_pose
+from metrocli.tasks.calibrate_machine.methods.track import tracker_pose
 from metrocli.tasks.calibrate_machine.problem import (
     Problem,
     commanded,

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from metrocli.adjust.dense_jacobian import Unknowns, rows, unit_noise, unknowns_of
-from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.model.blocks import Block
+from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.instruments.machine_path import Path

@@ -1,16 +1,16 @@
-"""Plan an on-the-fly measurement: what the path of the job will determine, and a proposed path."""
+"""What a planned measurement of a machine will determine, and what is wanted of it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.adjust.adjustment import covariance_at
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array, Index
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
@@ -23,7 +23,6 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
-from metrocli.tasks.calibrate_machine.determination import Determination
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import READINGS, path_of
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
@@ -31,12 +30,9 @@ from metrocli.tasks.calibrate_machine.plans.path_search import Found, Wanted, ed
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import Problem, conditions, error_blocks, machine_of, model_of, tool_prior
 from metrocli.tasks.calibrate_machine.settings import Settings
-from metrocli.tasks.calibrate_machine.tables import Tables, tables_of, unit_of
+from metrocli.tasks.calibrate_machine.tables import Determination, Tables, tables_of, unit_of
 from metrocli.tasks.calibrate_machine.volume_report import volume_tables
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _MARGIN = 0.97
 """The search stops at this share of the wanted ratio, since the ratio of the final path differs a little"""
@@ -191,22 +187,22 @@ def predicted_errors(tables: Tables, identified: Identifiability) -> Table:
     names = [name for name in ALL_NAMES if identified.status[name] != Determination.NOT_ESTIMATED]
     std = [tables.of(name)[2].max() for name in names]
     open_ones = np.array([identified.status[name] == Determination.UNDETERMINED for name in names])
-    columns: dict[str, Values] = {
-        "error": np.array(names),
-        "status": np.array([identified.status[name] for name in names]),
-        "with": np.array([" ".join(identified.partners.get(name, ())) for name in names]),
-        "largest_std": np.where(open_ones, np.inf, std),
-        "unit": np.array([unit_of(name) for name in names]),
-    }
-    return Table(columns)
+    return Table.of(
+        {
+            "error": names,
+            "status": [identified.status[name] for name in names],
+            "with": [" ".join(identified.partners.get(name, ())) for name in names],
+            "largest_std": np.where(open_ones, np.inf, std),
+            "unit": [unit_of(name) for name in names],
+        }
+    )
 
 
 def _path_table(settings: Settings, found: Found, wanted: PathPlan) -> Table:
-    columns: dict[str, Values] = dict(zip("xyz", found.vertices.T, strict=True))
+    table = Table.of({"x y z [mm]": found.vertices})
     if list(settings.tools) != [""]:
-        columns["tool"] = np.array(list(settings.tools))[found.tool]
-    columns["feed"] = np.full(len(found.tool), wanted.feed)
-    return Table(columns, {**dict.fromkeys("xyz", "mm"), "feed": "mm/s"})
+        table = table.joined({"tool": np.array(list(settings.tools))[found.tool]})
+    return table.joined({"feed [mm/s]": np.full(len(found.tool), wanted.feed)})
 
 
 def _program(settings: Settings, found: Found, wanted: PathPlan) -> str:

@@ -8,12 +8,12 @@ least mean variance in the volume (greedy choice).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
 
 from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, rows, unknowns_of
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import POSITION, TOOL, Machine
@@ -31,9 +31,7 @@ from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, Problem, mach
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
+from metrocli.tasks.shared.lists import listed_places
 
 _TRIED = 150
 """Points for each tool with which candidates are compared"""
@@ -74,9 +72,7 @@ def plan_of_stations(settings: Settings, table: Table | None, listed: Table | No
     places = candidates[list(choice.stations)]
     points = all_over(settings, choice.points)
     worth = worth_of(settings, _problem(settings, points, places, chosen))
-    columns: dict[str, Values] = {"station": np.array(chosen)}
-    columns |= dict(zip(POSITION, places.T, strict=True))
-    stations = Table(columns, dict.fromkeys(POSITION, "mm"))
+    stations = listed_places("station", chosen, places)
     notes = [
         *own,
         f"proposed: {len(chosen)} stations, each reads {len(points)} points, {choice.time / 3600:.1f} h",
@@ -129,7 +125,7 @@ def _in_turn(settings: Settings, wanted: PathPlan, candidates: Array) -> Iterato
     chosen: list[int] = []
     known, left = np.diag(reach**-2.0), set(range(len(candidates)))
     while left and len(chosen) < _STATIONS:
-        variances = {i: _variance(known + matrices[i], volume) for i in sorted(left)}
+        variances = {i: float(np.einsum("ab,ba->", np.linalg.inv(known + matrices[i]), volume)) for i in sorted(left)}
         best = min(variances, key=lambda i: variances[i])
         chosen, known, left = [*chosen, best], known + matrices[best], left - {best}
         most = int((wanted.time / len(chosen) - wanted.setup) / (step * tools)) - 8
@@ -167,11 +163,6 @@ def _volume(settings: Settings, problem: Problem, errors: Unknowns) -> Array:
     return np.asarray(total / (position.shape[1] * len(settings.tools)))
 
 
-def _variance(matrix: Array, volume: Array) -> float:
-    """Return the mean variance of the error vector over the volume."""
-    return float(np.einsum("ab,ba->", np.linalg.inv(matrix), volume))
-
-
 def _time_of_a_point(table: Table, feed: float) -> float:
     moves = np.linalg.norm(np.diff(table.stacked(POSITION), axis=0), axis=1)
     return float(moves.mean() / feed + REST)
@@ -183,12 +174,9 @@ def _problem(settings: Settings, points: Table, places: Array, names: list[str])
     reflector, n = points.stacked(POSITION) + vectors, len(points)
     path = np.concatenate([np.linalg.norm(reflector - place, axis=1) for place in places])
     again = np.tile(np.arange(n), len(places))
-    columns: dict[str, Values] = {name: points.columns[name][again] for name in points.columns}
-    columns |= {"station": np.repeat(np.array(names), n), "length": path - path[0]}
-    units = {**points.units, "length": "mm"}
-    listed: dict[str, Values] = {"station": np.array(names), **dict(zip(POSITION, places.T, strict=True))}
-    stations = Table(listed, dict.fromkeys(POSITION, "mm"), "stations.csv")
-    return lengths(settings, Table(columns, units, "lengths.csv"), stations)
+    every = Table({name: column[again] for name, column in points.columns.items()}, points.units, "lengths.csv")
+    table = every.joined({"station": np.repeat(np.array(names), n), "length [mm]": path - path[0]})
+    return lengths(settings, table, replace(listed_places("station", names, places), file="stations.csv"))
 
 
 def _program(settings: Settings, points: Table, stations: list[str], wanted: PathPlan) -> str:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.arrays import Array
 from metrocli.errors import UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments.machine import POSITION
@@ -25,9 +24,6 @@ from metrocli.tasks.calibrate_machine.problem import Problem, machine_of, tools_
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.volume import grid_of, spread_over
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _FEWEST, _GROWTH, _MOST = 12, 1.25, 5000
 
@@ -70,15 +66,9 @@ def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
     wanted, machine = settings.plan or PathPlan(), machine_of(settings)
     own = [] if lines is None else judged("the lines of the job", settings, lambda: six_dof(settings, lines))
     given = planned_lines(machine, (settings.simulation or MachineSimulation()).step)
-    columns: dict[str, Values] = {
-        "line": np.array(given.names)[given.of],
-        "axis": np.array(given.axis)[given.of],
-        "position": given.distance,
-        **dict(zip(POSITION, given.position, strict=True)),
-    }
-    table = Table(columns, dict.fromkeys(("position", *POSITION), "mm"))
-    zero = np.zeros(len(table))
-    read = Table({**columns, **dict.fromkeys(CHANNELS, zero)}, table.units)
+    names = {"line": np.array(given.names)[given.of], "axis": np.array(given.axis)[given.of]}
+    table = Table.of({**names, "position [mm]": given.distance, "x y z [mm]": given.position.T})
+    read = table.joined(dict.fromkeys(CHANNELS, np.zeros(len(table))))
     worth = _worth(settings, lambda: six_dof(settings, read))
     if not isinstance(worth, Worth):
         raise worth
@@ -114,11 +104,8 @@ def all_over(settings: Settings, count: int) -> Table:
     corners, inside = grid_of(machine, (2, 2, 2)), spread_over(machine, count * len(names))
     pieces = np.split(inside, len(names), axis=1)
     position = np.round(np.concatenate([part for piece in pieces for part in (corners, piece)], axis=1), 2)
-    columns: dict[str, Values] = {"point": np.array([f"P{i + 1:03d}" for i in range(position.shape[1])])}
-    columns |= dict(zip(POSITION, position, strict=True))
-    if names != [""]:
-        columns["tool"] = np.repeat(np.array(names), 8 + count)
-    return Table(columns, dict.fromkeys(POSITION, "mm"))
+    table = Table.of({"point": [f"P{i + 1:03d}" for i in range(position.shape[1])], "x y z [mm]": position.T})
+    return table if names == [""] else table.joined({"tool": np.repeat(np.array(names), 8 + count)})
 
 
 def _seen(settings: Settings, table: Table) -> Callable[[], Problem]:
@@ -129,8 +116,7 @@ def _seen(settings: Settings, table: Table) -> Callable[[], Problem]:
     def problem() -> Problem:
         vectors = np.array(list(settings.tools.values()))[tools_of(table, settings)]
         seen = poses.apply(poses.inverse(pose), table.stacked(POSITION) + vectors)
-        measured: dict[str, Values] = dict(zip(("mx", "my", "mz"), seen.T, strict=True))
-        return standstill(settings, Table({**table.columns, **measured}, table.units, table.file, table.lines))
+        return standstill(settings, table.joined({"mx my mz": seen}))
 
     return problem
 

@@ -1,10 +1,17 @@
-"""Settings of `metrocli plan` for a machine."""
+"""What `metrocli plan` is asked for."""
 
 from __future__ import annotations
 
 from metrocli.frozen import dataclass
 from metrocli.nc_program import CONTROLS
-from metrocli.settings import Choice, ListOf, Number, Quantity, Whole, setting
+from metrocli.settings import (
+    Choice,
+    ListOf,
+    Number,
+    Quantity,
+    Whole,
+    setting,
+)
 
 
 @dataclass(frozen=True)

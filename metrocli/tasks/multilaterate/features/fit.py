@@ -1,16 +1,145 @@
-"""An ideal feature laid through points: deviations, form, and how it follows the points."""
+"""Fits of ideal features: starting values, least squares, and the fit that a job asks for."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from enum import StrEnum
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Array, Index
+from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
-from metrocli.tasks.multilaterate.features.ideal import Array, Ideal, Shape
+from metrocli.tasks.multilaterate.features.ideal import STEP, UNKNOWNS, Ideal, Shape, tangents
 
-Index = npt.NDArray[np.intp]
+_DIRECTIONS = 150
+"""Directions of an axis, evenly over half the sphere"""
+_KEPT = 4
+"""Directions from which the fit starts; the best fit counts"""
+_SAMPLE = 400
+"""Points, at most, that choose the directions"""
+
+
+def starts(shape: Shape, points: Array) -> Iterator[Ideal]:
+    """Yield features near the points (n, 3) from which a fit can start."""
+    centre = points.mean(axis=0)
+    away = points - centre
+    size = float(np.sqrt((away**2).sum(axis=1).mean())) or 1.0
+    principal = np.linalg.svd(away, full_matrices=False)[2]
+    if shape is Shape.LINE:
+        yield Ideal(shape, centre, principal[0], size=size)
+    elif shape is Shape.PLANE:
+        yield Ideal(shape, centre, principal[2], size=size)
+    elif shape is Shape.CIRCLE:
+        yield from _round(shape, away / size, centre, size, principal[2:])
+    elif shape is Shape.SPHERE:
+        scaled = away / size
+        *middle, rest = _solved(np.column_stack([2 * scaled, np.ones(len(points))]), (scaled**2).sum(axis=1))[0]
+        radius = np.sqrt(max(rest + float(np.square(middle).sum()), 0.0))
+        yield Ideal(shape, centre + size * np.array(middle), np.array([0.0, 0.0, 1.0]), size * radius, size=size)
+    else:
+        every = np.linspace(0, len(points) - 1, min(len(points), _SAMPLE)).astype(int)
+        yield from _round(shape, away[every] / size, centre, size, np.concatenate([principal, _directions()]))
+
+
+def _directions() -> Array:
+    """Return unit vectors (_DIRECTIONS, 3) on half a sphere, by the golden angle."""
+    height = (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
+    turn = np.arange(_DIRECTIONS) * np.pi * (3 - np.sqrt(5))
+    flat = np.sqrt(1 - height**2)
+    return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
+
+
+def _round(shape: Shape, scaled: Array, centre: Array, size: float, axes: Array) -> Iterator[Ideal]:
+    """Yield the features about those axes whose squared radii fit best.
+
+    About an axis `u^2 + v^2 = 2 (a u + b v) + R^2 - a^2 - b^2`, with `2 R k h + k^2 h^2` more for a cone: linear.
+    """
+    found = []
+    for axis in axes:
+        first, second = tangents(axis)
+        u, v, h = scaled @ first, scaled @ second, scaled @ axis
+        columns = [2 * u, 2 * v, np.ones(len(u))]
+        columns += [h, h**2] if shape is Shape.CONE else []
+        solved, misfit = _solved(np.column_stack(columns), u**2 + v**2)
+        radius = np.sqrt(max(solved[2] + solved[0] ** 2 + solved[1] ** 2, 0.0))
+        if radius == 0:
+            continue
+        slope = solved[3] / (2 * radius) if shape is Shape.CONE else 0.0
+        origin = centre + size * (solved[0] * first + solved[1] * second)
+        found.append((misfit / radius, Ideal(shape, origin, axis, size * radius, float(np.arctan(slope)), size)))
+    found.sort(key=lambda one: one[0])
+    yield from (ideal for _, ideal in found[:_KEPT])
+
+
+def _solved(matrix: Array, wanted: Array) -> tuple[Array, float]:
+    solution = np.asarray(np.linalg.lstsq(matrix, wanted, rcond=None)[0], dtype=float)
+    return solution, float(np.linalg.norm(matrix @ solution - wanted))
+
+
+_ITERATIONS = 200
+_EXACT = 1e-12
+"""Step, relative to the size of the feature, at which the iteration ends"""
+_DETERMINED = 1e-7
+"""Smallest singular value, relative to the largest, of unknowns that the points determine"""
+
+
+def least_squares(shape: Shape, points: Array) -> Fit:
+    """Return the feature with the least sum of squared distances of the points (n, 3).
+
+    Raises UndeterminedError if the points do not determine it, NotConvergedError if the iteration does not end.
+    """
+    wanted = list(UNKNOWNS[shape])
+    if len(points) < fewest(shape):
+        raise UndeterminedError(f"a {shape} needs {fewest(shape)} points, and there are {len(points)}")
+    found = [one for start in starts(shape, points) if (one := _gauss_newton(start, points, wanted)) is not None]
+    if not found:
+        raise NotConvergedError(f"the least-squares {shape} was not found in {_ITERATIONS} iterations")
+    ideal = min(found, key=lambda one: _sum(one, points)).about(points.mean(axis=0))
+    rows = ideal.by_step(points)[:, :, wanted]
+    values = np.linalg.svd(rows.reshape(-1, len(wanted)), compute_uv=False)
+    if values[-1] < _DETERMINED * values[0]:
+        raise UndeterminedError(
+            f"the {len(points)} points do not determine a {shape}: it can move without leaving them; "
+            "points farther apart along and around it would determine it"
+        )
+    normal = np.einsum("nka,nkb->ab", rows, rows)
+    sensitivity = np.zeros((STEP, *points.shape))
+    towards = np.einsum("nka,nkc->anc", rows, ideal.by_point(points))
+    sensitivity[wanted] = -np.einsum("ab,bnc->anc", np.linalg.inv(normal), towards)
+    return Fit(ideal, Criterion.LEAST_SQUARES, distances(ideal, points), sensitivity)
+
+
+def fewest(shape: Shape) -> int:
+    """Return the least number of points that can determine a shape."""
+    return {Shape.LINE: 2, Shape.CIRCLE: 3}.get(shape, len(UNKNOWNS[shape]))
+
+
+def _gauss_newton(ideal: Ideal, points: Array, wanted: list[int]) -> Ideal | None:
+    """Return the feature of least squares near a start, or None without an end of the iteration."""
+    damping, goal = 0.0, _sum(ideal, points)
+    for _ in range(_ITERATIONS):
+        rows = ideal.by_step(points)[:, :, wanted].reshape(-1, len(wanted))
+        values = np.real(ideal.deviations(points)).reshape(-1)
+        weight = np.sqrt(damping) * np.eye(len(wanted))
+        step = np.zeros(STEP)
+        stacked = np.vstack([rows / np.sqrt(len(points)), weight])
+        step[wanted] = -np.linalg.lstsq(stacked, np.append(values / np.sqrt(len(points)), np.zeros(len(wanted))))[0]
+        trial = ideal.moved(step)
+        reached = _sum(trial, points)
+        if np.abs(step).max() <= _EXACT * ideal.size:
+            return trial if reached <= goal else ideal
+        if reached <= goal * (1 + _EXACT):
+            ideal, goal, damping = trial, reached, damping / 10 if damping > 1e-8 else 0.0
+        else:
+            damping = max(10 * damping, 1e-6)
+            if damping > 1e12:
+                return ideal
+    return None
+
+
+def _sum(ideal: Ideal, points: Array) -> float:
+    return float((np.real(ideal.deviations(points)) ** 2).sum())
 
 
 class Criterion(StrEnum):

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
-Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[Any]
 """Real, or complex in a derivative"""
 _TINY = 1e-150

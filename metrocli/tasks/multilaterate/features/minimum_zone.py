@@ -7,10 +7,10 @@ import itertools
 import numpy as np
 
 from metrocli.adjust.small_programmes import highest, quadratic
+from metrocli.arrays import Array
 from metrocli.errors import NotConvergedError
-from metrocli.tasks.multilaterate.features.fit import Contact, Criterion, Fit, distances, gradients
-from metrocli.tasks.multilaterate.features.ideal import STEP, ZONE_UNKNOWNS, Array, Ideal, Shape
-from metrocli.tasks.multilaterate.features.least_squares import least_squares
+from metrocli.tasks.multilaterate.features.fit import Contact, Criterion, Fit, distances, gradients, least_squares
+from metrocli.tasks.multilaterate.features.ideal import STEP, ZONE_UNKNOWNS, Ideal, Shape
 
 _ITERATIONS = 200
 _EXACT = 1e-12

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
+from metrocli.arrays import Array, Index
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.features.fit import Criterion, Fit, Index, gradients
-from metrocli.tasks.multilaterate.features.ideal import NUMBERS, Array, Shape
-from metrocli.tasks.multilaterate.features.least_squares import least_squares
+from metrocli.tasks.multilaterate.features.fit import Criterion, Fit, gradients, least_squares
+from metrocli.tasks.multilaterate.features.ideal import NUMBERS, Shape
 from metrocli.tasks.multilaterate.features.minimum_zone import minimum_zone
 from metrocli.tasks.multilaterate.features.wanted import Wanted
-from metrocli.tasks.multilaterate.probed.covariance import Joint
+from metrocli.tasks.multilaterate.probed.tips import Joint
 from metrocli.words import listed
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
-    from metrocli.table import Values
 
 FEATURES, POINTS, COVARIANCE = "features", "features_points", "features_covariance"
 _ALL = (*NUMBERS, "form")
@@ -57,18 +52,21 @@ def fitted(wanted: Sequence[Wanted], corrected: Table, joint: Joint) -> tuple[di
     _refuse_vague(each, values, std)
     absent = np.array([[name in _WITHOUT[one.shape] for name in _ALL] for one, _ in each])
     values[absent], std[absent] = np.nan, np.nan
-    columns: dict[str, Values] = {
-        "feature": np.array([one.name for one, _ in each]),
-        "shape": np.array([str(one.shape) for one, _ in each]),
-        "fit": np.array([str(fit.criterion) for _, fit in each]),
-        "points": np.array([len(one.rows) for one, _ in each]),
-    }
+    table = Table.of(
+        {
+            "feature": [one.name for one, _ in each],
+            "shape": [str(one.shape) for one, _ in each],
+            "fit": [str(fit.criterion) for _, fit in each],
+            "points": [len(one.rows) for one, _ in each],
+        }
+    )
     for i, name in enumerate(_ALL):
-        columns[name], columns[_std_of(name)] = values[:, i], std[:, i]
-    columns["optimality"] = np.array([np.nan if fit.contact is None else fit.contact.optimality for _, fit in each])
-    columns["may_touch"] = _exchanges(each, points, joint)
-    units = _UNITS | {_std_of(name): unit for name, unit in _UNITS.items()}
-    return {FEATURES: Table(columns, units), POINTS: _points(each, corrected)}, {COVARIANCE: covariance}
+        table = table.joined(
+            {f"{name} {_std_of(name)} [{_UNITS.get(name, '')}]": np.stack([values[:, i], std[:, i]], axis=1)}
+        )
+    optimality = [np.nan if fit.contact is None else fit.contact.optimality for _, fit in each]
+    table = table.joined({"optimality": optimality, "may_touch": _exchanges(each, points, joint)})
+    return {FEATURES: table, POINTS: _points(each, corrected)}, {COVARIANCE: covariance}
 
 
 def exchanging(tables: Mapping[str, Table]) -> tuple[str, ...]:
@@ -134,7 +132,7 @@ def _numbers(fit: Fit, points: Array) -> Array:
     return np.append(np.real(fit.ideal.numbers(points.mean(axis=0))), fit.form)
 
 
-def _derivatives(each: Sequence[tuple[Wanted, Fit]], points: Array) -> csr_array:
+def _derivatives(each: Sequence[tuple[Wanted, Fit]], points: Array) -> Any:
     """Return the derivative of all numbers by all coordinates, sparse (9F, 3n)."""
     from scipy.sparse import csr_array
 
@@ -159,11 +157,12 @@ def _points(each: Sequence[tuple[Wanted, Fit]], corrected: Table) -> Table:
         weights.append(weight)
     sizes = [len(one.rows) for one, _ in each]
     rows = np.concatenate([one.rows for one, _ in each])
-    columns: dict[str, Values] = {
-        "feature": np.repeat([one.name for one, _ in each], sizes),
-        "fit": np.repeat([str(fit.criterion) for _, fit in each], sizes),
-        "point": corrected.columns["point"][rows],
-        "deviation": np.concatenate([fit.deviations for _, fit in each]),
-        "contact": np.concatenate(weights),
-    }
-    return Table(columns, {"deviation": "mm"})
+    return Table.of(
+        {
+            "feature": np.repeat([one.name for one, _ in each], sizes),
+            "fit": np.repeat([str(fit.criterion) for _, fit in each], sizes),
+            "point": corrected.columns["point"][rows],
+            "deviation [mm]": np.concatenate([fit.deviations for _, fit in each]),
+            "contact": np.concatenate(weights),
+        }
+    )

@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
+from metrocli.arrays import Index
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.settings import Placed
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.features.fit import Criterion
+from metrocli.tasks.multilaterate.features.fit import Criterion, fewest
 from metrocli.tasks.multilaterate.features.ideal import Shape
-from metrocli.tasks.multilaterate.features.least_squares import fewest
 from metrocli.words import suggestion
-
-Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)

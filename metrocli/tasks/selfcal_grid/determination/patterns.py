@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.arrays import Array, Index
 from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.selfcal_grid.problem import Problem
 

@@ -15,8 +15,7 @@ import numpy as np
 
 from metrocli.adjust.coupled_fields import Design, in_datum
 from metrocli.adjust.decompositions import thin_svd
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Mask
+from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.selfcal_grid.determination.patterns import patterns

@@ -8,18 +8,19 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
-from metrocli.adjust.clusters.robust import Clusters
+from metrocli.adjust.clusters.robust import STRUCTURED, Clusters
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import Fit, Suspects, apart, gross, robust_start, suspects
+from metrocli.adjust.rounds import Used, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
+from metrocli.arrays import Array
 from metrocli.errors import InputError, NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.table import Table
-from metrocli.tasks.shared.structured_noise import Structured, structured
+from metrocli.tasks.shared.noise import Structured, noise_found
 
 IMAGES = "images"
 """Name of the group of image points"""
@@ -46,8 +47,10 @@ _LOST = 0.01
 """A median residual above this share of the image size means a mistake in the files"""
 _LEAST = 1e-7
 """Smallest noise [px] that is estimated: below it the residuals are rounding errors"""
+_MOST = 1000
+"""Limit of the rounds in which outliers are removed"""
 _ROUNDS = 60
-"""Limit of the rounds; the noise settles slowly if priors of the targets are as wide as the targets themselves"""
+"""Limit of the rounds in which the noise is estimated; it settles slowly if priors of targets are as wide as these"""
 
 
 @dataclass(frozen=True)
@@ -94,13 +97,23 @@ class Adjusted:
         # a list of targets that is estimated too, and seen in all images, is not part of the lens
         first = tuple(name for name in delivered if len(self.solution.blocks[name].members) == 1)
         clusters = Clusters({self.group.name: self.group.observations.index["view"]}, "images", first=first)
-        found, solution = structured(self.solution, clusters, delivered)
-        return replace(self, solution=solution, structured=found)
+        found = noise_found((self.solution, 1.0), STRUCTURED, lambda: clusters, delivered)
+        return replace(self, solution=found.solution, structured=found.structured)
 
 
 @dataclass(frozen=True)
-class _Settled:
-    """A solution whose noise, if it is estimated, agrees with its residuals."""
+class _Using:
+    """The image points in use, with their noise, at values to start from."""
+
+    used: Used
+    group: Group
+    state: Mapping[str, Block]
+    within: Within
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """A solution, and its residuals where it is good."""
 
     solution: Solution
     group: Group
@@ -110,12 +123,6 @@ class _Settled:
         if self.residuals is None:
             return Suspects(np.zeros(0, dtype=np.intp), np.zeros(0), 0.0)
         return suspects(self.residuals, Fit(self.solution.cost, self.solution.dof, noise_known))
-
-    def apart(self, found: Suspects) -> Index:
-        """Return the places of the suspects that can be removed together."""
-        if self.residuals is None:
-            return np.zeros(0, dtype=np.intp)
-        return apart(found, self.residuals, self.group.observations.index["view"])
 
 
 def adjust_images(
@@ -131,25 +138,31 @@ def adjust_images(
     if not options.started:
         state = robust_start(blocks.values(), [group, *others], group.name, datum, "view")
     far = gross(group, state) if options.remove_outliers else np.zeros(group.observations.count)
-    rows, tests = np.flatnonzero(far == 0), far
-    used = group.selected(rows)
-    within = _ROUGH if options.remove_outliers else _EXACT
-    while True:
-        settled = _settled(state, used, others, datum, options.estimate_noise, within)
-        found = settled.suspects(not options.estimate_noise)
-        out = settled.apart(found) if options.remove_outliers else found.rows[:0]
-        if not out.size and within is _EXACT:
-            break
-        if not out.size:
-            within = _EXACT
-        keep = np.ones(len(rows), dtype=bool)
+    begun = _Using(
+        Used(far), group.selected(np.flatnonzero(far == 0)), state, _ROUGH if options.remove_outliers else _EXACT
+    )
+
+    def fewer(using: _Using, solved: _Solved) -> tuple[_Using, bool]:
+        found = solved.suspects(not options.estimate_noise)
+        out = np.zeros(0, dtype=np.intp)
+        if options.remove_outliers and solved.residuals is not None:
+            out = apart(found, solved.residuals, solved.group.observations.index["view"])
+        keep = np.ones(solved.group.observations.count, dtype=bool)
         keep[found.rows[out]] = False
-        tests[rows[~keep]] = found.tests[out]
-        rows, used, state = rows[keep], settled.group.selected(keep), settled.solution.blocks
-    if settled.solution.outcome.good:
-        _must_fit(settled.residuals, options.image_size)
-    noise = float(np.sqrt(np.mean(settled.group.observations.sigma**2))) if options.estimate_noise else None
-    return Adjusted(settled.solution, settled.group, settled.residuals, _rejected(group, tests), found, noise)
+        left = _Using(
+            using.used.without(found, out),
+            solved.group.selected(keep),
+            solved.solution.blocks,
+            using.within if out.size else _EXACT,
+        )
+        return left, bool(out.size) or using.within is not _EXACT
+
+    using, solved = in_rounds(begun, lambda using: _solved(using, others, datum, options.estimate_noise), fewer, _MOST)
+    if solved.solution.outcome.good:
+        _must_fit(solved.residuals, options.image_size)
+    noise = float(np.sqrt(np.mean(solved.group.observations.sigma**2))) if options.estimate_noise else None
+    found = solved.suspects(not options.estimate_noise)
+    return Adjusted(solved.solution, solved.group, solved.residuals, _rejected(group, using.used.tests), found, noise)
 
 
 def _must_fit(residuals: Residuals | None, image_size: tuple[int, int]) -> None:
@@ -163,27 +176,27 @@ def _must_fit(residuals: Residuals | None, image_size: tuple[int, int]) -> None:
         )
 
 
-def _settled(
-    state: Mapping[str, Block],
-    group: Group,
-    others: Sequence[Group],
-    datum: Datum | None,
-    estimate_noise: bool,
-    within: Within,
-) -> _Settled:
+def _solved(using: _Using, others: Sequence[Group], datum: Datum | None, estimate_noise: bool) -> _Solved:
     """Adjust; if the noise is estimated, repeat with the noise of the last round until it no longer changes."""
-    for _ in range(_ROUNDS):
-        solution = adjust(state.values(), [group, *others], datum, Control(tolerance=within.step))
-        if not solution.outcome.good:
-            return _Settled(solution, group, None)
-        found = residuals_of(solution, group)
-        noise = _noise(found, group) if estimate_noise else 1.0
-        sigma = np.maximum(group.observations.sigma * noise, _LEAST)
-        if abs(noise - 1) <= within.noise or (group.observations.sigma <= _LEAST).any():
-            break
-        group = group.with_observations(replace(group.observations, sigma=sigma))
-        state = solution.blocks
-    return _Settled(solution, group, found)
+
+    def solve(here: tuple[Group, Mapping[str, Block]]) -> _Solved:
+        group, state = here
+        solution = adjust(state.values(), [group, *others], datum, Control(tolerance=using.within.step))
+        return _Solved(solution, group, residuals_of(solution, group) if solution.outcome.good else None)
+
+    def renewed(
+        here: tuple[Group, Mapping[str, Block]], solved: _Solved
+    ) -> tuple[tuple[Group, Mapping[str, Block]], bool]:
+        sigma = solved.group.observations.sigma
+        if solved.residuals is None or not estimate_noise or (sigma <= _LEAST).any():
+            return here, False
+        noise = _noise(solved.residuals, solved.group)
+        if abs(noise - 1) <= using.within.noise:
+            return here, False
+        observations = replace(solved.group.observations, sigma=np.maximum(sigma * noise, _LEAST))
+        return (solved.group.with_observations(observations), solved.solution.blocks), True
+
+    return in_rounds((using.group, using.state), solve, renewed, _ROUNDS)[1]
 
 
 def must_converge(solution: Solution, noticed: Sequence[str] = ()) -> None:
@@ -206,15 +219,6 @@ def _noise(found: Residuals, group: Group) -> float:
 
 def _rejected(group: Group, tests: Array) -> Table:
     """Return the table `rejected` of the readings left out, from the test value w of each reading (n,), 0 if used."""
-    rows = np.flatnonzero(tests)
-    keys = group.observations.keys
-    return Table(
-        {
-            "image": np.array([keys["image"][i] for i in rows], dtype=str),
-            "target": np.array([keys["target"][i] for i in rows], dtype=str),
-            "u": group.observations.readings[0, rows],
-            "v": group.observations.readings[1, rows],
-            "w": tests[rows],
-        },
-        {"u": "px", "v": "px"},
-    )
+    rows, keys = np.flatnonzero(tests), group.observations.keys
+    columns = {f"{key} [text]": [keys[key][i] for i in rows] for key in ("image", "target")}
+    return Table.of({**columns, "u v [px]": group.observations.readings[:, rows].T, "w": tests[rows]})

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.model import Added
 from metrocli.frozen import dataclass
@@ -17,9 +16,6 @@ from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.lens import DISTORTION, PIXELS
 from metrocli.table import Table
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 HIGH = 0.95
 """Correlations larger than this in magnitude are reported."""
@@ -57,22 +53,15 @@ class Parameters:
         two_sided = np.array([math.erfc(z / math.sqrt(2)) for z in np.abs(self.values / std)])
         neutral = np.isin(self.names, (*DISTORTION, "skew", "aspect"))
         by_chance = np.where(neutral, two_sided, np.nan)
-        columns: dict[str, Values] = {
-            "parameter": np.array(self.names, dtype=str),
-            "value": self.values,
-            "std": self.std,
-            "U": 2 * self.std,
-            "unit": np.array(self.units, dtype=str),
-            "p_value": by_chance,
-        }
-        return Table(columns)
+        columns = {"parameter [text]": self.names, "value": self.values, "std": self.std, "U": 2 * self.std}
+        return Table.of({**columns, "unit [text]": self.units, "p_value": by_chance})
 
     def high_correlations(self) -> Table:
         """Return the pairs of parameters whose correlation exceeds HIGH in magnitude."""
         matrix = self.correlation
         first, second = np.nonzero(np.triu(np.abs(matrix) > HIGH, 1))
         names = np.array(self.names, dtype=str)
-        return Table({"first": names[first], "second": names[second], "correlation": matrix[first, second]})
+        return Table.of({"first": names[first], "second": names[second], "correlation": matrix[first, second]})
 
 
 def unit_of(name: str) -> str:

@@ -12,9 +12,9 @@ import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
 from metrocli.diagnosis.adjusted_job import Covariate
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.extension import with_conditions

@@ -1,4 +1,4 @@
-"""Quantities of image jobs on which effects of one's own can act."""
+"""Quantities of image jobs on which effects can act, and effects that both kinds share (docs/effects)."""
 
 from __future__ import annotations
 
@@ -6,11 +6,16 @@ from functools import partial
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array
 from metrocli.effects.acting import PLACE, TIMED, Acting, Variable, components, condition, point, seen_from
+from metrocli.effects.effect import Effect, Parameter
+from metrocli.effects.links.images import TargetEccentricity
+from metrocli.effects.links.points import RowShear
+from metrocli.effects.model import Model
 from metrocli.instruments.camera import LENS
+from metrocli.tasks.shared.images.settings import ROLLING
 
 WHERE = ("image", "target")
 _UV, _PX = ("u", "v"), ("px", "px")
@@ -65,3 +70,42 @@ IMAGE = Acting(
 def image_point(name: str, quantity: Quantity) -> Acting:
     """Return a point on its way to the image as a place to act."""
     return point(name, quantity, WHERE, _RADIUS, *seen_from())
+
+
+def rolling_shutter(pose: str, *confused_with: str) -> Effect:
+    """Return the shear of an image whose rows are read one after another; `pose` is the block of the images' poses."""
+    return Effect(
+        "rolling-shutter",
+        "the camera or the targets move while the rows of the image are read one after another",
+        (Parameter("a_u", plausible=0.01), Parameter("a_v", plausible=0.01)),
+        lambda block, where: RowShear(block, pose),
+        where=("image",),
+        confused_with=confused_with,
+        of_all="the camera or the targets move in every image: a hand, a carriage that does not stop, vibration",
+        usual="1e-5 to 1e-2",
+        reveal="the image again with camera and targets at rest, or with a global shutter or a flash",
+        source="Meingast, Geyer and Sastry 2005, Geometric models of rolling-shutter cameras",
+    )
+
+
+def not_sought(shutter: str, model: Model) -> dict[str, str]:
+    """Return the effects that `diagnose` does not look for with a shutter and a list of targets, with the reasons.
+
+    On a real board a shear of single images, or a blur, passes for what bends it or for how it was printed.
+    """
+    read_at_once = "the rows of an image are read at once; if they are read one after another, write `shutter: rolling`"
+    no_dots = "the list of targets has no radius: corners and crosses are found by their edges, not as centroids"
+    found = {} if shutter == ROLLING else {"rolling-shutter": read_at_once}
+    return found if "radius" in model.readings[0].observations.conditions else {**found, PERSPECTIVE_BLUR.name: no_dots}
+
+
+PERSPECTIVE_BLUR = Effect(
+    "perspective-blur",
+    "dots are blurred in their own plane, by ink or light that spreads, and perspective shows the nearer half larger",
+    (Parameter("area", plausible=1.0, base="mm2"),),
+    lambda block, where: TargetEccentricity(block, radius=""),
+    confused_with=("target-eccentricity",),
+    usual="0.01 to 1",
+    reveal="larger tilts of the targets, nearer, in all directions; the width of an edge on the targets themselves",
+    source="Mallon and Whelan 2007, Which pattern? Biasing aspects of planar calibration patterns",
+)

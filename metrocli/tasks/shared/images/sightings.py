@@ -9,30 +9,21 @@ from functools import lru_cache
 import numpy as np
 
 from metrocli import copies
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
-from metrocli.table import TEXT, Column, Columns, Table
-from metrocli.targets.find import find
-from metrocli.targets.likely import likely_size
+from metrocli.table import Columns, Table, columns
+from metrocli.targets.find import find, likely_size
 from metrocli.targets.pattern import Pattern
-from metrocli.tasks.shared.images.imaged_size import SIZE
+from metrocli.tasks.shared.images.eccentricity import SIZE
 from metrocli.tasks.shared.images.settings import ImageSettings
 from metrocli.tasks.shared.images.target_list import Targets, known_targets
 from metrocli.words import listed
 
 OBSERVATIONS = Columns(
-    (
-        Column("image", TEXT),
-        Column("target", TEXT),
-        Column("u", "pixel"),
-        Column("v", "pixel"),
-        Column("sigma", "pixel", required=False),
-        Column("t", "time", required=False),
-        Column("temp", "temperature", required=False),
-    ),
+    columns("image target [text]", "u v sigma? [pixel]", "t? [time]", "temp? [temperature]"),
     key=("image", "target"),
     description="image coordinates of targets",
     measured=("u", "v"),
@@ -207,9 +198,7 @@ def _in_all(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]
     if not len(uv):
         text = f"no target found in any of {len(images.names)} images{_shown_size(pattern, images, images.names)}"
         raise InputError([Fault(text, hint="; ".join(warnings[:3]))])
-    columns = {"image": np.array(names), "target": np.array(targets), "u": uv[:, 0], "v": uv[:, 1]}
-    columns[SIZE] = np.concatenate(sizes)
-    table = Table(columns, {"u": "px", "v": "px"})
+    table = Table.of({"image": names, "target": targets, "u v [px]": uv, SIZE: np.concatenate(sizes)})
     if copied := copies.faults(table, OBSERVATIONS):
         raise InputError(copied)
     return table, tuple(warnings)

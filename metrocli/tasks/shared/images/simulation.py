@@ -1,24 +1,32 @@
-"""Simulated image measurements: the image points that the camera model predicts for a given truth."""
+"""Simulated image measurements: the image points that the camera model predicts, effects in them, and pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
-from metrocli.errors import InputError
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array, Index, Mask, Picture
+from metrocli.effects.estimates import true_values
+from metrocli.effects.extension import extended
+from metrocli.effects.model import Model
+from metrocli.effects.wanted import Wanted
+from metrocli.errors import InputError, UsageError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
+from metrocli.instruments.camera import TARGET
 from metrocli.instruments.lens import ideal_point, image_point
 from metrocli.table import Table
+from metrocli.targets import drawings, render
+from metrocli.targets.codes import codes
+from metrocli.targets.pattern import Pattern
+from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.target_list import Targets
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
+from metrocli.tasks.shared.statistics import CONDITIONS
 
 _MARGIN = 2.0
 """Least distance of a target from the border of the image [px]"""
@@ -78,16 +86,10 @@ def sights(shown: Shown, only: Callable[[int], list[int]] | None = None) -> Sigh
 
 def sightings_table(shown: Shown, seen: Sights, sigma: float, rng: np.random.Generator) -> Table:
     """Return the table of observations with normal noise `sigma` [px] and the conditions of the images."""
-    u, v = seen.uv + rng.normal(0.0, sigma, seen.uv.T.shape).T
-    columns: dict[str, Values] = {
-        "image": np.array(shown.images)[seen.view],
-        "target": np.array(shown.targets.names)[seen.target],
-        "u": u,
-        "v": v,
-    }
-    columns |= {name: values[seen.view] for name, values in shown.conditions.items()}
-    units = {"u": "px", "v": "px", "t": "s", "temp": "degC"}
-    return Table(columns, {name: unit for name, unit in units.items() if name in columns})
+    uv = seen.uv + rng.normal(0.0, sigma, seen.uv.T.shape).T
+    names = {"image": np.array(shown.images)[seen.view], "target": np.array(shown.targets.names)[seen.target]}
+    when = {f"{name} [{CONDITIONS[name]}]": values[seen.view] for name, values in shown.conditions.items()}
+    return Table.of({**names, "u v [px]": uv.T, **when})
 
 
 def _projected(shown: Shown, image: int, chosen: Index) -> tuple[Array, Mask]:
@@ -128,3 +130,106 @@ def _distorted(shown: Shown, x: Array, y: Array) -> tuple[Array, Array]:
         fx, fy = shown.lens.get("f", shown.lens.get("fx", 1.0)), shown.lens.get("f", shown.lens.get("fy", 1.0))
         u, v = u + fx * (x - back_x), v + fy * (y - back_y)
     return u, v
+
+
+_ROUNDS = 50
+"""Iteration limit for the image points of a backward lens"""
+_SETTLED = 1e-10
+"""The image points have converged when a round changes them by less than this [px]"""
+
+
+def image_group(shown: Shown, seen: Sights, chain: Chain, poses: str) -> Group:
+    """Return the image points as readings of a chain; `poses` names the block with a pose for each image."""
+    index = {"view": seen.view, poses: seen.view, TARGET: seen.target}
+    conditions = {name: values[seen.view] for name, values in shown.conditions.items()}
+    conditions["radius"] = shown.targets.radius[seen.target]
+    return Group(IMAGES, chain, Observations(seen.uv, np.ones(1), index, conditions=conditions))
+
+
+def planted(model: Model, seen: Sights, effects: Sequence[Wanted]) -> tuple[Sights, dict[str, float]]:
+    """Return the image points with effects in them, and the true values of the effects by name.
+
+    `model` is the model of the job at the truth.
+    """
+    if not effects:
+        return seen, {}
+    model = extended(model, effects)
+    return replace(seen, uv=_image_points(model)), true_values(model)
+
+
+def refuse_pictures(effects: Sequence[Wanted]) -> None:
+    """Raise UsageError if there are effects: they are planted in image points, not in rendered pictures."""
+    if effects:
+        raise UsageError("effects are planted in image points, not in pictures: leave out --images or --effect")
+
+
+def _image_points(model: Model) -> Array:
+    """Return the readings that agree with their prediction, (2, n) px.
+
+    A forward lens predicts them directly. A backward lens takes its correction at the reading, so they are iterated.
+    Raises InputError if the camera no longer sees a target.
+    """
+    group = model.readings[0]
+    for _ in range(_ROUNDS):
+        found = group.chain.predict(model.blocks, group.observations)
+        if not np.isfinite(found).all():
+            raise InputError("simulation: with this effect the camera does not see every target; check its size")
+        change = float(np.abs(found - group.observations.readings).max(initial=0.0))
+        group = group.with_observations(group.observations.with_readings(found))
+        if change < _SETTLED:
+            break
+    return group.observations.readings
+
+
+Draw = Callable[[], "Picture"]
+
+
+def pictures(
+    shown: Shown, pattern: Pattern, rng: np.random.Generator, only: Callable[[int], list[int]] | None = None
+) -> Iterator[tuple[str, Draw]]:
+    """Yield the path of each image and a function that renders it; each image has a random seed of its own."""
+    seeds = rng.integers(0, 2**63, len(shown.images))
+    for i, image in enumerate(shown.images):
+        chosen = list(range(len(shown.targets.names))) if only is None else only(i)
+        yield f"images/{image}", drawer(shown, pattern, i, chosen, int(seeds[i]))
+
+
+def drawer(shown: Shown, pattern: Pattern, image: int, chosen: list[int], seed: int) -> Draw:
+    """Return a function that renders one image with the chosen targets."""
+
+    def draw() -> Picture:
+        scene = _scene(shown, pattern, image, chosen)
+        look = render.RETRO_REFLECTIVE if pattern.type in ("dot", "coded-rings") else replace(render.Look(), noise=2.0)
+        return render.render(shown.image_size, lambda uv: _rays(shown, uv), scene, look, np.random.default_rng(seed))
+
+    return draw
+
+
+def _rays(shown: Shown, uv: Array) -> Array:
+    x, y = ideal_point(shown.lens, uv[:, 0], uv[:, 1], shown.convention)
+    both = np.column_stack([x, y, np.ones_like(x)])
+    unit: Array = both / np.linalg.norm(both, axis=1, keepdims=True)
+    return unit
+
+
+def _scene(shown: Shown, pattern: Pattern, image: int, chosen: list[int]) -> list[render.Placed]:
+    rotation = poses.rotation_of(shown.to_camera[image])
+    if pattern.type not in ("dot", "coded-rings"):
+        return [render.Placed(drawings.board(pattern), rotation, shown.to_camera[image, :3])]
+    points = poses.apply(shown.to_camera[image], shown.targets.points)
+    return [render.Placed(_drawing(shown, pattern, i), rotation, points[i]) for i in chosen if points[i, 2] > 0]
+
+
+def _drawing(shown: Shown, pattern: Pattern, target: int) -> drawings.Drawing:
+    radius = float(shown.targets.radius[target])
+    if not np.isfinite(radius):
+        raise InputError(
+            "rendering needs the targets' size: give pattern: diameter, or a column radius_mm in the targets file"
+        )
+    name = shown.targets.names[target]
+    if pattern.type == "dot":
+        return drawings.Dot(radius)
+    if not name.isdigit() or int(name) not in codes():
+        known = ", ".join(str(code) for code in codes()[:6])
+        raise InputError(f"target '{name}' is not a 12-bit code; coded targets are named by their code: {known}, ...")
+    return drawings.CodedRing(int(name), radius)

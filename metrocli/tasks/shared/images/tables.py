@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index
 from metrocli.adjust.robust import Suspects
+from metrocli.arrays import Array, Index
 from metrocli.table import Table
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.statistics import beyond_bound
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _VIEW_SUSPECT = 2.5
 """A warning names images whose RMS is more than this many times the median."""
@@ -42,16 +37,15 @@ def rms_table(residuals: Array, group: Group, label: str, index: Index, names: S
     worst[index[by_size]] = by_size
     other = "target" if label == "image" else "image"
     keys = group.observations.keys[other]
-    columns: dict[str, Values] = {
-        label: np.array(names),
-        "readings": counts,
-        "rms": np.hypot(u, v),
-        "rms_u": u,
-        "rms_v": v,
-        "largest": np.where(worst >= 0, distance[worst], 0.0),
-        f"largest_{other}": np.array([keys[i] if i >= 0 else "" for i in worst], dtype=str),
-    }
-    return Table(columns, dict.fromkeys(("rms", "rms_u", "rms_v", "largest"), "px"))
+    return Table.of(
+        {
+            label: names,
+            "readings": counts,
+            "rms rms_u rms_v [px]": np.stack([np.hypot(u, v), u, v], axis=1),
+            "largest [px]": np.where(worst >= 0, distance[worst], 0.0),
+            f"largest_{other} [text]": [keys[i] if i >= 0 else "" for i in worst],
+        }
+    )
 
 
 def suspect_images(names: Sequence[str], rms: Array, counts: Array) -> list[str]:

@@ -6,21 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
-from metrocli.errors import InputError, together
+from metrocli.arrays import Array, Index
+from metrocli.errors import InputError, all_faults
 from metrocli.frozen import dataclass
-from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.table import Columns, Table, columns
 from metrocli.targets.pattern import Pattern, pattern_points
-from metrocli.tasks.shared.known_places import SIGMAS, sigmas
+from metrocli.tasks.shared.lists import SIGMAS, refuse, sigmas
 
 TARGETS = Columns(
-    (
-        Column("target", TEXT),
-        *(Column(axis, "length") for axis in "xyz"),
-        *SIGMAS,
-        Column("radius", "length", required=False, may_be_empty=True),
-    ),
+    (*columns("target [text]", "x y z [length]"), *SIGMAS, *columns("radius?* [length]")),
     key=("target",),
     description="coordinates of targets",
 )
@@ -64,15 +58,13 @@ def read_targets(table: Table, default_sigma: float = 0.0) -> Targets:
 
     Raises InputError that names every row with a negative standard deviation or a radius that is not above zero.
     """
-    sigma, radius = together(lambda: sigmas(table, default_sigma), lambda: _radii(table))
-    return Targets(tuple(table.texts("target")), table.stacked(("x", "y", "z")), sigma, radius)
-
-
-def _radii(table: Table) -> Array:
     radius = table.numbers("radius", np.nan)
-    if (radius <= 0).any():
-        raise InputError(table.faults_at(np.flatnonzero(radius <= 0), lambda row: "a radius is not above zero"))
-    return radius
+    with all_faults() as each:
+        with each():
+            sigma = sigmas(table, default_sigma)
+        with each():
+            refuse(table, {"a radius is not above zero": np.asarray(radius <= 0)})
+    return Targets(tuple(table.texts("target")), table.stacked("xyz"), sigma, radius)
 
 
 def targets_of(pattern: Pattern, sigma: float = 0.0) -> Targets:

@@ -11,9 +11,8 @@ from scipy.optimize import minimize
 from simulated.features import AXES, Array, cloud
 
 from metrocli.errors import UndeterminedError
-from metrocli.tasks.multilaterate.features.fit import Fit
+from metrocli.tasks.multilaterate.features.fit import Fit, least_squares
 from metrocli.tasks.multilaterate.features.ideal import Shape
-from metrocli.tasks.multilaterate.features.least_squares import least_squares
 from metrocli.tasks.multilaterate.features.minimum_zone import minimum_zone
 
 PIPE = """-3283.654 -79.927 194.917  -3271.578 -84.991 203.643  -3292.599 -64.647 196.517  -3308.806 -73.417 213.805

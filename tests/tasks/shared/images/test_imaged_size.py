@@ -15,7 +15,7 @@ from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.errors import InputError
-from metrocli.tasks.shared.images.imaged_size import SIZE, check_diameters
+from metrocli.tasks.shared.images.eccentricity import SIZE, check_diameters
 
 Metrocli = Callable[..., Any]
 CAMERA = "inputs.camera=../machine/true_camera.yaml"

@@ -13,7 +13,8 @@ from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.robust import Fit, Suspects, apart, suspects
 from metrocli.adjust.solution import Residuals, residuals_of
-from metrocli.tasks.calibrate_camera.problem import Problem, build
+from metrocli.tasks.calibrate_camera.build import build
+from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.settings import Camera
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images
 from metrocli.tasks.shared.images.sightings import Sighted

@@ -1,0 +1,154 @@
+"""Adjustments in rounds: each starts from what the one before shows of weights, noise or wrong readings.
+
+Method: docs/algorithms/iterated-weights.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.datum import Datum
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.robust import Suspects
+from metrocli.adjust.solution import Residuals, Solution
+from metrocli.arrays import Array, Index, Mask
+from metrocli.errors import UndeterminedError
+from metrocli.frozen import dataclass
+
+Noise = Callable[[Group, Mapping[str, Block]], Array]
+"""Function that returns standard deviations (d, n) of a group's readings at the blocks' values"""
+
+Aspect = Callable[[Mapping[str, Block], Observations], Array]
+"""Function that returns a condition of the readings (n,) at the present values, e.g. the azimuth of a beam"""
+
+_ROUNDS, _STEPS = 100, 200
+"""Most rounds of one step each, and most steps of the adjustment with the weights that they end with"""
+_SETTLED = 1e-9
+"""The standard deviations have converged when a round changes none of them by more than this fraction"""
+_STILL = 1e-7
+"""The aspects, numbers of the order of 1, have converged when a round changes none of them by more than this"""
+
+
+def adjust_with_iterated_weights(
+    blocks: Iterable[Block],
+    groups: Sequence[Group],
+    noise: tuple[str, Noise],
+    datum: Datum | None = None,
+    aspects: Mapping[str, Aspect] | None = None,
+) -> Solution:
+    """Adjust with standard deviations of group `noise[0]` that are computed from the solution, until they converge.
+
+    The standard deviations are computed again after each step: they change far less than what a step moves. Within the
+    last adjustment the weights are constants, so the result is the least-squares solution for the last weights.
+    The aspects among the conditions of the group are constants too: otherwise an effect that depends on a direction
+    would fix the orientation of a free network.
+    """
+    name, sigma_of = noise
+    state = {block.name: block for block in blocks}
+    for _ in range(_ROUNDS):
+        solution = adjust(state.values(), groups, datum, Control(1, covariance=False))
+        state = dict(solution.blocks)
+        found = next(group for group in groups if group.name == name)
+        sigma = sigma_of(found, state)
+        change = float(np.max(np.abs(sigma / found.observations.sigma - 1), initial=0.0))
+        renewed, turned = with_aspects(found, aspects or {}, state)
+        groups = [_with_sigma(renewed, sigma) if group.name == name else group for group in groups]
+        failed = solution.outcome not in (Outcome.CONVERGED, Outcome.ITERATION_LIMIT)
+        if failed or (change < _SETTLED and turned < _STILL):
+            break
+    return adjust(state.values(), groups, datum, Control(_STEPS))
+
+
+def with_aspects(group: Group, aspects: Mapping[str, Aspect], blocks: Mapping[str, Block]) -> tuple[Group, float]:
+    """Return the group with its aspects at the blocks' values, and the largest change of those it had before."""
+    observations = group.observations
+    found = {name: aspect(blocks, observations) for name, aspect in aspects.items()}
+    before = observations.conditions
+    known = [name for name in found if name in before]
+    changes = [float(np.abs(found[name] - before[name]).max(initial=0.0)) for name in known]
+    return replace(group, observations=replace(observations, conditions={**before, **found})), max(changes, default=0.0)
+
+
+def _with_sigma(group: Group, sigma: Array) -> Group:
+    return group.with_observations(replace(group.observations, sigma=sigma))
+
+
+P = TypeVar("P")
+S = TypeVar("S")
+MOST = 30
+"""Rounds after which an iteration that has not ended is left as it is"""
+_CONTROLLED = 1e-6
+"""Redundancy of all readings below which they show nothing of their noise"""
+
+
+def in_rounds(
+    begun: P, solve: Callable[[P], S], renewed: Callable[[P, S], tuple[P, bool]], most: int = MOST
+) -> tuple[P, S]:
+    """Return the last state of an iteration and its solution.
+
+    `renewed` returns the next state, and whether it has to be solved: readings without the outliers that were found,
+    a noise that agrees with the residuals, a new place of linearisation.
+    """
+    state, solved = begun, solve(begun)
+    for _ in range(most):
+        state, again = renewed(state, solved)
+        if not again:
+            break
+        solved = solve(state)
+    return state, solved
+
+
+@dataclass(frozen=True)
+class Used:
+    """Which of n readings an adjustment uses."""
+
+    tests: Array
+    """|w| of each reading that was left out, 0 for those in use, (n,)"""
+
+    @property
+    def kept(self) -> Mask:
+        """The readings in use, (n,)."""
+        return np.asarray(self.tests == 0)
+
+    @property
+    def rejected(self) -> Index:
+        """The rows of the readings that were left out."""
+        return np.flatnonzero(self.tests)
+
+    def without(self, found: Suspects, chosen: Index) -> Used:
+        """Leave out some of the suspects (places among them), which are numbered by the readings in use."""
+        tests = self.tests.copy()
+        tests[np.flatnonzero(self.kept)[found.rows[chosen]]] = found.tests[chosen]
+        return replace(self, tests=tests)
+
+
+def worst_of(found: Suspects) -> Index:
+    """Return the suspects (places among them) with a test of at least half the largest one.
+
+    A gross error also raises the tests of good readings, but less: these are tested again without it.
+    """
+    return np.flatnonzero(found.tests >= found.tests.max(initial=0.0) / 2)
+
+
+def variance_component(found: Sequence[Residuals]) -> float:
+    """Return how many times the declared noise readings have, `sqrt(v'Pv / sum r)` with their redundancy numbers r.
+
+    Raises UndeterminedError if there are no more readings than unknowns.
+    """
+    redundancy = np.concatenate([one.redundancy.ravel() for one in found])
+    w = np.concatenate([one.normalised.ravel() for one in found])
+    if not redundancy.sum() > _CONTROLLED:
+        raise UndeterminedError(
+            "noise: the residuals do not show its size: there are no more readings than unknowns; "
+            "measure more, or leave out `model`, so that the noise is as declared"
+        )
+    size = float(np.sqrt((redundancy * w**2).sum() / redundancy.sum()))
+    return size if size > 0 else 1.0

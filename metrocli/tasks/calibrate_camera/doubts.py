@@ -1,0 +1,142 @@
+"""Values that a calibration holds against its readings: the principal point, lens values, and the unit of the targets.
+
+A noise that follows the residuals shows none of them, and poses take up most of a wrong one. So the readings are
+adjusted once more with these values free.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli import units
+from metrocli.adjust.adjustment import adjust
+from metrocli.arrays import Array, Mask
+from metrocli.frozen import dataclass
+from metrocli.instruments import camera
+from metrocli.instruments.camera import TARGET
+from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.settings import Camera
+from metrocli.tasks.shared.images.adjustment import Adjusted
+
+_AXES = ("cx", "cy")
+_FAR = 0.1
+"""Distance from the middle, as a share of the image size, beyond which the image size is doubted"""
+_CERTAIN = 4.0
+"""Standard deviations from which a difference is significant"""
+
+
+@dataclass(frozen=True)
+class PrincipalPoint:
+    """Where the readings see the principal point, (2,) [px]."""
+
+    image_size: tuple[int, int]
+    held: Array
+    """Where the job holds it; NaN on an axis on which it is estimated"""
+    found: Array
+    std: Array
+
+    @property
+    def allowed(self) -> Array:
+        """Errors of the held coordinates that the readings do not exclude [px], 0 for those that are estimated."""
+        return np.where(np.isnan(self.held), 0.0, _CERTAIN * self.std)
+
+    def doubts(self) -> list[str]:
+        """Return that a held coordinate is far from where the readings see it."""
+        return [self._contradicted()] if (self._wrong & (self._off > _FAR)).any() else []
+
+    def warnings(self) -> list[str]:
+        """Return that a held coordinate is not where the readings see it, or an estimated one far from the middle."""
+        if self._wrong.any():
+            return [] if self.doubts() else [self._contradicted()]
+        middle = (np.array(self.image_size) - 1) / 2
+        far = np.abs(self.found - middle) - _CERTAIN * self.std > _FAR * np.array(self.image_size)
+        if not far.any():
+            return []
+        return [
+            f"the principal point {_point(self.found)} px lies far from the middle {_point(middle)} px of an "
+            f"image of {self.image_size[0]} x {self.image_size[1]} px: check image_size, from which coverage follows"
+        ]
+
+    @property
+    def _off(self) -> Array:
+        """Differences of held coordinates as shares of the image size, NaN for estimated ones."""
+        return np.asarray(np.abs(self.found - self.held) / np.array(self.image_size))
+
+    @property
+    def _wrong(self) -> Mask:
+        return np.asarray(np.abs(self.found - self.held) > _CERTAIN * self.std)
+
+    def _contradicted(self) -> str:
+        at = np.where(np.isnan(self.held), self.found, self.held)
+        return (
+            f"the principal point is held at {_point(at)} px, but the readings see it at {_point(self.found)} px "
+            f"(standard uncertainty {_point(self.std)} px): estimate cx and cy, or check image_size, "
+            "whose middle they are by default"
+        )
+
+
+def principal_point(problem: Problem, adjusted: Adjusted) -> PrincipalPoint | None:
+    """Return where the readings see the principal point, None if they do not determine it."""
+    solution = adjusted.solution
+    lens = solution.blocks[camera.LENS]
+    at = [lens.columns.index(name) for name in _AXES]
+    held = np.where(lens.free[0, at], np.nan, lens.values[0, at])
+    if not lens.free[0, at].all():
+        free = [name for name, is_free in zip(lens.columns, lens.free[0], strict=True) if is_free]
+        model = problem.with_blocks(solution.blocks).with_estimate([*free, *_AXES])
+        solution = adjust(model.blocks.values(), [adjusted.group, *problem.others], problem.datum)
+        if not solution.outcome.good:
+            return None
+    block = solution.blocks[camera.LENS]
+    std = np.sqrt(np.diag(solution.covariance_or_raise().of(camera.LENS)))[at]
+    factor = np.sqrt(solution.cost / solution.dof) if adjusted.noise is not None and solution.dof else 1.0
+    return PrincipalPoint(problem.image_size, held, block.values[0, at], std * factor)
+
+
+def _point(uv: Array) -> str:
+    return f"({uv[0]:.1f}, {uv[1]:.1f})"
+
+
+_MUCH = 0.5
+"""Share of the squared residuals below which a held value is doubted (decision 134)"""
+_CENTRE = ("cx", "cy")
+"""Tested against the image size"""
+
+
+def held_doubts(problem: Problem, settings: Camera, adjusted: Adjusted) -> list[str]:
+    """Return that the squared residuals are less than half with the held lens values free."""
+    solution = adjusted.solution
+    held = [name for name in settings.given() if name not in (*settings.estimate, *_CENTRE)]
+    if not held:
+        return []
+    model = problem.with_blocks(solution.blocks).with_estimate([*settings.estimate, *held])
+    freed = adjust(model.blocks.values(), [adjusted.group, *problem.others], problem.datum)
+    if not freed.outcome.good or freed.cost >= _MUCH * solution.cost:
+        return []
+    known, found = (one.blocks[camera.LENS].named() for one in (solution, freed))
+    told = ", ".join(f"{name} is held at {known[name]:g}, but the readings see {found[name]:.4g}" for name in held)
+    return [
+        f"{told}: with {' and '.join(held)} free the squared residuals are {freed.cost / solution.cost:.2g} times as "
+        "large; estimate what is held, or correct it"
+    ]
+
+
+def too_near(problem: Problem, adjusted: Adjusted, pixel_size: float | None) -> list[str]:
+    """Return why a camera must not be used whose targets are nearer than its focal length: a lens has no image there.
+
+    The distance of the camera [mm] is the median of the views, to the middle of the targets or the origin of the board.
+    """
+    blocks = adjusted.solution.blocks
+    lens = blocks[camera.LENS].named()
+    place = blocks[camera.view_name(problem.rig)].values[:, :3]
+    seen = blocks[TARGET].values[np.unique(adjusted.group.observations.index[TARGET])]
+    middle = np.zeros(3) if problem.rig == "board" else seen.mean(axis=0)
+    far = float(np.median(np.linalg.norm(place - middle, axis=1)))
+    focal = (pixel_size or 0.0) * float(lens.get("f", lens.get("fx", 0.0)))
+    if far >= focal:
+        return []
+    return [
+        f"the targets are {units.sized(far, 'length')} from the camera, nearer than its focal length of "
+        f"{units.sized(focal, 'length')}, where a lens has no image: check the unit of the targets, or the pitch, "
+        "and pixel_size"
+    ]

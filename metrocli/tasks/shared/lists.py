@@ -1,0 +1,110 @@
+"""Lists that files refer to by name: rows matched to names, how well places are known, rows that stand there twice."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from itertools import repeat
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.adjust.model.observations import TIME
+from metrocli.arrays import Array, Index, Mask
+from metrocli.copies import row_hashes
+from metrocli.errors import InputError
+from metrocli.table import MOST_FAULTS, Table, columns
+from metrocli.words import nearest
+
+Texts = npt.NDArray[np.str_]
+SIGMAS = columns("sigma?* sigma_x?* sigma_y?* sigma_z?* [length]")
+"""Columns of standard deviations: one for all three coordinates, or one for each"""
+
+
+def refuse(table: Table, wrong: Mapping[str, Mask]) -> None:
+    """Raise InputError with a fault for each row of the masks (rows,), under their texts; nothing if all are empty."""
+    faults = [
+        fault
+        for text, rows in wrong.items()
+        for fault in table.faults_at(np.flatnonzero(rows), lambda row, text=text: text)  # type: ignore[misc]
+    ]
+    if faults:
+        raise InputError(faults)
+
+
+def sigmas(table: Table, without: float = float("nan")) -> Array:
+    """Return the standard deviations of places, (rows, 3) mm: 0 is exact, nan is unknown.
+
+    A coordinate without a column has the value `without`. Raises InputError that names every row with a negative one.
+    """
+    common = table.numbers("sigma", without)
+    sigma = np.stack([table.numbers(f"sigma_{axis}") if f"sigma_{axis}" in table else common for axis in "xyz"], axis=1)
+    refuse(table, {"a standard deviation is negative": np.asarray((sigma < 0).any(axis=1))})
+    return sigma
+
+
+def listed_places(key: str, names: Sequence[str], places: Array) -> Table:
+    """Return the table of named places (n, 3) mm, with the names in the column `key`."""
+    return Table.of({f"{key} [text]": names, "x y z [mm]": places})
+
+
+def matched(table: Table, column: str, names: Sequence[str] | Texts, where: str) -> Index:
+    """Return for each row of a column the position of its name in `names`, (n,).
+
+    Raises InputError that lists every name not found, with the nearest name as a hint.
+    """
+    quick = _by_hashes(table.columns[column].astype(str), np.array(names, dtype=np.str_))
+    if quick is not None:
+        return quick
+    place = {name: i for i, name in enumerate(names)}
+    values = table.texts(column)
+    found = np.fromiter(map(place.get, values, repeat(-1)), dtype=np.intp, count=len(values))
+    strange = np.flatnonzero(found < 0)
+    if strange.size:
+        meant = {name: nearest(name, names) for name in {values[row] for row in strange[:MOST_FAULTS].tolist()}}
+        hints = {name: f"did you mean '{found}'?" for name, found in meant.items() if found}
+        text = f"{column} '{{}}' is not in {where}".format
+        raise InputError(table.faults_at(strange, lambda row: text(values[row]), lambda row: hints.get(values[row])))
+    return found
+
+
+def _by_hashes(texts: Texts, names: Texts) -> Index | None:
+    """Return the position in `names` of each text, (n,); None if one is not there, or if chance gives equal hashes.
+
+    Whole columns are so compared many times faster than text by text.
+    """
+    if not len(texts) or not len(names):
+        return None
+    width = max(texts.dtype, names.dtype)
+    here, there = (row_hashes(Table({"": one.astype(width)}), ("",)) for one in (texts, names))
+    order = np.argsort(there)
+    begins = np.flatnonzero(np.append(True, here[1:] != here[:-1]))  # of the runs of rows with one name
+    found = order[np.searchsorted(there[order[:-1]], here[begins])]
+    places = np.repeat(found, np.diff(begins, append=len(here)))
+    return places if (names[places] == texts).all() else None
+
+
+def repeated(
+    pairs: Iterable[tuple[Hashable, Hashable]], values: Iterable[float] | None = None
+) -> Iterator[tuple[int, int]]:
+    """Yield each row whose pair, in either direction, is that of an earlier row, and that row.
+
+    With `values` only pairs of the same value count.
+    """
+    first: dict[object, int] = {}
+    listed = list(pairs)
+    for row, (pair, value) in enumerate(zip(listed, values or [0.0] * len(listed), strict=True)):
+        before = first.setdefault((frozenset(pair), value), row)
+        if before != row:
+            yield row, before
+
+
+def told_apart(keys: Mapping[str, tuple[str, ...]], pair: Index, time: Array | None) -> dict[str, tuple[str, ...]]:
+    """Return the keys of readings, with their times where what they read (its number, (n,)) is read twice."""
+    if time is None or len(np.unique(pair)) == len(pair):
+        return dict(keys)
+    return {**keys, TIME: tuple(f"{one:.10g} s" for one in time.tolist())}
+
+
+def name_of(keys: Mapping[str, tuple[str, ...]], key: str, row: int) -> str:
+    """Return a key of a reading, with its time where the keys have that: `T2 (2000 s)`."""
+    return f"{keys[key][row]} ({keys[TIME][row]})" if TIME in keys else keys[key][row]

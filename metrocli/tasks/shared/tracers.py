@@ -1,0 +1,230 @@
+"""The tracers of lengths: their names, lists and readings, and where they stand, found from the lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from random import Random
+
+import numpy as np
+
+from metrocli import units
+from metrocli.adjust.allowance import take
+from metrocli.adjust.medians import median
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.groups import Group, priors
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array, Index, Mask
+from metrocli.errors import Fault, InputError, UndeterminedError, all_faults
+from metrocli.frozen import dataclass
+from metrocli.instruments import tracer as t
+from metrocli.instruments.tracer_start import MOST, start
+from metrocli.table import Table
+from metrocli.tasks.shared.environment import Air
+from metrocli.tasks.shared.lengths import Scale, scale_priors
+from metrocli.tasks.shared.lists import matched, sigmas, told_apart
+
+_MISFIT = 0.05
+"""Lengths whose median misfit exceeds this share of the volume do not belong to these points"""
+_REMOTE = 500.0
+"""A tracer farther away than this many times the volume is rejected: from there all lengths change alike"""
+_SPARE = 3
+"""Redundant lengths that a tracer needs before its misfit is meaningful"""
+_AS_LONG = 5
+"""Steps of an adjustment that take as long as one start"""
+
+
+@dataclass(frozen=True)
+class Tracers:
+    """The tracers that read lengths, with their listed places."""
+
+    names: tuple[str, ...]
+    of: Index
+    """Number of the tracer of each length, (n,)"""
+    said: Array
+    """Listed places of the tracers, (tracers, 3), nan if not listed"""
+    sigma: Array
+    """Standard uncertainties of the listed places, (tracers, 3): 0 exact, nan unknown"""
+    rows: Index
+    """Rows of the tracers in their list"""
+    idle: tuple[str, ...] = ()
+    """Listed tracers without a reading"""
+    noun: str = "tracer"
+    """What the file calls a tracer: one that moves has several stations"""
+
+    def free(self, absolute: bool, scaled: bool) -> Mask:
+        """Return the unknowns of each tracer, (tracers, 5): its place, unless exact, its dead path, and its scale."""
+        m = len(self.names)
+        known = np.column_stack([self.sigma == 0, np.full(m, absolute), np.full(m, not scaled)])
+        return np.asarray(~known)
+
+    def known(self, block: Block, scale: Scale | None) -> tuple[Group, ...]:
+        """Return the priors of their places and scales."""
+        sigma = np.column_stack([self.sigma, np.full((len(self.names), 2), np.nan)])
+        return (*priors(block, sigma, block.free), *scale_priors(scale, block))
+
+
+def tracers_of(lengths: Table, listed: Table | None, order: Callable[[list[str]], Iterable[str]], noun: str) -> Tracers:
+    """Return the tracers of lengths, in the order of their list, without one in that which `order` gives to the names.
+
+    `noun` is the column of their names. Raises InputError that lists every length of a tracer that is not in the list,
+    and every negative standard deviation there.
+    """
+    names = list(order(lengths.texts(noun))) if listed is None else listed.texts(noun)
+    with all_faults() as each:
+        with each():
+            place = matched(lengths, noun, names, "" if listed is None else listed.file)
+        with each():
+            sigma = np.full((len(names), 3), np.nan) if listed is None else sigmas(listed)
+    used = np.bincount(place, minlength=len(names)) > 0
+    rows = np.flatnonzero(used)
+    said = np.full((len(names), 3), np.nan) if listed is None else listed.stacked("xyz")
+    idle = tuple(names[row] for row in np.flatnonzero(~used))
+    found = tuple(names[row] for row in rows)
+    return Tracers(found, (np.cumsum(used) - 1)[place], said[rows], sigma[rows], rows, idle, noun)
+
+
+def observed(
+    lengths: Table,
+    tracers: Tracers,
+    points: tuple[Sequence[str], Index],
+    conditions: Mapping[str, Array],
+    air: Air | None,
+) -> Observations:
+    """Return lengths, corrected for the air, with index and keys of their tracers and points; their sigma is 1 mm.
+
+    `points` are the names of all points and the number of that of each length.
+    """
+    names, point = points
+    keys = {"point": _of_each(names, point), tracers.noun: _of_each(tracers.names, tracers.of)}
+    length, given = lengths.numbers("length"), dict(conditions)
+    if air is not None:
+        length, given[t.AIR] = length * air.towards, air.ratio
+    return Observations(
+        length[None],
+        np.ones(1),
+        {t.POINT: point, t.TRACER: tracers.of},
+        keys=told_apart(keys, point * len(tracers.names) + tracers.of, conditions.get("t")),
+        conditions=given,
+        components=("length",),
+        unit="mm",
+    )
+
+
+def _of_each(names: Sequence[str], index: Index) -> tuple[str, ...]:
+    """Return the name of each reading's member; readings of the same member share the text in memory."""
+    return tuple(np.array(names, dtype=object)[index].tolist())
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Lengths with the places of their points as far as they are known, from which tracers are found."""
+
+    tracers: Tracers
+    rows: Index
+    """The lengths that are used, (n,)"""
+    points: Array
+    """Place of the point of each, (n, 3)"""
+    length: Array
+    extent: float
+    """Largest side of the box around the points [mm]"""
+    absolute: bool = False
+    file: str = ""
+
+
+def few_of_each(tracers: Tracers) -> Index:
+    """Return rows of the lengths: at most MOST of each tracer, in a random sample.
+
+    More determine a starting value no better than it must be.
+    """
+    every = [np.flatnonzero(tracers.of == i) for i in range(len(tracers.names))]
+    return np.concatenate(
+        [rows[Random(0).sample(range(n), MOST)] if (n := len(rows)) > MOST else rows for rows in every]
+    )
+
+
+def places_of(seen: Seen) -> Array:
+    """Return x0, y0, z0, dead path and scale 1 of each tracer, (tracers, 5).
+
+    Raises UndeterminedError if a tracer reads too few points to determine or to find its place. Raises InputError if
+    lengths and points do not belong together: wrong units, a reversed sign, the rows of one tracer in another order.
+    """
+    tracers = seen.tracers
+    count, fewest = len(tracers.names), 3 if seen.absolute else 4
+    values = np.zeros((count, 5))
+    values[:, 4] = 1.0
+    misfits, strange = np.zeros(count), np.zeros(count, dtype=bool)
+    for i, name in enumerate(tracers.names):
+        points, lengths = _of_tracer(seen, i)
+        if len(points) < fewest and not (tracers.sigma[i] == 0).all():
+            raise UndeterminedError(
+                f"{tracers.noun} {name} reads {len(points)} points: "
+                f"its place{'' if seen.absolute else ' and dead path'} "
+                f"need at least {fewest}, not in one plane, and {fewest + 2} for a check"
+            )
+        values[i, :4] = _start_of(seen, i, points, lengths)
+        if len(points) >= fewest + _SPARE:
+            misfits[i] = _misfit(points, lengths, values[i])
+            away = float(np.linalg.norm(values[i, :3] - points.mean(axis=0)))
+            strange[i] = misfits[i] > _MISFIT * seen.extent or away > _REMOTE * seen.extent
+    bad = np.flatnonzero(strange)
+    if bad.size:
+        raise InputError([_strange(seen, int(i), float(misfits[i]), bad.size) for i in bad])
+    return values
+
+
+def _of_tracer(seen: Seen, i: int) -> tuple[Array, Array]:
+    """Return the places of the points that a tracer reads, (n, 3), and the lengths."""
+    mine = seen.tracers.of[seen.rows] == i
+    return seen.points[mine], seen.length[mine]
+
+
+def _start_of(seen: Seen, i: int, points: Array, lengths: Array) -> Array:
+    """Return x0, y0, z0 and dead path of one tracer from its lengths; coordinates with a sigma stay as listed."""
+    tracers, given = seen.tracers, seen.tracers.said[i]
+    said = None if np.isnan(given).any() else given
+    known = np.isfinite(tracers.sigma[i])
+    if known.all():
+        dead = 0.0 if seen.absolute else float(median(np.linalg.norm(points - given, axis=1) - lengths))
+        return np.array([*given, dead])
+    found = start(points, lengths, seen.absolute, said)
+    if np.isnan(found).any():
+        raise UndeterminedError(
+            f"{tracers.noun} {tracers.names[i]} reads {len(points)} points, too few to find where it stands: "
+            f"let it read two more, or give its approximate place in `inputs: {tracers.noun}s`"
+        )
+    return np.array([*np.where(known, given, found[:3]), found[3]])
+
+
+def _misfit(points: Array, lengths: Array, tracer: Array) -> float:
+    """Return the median error of the lengths of one tracer, beside one that all of them share.
+
+    A shared error is that of an instrument, such as the delay of a radio, and not of lengths of other points.
+    """
+    errors = lengths + tracer[3] - np.linalg.norm(points - tracer[:3], axis=1)
+    return float(median(np.abs(errors - median(errors))))
+
+
+def _strange(seen: Seen, i: int, misfit: float, bad: int) -> Fault:
+    points, lengths = _of_tracer(seen, i)
+    tracers = seen.tracers
+    name = f"{tracers.noun} {tracers.names[i]}"
+    text = f"the lengths of {name} do not belong to these points: they are off by {misfit:.3g} mm"
+    hint = "are its rows in another order?" if bad < len(tracers.names) else "do points and lengths belong together?"
+    for factor, symbol in _factors():
+        take(_AS_LONG)
+        found = np.nan_to_num(start(points, factor * lengths, seen.absolute))
+        if _misfit(points, factor * lengths, found) < _MISFIT * seen.extent / 10:
+            hint = (
+                "they fit with the other sign: lengths grow with the distance"
+                if factor < 0
+                else f"they fit if they are multiplied by {factor:g} ({symbol}): check the units of both files"
+            )
+            break
+    return Fault(text, seen.file, hint=hint)
+
+
+def _factors() -> list[tuple[float, str]]:
+    """Return factors that correct likely mistakes in lengths, each with its cause: a reversed sign, or wrong units."""
+    ones = {unit.symbol: unit.inside(1.0) for unit in units.DIMENSIONS["length"].units}
+    ratios = {f"{a} written as {b}": ones[a] / ones[b] for a in ones for b in ones if a != b}
+    return [(-1.0, ""), *((ratio, name) for name, ratio in ratios.items())]
