@@ -126,7 +126,9 @@ def of_board(one: BoardSet, folder: Path) -> Iterator[Case]:
     rng, adequate = np.random.default_rng([20261126, *one.name.encode()]), Model(LENS)
     fit = boards.fitted(board, adequate)
     data, seconds, after = diagnosed(one.job(folder / "as-is", board, LENS))
-    plain = Case(f"{one.name}: as it is", "as it is", data, seconds, extended=after, gains=_judged(board, adequate, data))
+    plain = Case(
+        f"{one.name}: as it is", "as it is", data, seconds, extended=after, gains=_judged(board, adequate, data)
+    )
     yield plain
     kept = frozenset(plain.names)
     for name, terms in LEFT_OUT.items():
@@ -155,14 +157,24 @@ def of_board(one: BoardSet, folder: Path) -> Iterator[Case]:
             changed = boards.planted(board, fit, name, where, sizes)
             true = tuple(a + b for a, b in zip(sizes, np.asarray(was).tolist(), strict=True))
             data, seconds, _ = diagnosed(one.job(folder / f"{name}-{times:g}", changed, LENS), extend=False)
-            yield Case(f"{one.name}: {' '.join([name, *where.values()])} {times:g}x", f"planted {times:g}x", data, seconds, spot, true, kept)
+            yield Case(
+                f"{one.name}: {' '.join([name, *where.values()])} {times:g}x",
+                f"planted {times:g}x",
+                data,
+                seconds,
+                spot,
+                true,
+                kept,
+            )
         if at == 0:
             free = tuple(term for term in LENS if term not in ("k1", "k2"))
             bare, _, _ = diagnosed(one.job(folder / "bare", board, free), extend=False)
             changed = boards.planted(board, fit, name, where, tuple((4 * least * direction).tolist()))
             data, seconds, _ = diagnosed(one.job(folder / f"{name}-beside", changed, free), extend=False)
             names = frozenset(map(_named, bare["effects"]))
-            yield Case(f"{one.name}: {name} 4x beside radial-distortion", "beside structure", data, seconds, spot, (), names)
+            yield Case(
+                f"{one.name}: {name} 4x beside radial-distortion", "beside structure", data, seconds, spot, (), names
+            )
 
 
 def _judged(board: Board, model: Model, data: Mapping[str, Any]) -> dict[Named, tuple[float, float]]:
@@ -201,7 +213,9 @@ def of_drive(drive: str, folder: Path) -> Iterator[Case]:
     data, seconds, after = diagnosed(ranges_job(folder / "bare", drive, "[]"))
     size = (float(ranges.fitted(read, [scale]).sizes[0]),)
     judged = _judged_ranges(read, [], data)
-    yield Case(f"{drive}: without length-scale", "left out", data, seconds, ("length-scale", ()), size, kept, after, judged)
+    yield Case(
+        f"{drive}: without length-scale", "left out", data, seconds, ("length-scale", ()), size, kept, after, judged
+    )
     beacon = read.beacons[int(rng.integers(len(read.beacons)))]
     for name, where in (("length-offset", {}), ("tracer-scale", {"tracer": beacon})):
         spot = name, tuple(where.values())
@@ -213,7 +227,9 @@ def of_drive(drive: str, folder: Path) -> Iterator[Case]:
         for times in TIMES:
             at = ranges.replace(read, start=fit.places)
             changed = read.with_change(times * least * at.column(name, where))
-            data, seconds, _ = diagnosed(ranges_job(folder / f"{name}-{times:g}", drive, adequate, changed), extend=False)
+            data, seconds, _ = diagnosed(
+                ranges_job(folder / f"{name}-{times:g}", drive, adequate, changed), extend=False
+            )
             sizes = (times * least + was,)
             title = f"{drive}: {' '.join([name, *where.values()])} {times:g}x"
             yield Case(title, f"planted {times:g}x", data, seconds, spot, sizes, kept)

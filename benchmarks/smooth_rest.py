@@ -43,7 +43,9 @@ def main(arguments: list[str]) -> int:
 def measured(cases: Sequence[Case], size: Size) -> list[rates.Rate]:
     """Return the rates of measurements with an effect of a size, or with none."""
     count, found = len(cases), [rates.found(case) for case in cases]
-    named: list[tuple[Finding | RandomEffect, ...]] = [(*one.diagnosis.findings, *one.diagnosis.scatters) for one in found]
+    named: list[tuple[Finding | RandomEffect, ...]] = [
+        (*one.diagnosis.findings, *one.diagnosis.scatters) for one in found
+    ]
     shown = [names for names in named if any(name.gain.shown for name in names)]
     structure = [one for one in found if one.diagnosis.left is not None or one.diagnosis.processes]
     if not size.times:

@@ -1,1 +1,1 @@
-"""Known effects left out of real measurements, or planted into them, judged by adjustments that share nothing with ours."""
+"""Known effects left out of real measurements, or planted into them, judged by adjustments with code of their own."""

@@ -82,7 +82,9 @@ class Board:
                 + [(self.images[i], self.targets[t], repr(float(u)), repr(float(v))) for i, t, (u, v) in rows]
             )
         with Path(f"{stem}.targets.csv").open("w", encoding="utf-8", newline="") as file:
-            rows_of_list = [(name, *map(repr, map(float, place))) for name, place in zip(self.targets, self.xyz, strict=True)]
+            rows_of_list = [
+                (name, *map(repr, map(float, place))) for name, place in zip(self.targets, self.xyz, strict=True)
+            ]
             csv.writer(file).writerows([("target", "x_mm", "y_mm", "z_mm"), *rows_of_list])
 
     def only(self, kept: Index) -> Board:
@@ -217,7 +219,9 @@ class _Unknowns:
     def chosen(self) -> Index:
         """Targets whose places are estimated."""
         every, names = len(self.board.targets), self.model.moved
-        return np.arange(every) if self.model.every_target else np.array([self.board.targets.index(n) for n in names], int)
+        return (
+            np.arange(every) if self.model.every_target else np.array([self.board.targets.index(n) for n in names], int)
+        )
 
     def unpacked(self, x: Array) -> tuple[dict[str, float], Array, Array]:
         """Return parameters by name, shifts of the targets, and poses."""
@@ -273,7 +277,11 @@ def fitted(board: Board, model: Model, start: Fit | None = None) -> Fit:
     if start is None:
         poses = np.stack([first_pose(board.only(np.array([i])), known) for i in range(len(board.images))])
         shifts = np.zeros(board.xyz.shape)
-        order = [tuple(n for n in model.free if n in LENS[:4]), tuple(n for n in model.free if n in LENS[:5]), model.free]
+        order = [
+            tuple(n for n in model.free if n in LENS[:4]),
+            tuple(n for n in model.free if n in LENS[:5]),
+            model.free,
+        ]
     else:
         poses, shifts, order = start.poses, start.shifts, [model.free]
     sigma = 1.0 if start is None else start.sigma

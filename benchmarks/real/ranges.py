@@ -69,7 +69,9 @@ class Ranges:
     def column(self, name: str, where: Mapping[str, str]) -> Array:
         """Return the change of the ranges by a unit effect (n,)."""
         kind = SHARED.get(name) or OF_BEACON[name]
-        there = self.beacon == self.beacons.index(where["tracer"]) if "tracer" in where else np.ones(len(self.beacon), bool)
+        there = (
+            self.beacon == self.beacons.index(where["tracer"]) if "tracer" in where else np.ones(len(self.beacon), bool)
+        )
         distance = np.linalg.norm(self.point - self.start[self.beacon], axis=1)
         values = {"distance": distance, "one": np.ones(len(distance)), "time": self.time - self.time.min()}
         return np.where(there, values[kind], 0.0)
@@ -89,7 +91,9 @@ class Fit:
 
 def _left(one: Ranges, terms: Terms, places: Array, sizes: Array) -> Array:
     moved = replace(one, start=places)
-    added = sum((size * moved.column(*term) for size, term in zip(sizes, terms, strict=True)), np.zeros(len(one.length)))
+    added = sum(
+        (size * moved.column(*term) for size, term in zip(sizes, terms, strict=True)), np.zeros(len(one.length))
+    )
     return one.length - np.linalg.norm(one.point - places[one.beacon], axis=1) - added
 
 
@@ -118,7 +122,7 @@ def fitted(one: Ranges, terms: Terms) -> Fit:
 
 
 def gain(one: Ranges, before: Terms, after: Terms) -> tuple[float, float]:
-    """Return by how much held-out parts of the drive fit better with more effects, and the standard error of the sum."""
+    """Return by how much held-out parts of the drive fit better with more effects, and the standard error of it."""
     sigma = fitted(one, after).sigma
     order = np.argsort(one.time, kind="stable")
     differences = []

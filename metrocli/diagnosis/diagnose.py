@@ -77,7 +77,9 @@ def diagnose(
     fit = extended_fit(first.measurement.job, names, kept) if names else None
     shifts = result_changes(first.measurement.job, names, fit, kept)
     correlated, repeats = correlated_errors(state), pure_error(state)
-    noise = noise_of(float(state.residual @ state.residual) if not state.random else state.white_squares, state.noise_freedoms)
+    noise = noise_of(
+        float(state.residual @ state.residual) if not state.random else state.white_squares, state.noise_freedoms
+    )
     progress.doing("computing what the measurement could not detect")
     return Diagnosis(
         job=first.measurement.job,
@@ -176,7 +178,7 @@ def _other_shape_from(state: State, name: IdentifiedEffect, noise: float) -> flo
 def _left(
     state: State, correlated: Sequence[CorrelatedError], laws: Sequence[Law], repeats: PureError | None
 ) -> RemainingStructure | None:
-    """Return what no identified effect explains: a law, a correlated error, or what repeated readings have in common."""
+    """Return what no identified effect explains: a law, a correlated error, or what repeated readings share."""
     law = next((one for one in laws if one.chosen), None)
     if law is not None:
         names = dict.fromkeys(name for term in law.terms for name in term.form.variables)
@@ -185,7 +187,9 @@ def _left(
     for one in state.unknown:
         name = identified(state, one, with_rivals=False)
         size = _size(state, one)
-        return RemainingStructure(float(np.exp(name.log_level)), (state.measurement.families[one.family].unknown,), (), size)
+        return RemainingStructure(
+            float(np.exp(name.log_level)), (state.measurement.families[one.family].unknown,), (), size
+        )
     significant = [one for one in correlated if one.log_level < np.log(_CORRELATED)]
     if significant:
         best = min(significant, key=lambda one: one.log_level)

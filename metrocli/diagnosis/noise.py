@@ -1,4 +1,4 @@
-"""The noise that was found: its level relative to the declared one, and variance groups (a tracer, an image) of their own.
+"""The noise that was found: its level relative to the declared one, and variance groups (a tracer, an image).
 
 Method: docs/algorithms/evidence.md.
 """
@@ -71,7 +71,7 @@ def variance_groups(job: AdjustedJob, system: System) -> Iterator[tuple[str, str
 
 
 def weights_of(job: AdjustedJob, units: Sequence[Unit]) -> Mapping[str, Array]:
-    """Return factors on the whitened readings of each group that bring the noise of some units to that of the others."""
+    """Return factors on whitened readings of each group that bring the noise of some units to that of the others."""
     weights: Mapping[str, Array] = {}
     for unit in units:
         weights = _reweighted(job, weights, unit)

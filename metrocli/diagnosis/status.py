@@ -21,7 +21,7 @@ class Status(StrEnum):
 
     NAMED = "named"
     EXCLUDED = "excluded"
-    """Not found, although one of the largest usual size would have been (power at least 80 %), and its bound is below it"""
+    """Not found, although one of the largest usual size would have been (power at least 80 %); its bound is below it"""
     CANNOT_SEE = "cannot-see"
     """Its smallest detectable size is larger than usual, or its scan too coarse for the readings"""
     NOT_TESTABLE = "not-testable"
@@ -56,7 +56,7 @@ def status(candidate: Candidate, named: Iterable[IdentifiedEffect], decided: boo
 
 
 def excluded_above(candidate: Candidate) -> float:
-    """Return the size above which an effect is excluded: the one that is detected, and the upper bound of its estimate."""
+    """Return the size above which an effect is excluded: the larger of that detected and its upper bound."""
     return max(candidate.detectable, candidate.upper)
 
 

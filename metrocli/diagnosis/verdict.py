@@ -150,8 +150,7 @@ def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
         "by": name.alternative.effect.by or None,
         "forms": [{"by": form.alternative.effect.by, "odds": form.odds} for form in name.forms],
         "aliases": [
-            {"parameter": key, "value": value, "odds": odds, "unit": units_of[key]}
-            for key, value, odds in name.aliases
+            {"parameter": key, "value": value, "odds": odds, "unit": units_of[key]} for key, value, odds in name.aliases
         ],
         "other_shape_from": finding.other_shape_from,
         "gain": _gain(gain, job) | {"result_shift": delivered(job, finding.shift)},

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from metrocli.diagnosis.selection import forward_steps
 
 from benchmarks.hidden import lengths
 from metrocli.cli.diagnosis_report import findings
@@ -13,7 +14,6 @@ from metrocli.diagnosis import diagnose, extended_fit, verdict
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.extended_fit import score_tests_of_job
 from metrocli.diagnosis.linear import counted_tests, memory
-from metrocli.diagnosis.selection import forward_steps
 from metrocli.errors import InputError
 
 DRIFT = {"rate": 3e-6}

@@ -5,6 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from metrocli.diagnosis.linear.random_columns import with_random_columns
+from metrocli.diagnosis.linear.smooth.knots import around_circle, between_knots
+from metrocli.diagnosis.smooth_errors.functions import process_bases
+from metrocli.diagnosis.smooth_errors.process import Process
 
 from benchmarks.hidden import launch, lengths
 from benchmarks.hidden.foreign import planted
@@ -14,10 +18,6 @@ from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.linear.linearised import linearised
-from metrocli.diagnosis.linear.random_columns import with_random_columns
-from metrocli.diagnosis.linear.smooth.knots import around_circle, between_knots
-from metrocli.diagnosis.smooth_errors.functions import process_bases
-from metrocli.diagnosis.smooth_errors.process import Process
 from metrocli.diagnosis.verdict import as_data
 from metrocli.project.diagnosed import Extended
 from metrocli.tasks import KINDS

@@ -8,6 +8,15 @@ from functools import cache
 
 import numpy as np
 import pytest
+from metrocli.diagnosis.cross_validation import fitted_without, held_out_errors
+from metrocli.diagnosis.linear.counted_tests import effective_number_of_tests
+from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns, nothing_fitted
+from metrocli.diagnosis.linear.score_tests import ScoreTests, quadratic
+from metrocli.diagnosis.linear.smooth.recomputed_terms import polynomials
+from metrocli.diagnosis.linear.smooth_terms import visible_directions
+from metrocli.diagnosis.selection.confidence_set import determined
+from metrocli.diagnosis.selection.search import search
+from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from scipy import stats
 
 from benchmarks.hidden import launch, lengths
@@ -17,26 +26,17 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.cross_validation import fitted_without, held_out_errors
 from metrocli.diagnosis.detectability import design
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.extended_fit import score_tests_of_job
 from metrocli.diagnosis.linear.candidates import families_of
-from metrocli.diagnosis.linear.counted_tests import effective_number_of_tests
 from metrocli.diagnosis.linear.distributions import chi_interval, log_family, log_tail, noncentrality, single_level
-from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.score_tests import ScoreTests, quadratic
 from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.linear.smooth.recomputed_terms import polynomials
-from metrocli.diagnosis.linear.smooth_terms import visible_directions
 from metrocli.diagnosis.noise import noisier_units
 from metrocli.diagnosis.power.average_power import size_found
 from metrocli.diagnosis.residual_structure import pure_error
-from metrocli.diagnosis.selection.confidence_set import determined
-from metrocli.diagnosis.selection.search import search
-from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from metrocli.effects.model import Model
 
 Array = np.typing.NDArray[np.float64]

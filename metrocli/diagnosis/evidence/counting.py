@@ -1,7 +1,8 @@
 """Effective numbers of independent tests, from simulated white noise (Westfall and Young 1993).
 
 A scan over m places takes the smallest p-value of m dependent tests. In draws of white noise, projected like the
-residuals, the smallest p-value of k independent tests has the distribution `1 - (1 - p)^k`; k follows from its quantiles.
+residuals, the smallest p-value of k independent tests has the distribution `1 - (1 - p)^k`; k follows from
+its quantiles.
 Method: docs/algorithms/evidence.md.
 """
 

@@ -193,7 +193,8 @@ def likeliest(products: Products, logs: Array, most: Array, steps: int = _STEPS)
         step = np.clip((found - free) / np.maximum(bend, 1e-9), -_FAR, _FAR)
         # where almost nothing is expected, the ratio of found to expected is the better guide
         ratio = np.log(np.maximum(found, 1e-12) / np.maximum(free, 1e-12))
-        step = np.where(np.abs(step) > np.abs(ratio), np.sign(ratio) * np.maximum(np.abs(ratio), np.abs(step) / 2), step)
+        shorter = np.sign(ratio) * np.maximum(np.abs(ratio), np.abs(step) / 2)
+        step = np.where(np.abs(step) > np.abs(ratio), shorter, step)
         step = np.clip(step, -_FAR, _FAR)
         for _ in range(6):
             after = fit_at(products, np.clip(fit.logs + step, _LEAST, most))

@@ -171,7 +171,8 @@ class Measurement:
         columns = self.families[family].columns
         key = "grams", family, columns.count
         if key not in self.held:
-            nothing = Basis(np.zeros((self.system.rows, 0)), np.full(self.system.rows, -1), 0, np.zeros((self.system.rows, 0)))
+            rows = self.system.rows
+            nothing = Basis(np.zeros((rows, 0)), np.full(rows, -1), 0, np.zeros((rows, 0)))
             self.held[key] = columns.grams(nothing)
         return self.held[key]
 

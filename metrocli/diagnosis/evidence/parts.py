@@ -1,4 +1,4 @@
-"""The parts of a state: fixed columns (identified effects, wrong readings) and random effects (scatters, correlated errors).
+"""The parts of a state: fixed columns (effects, wrong readings), random effects (scatters, correlated errors).
 
 Method: docs/algorithms/evidence.md.
 """
@@ -89,7 +89,7 @@ def fixed(whole: Array, seen: Array, key: tuple[int, int], price: float, sort: s
 
 
 def kernel(distances: Array, length: float) -> Array:
-    """Return V, (knots, k), with `V V'` the Matern covariance (3/2) of unit variance between knots at some distances."""
+    """Return V, (knots, k), with `V V'` the Matern covariance (3/2) of unit variance of knots some distances apart."""
     x = np.sqrt(3) * distances / length
     values, vectors = np.linalg.eigh((1 + x) * np.exp(-x))
     kept = values > _RICH * values[-1]

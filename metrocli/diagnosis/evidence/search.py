@@ -41,7 +41,6 @@ _ALIKE = float(np.log(20.0))
 """Difference of scores up to which two causes explain the readings alike"""
 _MASKED, _TOGETHER = 2.0, 8
 """Variance of the noise, in that declared, from which several wrong readings are sought together, and how many"""
-TRACE = False
 
 
 @dataclass(frozen=True)
@@ -93,7 +92,7 @@ def moves(state: State, quiet: set[int] | None = None) -> list[Move]:
 
 
 def _noise(state: State) -> list[Move]:
-    """Return the noisier variance groups of one step: those of the kind of the most certain that are nearly as certain."""
+    """Return the noisier variance groups of one step: the most certain, and those of its kind nearly as certain."""
     of_readings = [one[0] not in (READING, DECLARED_SIGMA) for one in state.measurement.units]
     # one of many units that is quieter than the others is no cause for anything
     groups = [
@@ -187,10 +186,6 @@ def forward(
                 break
             best = whole
         state = without_weak_fixed(best.settled())
-        if TRACE:
-            import time
-
-            print(f"   F {state.score:.1f} s2 {state.variance:.3f} t {time.process_time():.2f}", words(state), flush=True)
         if stop is not None and stop(state):
             break
     return state
@@ -280,18 +275,3 @@ def _quick(state: State, number: int) -> float:
     logs = state.logs.copy()
     logs[number] = -25.0
     return state.score - replace(state, fit=at_sizes(state, logs), held={}).score - state.random[number].price
-
-
-def words(state: State) -> list[str]:
-    """Return the parts of a state in words."""
-    m = state.measurement
-    found = [str(m.alternative(one.key)) for one in state.named] + [m.families[one.family].name for one in state.unknown]
-    found += [f"noise {m.units[n][0]} {m.units[n][1]} x{q:.2f}" for n, q in m.noise.items()]
-    found += [f"{len(state.readings)} readings"] if state.readings else []
-    for one, log in zip(state.random, state.logs, strict=True):
-        if one.kind == "scatter":
-            found.append(f"{m.scatters[one.key[0]][0].name} everywhere g {log:.2f}")
-        else:
-            f = m.knots[one.key[0]].functions
-            found.append(f"correlated {f.name} by {f.by or '-'} {one.key[1:]} g {log:.2f}")
-    return found

@@ -117,7 +117,9 @@ class State:
         ends = np.cumsum([0, *(one.rank for one in self.fixed)])
         at = np.concatenate([np.arange(ends[j], ends[j + 1]) for j in kept] or [np.zeros(0, dtype=np.intp)])
         if at.size:
-            found += _evidence_in_turn(gram[np.ix_(at, at)], right[at], [self.fixed[j].rank for j in kept], squares, dof)
+            found += _evidence_in_turn(
+                gram[np.ix_(at, at)], right[at], [self.fixed[j].rank for j in kept], squares, dof
+            )
         return float(found - self._prices([self.fixed[j] for j in kept]))
 
     def _prices(self, fixed: Sequence[Fixed]) -> float:
@@ -172,7 +174,7 @@ class State:
         return State.of(self.measurement, fixed, self.random, self.logs, TRIAL)
 
     def at(self, measurement: Measurement, random: bool = True) -> State:
-        """Return the state of the same parts, the random ones perhaps left out, in the measurement with other weights."""
+        """Return the state of the same parts, or of the fixed ones, in the measurement with other weights."""
         keys = (one.key for one in self.fixed)
         fixed = [measurement.reading(j) if i == READINGS else measurement.effect(i, j) for i, j in keys]
         if not random:
@@ -201,7 +203,7 @@ class State:
 
     @cached_property
     def basis(self) -> Basis:
-        """Columns b, so that `P = I - b b'` is what the state leaves of anything; not orthonormal beside random parts."""
+        """Columns b: `P = I - b b'` is what the state leaves of anything; not orthonormal beside random parts."""
         m = self.measurement
         own = self._by_members
         basis = m.system.basis
@@ -341,7 +343,7 @@ def within(m: Measurement, columns: Array) -> Array:
 
 
 def without_local(m: Measurement, key: object, columns: Array) -> Array:
-    """Return columns (rows, k) without what the local unknowns absorb, computed once for each key but those held out."""
+    """Return columns (rows, k) without what local unknowns absorb, computed once for each key but those held out."""
     if key == (HELD_OUT, (0, 0)):
         return within(m, columns)
     if key not in m.held:
@@ -376,7 +378,7 @@ def local_columns(m: Measurement, random: Sequence[Random]) -> Array:
 def products_of(
     m: Measurement, fixed: Sequence[Fixed], random: Sequence[Random], with_unknowns: bool = False
 ) -> Products:
-    """Return the products of all columns of a state; those of the unknowns only where members have errors, or if asked."""
+    """Return the products of all columns of a state, those of the unknowns where members have errors, or if asked."""
     c, r = local_columns(m, random), m.system.residual
     with_unknowns |= c.shape[1] > 0
     x = shared_columns(m, fixed, random, with_unknowns)

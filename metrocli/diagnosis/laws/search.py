@@ -24,7 +24,6 @@ from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.projection import System
 from metrocli.frozen import dataclass
 
-TRACE = False
 _LAW = float(np.log(30.0))
 """What a law pays beyond its tests: formulas are many, and a known cause, or chance, is likelier"""
 _SURELY = 5.5
@@ -107,14 +106,12 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> Found:
         lawful = None if start is None else forward(start, 0.0)
         if lawful is not None and lawful.steps and (best is None or lawful.state.score > best[0].state.score):
             best = lawful, base
-    if TRACE and best: print('LAW', best[0].state.score-state.score, [t.form for t in best[0].terms], state.score)
     if best is None or best[0].state.score < state.score + _LAW:
         return Found(state)
     lawful, base = best
     gains = _gains(lawful, base, ordered)
     found = [_law(lawful.first(count), base, gain, state) for count, gain in enumerate(gains, 1)]
     chosen = max(found, key=lambda one: one.gain.log_score)
-    if TRACE: print('gain',chosen.gain.log_score,chosen.gain.log_score_std)
     surely = best[0].state.score > state.score + _SURELY and chosen.gain.log_score > 0
     if not (chosen.gain.shown or surely):
         return Found(state)

@@ -52,7 +52,6 @@ class ColumnPart(Protocol):
     def numbered(self, rows: Index, numbers: Index) -> ColumnPart:
         """Return the part with other numbers of its rows and its alternatives."""
 
-
     def weighted(self, factor: Array) -> ColumnPart:
         """Return the columns with their rows multiplied by a factor (all rows,)."""
 
@@ -170,7 +169,6 @@ class Part:
         """Return the part with other numbers of its rows and its alternatives."""
         return Part(rows, self.values, numbers)
 
-
     def weighted(self, factor: Array) -> Part:
         """Return the columns with their rows multiplied by a factor (all rows,)."""
         return Part(self.rows, self.values * factor[self.rows, None, None], self.numbers)
@@ -254,7 +252,6 @@ class Steps:
     def numbered(self, rows: Index, numbers: Index) -> Steps:
         """Return the part with other numbers of its rows and its alternatives."""
         return Steps(Course(rows, self.course.values), self.begins, numbers)
-
 
     def weighted(self, factor: Array) -> Steps:
         """Return the columns with their rows multiplied by a factor (all rows,)."""

@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from benchmarks.hidden import lengths
+from benchmarks.hidden import images, lengths
 from benchmarks.hidden.scenes import board_scene
-from benchmarks.hidden import images
 from metrocli.diagnosis.evidence.folds import Fold, Model, folds_of
 from metrocli.diagnosis.evidence.measurement import Measurement, measurement_of
 from metrocli.diagnosis.evidence.parts import Fixed, Random, scatter
