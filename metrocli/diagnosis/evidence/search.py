@@ -204,9 +204,12 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
         if not state.random and move.fixed:
             break
     best = max(tried, key=lambda one: one.score)
+    alike = [(one, move) for one, move in zip(tried, possible, strict=False) if one.score > best.score - _ALIKE]
     # a sigma that the job states explains as much as an effect at all places: it is what can be corrected
-    given = (one for one, move in zip(tried, possible, strict=False) if move.given and one.score > best.score - _ALIKE)
-    return next(given, best)
+    given = [one for one, move in alike if move.given]
+    # so can an effect, and noise of its place does not say what is wrong there
+    names = [one for one, move in alike if move.fixed] if best.measurement is not state.measurement else []
+    return next(iter([*given, *names]), best)
 
 
 def pruned(state: State) -> State:
@@ -256,7 +259,9 @@ def swapped(state: State) -> State:
             if own > _CERTAIN or _first_moves(less, one) < own / 2:
                 continue
             other = forward(less, 3, without=one.key)
-            if other.score > state.score + 1e-3:
+            # noise of a place does not say what is wrong there
+            noisier = len(other.measurement.noise) > len(state.measurement.noise)
+            if other.score > state.score + (_ALIKE if noisier else _GAINED):
                 better = other
                 break
         if better is None:
