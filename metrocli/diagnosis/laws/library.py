@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import groupby
+from itertools import count, groupby
 
 import numpy as np
 
@@ -107,6 +107,8 @@ class Library:
         self.job, self.system = job, system
         self.terms: list[tuple[Term, ...]] = []
         """The terms of each family, in the order of its alternatives"""
+        self.numbers = count(1_000_000)
+        """Numbers of terms at refined values, each once: products are kept by them"""
 
     @cached_property
     def _carriers(self) -> list[_Carrier]:
@@ -130,8 +132,8 @@ class Library:
         for periods in (59, 29, 15, 7):
             found = [(carrier, carrier.forms(periods)) for carrier in self._carriers]
             # a term at one place has the rows of its readings only
-            count = sum(len(form.factors) * len(carrier.rows) for carrier, forms in found for form in forms)
-            if count <= MOST_NUMBERS:
+            numbers = sum(len(form.factors) * len(carrier.rows) for carrier, forms in found for form in forms)
+            if numbers <= MOST_NUMBERS:
                 return found
         return [(carrier, forms) for carrier, forms in found if not carrier.spot.where]
 
