@@ -15,8 +15,9 @@ from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed
 from metrocli.diagnosis.evidence.state import State, at_sizes
 from metrocli.diagnosis.evidence.variances import Found, correlated_errors, noisier_groups, scattered_effects
 from metrocli.diagnosis.evidence.weights import with_noise
-from metrocli.diagnosis.linear.projection import READING
+from metrocli.diagnosis.linear.projection import MOST_NUMBERS, READING
 from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA
+from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 
 _MOST = 60
@@ -145,7 +146,19 @@ def _readings(state: State) -> list[Move]:
         one = m.reading(i)
         if all(np.abs(other.columns.T @ m.system.seen(one.columns)).max(initial=0.0) < _APART for other in chosen):
             chosen.append(one)
+    _must_be_held(state, len(chosen))
     return [Move(float(net[order[0]]), tuple(chosen))] if chosen else []
+
+
+def _must_be_held(state: State, more: int) -> None:
+    """Raise InputError if so many fixed columns need more memory than a diagnosis may take."""
+    rows = state.measurement.system.rows
+    if rows * (len(state.fixed) + more) > MOST_NUMBERS:
+        raise InputError(
+            f"diagnose finds more than {MOST_NUMBERS // rows} wrong readings and effects in {rows} readings: "
+            "it fits them together, which needs too much memory\n"
+            "remove the wrong readings first: write `outliers: remove` in the job"
+        )
 
 
 def _with_all_readings(state: State) -> State:
