@@ -13,7 +13,8 @@ import numpy as np
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.folds import gain_between
 from metrocli.diagnosis.evidence.measurement import LENGTHS
-from metrocli.diagnosis.evidence.parts import CORRELATED, SCATTER, Fixed, Random
+from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed, Random
+from metrocli.diagnosis.evidence.search import effects
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.extended_fit import readings_kept, result_change, with_random_effect
@@ -33,11 +34,6 @@ def log_level_of(gain: float) -> float:
     from scipy.special import log_ndtr
 
     return float(log_ndtr(-np.sqrt(max(2 * gain, 0.0))))
-
-
-def likelihood_gain(state: State, one: Random) -> float:
-    """Return by how much a random part raises the likelihood, all other sizes estimated anew without it."""
-    return state.score + one.price - state.minus([one]).score
 
 
 def random_effects(state: State) -> tuple[RandomEffect, ...]:
@@ -107,7 +103,9 @@ def correlated_errors(state: State) -> tuple[CorrelatedError, ...]:
 
 def _correlated(state: State, number: int) -> CorrelatedError:
     m, one = state.measurement, state.random[number]
-    gain = likelihood_gain(state, one)
+    less = state.minus([one])
+    gain = state.score + one.price - less.score
+    without = (found for found in effects(less) if found.net > 0)
     functions = m.knots[one.key[0]].functions
     unit = next(iter(functions.sigmas))
     std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * functions.sigmas[unit]
@@ -124,7 +122,8 @@ def _correlated(state: State, number: int) -> CorrelatedError:
         unit,
         level,
         gain,
-        place=place,
+        place,
+        tuple(m.alternative(part.key) for found in without for part in found.fixed if part.sort == EFFECT),
     )
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from metrocli.diagnosis.evidence.state import State, at_sizes
 from metrocli.diagnosis.evidence.variances import Found, correlated_errors, noisier_groups, scattered_effects
 from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS, READING
+from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
@@ -88,7 +90,7 @@ def _with_noise(state: State, noise: Mapping[int, float]) -> State:
 
 def moves(state: State, quiet: set[int] | None = None) -> list[Move]:
     """Return what may enter a state, the best first; `quiet` are covariates that showed nothing before."""
-    found = [*_names(state), *_readings(state), *_masked_readings(state)]
+    found = [*effects(state), *_readings(state), *_masked_readings(state)]
     random = scattered_effects(state)[:1]
     if sum(one.kind == CORRELATED for one in state.random) < _CORRELATED:
         random += correlated_errors(state, quiet)
@@ -113,25 +115,40 @@ def _noise(state: State) -> list[Move]:
     return [Move(groups[0][0], noise={number: ratio for _, number, ratio in alike}, given=kind == DECLARED_SIGMA)]
 
 
-def _names(state: State, most: int = 2) -> list[Move]:
+def effects(state: State, most: int = 2) -> list[Move]:
     """Return the effects, and unknown causes, of the largest net gains.
 
     Left out is what the error of one reading explains as well: beside its dead path, a jump after the first reading of
     a tracer is an error of that reading. How many readings there are is no evidence for the jump.
     """
     m = state.measurement
-    _, rank, by_readings = state.of_readings()
     taken = {m.alternative(one.key).form for one in (*state.named, *state.unknown)}
-    found: list[tuple[float, int, int]] = []
+    found: list[tuple[float, int, int, float]] = []
     for family in range(len(m.families)):
         gain, price, explained = state.gains_of_family(family)
         net = gain - price
-        single = by_readings[rank <= m.families[family].columns.parameters].max(initial=0.0)
         for at in np.argsort(-net)[:4].tolist():
-            if gain[at] > 0 and single < SAME * explained[at] and m.alternative((family, at)).form not in taken:
-                found.append((float(net[at]), family, at))
+            if net[at] > -1 and gain[at] > 0 and m.alternative((family, at)).form not in taken:
+                found.append((float(net[at]), family, at, float(explained[at])))
     found.sort(reverse=True)
-    return [Move(net, (m.effect(family, at),)) for net, family, at in found[:most]]
+    chosen = (one for one in found if not _is_of_one_reading(state, *one[1:]))
+    return [Move(net, (m.effect(family, at),)) for net, family, at, _ in islice(chosen, most)]
+
+
+def _is_of_one_reading(state: State, family: int, number: int, explained: float) -> bool:
+    """Return whether the error of one reading changes what the state leaves as an alternative does."""
+    m = state.measurement
+    _, rank, by_readings = state.of_readings()
+    alike = (rank > 0) & (rank <= m.families[family].columns.parameters) & (by_readings > SAME * explained)
+    rows = m.places[alike]
+    if not len(rows):
+        return False
+    gram, right = (one[number] for one in state.left(family))
+    whole = m.whole(family, number) @ (np.linalg.pinv(gram, hermitian=True) @ right)
+    there = rows >= 0
+    blocks = np.eye(rows.shape[1]) * there[:, :, None] - state.basis.products(rows, rows)
+    shared, _ = quadratic(blocks, np.where(there, state.seen(whole)[rows], 0.0), np.ones(rows.shape))
+    return bool(shared.max() > SAME * explained)
 
 
 def _readings(state: State) -> list[Move]:
