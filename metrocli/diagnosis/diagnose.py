@@ -14,12 +14,12 @@ import numpy as np
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Design, design
-from metrocli.diagnosis.evidence.folds import Gain, gains
+from metrocli.diagnosis.evidence.folds import gains
+from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified, identified
 from metrocli.diagnosis.evidence.measurement import measurement_of
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import LEVEL
-from metrocli.diagnosis.evidence.rounds import searched
 from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects
@@ -32,6 +32,7 @@ from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import Unit, noise_of
 from metrocli.diagnosis.power.alike import separations
 from metrocli.diagnosis.residual_structure import REPEATS, PureError, RemainingStructure, pure_error
+from metrocli.diagnosis.rounds import searched
 from metrocli.diagnosis.wrong_readings import wrong_readings
 from metrocli.progress import SILENT, Progress
 

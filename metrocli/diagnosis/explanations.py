@@ -13,8 +13,8 @@ import numpy as np
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.folds import gain_between
 from metrocli.diagnosis.evidence.measurement import LENGTHS
+from metrocli.diagnosis.evidence.moves import effects
 from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed, Random
-from metrocli.diagnosis.evidence.search import effects
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.extended_fit import readings_kept, result_change, with_random_effect

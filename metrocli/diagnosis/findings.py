@@ -8,7 +8,7 @@ from enum import StrEnum
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Design
-from metrocli.diagnosis.evidence.folds import Gain
+from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.extended_fit import Size
 from metrocli.diagnosis.laws.search import Law

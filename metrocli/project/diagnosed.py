@@ -283,8 +283,9 @@ def _relocated(node: Node, old: Path, new: Path) -> Node:
         return node
     if node.kind == "scalar":
         return node if Path(node.text).is_absolute() else replace(node, text=_path(old / node.text, new))
-    items = tuple(_relocated(item, old, new) for item in node.items)
-    return replace(node, items=items, entries=tuple((key, _relocated(value, old, new)) for key, value in node.entries))
+    items = (_relocated(item, old, new) for item in node.items)
+    entries = ((key, _relocated(value, old, new)) for key, value in node.entries)
+    return replace(node, items=tuple(items), entries=tuple(entries))
 
 
 def _key(job: JobFile, text: str) -> Node:

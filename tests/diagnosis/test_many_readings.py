@@ -11,7 +11,7 @@ from benchmarks.hidden import lengths
 from metrocli.cli.diagnosis_report import findings
 from metrocli.diagnosis import diagnose, extended_fit, verdict
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.evidence import counting, search
+from metrocli.diagnosis.evidence import counting, moves
 from metrocli.diagnosis.evidence.measurement import measurement_of
 from metrocli.diagnosis.evidence.prices import counted
 from metrocli.diagnosis.linear import memory
@@ -155,6 +155,6 @@ def test_memory_grows_with_the_readings() -> None:
 
 def test_more_wrong_readings_than_can_be_held_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     network = job(60, wrong=0.03)
-    monkeypatch.setattr(search, "MOST_NUMBERS", 2 * 360)
+    monkeypatch.setattr(moves, "MOST_NUMBERS", 2 * 360)
     with pytest.raises(InputError, match="more than 2 wrong readings(.|\n)*outliers: remove"):
         diagnose.diagnose(network)

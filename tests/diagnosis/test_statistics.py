@@ -21,8 +21,8 @@ from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.evidence.counting import effective_number_of_tests
 from metrocli.diagnosis.evidence.identified import determined
 from metrocli.diagnosis.evidence.measurement import Measurement, measurement_of
-from metrocli.diagnosis.evidence.prices import PRIOR
-from metrocli.diagnosis.evidence.search import forward, moves
+from metrocli.diagnosis.evidence.moves import moves
+from metrocli.diagnosis.evidence.search import forward
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.candidates import families_of
 from metrocli.diagnosis.linear.distributions import chi_interval, log_family, log_tail, noncentrality, single_level

@@ -242,5 +242,6 @@ def listed_values(blocks: Mapping[str, Block], groups: Iterable[Group]) -> Mappi
             if isinstance(link, ReadBlock | ReadMembers) and blocks[link.block].space is Space.FLAT:
                 members = np.unique(group.observations.index[link.block])
                 own = values.setdefault(link.block, blocks[link.block].values.copy())
-                own[np.ix_(members, link.columns)] = link.reference[np.ix_(members, link.columns)]
+                for column in link.columns:
+                    own[members, column] = link.reference[members, column]
     return {**blocks, **{name: blocks[name].with_values(own) for name, own in values.items()}} if values else blocks

@@ -15,7 +15,7 @@ from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Part
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Design
-from metrocli.diagnosis.evidence.folds import Gain
+from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.extended_fit import Size
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
 from metrocli.diagnosis.job_entries import proposed_noise

@@ -2,7 +2,7 @@
 
 An effect of one tracer, image or point changes a few rows only. Its visible part `M g` is dense, but a product with a
 visible vector v needs no projection: `(M g)' v = g' v`, because `M v = v`. So the signatures are stored as they are,
-and only those that enter a model are projected. Method: docs/algorithms/selection-and-levels.md (projection).
+and only those that enter a model are projected. Method: docs/algorithms/what-can-be-seen.md (projection).
 """
 
 from __future__ import annotations
