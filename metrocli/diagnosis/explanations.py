@@ -24,7 +24,8 @@ from metrocli.diagnosis.noise import AS_OTHERS
 
 AS_LIKELY = float(np.log(20.0))
 """Difference of log-likelihoods up to which two variances explain the readings alike"""
-
+_OF_A_PLACE = float(np.log(5.0))
+"""The same for larger noise at the place of an effect, which is less of an answer than an effect that fits all of its readings"""
 _MOST_ROWS = 8
 """Largest number of rows of a unit, for each parameter of an effect at it, whose noise can imitate the effect"""
 
@@ -84,7 +85,7 @@ def noise_instead(state: State, one: Fixed) -> tuple[Instead, ...]:
             less = state.minus([one])
             other = less.at(with_noise(m, {number: max(less.ratio_of(number), AS_OTHERS)}))
             ahead = other.score - state.score
-            if ahead > -AS_LIKELY:
+            if ahead > -_OF_A_PLACE:
                 found.append(Instead("noise", {key: name}, float(np.exp(min(ahead, 700.0)))))
     return tuple(found)
 

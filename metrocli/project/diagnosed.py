@@ -48,7 +48,7 @@ from metrocli.record import InputFile
 from metrocli.simulation import SimulationOptions
 
 _STEPS = 400
-"""Steps that a try of an extended job may take, its starts included: a law that needs more is not determined"""
+"""Steps of a try of an extended job, its starts included: a law that needs more is not determined"""
 _NAMED = " with the effects that metrocli diagnose named"
 _SHARED = " with the noise that metrocli diagnose proposes"
 """Ends of the first line of an extended job, by which it is recognised before it is overwritten"""
@@ -247,7 +247,7 @@ def _extended(
         if key.text not in (*below, "output")
     ]
     more = [(_key(job, key), items) for key, items in below.items() if items.items]
-    return replace(job.root, entries=(*kept, *more, (_key(job, "output"), _key(job, _path(output, folder)))))
+    return replace(job.root, entries=(*kept, *more, (_key(job, "output"), _key(job, os.path.relpath(output, folder)))))
 
 
 def _longer(job: JobFile, key: str, more: Sequence[Node]) -> Node:
@@ -273,16 +273,16 @@ def _with_model(job: JobFile, declared: Node, model: str) -> Node:
     return replace(declared, entries=(*parts, (_key(job, MODEL), _key(job, model))))
 
 
-def _path(path: Path, folder: Path) -> str:
-    return Path(os.path.relpath(path, folder)).as_posix()
-
-
 def _relocated(node: Node, old: Path, new: Path) -> Node:
     """Return a node with its paths, relative to `old`, rewritten relative to `new`."""
     if os.path.abspath(old) == os.path.abspath(new):
         return node
     if node.kind == "scalar":
-        return node if Path(node.text).is_absolute() else replace(node, text=_path(old / node.text, new))
+        return (
+            node
+            if Path(node.text).is_absolute()
+            else replace(node, text=Path(os.path.relpath(old / node.text, new)).as_posix())
+        )
     items = (_relocated(item, old, new) for item in node.items)
     entries = ((key, _relocated(value, old, new)) for key, value in node.entries)
     return replace(node, items=tuple(items), entries=tuple(entries))

@@ -12,6 +12,7 @@ import numpy as np
 
 from metrocli.diagnosis.evidence.moves import Move, moves, readings
 from metrocli.diagnosis.evidence.parts import CORRELATED, Fixed, Random
+from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.scored import at_sizes
 from metrocli.diagnosis.evidence.state import State
 
@@ -45,13 +46,16 @@ def forward(
     """Return the state after the moves that raise its score, each the best of those tried, until none does."""
     quiet: set[int] = set()
     for _ in range(most):
+        if state.measurement.job.budget.spent():
+            break
         best = _best(state, [one for one in moves(state, quiet) if without not in one.keys])
         if best is None or best.score <= state.score + _GAINED:
             whole = without_weak_random(state)
             if whole is state or whole.score <= state.score + _GAINED:
                 break
             best = whole
-        state = without_weak_fixed(best.settled())
+        new = {one.key for one in best.named} - {one.key for one in state.named}
+        state = without_weak_fixed(refined(best.settled(), new))
         if stop is not None and stop(state):
             break
     return state
@@ -120,6 +124,8 @@ def swapped(state: State) -> State:
         better = None
         parts: list[Fixed | Random] = [*state.random, *state.named]
         for one in parts:
+            if state.measurement.job.budget.spent():
+                return state
             less = state.minus([one])
             own = state.score - less.score
             if own > _CERTAIN or _others_in_turn(less, one) < own / 2:
