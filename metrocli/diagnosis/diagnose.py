@@ -19,7 +19,7 @@ from metrocli.diagnosis.evidence.folds import gain_between, gains
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified, identified
 from metrocli.diagnosis.evidence.measurement import measurement_of
-from metrocli.diagnosis.evidence.parts import SCATTER, Fixed
+from metrocli.diagnosis.evidence.parts import SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
@@ -79,7 +79,7 @@ def diagnose(
     fit = extended_fit(first.measurement.job, names, kept) if names else None
     shifts = result_changes(first.measurement.job, names, fit, kept)
     correlated, repeats, scattered = correlated_errors(state), pure_error(state), random_effects(state)
-    parts = [*state.named, *(one for one in state.random if one.kind == SCATTER)]
+    parts: list[Fixed | Random] = [*state.named, *(one for one in state.random if one.kind == SCATTER)]
     whole = gain_between(state.minus(parts), state) if scattered else None
     noise = noise_of(
         float(state.residual @ state.residual) if not state.random else state.white_squares, state.noise_freedoms
@@ -181,7 +181,11 @@ def _other_shape_from(state: State, name: IdentifiedEffect, noise: float) -> flo
 
 
 def _left(
-    state: State, correlated: Sequence[CorrelatedError], laws: Sequence[Law], repeats: PureError | None, gain: Gain | None
+    state: State,
+    correlated: Sequence[CorrelatedError],
+    laws: Sequence[Law],
+    repeats: PureError | None,
+    gain: Gain | None,
 ) -> RemainingStructure | None:
     """Return what no identified effect explains: a law, a correlated error, or what repeated readings share.
 

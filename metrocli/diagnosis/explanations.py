@@ -25,7 +25,7 @@ from metrocli.diagnosis.noise import AS_OTHERS
 AS_LIKELY = float(np.log(20.0))
 """Difference of log-likelihoods up to which two variances explain the readings alike"""
 _OF_A_PLACE = float(np.log(5.0))
-"""The same for larger noise at the place of an effect, which is less of an answer than an effect that fits all of its readings"""
+"""The same for larger noise at the place of an effect: that is less of an answer than what fits all its readings"""
 _MOST_ROWS = 8
 """Largest number of rows of a unit, for each parameter of an effect at it, whose noise can imitate the effect"""
 
