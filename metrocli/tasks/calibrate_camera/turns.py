@@ -1,4 +1,4 @@
-"""Images that were taken with the camera turned by 90, 180 or 270 degrees about its viewing axis, as a kind of place."""
+"""Images taken with the camera turned by 90, 180 or 270 degrees about its viewing axis, as a kind of place."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.arrays import Array
+from metrocli.arrays import Array, Index
 from metrocli.effects.model import Model, Place
 from metrocli.geometry import poses
 from metrocli.instruments import camera
@@ -23,7 +23,8 @@ def with_turns(model: Model, rig: str) -> Model:
     """Return a model that knows which images are turned; without names where they are not in steps of 90 degrees."""
     observations = model.readings[0].observations
     view = observations.index["view"]
-    names, turn = ("0",), np.zeros(int(view.max(initial=0)) + 1, dtype=np.intp)
+    names: tuple[str, ...] = ("0",)
+    turn: Index = np.zeros(int(view.max(initial=0)) + 1, dtype=np.intp)
     if rig != "cmm":
         values = model.blocks[camera.view_name(rig)].values
         names, turn = _of_views(poses.rotation_of(values if rig == "board" else poses.inverse(values)))
@@ -32,7 +33,7 @@ def with_turns(model: Model, rig: str) -> Model:
     return replace(model.with_group(model.readings[0].with_observations(turned)), places=places)
 
 
-def _of_views(rotations: Array) -> tuple[tuple[str, ...], Array]:
+def _of_views(rotations: Array) -> tuple[tuple[str, ...], Index]:
     """Return the names of the directions, that of most images first, and the number of the direction of each view.
 
     The turn of a view is the direction in its image of that axis of the targets whose directions lie nearest to
@@ -42,7 +43,7 @@ def _of_views(rotations: Array) -> tuple[tuple[str, ...], Array]:
     angles = np.arctan2(seen[:, 1], seen[:, 0])
     even = np.exp(4j * angles).mean(axis=0)
     best = int(np.argmax(np.abs(even)))
-    one_direction = ("0",), np.zeros(len(angles), dtype=np.intp)
+    one_direction: tuple[tuple[str, ...], Index] = (("0",), np.zeros(len(angles), dtype=np.intp))
     if len(angles) < _FEWEST_IMAGES or np.abs(even[best]) < _EVEN:
         return one_direction
     number = np.round((angles[:, best] - np.angle(even[best]) / 4) / (np.pi / 2)).astype(np.intp)
