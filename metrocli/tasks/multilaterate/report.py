@@ -67,7 +67,7 @@ def report(
     """
     solution, added = noise.solution, solved.network.effects
     found = (*_tracer_estimates(solution), *estimates_of(solution), *estimates(added, solution))
-    hidden = uncontrolled(solved.network, part)
+    hidden = uncontrolled(solved.network, part, solved.second)
     tables, arrays = _adjusted(solved, solution, None if probing is not None else part)
     tables["not_controlled"] = hidden
     if probing is not None:

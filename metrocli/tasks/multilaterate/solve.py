@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -34,6 +35,7 @@ from metrocli.tasks.multilaterate.layout_faults import carries, explained
 from metrocli.tasks.multilaterate.problem import LENGTHS, Network
 from metrocli.tasks.shared.lengths import with_repeatability
 from metrocli.tasks.shared.lists import name_of
+from metrocli.tasks.shared.mirror import Mirrored, mirrored, must_be_decided, of_points, of_tracers
 
 _EQUAL = 1e-4
 """Tests of a point that differ by less than this share are equal"""
@@ -100,13 +102,27 @@ class Solved:
         """The residuals of all readings."""
         return (self.residuals,)
 
+    @cached_property
+    def second(self) -> list[Mirrored]:
+        """Points and tracers with a second place that fits as well.
+
+        Points near their place in a list of a free network are on the right side; all others are tried.
+        """
+        noise, points = noise_of_tests(self.solution), of_points(self.solution, self.group, self.network.nominal)
+        tracers = mirrored(of_tracers(self.solution, self.group, self.network.said), noise)
+        found = mirrored(points, noise)
+        return [*tracers, *(one for one in found if self.network.surveyed or not one.decided)]
+
     @property
     def astray(self) -> float:
         """How far points and tracers lie from their lists, relative to the plausible deviation.
 
-        The deviation of the points is a root mean square, that of the tracers a median; the larger ratio counts.
+        The deviation of the points is a root mean square, that of the tracers a median; the larger ratio counts. Where
+        the tracers are known, the list of points is only a start.
         """
         network, blocks = self.whole, self.solution.blocks
+        if network.surveyed:
+            return 0.0
         seen = network.seen > 0
         extent = float(np.ptp(network.nominal[seen], axis=0).max()) or 1.0
         off = network.nominal[seen] - blocks[t.POINT].values[seen]
@@ -141,7 +157,19 @@ def solve(network: Network, remove: bool) -> Solved:
         more = worst or (_doubtful(solved) if used.out else {})
         return _Using(state, used.out | more, used.back), bool(more)
 
-    return in_rounds(begun, lambda used: _adjusted(network, used.state, used.out), fewer)[1]
+    used, solved = in_rounds(begun, lambda used: _adjusted(network, used.state, used.out), fewer)
+    if better := [one for one in solved.second if one.better and not one.decided]:
+        solved = _adjusted(network, _at_others(solved.solution.blocks, better), used.out)
+    must_be_decided(solved.second)
+    return solved
+
+
+def _at_others(blocks: Mapping[str, Block], found: Sequence[Mirrored]) -> dict[str, Block]:
+    """Return blocks whose members stand at the other one of two places that fit."""
+    moved = {name: block.values.copy() for name, block in blocks.items()}
+    for one in found:
+        moved[one.noun][one.member, :3] = one.other
+    return {name: replace(block, values=moved[name]) for name, block in blocks.items()}
 
 
 @dataclass(frozen=True)
@@ -204,6 +232,8 @@ def _must_see_effects(network: Network, solution: Solution) -> None:
 
 def _must_be_near(network: Network, solution: Solution) -> None:
     """Raise NotConvergedError if the solution is far from the mover's readings, such as the mirror image."""
+    if network.surveyed:
+        return
     seen = network.seen > 0
     away = np.linalg.norm(solution.blocks[t.POINT].values[seen] - network.nominal[seen], axis=1)
     middle = float(median(away))
