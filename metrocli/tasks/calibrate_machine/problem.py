@@ -70,6 +70,8 @@ class Problem(Modelled):
     """Standard deviations of lengths, which follow from the solution; None for other readings"""
     notes: tuple[str, ...] = ()
     """What was done with the readings, in sentences"""
+    said: Array | None = None
+    """Listed places of the stations of lengths, (stations, 3), nan where not listed; None for other readings"""
 
     @property
     def readings(self) -> Group:

@@ -111,12 +111,13 @@ def of_tracers(solution: Solution, group: Group, said: Array) -> Sights:
     """Return the lengths of a group as those from tracers to the ends of its chain; `said` are the listed places."""
     block, observations = solution.blocks[t.TRACER], group.observations
     found = residuals_of(solution, group)
+    noun = next(key for key in observations.keys if key in ("tracer", "station"))
     links = list(group.chain.links)
     length = next(i for i, link in enumerate(links) if isinstance(link, t.LengthFrom))
     ends = Chain(tuple(links[:length])).predict(solution.blocks, observations).T
     sigma = np.hypot(found.sigma[0], _spread(solution, observations))
     return Sights(
-        block.noun,
+        noun,
         block.members,
         observations.index[t.TRACER],
         np.ascontiguousarray(ends),
@@ -237,8 +238,7 @@ def _planes(sights: Sights, lengths: Index) -> tuple[Array, Array, Array]:
     scatter[:, range(3), range(3)] += np.where(given, 1e3 * largest[:, None], 0.0)
     values, vectors = np.linalg.eigh(scatter)
     thin: Array = np.sqrt(np.maximum(values[:, 0], 0.0) / largest)
-    normal: Array = vectors[:, :, 0]
-    return normal, thin, np.asarray(centre)
+    return vectors[:, :, 0], thin, np.asarray(centre)
 
 
 def _refined(sights: Sights, start: Array, noise: float) -> tuple[Array, Array]:
