@@ -44,10 +44,15 @@ def with_sign(number: str, sign: int) -> str:
     return number[1:] if number.startswith("-") else f"-{number.removeprefix('+')}"
 
 
-def to_csv(header: Sequence[str], rows: Iterable[Sequence[str]], origin: str) -> str:
-    """Return the text of a CSV file; its first line names where it comes from."""
+NOTE = "# note: "
+"""Begins a line of a CSV that says what was left out"""
+
+
+def to_csv(header: Sequence[str], rows: Iterable[Sequence[str]], origin: str, notes: Iterable[str] = ()) -> str:
+    """Return the text of a CSV file; its first line names where it comes from, and notes follow."""
     text = io.StringIO()
     text.write(f"# {origin}\n")
+    text.writelines(f"{NOTE}{note}\n" for note in notes)
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
     writer.writerows(rows)

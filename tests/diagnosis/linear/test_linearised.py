@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from metrocli.diagnosis.cross_validation import held_out_errors
+from metrocli.diagnosis.linear.fitted_columns import FittedParts, nothing_fitted
+from metrocli.diagnosis.linear.without_rows import carried, without_rows
 
 from benchmarks.hidden import lengths
 from metrocli.adjust.schur.layout import without_elimination
-from metrocli.diagnosis.cross_validation import held_out_errors
 from metrocli.diagnosis.extended_fit import score_tests_of_job
-from metrocli.diagnosis.linear.fitted_columns import FittedParts, nothing_fitted
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import scatter
-from metrocli.diagnosis.linear.without_rows import carried, without_rows
 from metrocli.effects.model import Model
 from metrocli.instruments import tracer
 
