@@ -19,3 +19,10 @@ def test_corners_that_mrgingham_did_not_find(case: Case, metrocli: Metrocli) -> 
     assert metrocli("calibrate-camera", "job.yaml").code == 0
     f = json.loads(metrocli("show", "r.h5", "--json").out)["estimates"]["f"]
     assert abs(f["value"] - 1761.2) < 2 * f["std"]
+
+
+def test_rational_terms_of_boards_in_the_middle(case: Case, metrocli: Metrocli) -> None:
+    """Readings cover 6 % of the image; in a corner the lens is off by 130 px."""
+    case("10-rational-uncovered")
+    ran = metrocli("calibrate-camera", "job.yaml")
+    assert ran.code == 6 and "readings span 6 % of the image, up to 23 % of its radius" in ran.out

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
+from metrocli.arrays import Array
 from metrocli.errors import UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
@@ -49,7 +50,7 @@ def mirrored_pose(problem: Problem, adjusted: Adjusted) -> Problem | None:
     raise UndeterminedError(_alike(part.values[0], other.blocks[spindle.PART].values[0]), 0.0)
 
 
-def _alike(found: poses.Array, other: poses.Array) -> str:
+def _alike(found: Array, other: Array) -> str:
     one, two = (np.degrees(poses.euler_form(pose)[3:]) for pose in (found, other))
     words = (f"alpha {a:.2f}, beta {b:.2f}, gamma {c:.2f} deg" for a, b, c in (one, two))
     return (
