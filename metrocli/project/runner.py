@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -25,9 +26,10 @@ from metrocli.progress import SILENT, Named, Progress
 from metrocli.project import meaning
 from metrocli.project.inputs import read_inputs, read_with_files, unfit_inputs
 from metrocli.project.job import JobFile, figures_of
+from metrocli.project.named_files import absolute
 from metrocli.project.requirements import by_names
 from metrocli.project.running.files import ChunkFolder
-from metrocli.record import Record, Verdict
+from metrocli.record import FAIL, GUARD_BAND, PASS, Record, Verdict
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
@@ -186,13 +188,18 @@ def _job(file: JobFile, held: Mapping[str, Any]) -> Job[Any, Any]:
     return tasks.KINDS[file.kind].task().job(file.settings, effects=file.effects, **held)
 
 
-def verify(file: JobFile) -> None:
+def verify(file: JobFile, renewed: Collection[Path] = ()) -> None:
     """Raise InputError for faults of a job's inputs, and if settings and inputs do not fit together.
 
     Nothing is adjusted, and what only the adjustment can judge is left to it, such as whether the data determine the
-    unknowns. While results that other jobs will write are missing, the other inputs are read only.
+    unknowns. While results that other jobs will write are missing, or are `renewed` by jobs that would run before, the
+    other inputs are read only.
     """
-    missing = [item.key for item in file.inputs if not all(path.exists() for path in item.paths)]
+    missing = [
+        item.key
+        for item in file.inputs
+        if not all(path.exists() for path in item.paths) or any(absolute(path) in renewed for path in item.paths)
+    ]
     with _placed(file):
         held = read_inputs(file, missing)
         if not missing:
@@ -280,4 +287,26 @@ def _verdicts(file: JobFile, result: Result) -> tuple[Verdict, ...]:
     verdicts = [requirement.verdict(result, faults) for requirement in file.heading.require]
     if faults:
         raise InputError(faults)
-    return tuple(verdict for verdict in verdicts if verdict is not None)
+    found = [verdict for verdict in verdicts if verdict is not None]
+    return (*found, *decisions(result, file.heading.conformity == "report"))
+
+
+def decisions(result: Result, reported: bool) -> Iterator[Verdict]:
+    """Yield the decision on each tolerance of a result; where it is only `reported`, each counts as met."""
+    for one in result.estimates:
+        tolerance: Mapping[str, Any] = result.details.get(one.name, {}).get("tolerance", {})
+        if "zone" in tolerance:
+            decided = _DECISIONS.get(tolerance["zone"], GUARD_BAND)
+            low, high = tolerance["limits"]
+            ends = [f"{end:.10g}" if math.isfinite(end) else "no limit" for end in (low, high)]
+            within = f"{' to '.join(ends)} {one.unit}".strip()
+            yield Verdict(one.name, within, one.value, one.unit, reported or decided != FAIL, decided)
+    over = result.statistics.get(OVER_LIMIT)
+    if isinstance(over, float):
+        met, what = over <= 1, "largest over its limit, <= 1"
+        yield Verdict("length measuring errors", what, over, "1", reported or met, PASS if met else FAIL)
+
+
+_DECISIONS = {"conforming": PASS, "non-conforming": FAIL}
+OVER_LIMIT = "length_error_over_limit"
+"""Statistic: the largest error of a calibrated length over its limit (VDI/VDE 2634, acceptance)"""
