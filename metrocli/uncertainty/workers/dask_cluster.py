@@ -23,6 +23,8 @@ PATIENCE_S = 2.5
 """Longest time for a scheduler to answer [s]"""
 PATIENCE_WITH_WORKERS_S = 60.0
 """Longest time until the first worker of a cluster appears [s]"""
+_LONGEST_HELLO = 1 << 20
+"""Bytes that the handshake of a scheduler has at most"""
 _TASK_S, _MOST_AT_ONCE = 1.0, 25
 """Time that a task of a cluster should take [s], so that sending it does not count, and the most numbers in one"""
 _ADDRESSES, _ENCRYPTED = ("tcp://", "tls://", "ucx://", "ws://", "wss://"), ("tls://", "wss://")
@@ -214,9 +216,17 @@ def _must_listen(address: str) -> None:
 
     try:
         place = urlsplit(address)
-        socket.create_connection((place.hostname, place.port or 8786), PATIENCE_S).close()
+        with socket.create_connection((place.hostname, place.port or 8786), PATIENCE_S) as found:
+            found.settimeout(PATIENCE_S)
+            # a scheduler speaks first: the length of its handshake as 8 bytes, which is small; with TLS it waits
+            head = found.recv(8, socket.MSG_WAITALL) if place.scheme == "tcp" else b""
+    except TimeoutError as error:
+        raise _unanswered(address, TimeoutError("it accepts the connection and says nothing")) from error
     except (OSError, ValueError) as error:
         raise _unanswered(address, error) from error
+    if place.scheme == "tcp" and not 0 < int.from_bytes(head, "little") < _LONGEST_HELLO:
+        said = head.split(b"\r")[0].decode("ascii", "replace")
+        raise _unanswered(address, ValueError(f"what answers begins with '{said}'" if head else "it hangs up"))
 
 
 def _unanswered(address: str, error: Exception) -> InputError:
@@ -279,7 +289,28 @@ def _client(scheduler: str) -> Any:
         raise InputError("--scheduler needs the library 'distributed': pip install 'metrocli[cluster]'") from error
     library: Any = distributed
     _silence()
-    try:
-        return library.Client(address, timeout=PATIENCE_S, security=_security(library, address))
-    except (OSError, TimeoutError, ValueError) as error:
-        raise _unanswered(address, error) from error
+    security = _security(library, address)
+    return _in_time(address, lambda: library.Client(address, timeout=PATIENCE_S, security=security))
+
+
+def _in_time(address: str, connect: Callable[[], T]) -> T:
+    """Return what a connection returns, or raise InputError after 2 PATIENCE_S: the library may wait without end."""
+    import threading
+
+    found, failed = list[T](), list[Exception]()
+
+    def work() -> None:
+        try:
+            found.append(connect())
+        except Exception as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    thread.join(2 * PATIENCE_S)
+    if found:
+        return found[0]
+    if failed and not isinstance(failed[0], OSError | TimeoutError | ValueError):
+        raise failed[0]
+    error = failed[0] if failed else TimeoutError(f"the handshake has not ended after {2 * PATIENCE_S:g} s")
+    raise _unanswered(address, error) from error
