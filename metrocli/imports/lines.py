@@ -45,7 +45,7 @@ def with_sign(number: str, sign: int) -> str:
 
 
 NOTE = "# note: "
-"""Begins a line of a CSV that says what was left out"""
+"""Begins a line of a CSV on what was left out"""
 
 
 def to_csv(header: Sequence[str], rows: Iterable[Sequence[str]], origin: str, notes: Iterable[str] = ()) -> str:

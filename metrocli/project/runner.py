@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -24,12 +23,13 @@ from metrocli.frozen import dataclass
 from metrocli.plan import Plan
 from metrocli.progress import SILENT, Named, Progress
 from metrocli.project import meaning
+from metrocli.project.conformity import decisions
 from metrocli.project.inputs import read_inputs, read_with_files, unfit_inputs
 from metrocli.project.job import JobFile, figures_of
 from metrocli.project.named_files import absolute
 from metrocli.project.requirements import by_names
 from metrocli.project.running.files import ChunkFolder
-from metrocli.record import FAIL, GUARD_BAND, PASS, Record, Verdict
+from metrocli.record import Record, Verdict
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
@@ -289,24 +289,3 @@ def _verdicts(file: JobFile, result: Result) -> tuple[Verdict, ...]:
         raise InputError(faults)
     found = [verdict for verdict in verdicts if verdict is not None]
     return (*found, *decisions(result, file.heading.conformity == "report"))
-
-
-def decisions(result: Result, reported: bool) -> Iterator[Verdict]:
-    """Yield the decision on each tolerance of a result; where it is only `reported`, each counts as met."""
-    for one in result.estimates:
-        tolerance: Mapping[str, Any] = result.details.get(one.name, {}).get("tolerance", {})
-        if "zone" in tolerance:
-            decided = _DECISIONS.get(tolerance["zone"], GUARD_BAND)
-            low, high = tolerance["limits"]
-            ends = [f"{end:.10g}" if math.isfinite(end) else "no limit" for end in (low, high)]
-            within = f"{' to '.join(ends)} {one.unit}".strip()
-            yield Verdict(one.name, within, one.value, one.unit, reported or decided != FAIL, decided)
-    over = result.statistics.get(OVER_LIMIT)
-    if isinstance(over, float):
-        met, what = over <= 1, "largest over its limit, <= 1"
-        yield Verdict("length measuring errors", what, over, "1", reported or met, PASS if met else FAIL)
-
-
-_DECISIONS = {"conforming": PASS, "non-conforming": FAIL}
-OVER_LIMIT = "length_error_over_limit"
-"""Statistic: the largest error of a calibrated length over its limit (VDI/VDE 2634, acceptance)"""

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import pytest
 
 from metrocli.errors import InputError
-from metrocli.uncertainty.workers import dask_cluster
+from metrocli.uncertainty.workers import dask_client
 
 
 @contextmanager
@@ -37,7 +37,7 @@ def answering(says: bytes) -> Iterator[int]:
 @pytest.mark.parametrize(
     ("says", "words"),
     [
-        (b"", "it accepts the connection and says nothing"),
+        (b"", "it accepts the connection and is silent"),
         (b"SSH-2.0-OpenSSH_9.6\r\n", "begins with 'SSH-2.0-'"),
         (b"HTTP/1.1 400 Bad Request\r\n\r\n", "begins with 'HTTP/1.1'"),
     ],
@@ -45,6 +45,6 @@ def answering(says: bytes) -> Iterator[int]:
 def test_what_is_no_scheduler_is_named_in_time(says: bytes, words: str) -> None:
     begun = time.monotonic()
     with answering(says) as port, pytest.raises(InputError, match="no Dask scheduler answers there") as raised:
-        dask_cluster._must_listen(f"tcp://127.0.0.1:{port}")
+        dask_client.must_listen(f"tcp://127.0.0.1:{port}")
     assert words in str(raised.value)
     assert time.monotonic() - begun < 5

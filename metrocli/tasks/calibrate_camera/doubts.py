@@ -176,6 +176,6 @@ def unmodelled(problem: Problem, adjusted: Adjusted) -> list[str]:
     size, scatter = np.sqrt(2 * whole / used), np.sqrt(2 * np.median(scatters))
     return [
         f"residuals of {size:.2g} px (root mean square) are smooth in each image, where the points scatter by "
-        f"{scatter:.2g} px: the lens model, or the list of targets, does not describe these images, and the stated "
-        "uncertainties do not hold; --compare shows which lens model fits best, `metrocli diagnose` what else is wrong"
+        f"{scatter:.2g} px: the lens model, or the list of targets, does not describe these images. The stated "
+        "uncertainties do not hold. --compare shows which lens model fits best, `metrocli diagnose` what else is wrong"
     ]

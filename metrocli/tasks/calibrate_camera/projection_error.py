@@ -16,7 +16,7 @@ _STEP = 1e-6
 _WARNED = 0.01
 """Uncertainty of a corner, as a share of the width of the image, from which it is a warning"""
 _SAMPLE = 400
-"""Most readings that say which rotation of the camera a change of the lens imitates"""
+"""Most readings that determine which rotation of the camera a change of the lens imitates"""
 _ALONG = np.linspace(0.01, 4.0, 400)
 """Directions that are tried for an image point, as multiples of its direction without distortion"""
 
@@ -24,9 +24,9 @@ _ALONG = np.linspace(0.01, 4.0, 400)
 def corner_std(problem: Problem, solution: Solution, readings: Array) -> float:
     """Return the largest standard uncertainty [px] of the image of a fixed direction in a corner of the image.
 
-    With J the derivative of image points by the lens parameters, at the corners c and at readings r (2, n), and T that
-    by a rotation of the camera, it is that of `(J_c - T_c T_r^+ J_r) dp`: a rotation of the camera, as a shift of the
-    principal point nearly is, changes no measurement (mrcal, projection uncertainty).
+    J is the derivative of image points by the lens parameters p, at the corners c and at readings r (2, n), and T that
+    by a rotation of the camera. The uncertainty is that of `(J_c - T_c T_r^+ J_r) dp`. A rotation of the camera changes
+    no measurement, and a shift of the principal point is nearly one (mrcal, projection uncertainty).
     """
     lens = solution.blocks[camera.LENS]
     free = np.flatnonzero(lens.free[0])

@@ -18,7 +18,7 @@ from metrocli.instruments.conventions import projection_range
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
-from metrocli.tasks.calibrate_camera.advice import not_found, seen_from_behind, turned_too_little
+from metrocli.tasks.calibrate_camera.advice import correlation_warnings, not_found, seen_from_behind, turned_too_little
 from metrocli.tasks.calibrate_camera.diagnosis import uncontrolled
 from metrocli.tasks.calibrate_camera.doubts import PrincipalPoint, held_doubts, principal_point, too_near, unmodelled
 from metrocli.tasks.calibrate_camera.length_errors import LengthErrors, length_errors
@@ -33,7 +33,7 @@ from metrocli.tasks.calibrate_camera.projection_error import corner_std, coverag
 from metrocli.tasks.calibrate_camera.settings import Camera, Settings
 from metrocli.tasks.calibrate_camera.turned_images import turned_images
 from metrocli.tasks.shared.images.adjustment import Adjusted
-from metrocli.tasks.shared.images.camera_parameters import HIGH, POSE_UNITS, Parameters, parameters, unit_of
+from metrocli.tasks.shared.images.camera_parameters import POSE_UNITS, Parameters, parameters, unit_of
 from metrocli.tasks.shared.images.tables import (
     adjustment_notes,
     rms_table,
@@ -261,7 +261,7 @@ def _warnings(solved: _Calibration, views: Table) -> list[str]:
     if problem.rig != "cmm":
         lines += suspect_images(problem.sighted.images, views.numbers("rms"), views.numbers("readings"))
     lines += suspect_readings(adjusted.suspects, adjusted.group)
-    lines += _correlation_warnings(solved.delivered.high_correlations())
+    lines += correlation_warnings(solved.delivered.high_correlations())
     lines += turned_too_little(problem, solved.solution) + seen_from_behind(problem, solved.solution)
     lines += noise_warnings(solved.solution) if adjusted.noise is None else []
     lines += solved.centre.warnings() if solved.centre is not None else []
@@ -296,9 +296,3 @@ def _folds(solved: _Calibration) -> Iterator[tuple[str, bool]]:
             "use fewer distortion parameters",
             bool(np.hypot(u - lens["cx"], v - lens["cy"]).max() >= fold),
         )
-
-
-def _correlation_warnings(table: Table) -> list[str]:
-    rows = zip(table.texts("first"), table.texts("second"), table.numbers("correlation"), strict=True)
-    pairs = ", ".join(f"{a}-{b} {c:+.3f}" for a, b, c in rows)
-    return [f"correlations above {HIGH}: {pairs}"] if pairs else []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 
@@ -33,9 +33,10 @@ from metrocli.tasks.multilaterate.blunders import (
 )
 from metrocli.tasks.multilaterate.layout_faults import carries, explained
 from metrocli.tasks.multilaterate.problem import LENGTHS, Network
+from metrocli.tasks.multilaterate.second_places import at_others, noise_of_tests, second_places
 from metrocli.tasks.shared.lengths import with_repeatability
 from metrocli.tasks.shared.lists import name_of
-from metrocli.tasks.shared.mirror import Mirrored, mirrored, must_be_decided, of_points, of_tracers
+from metrocli.tasks.shared.mirror import Mirrored, must_be_decided
 
 _EQUAL = 1e-4
 """Tests of a point that differ by less than this share are equal"""
@@ -104,14 +105,8 @@ class Solved:
 
     @cached_property
     def second(self) -> list[Mirrored]:
-        """Points and tracers with a second place that fits as well.
-
-        Points near their place in a list of a free network are on the right side; all others are tried.
-        """
-        noise, points = noise_of_tests(self.solution), of_points(self.solution, self.group, self.network.nominal)
-        tracers = mirrored(of_tracers(self.solution, self.group, self.network.said), noise)
-        found = mirrored(points, noise)
-        return [*tracers, *(one for one in found if self.network.surveyed or not one.decided)]
+        """Points and tracers with a second place that fits as well."""
+        return second_places(self.network, self.solution, noise_of_tests(self.solution))
 
     @property
     def astray(self) -> float:
@@ -159,17 +154,9 @@ def solve(network: Network, remove: bool) -> Solved:
 
     used, solved = in_rounds(begun, lambda used: _adjusted(network, used.state, used.out), fewer)
     if better := [one for one in solved.second if one.better and not one.decided]:
-        solved = _adjusted(network, _at_others(solved.solution.blocks, better), used.out)
+        solved = _adjusted(network, at_others(solved.solution.blocks, better), used.out)
     must_be_decided(solved.second)
     return solved
-
-
-def _at_others(blocks: Mapping[str, Block], found: Sequence[Mirrored]) -> dict[str, Block]:
-    """Return blocks whose members stand at the other one of two places that fit."""
-    moved = {name: block.values.copy() for name, block in blocks.items()}
-    for one in found:
-        moved[one.noun][one.member, :3] = one.other
-    return {name: replace(block, values=moved[name]) for name, block in blocks.items()}
 
 
 @dataclass(frozen=True)
@@ -263,11 +250,6 @@ def _doubtful(solved: Solved) -> dict[int, Rejected]:
     bad = lost & (misfit > chdtri(np.maximum(left - 3, 1), _DOUBT))
     used = np.delete(np.arange(solved.whole.lengths.observations.count), [one.row for one in solved.rejected])
     return {int(row): Rejected(int(row), float("nan"), Reason.CONTRADICTED) for row in used[bad[point]]}
-
-
-def noise_of_tests(solution: Solution) -> float:
-    """Return the noise to which tests of single lengths refer, in units of the declared one: sigma0, but at least 1."""
-    return max(1.0, float(np.nan_to_num(solution.sigma0, nan=1.0)))
 
 
 def _units(solution: Solution, found: Residuals) -> Array:
