@@ -1,4 +1,4 @@
-"""Points and tracers of a network with a second place that fits their lengths as well, and the noise that tests refer to."""
+"""Points and tracers with a second place that fits their lengths as well, and the noise that tests refer to."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ _DELAY = ", or all lengths share a large error, such as a delay: `effects: [{nam
 _POINTS_NEAR, _TRACERS_NEAR = 0.02, 0.5
 """Plausible deviations of points and tracers from their lists, as shares of the measured volume"""
 _NOISY = 3.0
-"""Standard deviations of a length by which points may lie farther from their list: they are known no better"""
+"""Standard deviations of a length by which points may lie farther from their list"""
 _SMALL_ENOUGH = 1000
 """Networks of up to so many points are checked for determinacy before they are adjusted"""
 
@@ -112,8 +112,7 @@ class Solved:
     def astray(self) -> float:
         """How far points and tracers lie from their lists, relative to the plausible deviation.
 
-        The deviation of the points is a root mean square, that of the tracers a median; the larger ratio counts. Where
-        the tracers are known, the list of points is only a start.
+        The points have a root mean square, the tracers a median; the larger ratio counts. 0 where tracers are known.
         """
         network, blocks = self.whole, self.solution.blocks
         if network.surveyed:

@@ -235,6 +235,7 @@ def _strange(seen: Seen, i: int, misfit: float, bad: int) -> Fault:
 
 def _factors() -> list[tuple[float, str]]:
     """Return factors that correct likely mistakes in lengths, each with its cause: a reversed sign, or wrong units."""
-    ones = {unit.symbol: unit.inside(1.0) for unit in units.DIMENSIONS["length"].units}
+    ones = {unit.symbol: unit.inside(1.0) for unit in units.DIMENSIONS["length"].units if unit.reported}
+    ones |= {"cm": 10.0}
     ratios = {f"{a} written as {b}": ones[a] / ones[b] for a in ones for b in ones if a != b}
     return [(-1.0, ""), *((ratio, name) for name, ratio in ratios.items())]
