@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 
 from metrocli.errors import Fault
+from metrocli.formats.csv_header import separator_of
 from metrocli.frozen import dataclass
 
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
@@ -28,6 +29,8 @@ class Lines:
     def without(self, comment: str, start: int = 1) -> Iterator[tuple[int, str]]:
         """Yield number and text of each line from `start` on that is neither empty nor a comment."""
         for number, line in enumerate(self.lines[start - 1 :], start):
+            if number == 1 and separator_of(line) is not None:
+                continue
             if line.strip() and not (comment and line.lstrip().startswith(comment)):
                 yield number, line
 

@@ -31,3 +31,35 @@ def test_a_mesh_in_centimetres(case: Case, metrocli: Metrocli) -> None:
 def test_a_pitch_and_targets_in_centimetres(case: Case, metrocli: Metrocli) -> None:
     case("13-centimetres")
     assert "unit" not in metrocli("check", "board.yaml").err
+
+
+def test_the_line_that_tells_excel_the_separator(case: Case, metrocli: Metrocli) -> None:
+    case("16-excel-sep-line")
+    assert metrocli("multilaterate", "job.yaml").code == 0
+
+
+def test_lines_of_an_instrument_before_the_header(case: Case, metrocli: Metrocli) -> None:
+    case("16-excel-sep-line")
+    ran = metrocli("multilaterate", "job.yaml", "--set", "inputs.lengths=preamble.csv")
+    assert ran.code == 3 and ran.err.count("error:") == 1
+    assert "preamble.csv:1:1: error: this is not the header, which is line 4" in ran.err
+    assert "delete the lines before it" in ran.err and "decimal comma" not in ran.err
+
+
+def test_a_last_column_and_rows_that_are_empty(case: Case, metrocli: Metrocli) -> None:
+    case("16-excel-sep-line")
+    assert metrocli("multilaterate", "job.yaml", "--set", "inputs.lengths=trail.csv").code == 0
+
+
+def test_two_byte_order_marks(case: Case, metrocli: Metrocli) -> None:
+    folder = case("17-double-bom")
+    assert metrocli("multilaterate", "job.yaml").code == 0
+    (folder / "map.yaml").write_text((folder / "map.yaml").read_text().replace("semicolon", "comma"))
+    (folder / "map.yaml").write_text((folder / "map.yaml").read_text().replace("decimal: comma", "decimal: point"))
+    assert metrocli("import", "lengths.csv", "--from", "columns", "--map", "map.yaml", "--out", "x").code == 0
+
+
+def test_a_job_file_with_two_byte_order_marks(case: Case, metrocli: Metrocli) -> None:
+    folder = case("17-double-bom")
+    (folder / "job.yaml").write_text("\ufeff\ufeff" + (folder / "job.yaml").read_text(), encoding="utf-8")
+    assert metrocli("multilaterate", "job.yaml").code == 0
