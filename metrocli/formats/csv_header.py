@@ -24,7 +24,8 @@ def separator_of(line: str) -> str | None:
 def later_header(lines: Sequence[tuple[int, str]]) -> int | None:
     """Return the line of a header that follows lines of an instrument; None if the first line is the header.
 
-    `lines` are those that are rows, with their numbers. It has names only, no cell is empty, and it has as many cells as the rows after it, more than the first line.
+    `lines` are those that are rows, with their numbers. A header has names only and no empty cell. It has as many cells
+    as the row after it, and more than the first line.
     """
     separator = max(",;\t", key=lambda one: sum(line.count(one) for _, line in lines[-_LOOKED_AT:]))
     width = lines[-1][1].count(separator)

@@ -26,3 +26,15 @@ def test_rational_terms_of_boards_in_the_middle(case: Case, metrocli: Metrocli) 
     case("10-rational-uncovered")
     ran = metrocli("calibrate-camera", "job.yaml")
     assert ran.code == 6 and "readings span 6 % of the image, up to 23 % of its radius" in ran.out
+
+
+def test_the_older_layout_of_charuco_boards(case: Case, metrocli: Metrocli) -> None:
+    """Boards made before OpenCV 4.6 with an even number of rows of squares begin with a marker."""
+    case("07-charuco-legacy")
+    ran = metrocli("calibrate-camera", "job.yaml")
+    assert ran.code == 3 and "with `legacy: true` there are" in ran.err
+    ran = metrocli("calibrate-camera", "job.yaml", "--set", "pattern.legacy=true")
+    assert ran.code == 0, ran.err
+    found = json.loads(metrocli("show", "r.h5", "--json").out)["estimates"]
+    for name, value in (("f", 1100.0), ("cx", 634.9), ("cy", 487.0)):
+        assert abs(found[name]["value"] - value) < max(4 * found[name]["std"], 0.5)

@@ -63,3 +63,13 @@ def test_a_job_file_with_two_byte_order_marks(case: Case, metrocli: Metrocli) ->
     folder = case("17-double-bom")
     (folder / "job.yaml").write_text("\ufeff\ufeff" + (folder / "job.yaml").read_text(), encoding="utf-8")
     assert metrocli("multilaterate", "job.yaml").code == 0
+
+
+def test_what_cancels_has_no_uncertainty(case: Case, metrocli: Metrocli) -> None:
+    """A/(A+B) + B/(A+B) is 1: rounding errors of derivatives and trials are no uncertainty."""
+    case("15-rounding-as-uncertainty")
+    ran = metrocli("report-uncertainty", "job.yaml", "--set", "monte_carlo.trials=20000", "--json")
+    one = json.loads(ran.out)["estimates"]["one"]
+    assert (one["value"], one["std"], one["U"], one["mc"]["std"]) == (1.0, 0.0, 0.0, 0.0)
+    assert "few degrees of freedom" not in ran.err + ran.out.partition('"twice"')[0]
+    assert "depends on no input" in ran.out + ran.err
