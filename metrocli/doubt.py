@@ -67,9 +67,9 @@ def _uncovered(statistics: Mapping[str, Scalar | Mapping[str, float]], verdicts:
         return ()
     hull, radius = (100 * _number(statistics.get(f"coverage_{name}")) for name in ("hull", "radius"))
     return (
-        f"readings span {hull:.0f} % of the image, up to {radius:.0f} % of its radius: in a corner the lens is "
+        f"readings span {hull:.0f} % of the image, up to {radius:.0f} % of its radius. In a corner the lens is "
         f"uncertain by {corner:.2g} px (standard uncertainty), where {most:.2g} px (5 % of the image) are "
-        "allowed; show the target near the corners, estimate fewer lens parameters, or set another limit: "
+        "allowed. Show the target near the corners, estimate fewer lens parameters, or set another limit: "
         f'`require: {{corner_std: "< {float(f"{2 * corner:.1g}"):g}"}}`',
     )
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 MARKS = "\ufeff"
 """Byte order marks, which some editors write more than once; they are invisible"""
 _SEPARATOR = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)
-"""A first line that tells Excel what separates cells"""
+"""A first line that names the separator of cells for Excel"""
 _LOOKED_AT = 50
 """Lines in which a header is sought that is not the first line"""
 _NUMBER = re.compile(r"[-+]?[0-9]*\.?[0-9]*(?:[eE][-+]?[0-9]+)?|[-+]?(?:inf|nan)", re.IGNORECASE)
