@@ -13,7 +13,8 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.adjusted_job import Ordered
-from metrocli.diagnosis.evidence.folds import Fold, Gain, Held, Model, Train, folds_of, gain_of
+from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
+from metrocli.diagnosis.evidence.held_out import Fold, Model, Train, folds_of
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.library import Library, Term
@@ -102,7 +103,7 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> Found:
     library = Library(m.job, plain.measurement.system)
     best: tuple[Lawful, State] | None = None
     for base in _bases(plain):
-        start = among_terms(base, library)
+        start = among_terms(base, library, state.score + _LAW - base.score)
         lawful = None if start is None else forward(start, 0.0)
         if lawful is not None and lawful.steps and (best is None or lawful.state.score > best[0].state.score):
             best = lawful, base
