@@ -17,6 +17,7 @@ _PACKAGES = (
     "locate_launch_unit",
     "calibrate_machine",
     "fit_part",
+    "fit_points",
     "report_uncertainty",
 )
 
