@@ -86,6 +86,8 @@ _ANGLES = (
     Unit("deg", _PI, 180.0),
     Unit("arcmin", 2 * _PI, _ARCSEC_PER_TURN / 60),
     Unit("arcsec", 2 * _PI, _ARCSEC_PER_TURN),
+    Unit("gon", _PI, 200.0),
+    Unit("mgon", _PI, 200.0 * KILO),
 )
 _TIMES = (Unit("s"), Unit("ms", over=KILO), Unit("min", 60.0), Unit("h", 3600.0))
 _EXPANSIONS = (Unit("1/K"), Unit("ppm/K", over=_MILLION), Unit("um/m/K", over=_MILLION))
