@@ -89,13 +89,18 @@ def _nominal(model: Model, group: Group) -> dict[str, Array]:
     observations = group.observations
     if NOMINAL[0] in observations.conditions:
         return {}
-    found = (places[observations.index[name]] for name, places in model.nominal.items() if name in observations.index)
+    known = ((observations.index[name], at) for name, at in model.nominal.items() if name in observations.index)
+    # a reading may use a second point, such as that under its station
+    found = (at[index if index.ndim == 1 else index[0]] for index, at in known)
     return {axis: values for places in found for axis, values in zip(NOMINAL, places.T, strict=True)}
 
 
 def can_act(model: Model, effect: Effect, where: Mapping[str, str]) -> bool:
     """Whether some readings have the conditions that an effect needs at a place, and a chain on which it acts."""
-    return any(_has(group, effect.needed(where)) and _reaches(group, effect, where) for group in model.readings)
+    return any(
+        _has(group, effect.needed(where)) and _concerns(model, group, effect) and _reaches(group, effect, where)
+        for group in model.readings
+    )
 
 
 def _has(group: Group, needs: Sequence[str]) -> bool:
@@ -129,11 +134,11 @@ def with_effect(
     if effect.link is None:
         return _freed(model, effect, tuple(instances), values)
     name = _unused(" ".join([effect.name, *(instances[0] if len(instances) == 1 else ())]), model.blocks)
-    apart = any(model.places[key].index for key in effect.keys)
+    apart = not effect.selects and any(model.places[key].index for key in effect.keys)
     link = effect.link(name, dict(zip(effect.keys, instances[0], strict=True)))
     block = _block(effect, name, instances, values, apart)
     groups = tuple(
-        _spliced(model, group, effect, instances, link, apart) if _passes(group, link, model) else group
+        _spliced(model, group, effect, instances, link, apart) if _passes(model, group, effect, link) else group
         for group in model.groups
     )
     added = Added(effect, tuple(instances), name, columns)
@@ -240,8 +245,16 @@ def _block(
     )
 
 
-def _passes(group: Group, link: Link, model: Model) -> bool:
-    return group.name in model.measured and group.chain.takes(link)
+def _passes(model: Model, group: Group, effect: Effect, link: Link) -> bool:
+    """Return whether the readings of a group pass through a link, and may concern the places of its effect."""
+    used = set(link.blocks[:-1]) <= set(group.chain.blocks)
+    return group.name in model.measured and used and group.chain.takes(link) and _concerns(model, group, effect)
+
+
+def _concerns(model: Model, group: Group, effect: Effect) -> bool:
+    """Return whether the readings of a group name the places of an effect: those of another instrument do not."""
+    indices = [model.places[key].index for key in effect.keys if key in model.places and not effect.selects]
+    return all(index in group.observations.index for index in indices if index)
 
 
 def _spliced(

@@ -69,19 +69,17 @@ class Seen:
 
 @dataclass(frozen=True)
 class ReadPolar:
-    """Link to what was read of azimuth, elevation and distance; the azimuth is that turn of it next to the reading."""
+    """Link to one of azimuth, elevation and distance as it was read; an azimuth is that turn of it next to the reading."""
 
-    components: tuple[int, ...] = (AZIMUTH, ELEVATION, DISTANCE)
+    component: int
     takes = Quantity.POLAR
     gives = Quantity.SIGHTING
     blocks = ()
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the readings, (components, n)."""
-        rows = list(self.components)
-        read = value[rows]
-        if AZIMUTH in self.components:
-            at = rows.index(AZIMUTH)
-            given = local.observations.readings[at]
-            read[at] = given + np.remainder(read[at] - given + np.pi, 2 * np.pi) - np.pi
-        return Step(read, np.eye(3)[rows][:, :, None])
+        """Return the reading, (1, n)."""
+        read = value[self.component : self.component + 1]
+        if self.component == AZIMUTH:
+            given = local.observations.readings
+            read = given + np.remainder(read - given + np.pi, 2 * np.pi) - np.pi
+        return Step(read, np.eye(3)[self.component, None, :, None])

@@ -29,12 +29,25 @@ LEAN, TARGET_LEAN = ("lean_x", "lean_y"), ("target_lean_x", "target_lean_y")
 """Conditions: lean of the vertical at the station and at the point [rad]"""
 TARGET_HEIGHT = "target_height"
 """Condition: known height of the target above the point [mm]"""
+CURVATURE = "curvature"
+"""Condition of height differences: what the curvature of the earth adds [mm]"""
 
 
 def _leaning(local: Local, names: Sequence[str]) -> Array:
     """Return the leans of the vertical at the readings, (2, n), or (2, 1) zeros where verticals are parallel."""
     given = local.observations.conditions
     return np.stack([given[name] for name in names]) if names[0] in given else np.zeros((2, 1))
+
+
+def target_vertical(local: Local) -> Array:
+    """Return the vertical at the observed points, (3, n) or (3, 1)."""
+    x, y = _leaning(local, TARGET_LEAN)
+    return np.stack([x, y, np.ones_like(x)])
+
+
+def heights_of(mark: str) -> str:
+    """Return the condition of height differences that is 1 for those to a mark, -1 for those from it, and else 0."""
+    return f"heights of {mark}"
 
 
 def _levelled(local: Local) -> Array:
@@ -74,8 +87,7 @@ class Raised(OfBlock):
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the place of the target, (3, n)."""
-        x, y = _leaning(local, TARGET_LEAN)
-        up = np.stack([x, y, np.ones_like(x)])
+        up = target_vertical(local)
         height = local.rows(self.block)[0] + local.observations.conditions[TARGET_HEIGHT]
         return Step(value + up * height, IDENTITY, {self.block: up[:, None]})
 
@@ -128,21 +140,24 @@ class Oriented(OfBlock):
 
 @dataclass(frozen=True)
 class HeightBetween(OfBlock):
-    """Link to a height difference, `H(to) - H(from)` with `H = z + (x^2 + y^2) / 2 radius`."""
+    """Link to a height difference, `H(to) - H(from)` with `H = z + (x^2 + y^2) / 2 radius`.
 
-    block: str = POINT
-    curvature: float = 0.0
-    """1/radius [1/mm]"""
+    The second term is a condition of the readings, a constant within an adjustment.
+    """
+
+    curved: bool = False
     takes = None
     gives = Quantity.HEIGHT_DIFFERENCE
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the difference, (1, n), with its derivatives by the two points, (2, 1, 3, n)."""
+        """Return the difference, (1, n), with its derivatives by the two points, (2, 1, 3, 1)."""
         points = local.members(self.block)
-        start, end = (points[index].T for index in local.index(self.block))
-        heights = [p[2] + self.curvature / 2 * (p[0] ** 2 + p[1] ** 2) for p in (start, end)]
-        slopes = [np.stack([self.curvature * p[0], self.curvature * p[1], np.ones_like(p[2])]) for p in (start, end)]
-        return Step((heights[1] - heights[0])[None], by_block={self.block: np.stack([-slopes[0], slopes[1]])[:, None]})
+        start, end = local.index(self.block)
+        height = points[end, 2] - points[start, 2]
+        if self.curved:
+            height = height + local.observations.conditions[CURVATURE]
+        up = np.array([0.0, 0.0, 1.0])[None, :, None]
+        return Step(height[None], by_block={self.block: np.stack([-up, up])})
 
 
 _INTO: Mapping[str, tuple[Link, ...]] = {
@@ -152,12 +167,14 @@ _INTO: Mapping[str, tuple[Link, ...]] = {
 }
 
 
-def sighting(block: str, raised: bool, components: tuple[int, ...], bend: float = 0.0) -> Chain:
-    """Return the forward model of sightings from the stations of a block; `raised` where targets stand above points."""
+def sighting(block: str, raised: bool, component: int, bend: float = 0.0) -> Chain:
+    """Return the forward model of one component of sightings from the stations of a block.
+
+    `raised` where targets stand above points, `component` is one of azimuth, elevation and distance.
+    """
     start: Link = Between() if block == OVER else PointOf(POINT, Quantity.POINT_IN_MACHINE)
     target: tuple[Link, ...] = (Raised(),) if raised else ()
-    bent = bend if block != STATION or bend else 0.0
-    return Chain((start, *target, *_INTO[block], Seen(bent), ReadPolar(components)))
+    return Chain((start, *target, *_INTO[block], Seen(bend), ReadPolar(component)))
 
 
 def station_block(values: Array, names: Sequence[str], extent: float) -> Block:

@@ -191,7 +191,8 @@ def _places(model: Model, effect: Effect) -> list[tuple[str, ...]]:
 def _of_effect(job: AdjustedJob, system: System, effect: Effect, missing: list[NotTested]) -> Iterator[Family]:
     """Yield the families of an effect; add to `missing` where it has no value at a reading."""
     places = _absent(job.model, effect)
-    together = bool(effect.keys) and all(job.model.places[key].index for key in effect.keys)
+    apart = effect.keys and not effect.selects
+    together = bool(apart) and all(job.model.places[key].index for key in effect.keys)
     for chosen in [places] if together else [[place] for place in places]:
         by_size: dict[int, list[_Columns]] = {}
         try:

@@ -1,0 +1,51 @@
+"""The functions of adjust-network."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.errors import all_faults
+from metrocli.result import Result
+from metrocli.tasks.adjust_network.diagnosis import adjusted_job, noise_of
+from metrocli.tasks.adjust_network.effects import EFFECTS, PLACES
+from metrocli.tasks.adjust_network.problem import Network, build
+from metrocli.tasks.adjust_network.readings import read
+from metrocli.tasks.adjust_network.report import report
+from metrocli.tasks.adjust_network.settings import Files, Settings
+from metrocli.tasks.adjust_network.solve import Solved, solve
+from metrocli.tasks.adjust_network.start import Start, start
+from metrocli.tasks.job import Job, Task
+from metrocli.tasks.shared.noise import weighed
+
+
+def _network(job: Job[Settings, Files]) -> Network:
+    readings = read(job.settings, job.files)
+    return build(job.settings, readings, start(readings), job.effects)
+
+
+def _solved(job: Job[Settings, Files], remove: bool) -> tuple[Solved, float]:
+    return weighed(job.settings.noise, _network(job), lambda network: solve(job.settings, network, remove))
+
+
+def run(job: Job[Settings, Files]) -> Result:
+    """Return points and stations; raises InputError, UndeterminedError or NotConvergedError."""
+    solved, factor = _solved(job, job.settings.outliers == "remove")
+    return report(solved, noise_of(solved, job.settings.noise, factor))
+
+
+def check(job: Job[Settings, Files]) -> None:
+    """Raise InputError that lists the faults in the combination of files and in the effects, without computing."""
+    readings = read(job.settings, job.files)
+    points = np.where(np.isfinite(readings.points.listed), readings.points.listed, 1.0)
+    rough = Start(points, np.zeros((len(readings.stations.names), 6)), np.zeros(len(readings.sightings.rounds)))
+    with all_faults() as each, each():
+        build(job.settings, readings, rough, job.effects)
+
+
+def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
+    """Return the adjusted job in the form that diagnosis needs, with all readings; raises as `run` does."""
+    return adjusted_job(_solved(job, remove=False)[0])
+
+
+TASK = Task(Files, run, check, None, None, diagnosed, EFFECTS, PLACES)
