@@ -213,7 +213,7 @@ def _with_covariance(known: KnownPoints, files: Files) -> KnownPoints:
     entries = np.unique(np.concatenate(ends))
     matrix = np.zeros((len(entries), len(entries)))
     first, second = (np.searchsorted(entries, one) for one in ends)
-    matrix[first, second] = matrix[second, first] = table.numbers("covariance")
+    matrix[first, second] = matrix[second, first] = table.numbers("covariance_mm2")
     member, column = np.divmod(entries, 3)
     missing = np.isnan(known.sigma[member, column])
     if missing.any():
