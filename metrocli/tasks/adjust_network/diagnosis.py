@@ -23,7 +23,7 @@ from metrocli.instruments import tracer as t
 from metrocli.instruments.polar import AZIMUTH, DISTANCE, ELEVATION, FACE, Seen
 from metrocli.tasks.adjust_network import KIND
 from metrocli.tasks.adjust_network.effects import EFFECTS, NO_MIRROR, STEERING
-from metrocli.tasks.adjust_network.problem import is_sighting
+from metrocli.tasks.adjust_network.problem import BARS, is_sighting
 from metrocli.tasks.adjust_network.solve import Solved, refitted
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, in_blocks, noise_found
 
@@ -52,6 +52,7 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         refit,
         astray=solved.astray,
         fewest=1,
+        certified=frozenset({BARS}),
         not_sought={STEERING: NO_MIRROR},
         variations=_variations,
     )

@@ -275,8 +275,7 @@ def _observations(readings: Readings) -> Observations:
         keys["round"] = tuple(seen.rounds[i][1] for i in seen.orientation)
     conditions = seen.table.conditions("t", "temp") | n.parts_of(readings.instruments, instrument)
     conditions |= {FACE: seen.face} | dict(zip(n.GIVEN, seen.sigma, strict=True))
-    if "t" in conditions:
-        conditions[BEGUN] = _begun(conditions["t"], seen.station)
+    conditions |= _begun(conditions, seen.station)
     if seen.raised.any():
         conditions[s.TARGET_HEIGHT] = seen.height
     pair = seen.point * len(stations.names) + seen.station
@@ -285,11 +284,13 @@ def _observations(readings: Readings) -> Observations:
     return Observations(seen.values, np.ones(1), index, keys=keys, conditions=conditions)
 
 
-def _begun(time: Array, station: Index) -> Array:
-    """Return the first time at which the station of each sighting read."""
+def _begun(conditions: Mapping[str, Array], station: Index) -> dict[str, Array]:
+    """Return the first time at which the station of each reading read, where there are times."""
+    if "t" not in conditions:
+        return {}
     first = np.full(int(station.max()) + 1, np.inf)
-    np.minimum.at(first, station, time)
-    return first[station]
+    np.minimum.at(first, station, conditions["t"])
+    return {BEGUN: first[station]}
 
 
 def _lengths(readings: Readings) -> Iterator[Group]:
@@ -308,6 +309,7 @@ def _lengths(readings: Readings) -> Iterator[Group]:
         "point": tuple(readings.points.names[i] for i in found.second),
     }
     conditions = found.table.conditions("t", "temp") | n.parts_of(readings.instruments, instrument)
+    conditions |= _begun(conditions, found.first)
     keys = told_apart(keys, found.second * len(stations.names) + found.first, conditions.get("t"))
     observations = Observations(
         found.values[None], np.ones(1), index, keys=keys, conditions=conditions, components=("length",), unit="mm"
