@@ -10,6 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
+from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.robust import as_likely
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
@@ -41,17 +42,17 @@ def wrong_readings(state: State) -> tuple[Outlier, ...]:
 
 def _outlier(state: State, one: Fixed, places: Places) -> Outlier:
     """Return a wrong reading with what would explain as much, beside all else."""
-    m, less = state.measurement, state.beside(one)
+    m, taken = state.measurement, state.taken_by(one)
     keys, variance = m.keys_of(one.number), state.variance
-    _, rank, explained = less.of_readings()
+    _, rank, explained = state.of_readings(taken)
     # an error of several components can always explain more: only readings of its rank compare
     squares = np.where(rank == rank[one.number], explained, 0.0) / variance
     own = float(squares[one.number])
-    taken = [other.number for other in state.readings]
-    rivals = [at for at in np.flatnonzero(as_likely(np.minimum(squares, own))).tolist() if at not in taken]
+    known = {other.number for other in state.readings}
+    rivals = [at for at in np.flatnonzero(as_likely(np.minimum(squares, own))).tolist() if at not in known]
     rivals.sort(key=lambda at: -squares[at])
     others = tuple(m.keys_of(at) for at in rivals)
-    effects = tuple(_at_its_place(less, places, keys, own, variance))
+    effects = tuple(_at_its_place(state, taken, places, keys, own))
     return Outlier(keys, float(np.sqrt(own)), others, effects)
 
 
@@ -66,7 +67,7 @@ def _places(m: Measurement) -> Places:
 
 
 def _at_its_place(
-    less: State, places: Places, keys: Mapping[str, str], own: float, variance: float
+    state: State, taken: Array, places: Places, keys: Mapping[str, str], own: float
 ) -> Iterator[Alternative]:
     """Yield the best form of each effect at the place of a reading that explains as much as the error of the reading.
 
@@ -78,7 +79,7 @@ def _at_its_place(
         for family, number in places.get(frozenset(place), ()):
             families.setdefault(family, []).append(number)
     for family, numbers in families.items():
-        explained = less.of_family(family)[0][numbers] / variance
+        explained = state.of_family(family, taken)[0][numbers] / state.variance
         best = int(np.argmax(explained))
         if as_likely(np.array([own, explained[best]]))[1]:
-            yield less.measurement.alternative((family, numbers[best]))
+            yield state.measurement.alternative((family, numbers[best]))

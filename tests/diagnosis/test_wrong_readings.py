@@ -88,7 +88,7 @@ def test_noise_of_an_image_that_explains_as_much_stands_beside_the_bad_pose() ->
     (effect,) = as_data(found)["effects"]
     assert (effect["name"], effect["where"]) == ("bad-pose", {"image": "I016"})
     (noise,) = effect["alternatives"]
-    assert (noise["name"], noise["where"]) == ("noise", {"image": "I016"}) and 0.05 < noise["odds"] < 1
+    assert (noise["name"], noise["where"]) == ("noise", {"image": "I016"}) and 0.05 < noise["odds"] < 20
     assert found.verdict == "indistinct"
     assert "noise of image I016" in of_diagnosis(found, None).split("\n\n")[1]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -244,3 +244,15 @@ def joint_prior(blocks: Sequence[Block], columns: Sequence[tuple[int, ...]], cov
         np.zeros((size, 1)), np.ones(1), {}, np.asarray(covariance, dtype=float)[:, :, None], components=names
     )
     return Group("prior of " + ", ".join(block.name for block in blocks), Chain((ReadBlocks(parts),)), observations)
+
+
+def listed_values(blocks: Mapping[str, Block], groups: Iterable[Group]) -> Mapping[str, Block]:
+    """Return blocks with the values that their priors state; the given ones if there are no priors of flat columns."""
+    values: dict[str, Array] = {}
+    for group in groups:
+        for link in group.chain.links:
+            if isinstance(link, ReadBlock | ReadMembers) and blocks[link.block].space is Space.FLAT:
+                members = np.unique(group.observations.index[link.block])
+                own = values.setdefault(link.block, blocks[link.block].values.copy())
+                own[np.ix_(members, link.columns)] = link.reference[np.ix_(members, link.columns)]
+    return {**blocks, **{name: blocks[name].with_values(own) for name, own in values.items()}} if values else blocks

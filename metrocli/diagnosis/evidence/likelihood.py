@@ -95,13 +95,21 @@ class Fit:
     @cached_property
     def inverse(self) -> Array:
         """Inverse of the shared system, (p, p)."""
-        root = _inverse_lower(self.lower)
-        return np.asarray(root.T @ root)
+        from scipy.linalg.lapack import dpotri
+
+        if not len(self.lower):
+            return self.lower
+        found = dpotri(self.lower, lower=1)[0]
+        return np.asarray(np.tril(found) + np.tril(found, -1).T)
 
     @cached_property
     def sizes(self) -> Array:
         """Estimated coefficients of the shared columns, (p,)."""
-        return np.asarray(_inverse_lower(self.lower).T @ self.sought)
+        from scipy.linalg import solve_triangular
+
+        if not len(self.lower):
+            return self.sought
+        return np.asarray(solve_triangular(self.lower, self.sought, lower=True, trans="T", check_finite=False))
 
     @cached_property
     def slopes(self) -> tuple[Array, Array]:
@@ -126,9 +134,8 @@ class Fit:
             coefficients = left @ self.shown
             u = coefficients[:, :, -1] - coefficients[:, :, :-1] @ sizes
             posterior = left @ self.half
-            root = _inverse_lower(self.lower).T
-            turned = coefficients[:, :, :-1] @ root
-            posterior = posterior + turned @ np.swapaxes(turned, 1, 2)
+            shared = coefficients[:, :, :-1]
+            posterior = posterior + (shared @ inverse) @ np.swapaxes(shared, 1, 2)
             for j in range(count):
                 at = np.flatnonzero(products.of_local == j)
                 if at.size:
@@ -231,8 +238,3 @@ def _solved(lower: Array, right: Array) -> Array:
     return np.asarray(solve_triangular(lower, right, lower=True, check_finite=False)) if len(lower) else right
 
 
-def _inverse_lower(lower: Array) -> Array:
-    from scipy.linalg import solve_triangular
-
-    eye = np.eye(len(lower))
-    return np.asarray(solve_triangular(lower, eye, lower=True, check_finite=False)) if len(lower) else eye

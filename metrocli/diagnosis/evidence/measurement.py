@@ -156,15 +156,18 @@ class Measurement:
         """Return the whole columns of an alternative, (rows, parameters)."""
         return self.families[family].columns.whole([number], self.system.rows)[:, 0]
 
-    def dense(self, family: int) -> Array | None:
-        """Return the whole columns of a family, (rows, alternatives*parameters); None if they are too many."""
-        columns = self.families[family].columns
-        if columns.count * columns.parameters * self.system.rows > _MOST_DENSE:
-            return None
-        key = "dense", family, columns.count
-        if key not in self.held:
-            self.held[key] = columns.whole(range(columns.count), self.system.rows).reshape(self.system.rows, -1)
-        return self.held[key]
+    @cached_property
+    def side_by_side(self) -> tuple[Array, dict[int, slice]]:
+        """Whole columns of the families that are small enough, (rows, columns), and where those of each are."""
+        rows, most = self.system.rows, _MOST_DENSE // self.system.rows
+        parts, at, end = [np.zeros((rows, 0))], dict[int, slice](), 0
+        for family, one in enumerate(self.families):
+            size = one.columns.count * one.columns.parameters
+            if end + size <= most:
+                parts.append(one.columns.whole(range(one.columns.count), rows).reshape(rows, -1))
+                at[family] = slice(end, end + size)
+                end += size
+        return np.concatenate(parts, axis=1), at
 
     def whole_grams(self, family: int) -> Array:
         """Return the Gram matrices of the whole columns of a family, (alternatives, parameters, parameters)."""

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.robust import SAME
-from metrocli.diagnosis.evidence.parts import CORRELATED, Fixed, Random
+from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.state import State, at_sizes
 from metrocli.diagnosis.evidence.variances import Found, correlated_errors, noisier_groups, scattered_effects
 from metrocli.diagnosis.evidence.weights import with_noise
@@ -53,6 +53,11 @@ class Move:
     noise: Mapping[int, float] | None = None
     given: bool = False
     """Whether the noise is that of prior values, whose stated sigma is wrong"""
+
+    @property
+    def is_cause(self) -> bool:
+        """Whether known effects enter, at a place or at all their places."""
+        return any(one.sort == EFFECT for one in self.fixed) or (self.found is not None and self.found.kind == SCATTER)
 
     @property
     def keys(self) -> tuple[tuple[int, ...], ...]:
@@ -204,9 +209,12 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
         if not state.random and move.fixed:
             break
     best = max(tried, key=lambda one: one.score)
+    alike = [(one, move) for one, move in zip(tried, possible, strict=False) if one.score > best.score - _ALIKE]
     # a sigma that the job states explains as much as an effect at all places: it is what can be corrected
-    given = (one for one, move in zip(tried, possible, strict=False) if move.given and one.score > best.score - _ALIKE)
-    return next(given, best)
+    given = [one for one, move in alike if move.given]
+    # so can an effect, and noise of its place does not say what is wrong there
+    names = [one for one, move in alike if move.fixed] if best.measurement is not state.measurement else []
+    return next(iter([*given, *names]), best)
 
 
 def pruned(state: State) -> State:
@@ -253,10 +261,12 @@ def swapped(state: State) -> State:
         for one in parts:
             less = state.minus([one])
             own = state.score - less.score
-            if own > _CERTAIN or _first_moves(less, one) < own / 2:
+            if own > _CERTAIN or _others_in_turn(less, one) < own / 2:
                 continue
             other = forward(less, 3, without=one.key)
-            if other.score > state.score + 1e-3:
+            # noise of a place does not say what is wrong there
+            noisier = len(other.measurement.noise) > len(state.measurement.noise)
+            if other.score > state.score + (_ALIKE if noisier else _GAINED):
                 better = other
                 break
         if better is None:
@@ -265,9 +275,15 @@ def swapped(state: State) -> State:
     return state
 
 
-def _first_moves(state: State, but: Fixed | Random) -> float:
-    """Return the net gain of the first moves of a state, without those of a part that it has lost."""
-    return sum(one.net for one in moves(state)[:_TRIED] if one.net > 0 and but.key not in one.keys)
+def _others_in_turn(state: State, but: Fixed | Random) -> float:
+    """Return the net gain of the first moves of a state, without those of the part that it has lost.
+
+    What a correlated error of another length or covariate explains instead would change no name.
+    """
+    found = [one for one in moves(state) if one.net > 0 and but.key not in one.keys]
+    if isinstance(but, Random) and but.kind == CORRELATED:
+        found = found if any(one.is_cause for one in found[:_TRIED]) else []
+    return sum(one.net for one in found[:_TRIED])
 
 
 def _quick(state: State, number: int) -> float:

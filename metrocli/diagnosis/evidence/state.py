@@ -251,20 +251,27 @@ class State:
         """Return the Gram matrices of the alternatives of a family, and their products with the residual."""
         if family not in self.held:
             m = self.measurement
-            one, dense = m.families[family], None if self._alone else m.dense(family)
-            right = one.columns.products(self.residual[:, None])[:, :, 0]
-            if self._alone:
-                gram = one.gram
-                if self._since.shape[1]:
-                    along = one.columns.products(self._since)
-                    gram = gram - along @ np.swapaxes(along, 1, 2)
-            elif dense is None:
+            one, dense, at = m.families[family], *m.side_by_side
+            shape = one.columns.count, one.columns.parameters
+            if family in at:
+                right = self._along[-1, at[family]].reshape(shape)
+                taken = self._along[:-1, at[family]].reshape(-1, *shape).transpose(1, 2, 0)
+            else:
+                right = one.columns.products(self.residual[:, None])[:, :, 0]
+                taken = one.columns.products(self._since) if self._alone else None
+            if taken is None:
                 gram = one.columns.grams(self.basis)
             else:
-                inside = self.inside(dense).reshape(-1, *right.shape).transpose(1, 2, 0)
-                gram = m.whole_grams(family) - inside @ np.swapaxes(inside, 1, 2)
+                gram = (one.gram if self._alone else m.whole_grams(family)) - taken @ np.swapaxes(taken, 1, 2)
             self.held[family] = gram, right
         return self.held[family]
+
+    @cached_property
+    def _along(self) -> Array:
+        """Coordinates of the small families in what the state takes, and last their products with the residual."""
+        dense, _ = self.measurement.side_by_side
+        taken = self._since.T @ dense if self._alone else self.inside(dense)
+        return np.concatenate([taken, (dense.T @ self.residual)[None]])
 
     def inside(self, columns: Array) -> Array:
         """Return coordinates c of columns (rows, k), (any, k): `columns' P columns` is `columns' columns - c' c`."""
@@ -277,9 +284,27 @@ class State:
             parts.append(basis.local[rows].T @ columns[rows])
         return np.concatenate(parts)
 
-    def of_family(self, family: int) -> tuple[Array, Array]:
-        """Return the squares that each alternative of a family explains, and its rank."""
+    def taken_by(self, one: Fixed) -> Array:
+        """Return columns d, (rows, rank): without a fixed part the state would leave `P + d d'` of anything."""
+        ends = np.cumsum([0, *(each.rank for each in self.fixed)])
+        j = next(j for j, each in enumerate(self.fixed) if each is one)
+        at, lower = self.fit.fixed, self.fit.lower[self.fit.fixed :, self.fit.fixed :]
+        inverse = np.linalg.inv(lower)
+        own = slice(ends[j], ends[j + 1])
+        covariance = inverse[:, own].T @ inverse[:, own]
+        w = self.basis.shared[:, self.basis.shared.shape[1] - (len(self.fit.lower) - at) :] @ inverse[:, own]
+        return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), w.T).T)
+
+    def of_family(self, family: int, taken: Array | None = None) -> tuple[Array, Array]:
+        """Return the squares that each alternative of a family explains, and its rank; without a part if it is given.
+
+        `taken` are the directions of that part (`taken_by`).
+        """
         gram, right = self.left(family)
+        if taken is not None:
+            along = self.measurement.families[family].columns.products(taken)
+            gram = gram + along @ np.swapaxes(along, 1, 2)
+            right = right + along @ (taken.T @ self.measurement.system.residual)
         return quadratic(gram, right, self.measurement.families[family].raw)
 
     def gains_of_family(self, family: int) -> tuple[Array, Array, Array]:
@@ -296,13 +321,21 @@ class State:
         gain, q, t = self.of_readings()
         return gain, self.measurement.prices.of_ranks(READINGS, q), t
 
-    def of_readings(self) -> tuple[Array, Array, Array]:
-        """Return the gain of an error of each reading, its rank, and the squares that it explains."""
+    def of_readings(self, taken: Array | None = None) -> tuple[Array, Array, Array]:
+        """Return the gain of an error of each reading, its rank, and the squares that it explains.
+
+        Without a part if its directions `taken` are given (`taken_by`).
+        """
         m = self.measurement
         rows = m.places
         there = rows >= 0
         gram = np.eye(rows.shape[1]) * there[:, :, None] - self.basis.products(rows, rows)
-        right = np.where(there, self.residual[rows], 0.0)
+        residual = self.residual
+        if taken is not None:
+            own = np.where(there[:, :, None], taken[rows], 0.0)
+            gram = gram + own @ np.swapaxes(own, 1, 2)
+            residual = residual + taken @ (taken.T @ m.system.residual)
+        right = np.where(there, residual[rows], 0.0)
         weak = np.einsum("iaa->ia", gram).sum(axis=1) < 1e-3
         t, q = quadratic(gram, right, np.ones(rows.shape))
         q = np.where(weak, 0, q)
@@ -344,71 +377,128 @@ def within(m: Measurement, columns: Array) -> Array:
 
 def without_local(m: Measurement, key: object, columns: Array) -> Array:
     """Return columns (rows, k) without what local unknowns absorb, computed once for each key but those held out."""
-    if key == (HELD_OUT, (0, 0)):
+    if key == _NEVER_HELD:
         return within(m, columns)
     if key not in m.held:
         m.held[key] = within(m, columns)
     return m.held[key]
 
 
-def shared_columns(m: Measurement, fixed: Sequence[Fixed], random: Sequence[Random], unknowns: bool = True) -> Array:
-    """Return the shared columns of unknowns, random and fixed parts, free of local unknowns, (rows, p).
+_NEVER_HELD = (HELD_OUT, (0, 0))
+"""Key of the columns of held-out rows, of which each fold has its own"""
+
+
+def _shared_parts(
+    m: Measurement, fixed: Sequence[Fixed], random: Sequence[Random], unknowns: bool
+) -> list[tuple[object, Array]]:
+    """Return the shared columns of unknowns, random and fixed parts with their keys, free of local unknowns.
 
     Without the unknowns the others are free of these as well.
     """
     others: list[tuple[object, Array]] = [((one.kind, one.key), one.columns) for one in random if not one.local]
     others += [((one.sort, one.key), one.columns) for one in fixed]
-    parts = [m.system.basis.shared if unknowns else np.zeros((m.system.rows, 0))]
-    for key, columns in others:
-        left = without_local(m, key, columns)
-        if not unknowns:
-            if ("M", key) not in m.held:
-                m.held["M", key] = left - m.system.basis.shared @ (m.system.basis.shared.T @ left)
-            left = m.held["M", key]
-        parts.append(left)
-    return np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
+    if unknowns:
+        return [("unknowns", m.system.basis.shared), *((key, without_local(m, key, one)) for key, one in others)]
+    return [(("M", key), _without_unknowns(m, key, one)) for key, one in others]
+
+
+def _without_unknowns(m: Measurement, key: object, columns: Array) -> Array:
+    """Return columns (rows, k) without what the unknowns absorb, computed once for each key but those held out."""
+    if key == _NEVER_HELD or ("M", key) not in m.held:
+        left, shared = without_local(m, key, columns), m.system.basis.shared
+        left = left - shared @ (shared.T @ left)
+        if key == _NEVER_HELD:
+            return left
+        m.held["M", key] = left
+    return m.held["M", key]
+
+
+def shared_columns(m: Measurement, fixed: Sequence[Fixed], random: Sequence[Random], unknowns: bool = True) -> Array:
+    """Return the shared columns of unknowns, random and fixed parts side by side, (rows, p)."""
+    parts = [one for _, one in _shared_parts(m, fixed, random, unknowns)]
+    return np.concatenate([np.zeros((m.system.rows, 0)), *parts], axis=1) if len(parts) != 1 else parts[0]
+
+
+def _local_parts(m: Measurement, random: Sequence[Random]) -> list[tuple[object, Array]]:
+    """Return the columns of errors of single members with their keys, free of the unknowns of these."""
+    keys = [((one.kind, one.key), one.columns) for one in random if one.local]
+    return [(key, without_local(m, key, columns)) for key, columns in keys]
 
 
 def local_columns(m: Measurement, random: Sequence[Random]) -> Array:
     """Return the columns of errors of single members, free of their unknowns, (rows, k)."""
-    parts = [without_local(m, (one.kind, one.key), one.columns) for one in random if one.local]
-    return np.concatenate([np.zeros((m.system.rows, 0)), *parts], axis=1)
+    return np.concatenate([np.zeros((m.system.rows, 0)), *(one for _, one in _local_parts(m, random))], axis=1)
 
 
 def products_of(
     m: Measurement, fixed: Sequence[Fixed], random: Sequence[Random], with_unknowns: bool = False
 ) -> Products:
-    """Return the products of all columns of a state, those of the unknowns where members have errors, or if asked."""
-    c, r = local_columns(m, random), m.system.residual
-    with_unknowns |= c.shape[1] > 0
-    x = shared_columns(m, fixed, random, with_unknowns)
-    unknowns = m.system.basis.shared.shape[1] if with_unknowns else 0
+    """Return the products of all columns of a state, those of the unknowns where members have errors, or if asked.
+
+    Products of two parts are computed once.
+    """
+    local = _local_parts(m, random)
+    with_unknowns |= bool(local)
+    residual = "residual", m.system.residual[:, None]
+    shared = [*_shared_parts(m, fixed, random, with_unknowns), residual]
+    sizes = [one.shape[1] for _, one in shared]
+    ends = np.cumsum([0, *sizes])
+    gram = np.empty((ends[-1], ends[-1]))
+    for i, first in enumerate(shared):
+        own = slice(ends[i], ends[i + 1])
+        for j in range(i, len(shared)):
+            block = _product(m, first, shared[j])
+            gram[own, ends[j] : ends[j + 1]] = block
+            gram[ends[j] : ends[j + 1], own] = block.T
+    unknowns = sizes[0] if with_unknowns else 0
     kinds = [np.full(unknowns, -1)]
     kinds += [np.full(one.columns.shape[1], j) for j, one in enumerate(random) if not one.local]
     kinds += [np.full(one.rank, -1) for one in fixed]
     of_local = [np.full(one.columns.shape[1], j) for j, one in enumerate(random) if one.local]
-    empty = np.zeros(0, dtype=np.intp)
-    k, p = c.shape[1], x.shape[1]
-    members = m.system.basis.members if k else 0
-    own, mixed, along = np.zeros((members, k, k)), np.zeros((members, k, p)), np.zeros((members, k))
-    if members:
-        order, begins = m.by_member
-        for member, (a, b) in enumerate(pairwise(begins)):
-            rows = order[a:b]
-            left = c[rows].T
-            own[member], mixed[member], along[member] = left @ c[rows], left @ x[rows], left @ r[rows]
+    empty, members = np.zeros(0, dtype=np.intp), m.system.basis.members if local else 0
+    own = np.zeros((members, 0, 0))
+    mixed = np.zeros((members, 0, ends[-1]))
+    if local:
+        own = np.concatenate(
+            [np.concatenate([_of_members(m, one, other) for other in local], axis=2) for one in local], axis=1
+        )
+        mixed = np.concatenate(
+            [np.concatenate([_of_members(m, one, other) for other in shared], axis=2) for one in local], axis=1
+        )
     return Products(
-        x.T @ x,
-        x.T @ r,
+        gram[:-1, :-1],
+        gram[:-1, -1],
         m.squares,
         m.dof,
         unknowns,
         np.concatenate([*kinds, empty]).astype(np.intp),
         np.concatenate([*of_local, empty]).astype(np.intp),
         own,
-        mixed,
-        along,
+        mixed[:, :, :-1],
+        mixed[:, :, -1],
     )
+
+
+def _product(m: Measurement, one: tuple[object, Array], other: tuple[object, Array]) -> Array:
+    """Return the product of the columns of two parts, computed once for those of known keys."""
+    key = "product", one[0], other[0]
+    if _NEVER_HELD in (one[0], other[0]):
+        return one[1].T @ other[1]
+    if key not in m.held:
+        m.held[key] = one[1].T @ other[1]
+    return m.held[key]
+
+
+def _of_members(m: Measurement, one: tuple[object, Array], other: tuple[object, Array]) -> Array:
+    """Return the products of the columns of two parts in each local member, (members, k, p)."""
+    key = "of members", one[0], other[0]
+    if key in m.held:
+        return m.held[key]
+    order, begins = m.by_member
+    found = np.stack([one[1][order[a:b]].T @ other[1][order[a:b]] for a, b in pairwise(begins)])
+    if _NEVER_HELD not in (one[0], other[0]):
+        m.held[key] = found
+    return found
 
 
 def remade(m: Measurement, one: Random) -> Random:

@@ -12,14 +12,18 @@ from itertools import pairwise
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
 from metrocli.diagnosis.evidence.parts import CORRELATED, LARGEST, SCATTER, Random, scatter
 from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.noise import DECLARED_SIGMA
 from metrocli.frozen import dataclass
 
 _NOTICED = 1.0
 """Least score of a variance, in its standard deviations, at which its likelihood is computed"""
 _GRID, _ROUNDS = 60, 3
+_MOST_GIVEN = 600
+"""Largest number of given values whose noise is computed exactly"""
 FEWEST = 10
 """Fewest freedoms beside all sizes of an effect at all its places: of fewer it looks like larger noise"""
 
@@ -201,14 +205,20 @@ def noisier_groups(state: State) -> list[tuple[float, int, float]]:
     """Return the variance groups with quick net gains of a variance of their own: net, number, ratio of deviations.
 
     With nu_u = tr P_uu freedoms and squares S_u in the group, of nu and S in all, the gain is
-    `(nu ln(S/nu) - nu_u ln(S_u/nu_u) - (nu - nu_u) ln((S - S_u)/(nu - nu_u)))/2` (Bartlett).
+    `(nu ln(S/nu) - nu_u ln(S_u/nu_u) - (nu - nu_u) ln((S - S_u)/(nu - nu_u)))/2` (Bartlett). Values that are given
+    (priors) have few freedoms, which their weight changes: theirs is that of one more variance.
     """
     m, found = state.measurement, []
     if len(m.units) < 2:
         return []
     taken, r = state.basis.squares(), state.residual
     dof, squares = state.freedoms, state.fit.squares
-    for number, (_, _, rows) in enumerate(m.units):
+    for number, (kind, _, rows) in enumerate(m.units):
+        if kind == DECLARED_SIGMA and rows.sum() <= _MOST_GIVEN:
+            net, ratio = _noise_of_given(state, rows)
+            if net > 0:
+                found.append((net, number, ratio))
+                continue
         own = float(rows.sum()) - float(taken[rows].sum())
         s = float(r[rows] @ r[rows])
         rest, left = dof - own, squares - s
@@ -216,3 +226,13 @@ def noisier_groups(state: State) -> list[tuple[float, int, float]]:
             gain = (dof * np.log(squares / dof) - own * np.log(s / own) - rest * np.log(left / rest)) / 2
             found.append((gain - m.price_of_noise, number, float(np.sqrt(s / own / (left / rest)))))
     return sorted(found, reverse=True)
+
+
+def _noise_of_given(state: State, rows: Mask) -> tuple[float, float]:
+    """Return the net gain of larger noise of some rows, `V = I + g E E'`, and the ratio of their deviations."""
+    at = np.flatnonzero(rows)
+    left = np.eye(len(at)) - state.basis.products(at[None], at[None])[0]
+    d, vectors = np.linalg.eigh(left)
+    along = (vectors.T @ state.residual[at]) ** 2 / np.maximum(d, 1e-300)
+    gain, log = gain_of_variance(d, along, state.fit.squares, state.fit.dof)
+    return gain - state.measurement.price_of_noise, float(np.sqrt(1 + np.exp(log)))

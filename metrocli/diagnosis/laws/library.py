@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import groupby
+from itertools import count, groupby
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local
+from metrocli.adjust.model.groups import listed_values
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.prices import Prices, counted
@@ -22,7 +23,7 @@ from metrocli.diagnosis.laws.terms import Form, columns_of, forms_of
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.column_parts import Part
 from metrocli.diagnosis.linear.columns import Columns
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import System, run_of
 from metrocli.effects.acting import Acting
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.frozen import dataclass
@@ -34,6 +35,8 @@ MOST_NUMBERS = 8_000_000
 """Largest number of elements of all columns"""
 _SAME = 1e-9
 """Two components of quantities act alike if their squared correlation is nearer to 1 than this"""
+_ESTIMATED = 0.5
+"""Largest part of the spread of a variable that comes from corrections of listed values"""
 _SEED = 17
 _EFFECT = Effect("law", "", (Parameter("size"),))
 
@@ -104,6 +107,8 @@ class Library:
         self.job, self.system = job, system
         self.terms: list[tuple[Term, ...]] = []
         """The terms of each family, in the order of its alternatives"""
+        self.numbers = count(1_000_000)
+        """Numbers of terms at refined values, each once: products are kept by them"""
 
     @cached_property
     def _carriers(self) -> list[_Carrier]:
@@ -127,8 +132,8 @@ class Library:
         for periods in (59, 29, 15, 7):
             found = [(carrier, carrier.forms(periods)) for carrier in self._carriers]
             # a term at one place has the rows of its readings only
-            count = sum(len(form.factors) * len(carrier.rows) for carrier, forms in found for form in forms)
-            if count <= MOST_NUMBERS:
+            numbers = sum(len(form.factors) * len(carrier.rows) for carrier, forms in found for form in forms)
+            if numbers <= MOST_NUMBERS:
                 return found
         return [(carrier, forms) for carrier, forms in found if not carrier.spot.where]
 
@@ -214,6 +219,7 @@ def _at(job: AdjustedJob, system: System, acting: Acting) -> tuple[Array, dict[s
     whole = np.zeros((system.rows, len(acting.components)))
     values: dict[str, Array] = {}
     known = acting.variables_at({})
+    listed = listed_values(job.model.blocks, job.model.groups)
     own, partly = {*acting.components, acting.name} - {"angle"}, set[str]()
     for group in job.model.readings:
         links = group.chain.links
@@ -231,13 +237,17 @@ def _at(job: AdjustedJob, system: System, acting: Acting) -> tuple[Array, dict[s
         whitened = np.moveaxis(observations.whitened(np.array(by_input)), -1, 0).reshape(n * d, -1)
         whole[rows] = whitened * factor[:, None]
         local = Local(job.model.blocks, observations, frozenset())
+        before = Local(listed, observations, frozenset())
+        value_listed = run_of(group, listed).values[at + 1] if listed is not job.model.blocks else value
         for name, one in known.items():
             there = observations.conditions.keys() >= set(one.needs) and job.model.blocks.keys() >= set(one.blocks)
             if name in own or name.startswith("beam_") or not there:
                 partly |= {name} if one.of_data else set()
                 continue
             full = np.broadcast_to(one.at(value, local).value[0], (n,))
-            if np.isfinite(full).all():
+            moved = full - one.at(value_listed, before).value[0]
+            # the height of a target of a flat board is what the residuals made of it
+            if np.isfinite(full).all() and moved.std() <= _ESTIMATED * full.std():
                 values[name] = values.get(name, np.zeros(system.rows)) + system.spread(group, np.array(full))
     acting_on = np.flatnonzero(whole.any(axis=1))
     seen = {name: one[acting_on] for name, one in values.items() if name not in partly}

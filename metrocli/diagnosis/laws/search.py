@@ -102,7 +102,7 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> Found:
     library = Library(m.job, plain.measurement.system)
     best: tuple[Lawful, State] | None = None
     for base in _bases(plain):
-        start = among_terms(base, library)
+        start = among_terms(base, library, state.score + _LAW - base.score)
         lawful = None if start is None else forward(start, 0.0)
         if lawful is not None and lawful.steps and (best is None or lawful.state.score > best[0].state.score):
             best = lawful, base

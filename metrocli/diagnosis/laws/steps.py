@@ -52,13 +52,16 @@ class Lawful:
         return Lawful(self.state.minus(gone), self.library, self.steps[:count]) if gone else self
 
 
-def among_terms(state: State, library: Library) -> Lawful | None:
-    """Return a state whose candidates are terms; None if none could be significant even if few of them were tried."""
+def among_terms(state: State, library: Library, needed: float = 0.0) -> Lawful | None:
+    """Return a state whose candidates are terms; None if they cannot gain what is needed even if few were tried.
+
+    Further terms seldom gain more than the first.
+    """
     m = state.measurement
     plain = Prices(tuple(LEAST_TESTS for _ in library.families) + (1.0,), m.prices.dof)
     tried = _with_candidates(state, library, plain)
     nets = (np.subtract(*tried.gains_of_family(i)[:2]).max(initial=-np.inf) for i in range(len(library.families)))
-    if not library.families or max(nets) < -_NEAR:
+    if not library.families or max(nets) < max(-_NEAR, needed / MOST_TERMS - _NEAR):
         return None
     return Lawful(_with_candidates(state, library, library.prices), library)
 
@@ -136,8 +139,7 @@ def _refined(lawful: Lawful, family: int, number: int) -> tuple[Term, Fixed]:
         best = int(np.argmax(gain))
         term = tried[best]
         low, high = (float(tried[at].form.scanned or 0.0) for at in (max(best - 1, 0), min(best + 1, _FINE - 1)))
-    key = family, len(library.terms[family]) + len(lawful.steps)
-    return term, state.measurement.term(library.columns(term), key, price)
+    return term, state.measurement.term(library.columns(term), (family, next(library.numbers)), price)
 
 
 def columns_of_terms(library: Library, terms: Sequence[Term]) -> np.ndarray:
