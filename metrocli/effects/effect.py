@@ -131,6 +131,8 @@ class Effect:
     """What to measure to detect it, or to separate it from the effects in `confused_with`"""
     source: str = ""
     """Paper, standard or practice that describes it"""
+    limited: bool = False
+    """Whether `diagnose` tries it only where it sees sizes up to the plausible: larger ones cannot be"""
     selects: bool = False
     """Whether its link finds the readings of its place itself, because a reading concerns several places of the kind"""
     turns: bool = False

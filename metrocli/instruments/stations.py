@@ -45,6 +45,17 @@ def target_vertical(local: Local) -> Array:
     return np.stack([x, y, np.ones_like(x)])
 
 
+def station_vertical(local: Local) -> Array:
+    """Return the vertical at the stations of the readings, (3, n) or (3, 1)."""
+    x, y = _leaning(local, LEAN)
+    return np.stack([x, y, np.ones_like(x)])
+
+
+def listed(point: str) -> str:
+    """Return the condition of given coordinates that stands for a point whose coordinates are listed."""
+    return f"list of {point}"
+
+
 def heights_of(mark: str) -> str:
     """Return the condition of height differences that is 1 for those to a mark, -1 for those from it, and else 0."""
     return f"heights of {mark}"

@@ -106,6 +106,11 @@ class ReadBlock(OfBlock):
     takes = None
     gives = Quantity.PARAMETERS
 
+    def entries(self, index: Index) -> tuple[Index, Index]:
+        """Return members and columns of the entries that readings with an index read."""
+        members, columns = np.meshgrid(np.unique(index), self.columns, indexing="ij")
+        return members.ravel(), columns.ravel()
+
     def step(self, value: Array, local: Local) -> Step:
         """Return the differences (columns, n) and their derivatives by a step of the block."""
         values = local.members(self.block)
@@ -166,6 +171,10 @@ class ReadEntries(OfBlock):
     """For each entry its column, (k,)"""
     takes = None
     gives = Quantity.PARAMETERS
+
+    def entries(self, index: Index) -> tuple[Index, Index]:
+        """Return members and columns of the entries that readings with an index read."""
+        return index[self.slots, 0], self.columns
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the differences (k, 1) and their derivatives by each member, (m, k, size, 1)."""
@@ -251,8 +260,9 @@ def listed_values(blocks: Mapping[str, Block], groups: Iterable[Group]) -> Mappi
     values: dict[str, Array] = {}
     for group in groups:
         for link in group.chain.links:
-            if isinstance(link, ReadBlock | ReadMembers) and blocks[link.block].space is Space.FLAT:
-                members = np.unique(group.observations.index[link.block])
+            if isinstance(link, ReadBlock | ReadEntries) and blocks[link.block].space is Space.FLAT:
+                index = group.observations.index[link.block]
                 own = values.setdefault(link.block, blocks[link.block].values.copy())
-                own[np.ix_(members, link.columns)] = link.reference[np.ix_(members, link.columns)]
+                entries = link.entries(index)
+                own[entries] = link.reference[entries]
     return {**blocks, **{name: blocks[name].with_values(own) for name, own in values.items()}} if values else blocks

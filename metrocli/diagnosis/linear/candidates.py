@@ -26,6 +26,7 @@ from metrocli.effects.model import Model
 from metrocli.frozen import dataclass
 
 _MOST_PLACES = 3000
+_BEYOND = "the measurement sees only sizes beyond the plausible"
 _SMALL = 1e-6
 """Visible share of the squares of a signature below which its visible part is computed, not a difference"""
 
@@ -197,12 +198,25 @@ def _of_effect(job: AdjustedJob, system: System, effect: Effect, missing: list[N
         by_size: dict[int, list[_Columns]] = {}
         try:
             for item in _columns(job, system, effect, chosen) if chosen else ():
+                if effect.limited and _beyond(system, item):
+                    missing.append(NotTested(effect, _BEYOND, item.alternative.where))
+                    continue
                 by_size.setdefault(item.own.values.shape[1], []).append(item)
         except NoValueAtReadingError as error:
             at = {} if together else dict(zip(effect.keys, chosen[0], strict=True))
             missing.append(NotTested(effect, str(error), at))
         for items in by_size.values():
             yield _family(system, items)
+
+
+def _beyond(system: System, item: _Columns) -> bool:
+    """Return whether the measurement sees a cause only where each of its parameters is larger than plausible."""
+    rows = item.own.rows
+    whole = np.zeros((system.rows, item.own.values.shape[1]))
+    whole[rows] = item.own.values
+    seen = np.linalg.norm(system.seen(whole), axis=0)
+    plausible = {one.name: one.plausible for one in item.alternative.effect.parameters}
+    return bool((seen * [plausible[name] for name in item.alternative.parameters] < 1).all())
 
 
 def _family(system: System, items: Sequence[_Columns]) -> Family:

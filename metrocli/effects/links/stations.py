@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from metrocli.adjust.model.chain import IDENTITY, Local, Step
+from metrocli.adjust.model.chain import IDENTITY, Chain, Local, Step
+from metrocli.adjust.model.groups import ReadBlock, ReadEntries
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.instruments.stations import SETUP, heights_of, target_vertical
+from metrocli.instruments.stations import OVER, SETUP, heights_of, station_vertical, target_vertical
+from metrocli.instruments.tracer import POINT
 
 BEGUN = "first time of the station"
 """Condition: the earliest time at which the station of a reading read [s]"""
@@ -45,6 +49,55 @@ class TargetRaised(OfBlock):
         """Return the point (3, n)."""
         up = target_vertical(local)
         return Step(value + up * local.rows(self.block)[0], IDENTITY, {self.block: up[:, None]})
+
+
+@dataclass(frozen=True)
+class StationRaised(OfBlock):
+    """A station stands higher over its point than listed: `X -= dh u`, u the vertical at the station; column dh [mm]."""
+
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of stations over points, and its own block."""
+        return (OVER, self.block)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point relative to the true station, (3, n)."""
+        up = station_vertical(local)
+        return Step(value - up * local.rows(self.block)[0], IDENTITY, {self.block: -up[:, None]})
+
+
+@dataclass(frozen=True)
+class ListedWrongly(OfBlock):
+    """The listed coordinates of a point are off by d: what is known of them is `X - X0 + d`; columns dx, dy, dz [mm]."""
+
+    point: str
+    reader: ReadBlock | ReadEntries | None = None
+    takes = gives = Quantity.PARAMETERS
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of points, and its own block."""
+        return (POINT, self.block)
+
+    def within(self, before: Chain) -> ListedWrongly:
+        """Return the effect for what reads the coordinates before it."""
+        last = before.links[-1]
+        return replace(self, reader=last if isinstance(last, ReadBlock | ReadEntries) else None)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the coordinates less their list, (c, n)."""
+        if self.reader is None:
+            raise ValueError("ListedWrongly acts behind what reads coordinates")
+        number, index = local.blocks[POINT].members.index(self.point), local.index(POINT)
+        c, n = len(self.reader.columns), local.observations.count
+        by_block = np.zeros((c, 3, n))
+        here = index == number if isinstance(self.reader, ReadBlock) else (index[self.reader.slots, 0] == number)[:, None]
+        by_block[np.arange(c), np.asarray(self.reader.columns)] = here
+        shift = (by_block * local.rows(self.block)).sum(axis=1)
+        same = np.eye(c)[:, :, None]
+        return Step(value + shift, same, {self.block: by_block})
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from metrocli.instruments import tracer as t
 from metrocli.instruments.polar import AZIMUTH, DISTANCE, ELEVATION, FACE, Seen
 from metrocli.tasks.adjust_network import KIND
 from metrocli.tasks.adjust_network.effects import EFFECTS, NO_MIRROR, STEERING
-from metrocli.tasks.adjust_network.problem import BARS, is_sighting
+from metrocli.tasks.adjust_network.problem import BARS, GIVEN_POINTS, is_sighting
 from metrocli.tasks.adjust_network.solve import Solved, refitted
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, in_blocks, noise_found
 
@@ -52,7 +52,7 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         refit,
         astray=solved.astray,
         fewest=1,
-        certified=frozenset({BARS}),
+        certified=frozenset(one.name for one in model.readings if one.name.startswith((BARS, GIVEN_POINTS))),
         not_sought={STEERING: NO_MIRROR},
         variations=_variations,
     )
@@ -81,11 +81,15 @@ def _ideal(model: Model, group: Group) -> Array:
 
 
 def _folds(group: Group) -> Index:
-    """Return the part of each reading, (n,): ten parts by points, so that all readings of a point are in one."""
-    observations = group.observations
-    index = observations.index[t.POINT]
+    """Return the part of each reading, (n,): ten parts by points, so that all readings of a point are in one.
+
+    Given coordinates are in none: without them the others may not determine the frame.
+    """
+    if group.name.startswith(GIVEN_POINTS):
+        return np.full(group.observations.count, -1, dtype=np.intp)
+    index = group.observations.index[t.POINT]
     own = index if index.ndim == 1 else index[0]
-    return np.asarray(own % FOLDS, dtype=np.intp) if is_sighting(group) else np.arange(len(own), dtype=np.intp) % FOLDS
+    return np.asarray(own if is_sighting(group) else np.arange(len(own)), dtype=np.intp) % FOLDS
 
 
 def _variations(model: Model, readings: Observations) -> Iterator[tuple[str, Observations]]:

@@ -10,7 +10,7 @@ from metrocli.effects.effect import Effect, Parameter, change_points, sizes
 from metrocli.effects.links.angles import Tilted
 from metrocli.effects.links.lengths import LengthOffset
 from metrocli.effects.links.points import PointStep
-from metrocli.effects.links.stations import HeightStep, StationDrift, TargetRaised
+from metrocli.effects.links.stations import HeightStep, ListedWrongly, StationDrift, StationRaised, TargetRaised
 from metrocli.instruments.polar import POLAR
 from metrocli.tasks.shared.length_effects import LENGTH_EFFECTS
 from metrocli.tasks.shared.tracker_effects import TRACKER_EFFECTS
@@ -25,9 +25,7 @@ NO_MIRROR = (
     "mirror and transit together: name it in `effects:` to estimate it"
 )
 
-EFFECTS: tuple[Effect, ...] = (
-    *(one if one.name in _ACROSS_INSTRUMENTS else replace(one, where=("instrument",)) for one in TRACKER_EFFECTS),
-    *(replace(one, where=(_OF_TRACERS[one.name],)) for one in LENGTH_EFFECTS if one.name in _OF_TRACERS),
+_OF_PLACES: tuple[Effect, ...] = (
     Effect(
         "point-moved",
         "a point was knocked or its nest touched: from a time on it stands elsewhere",
@@ -105,6 +103,28 @@ EFFECTS: tuple[Effect, ...] = (
         source=_SOURCE,
     ),
     Effect(
+        "target-height",
+        "the height of a target over one point is wrong at one station",
+        sizes("dh", "length", "100 mm"),
+        lambda block, where: TargetRaised(block),
+        where=("point", "station"),
+        confused_with=("point-moved",),
+        usual="0.2 to 100 mm",
+        reveal="the height measured again, or a second sighting of the target with another height",
+        source=_SOURCE,
+    ),
+    Effect(
+        "station-height",
+        "the height of an instrument over its mark is wrong",
+        sizes("dh", "length", "100 mm"),
+        lambda block, where: StationRaised(block),
+        where=("station",),
+        confused_with=("station-moved",),
+        usual="0.2 to 100 mm",
+        reveal="the height measured again, or a level line to the mark",
+        source=_SOURCE,
+    ),
+    Effect(
         "bar-error",
         "the certificate of a bar, or the way it lies, is wrong",
         sizes("step", "length", "10 mm"),
@@ -114,6 +134,19 @@ EFFECTS: tuple[Effect, ...] = (
         usual="2 um to 10 mm",
         reveal="the bar in a second place, or another bar between the same points",
         source=_SOURCE,
+    ),
+    Effect(
+        "given-point",
+        "the listed coordinates of a given point are wrong, or its mark has moved since",
+        sizes("dx dy dz", "length", "100 mm"),
+        lambda block, where: ListedWrongly(block, where["point"]),
+        where=("point",),
+        needs=("list of {point}",),
+        confused_with=("point-moved",),
+        usual="10 um to 100 mm",
+        reveal="a further given point near to it",
+        source=_SOURCE,
+        selects=True,
     ),
     Effect(
         "height-epoch",
@@ -142,6 +175,13 @@ EFFECTS: tuple[Effect, ...] = (
         source=_SOURCE,
         selects=True,
     ),
+)
+"""Effects on points, stations, targets and what is listed"""
+
+EFFECTS: tuple[Effect, ...] = (
+    *(one if one.name in _ACROSS_INSTRUMENTS else replace(one, where=("instrument",)) for one in TRACKER_EFFECTS),
+    *(replace(one, where=(_OF_TRACERS[one.name],)) for one in LENGTH_EFFECTS if one.name in _OF_TRACERS),
+    *(replace(one, limited=not one.is_step) for one in _OF_PLACES),
 )
 """The table of effects, in the order of docs/effects"""
 

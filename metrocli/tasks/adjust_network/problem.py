@@ -33,8 +33,12 @@ from metrocli.tasks.shared.lists import told_apart
 
 LENGTHS, BARS, HEIGHTS = "lengths", "bars", "heights"
 """Names of the groups of readings beside those of sightings"""
-OF_POINT, OF_STATION, OF_INSTRUMENT, OF_TRACER, OF_BAR, OF_SETUP = (
-    f"number of {name}" for name in ("point", "station", "instrument", "tracer", "bar", "setup")
+GIVEN_POINTS = "given points"
+"""Names of the groups of given coordinates begin so"""
+_MOST_LISTED = 500
+"""Most given points whose coordinates are tested one by one"""
+OF_POINT, OF_STATION, OF_INSTRUMENT, OF_TRACER, OF_BAR, OF_SETUP, OF_LINE = (
+    f"number of {name}" for name in ("point", "station", "instrument", "tracer", "bar", "setup", "line")
 )
 """Indices of the readings: their places"""
 ROW = "row"
@@ -88,6 +92,7 @@ def build(settings: Settings, readings: Readings, start: Start, wanted: Sequence
     blocks = {block.name: block for block in _blocks(readings, start, extent)}
     bend = 0.0 if settings.vertical is None else settings.vertical.refraction / (2 * settings.vertical.radius)
     groups = [*_sightings(readings, blocks, bend), *_lengths(readings), *_bars(readings), *_heights(readings, settings)]
+    groups += _given(readings, blocks)
     noise: dict[str, Noise] = {group.name: n.of_sightings for group in groups if is_sighting(group)}
     if any(group.name == LENGTHS for group in groups):
         noise[LENGTHS] = n.of_lengths
@@ -333,7 +338,7 @@ def _heights(readings: Readings, settings: Settings) -> Iterator[Group]:
         pair = np.minimum(found.first, found.second) * readings.points.count + np.maximum(found.first, found.second)
         if len(np.unique(pair)) < len(pair):
             keys["line"] = tuple(str(line) for line in found.table.lines) or tuple(map(str, range(len(pair))))
-        index = {t.POINT: np.stack([found.first, found.second])}
+        index = {t.POINT: np.stack([found.first, found.second]), OF_LINE: np.arange(len(found.first))}
         group = _pairs(HEIGHTS, Chain((s.HeightBetween(t.POINT, curved),)), found, index, keys, "dh")
         conditions = dict(group.observations.conditions)
         for number in np.unique(np.concatenate([found.first, found.second])).tolist():
@@ -361,8 +366,8 @@ def _pairs(
     return Group(name, chain, observations)
 
 
-def _known(readings: Readings, blocks: Mapping[str, Block]) -> Iterator[Group]:
-    """Yield what is known of points, heights of instruments and targets, and centring."""
+def _given(readings: Readings, blocks: Mapping[str, Block]) -> Iterator[Group]:
+    """Yield what is known of points: coordinates with a joint covariance, and others axis by axis."""
     points, block = readings.points, blocks[t.POINT]
     listed = block.with_values(np.where(np.isfinite(points.listed), points.listed, block.values))
     sigma = points.sigma.copy()
@@ -371,10 +376,26 @@ def _known(readings: Readings, blocks: Mapping[str, Block]) -> Iterator[Group]:
         free = block.free[member, column]
         if free.any():
             joint = points.covariance[np.ix_(free, free)]
-            yield replace(prior_of_entries(listed, member[free], column[free], joint), name="given points")
+            group = prior_of_entries(listed, member[free], column[free], joint)
+            yield _of_list(replace(group, name=GIVEN_POINTS), np.unique(member[free]), block)
         sigma[member, column] = np.nan
-    for number, group in enumerate(priors(listed, sigma, block.free)):
-        yield replace(group, name=f"given coordinates {number + 1}")
+    for axis in range(3):
+        rows = np.flatnonzero(block.free[:, axis] & (sigma[:, axis] > 0))
+        if rows.size:
+            group = prior(listed, rows, sigma[rows, axis][:, None], columns=(axis,))
+            yield _of_list(replace(group, name=f"{GIVEN_POINTS} {'xyz'[axis]}"), rows, block)
+
+
+def _of_list(group: Group, members: Index, block: Block) -> Group:
+    """Return a group of given coordinates, with a condition for each of its points."""
+    observations = group.observations
+    named = {s.listed(block.members[i]): np.ones(observations.count) for i in members[:_MOST_LISTED]}
+    keys = {"point": observations.keys["member"]} if "member" in observations.keys else {}
+    return replace(group, observations=replace(observations, conditions=named, keys=keys, unit="mm"))
+
+
+def _known(readings: Readings, blocks: Mapping[str, Block]) -> Iterator[Group]:
+    """Yield what is known of heights of instruments and targets, and of their centring."""
     if s.OVER in blocks:
         rows = _rows(kind_of_stations(readings), s.OVER)
         stations, over = readings.stations, blocks[s.OVER]
@@ -472,7 +493,7 @@ def _verticals(curvature: float) -> dict[str, Aspect]:
         return np.zeros(observations.count) if place is None else place[:, column] * curvature
 
     def curved(blocks: Mapping[str, Block], observations: Observations) -> Array:
-        if OF_POINT in observations.index or OF_BAR in observations.index:
+        if OF_LINE not in observations.index:
             return np.zeros(observations.count)
         ends = blocks[t.POINT].values[observations.index[t.POINT], :2]
         square = (ends**2).sum(axis=2) * curvature / 2

@@ -17,7 +17,7 @@ from metrocli.result import Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.adjust_network import KIND
 from metrocli.tasks.adjust_network.placed import Placed, placed_stations
-from metrocli.tasks.adjust_network.problem import BARS, HEIGHTS, OF_INSTRUMENT, is_sighting
+from metrocli.tasks.adjust_network.problem import BARS, GIVEN_POINTS, HEIGHTS, OF_INSTRUMENT, is_sighting
 from metrocli.tasks.adjust_network.solve import Solved, Suspect
 from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.noise import NoiseFound
@@ -113,18 +113,24 @@ def _residuals(solved: Solved) -> Table:
 def _rows(solved: Solved, group: Group, found: Residuals, names: Sequence[str]) -> Table:
     observations = group.observations
     noise = max(1.0, float(np.nan_to_num(solved.solution.sigma0, nan=1.0)))
+    d, n = observations.readings.shape
     numbers = {
         "reading": observations.readings,
         "residual": found.values,
-        "sigma": found.sigma,
+        "sigma": observations.deviations,
         "normalised": found.normalised,
         "redundancy": found.redundancy,
         "detectable": minimal_detectable(found, solved.critical, noise),
     }
-    when, none = condition_columns(observations), np.full(observations.count, np.nan)
-    times = {name: when.get(name, none) for name in ("t [s]", "temp [degC]") if _timed(solved, name)}
-    what = {"quantity [text]": observations.components * observations.count, "unit [text]": (observations.unit,) * observations.count}
-    return Table.of({**_keys(group, names), **what, **{name: one[0] for name, one in numbers.items()}, **times})
+    when, none = condition_columns(observations), np.full(n, np.nan)
+    times = {name: np.repeat(when.get(name, none), d) for name in ("t [s]", "temp [degC]") if _timed(solved, name)}
+    keys = {name: np.repeat(one, d) for name, one in _keys(group, names).items()}
+    quantity = np.tile(np.array(observations.components), n)
+    if d > 1:  # given coordinates with a joint covariance: components are named by point and axis
+        named = [text.rpartition(" ") for text in observations.components]
+        keys["point [text]"], quantity = np.array([one[0] for one in named]), np.array([one[2] for one in named])
+    what = {"quantity [text]": quantity, "unit [text]": (observations.unit,) * (d * n)}
+    return Table.of({**keys, **what, **{name: one.T.ravel() for name, one in numbers.items()}, **times})
 
 
 def _timed(solved: Solved, name: str) -> bool:
@@ -137,9 +143,9 @@ def _groups(solved: Solved) -> Table:
     rows: dict[tuple[str, str, str], list[tuple[Array, ...]]] = {}
     for group in solved.groups:
         found, observations = solved.residuals[group.name], group.observations
-        whole = (found.values[0], found.redundancy[0], found.normalised[0])
+        whole = (found.values.ravel(), found.redundancy.ravel(), found.normalised.ravel())
         instrument = observations.index.get(OF_INSTRUMENT)
-        what = observations.components[0], observations.unit
+        what = observations.components[0] if len(observations.components) == 1 else "x y z", observations.unit
         for number in (-1,) if instrument is None else np.unique(instrument).tolist():
             here = slice(None) if instrument is None else instrument == number
             name = group.name if instrument is None else names[number]
@@ -214,7 +220,7 @@ def _statistics(solved: Solved, solution: Solution) -> Statistics:
     for unit in ("rad", "mm"):
         values = [solved.residuals[one.name].values for one in solved.groups if one.observations.unit == unit]
         if values:
-            rms[unit] = float(np.sqrt((np.concatenate(values, axis=1) ** 2).mean()))
+            rms[unit] = float(np.sqrt(np.mean(np.concatenate([one.ravel() for one in values]) ** 2)))
     return basic_statistics(solution, rms) | {"rejected": len(solved.rejected), "critical_w": solved.critical}
 
 
@@ -253,7 +259,7 @@ def _seen_once(solved: Solved) -> list[str]:
     block = solved.solution.blocks[t.POINT]
     total, count = np.zeros(len(block.members)), np.zeros(len(block.members))
     for group in solved.groups:
-        if group.name in (BARS, HEIGHTS):
+        if group.name in (BARS, HEIGHTS) or group.name.startswith(GIVEN_POINTS):
             continue
         index = group.observations.index[t.POINT]
         index = index[0] if index.ndim > 1 else index

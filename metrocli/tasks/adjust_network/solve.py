@@ -20,7 +20,7 @@ from metrocli.geometry import poses
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
 from metrocli.tasks.adjust_network.noise import component
-from metrocli.tasks.adjust_network.problem import FREEDOMS, ROW, Network, is_sighting, open_by_given
+from metrocli.tasks.adjust_network.problem import FREEDOMS, GIVEN_POINTS, ROW, Network, is_sighting, open_by_given
 from metrocli.tasks.adjust_network.settings import GIVEN, Settings
 from metrocli.words import in_a_row
 
@@ -128,6 +128,7 @@ def _adjusted(whole: Network, network: Network, out: tuple[Suspect, ...]) -> Sol
 
 def _suspects(found: Mapping[str, Residuals], solution: Solution) -> Iterator[Suspect]:
     """Yield the wrong readings, the worst first; all groups are tested together."""
+    found = {name: one for name, one in found.items() if not name.startswith(GIVEN_POINTS)}
     names = [name for name, one in found.items() for _ in range(one.values.shape[1])]
     rows = np.concatenate([np.arange(one.values.shape[1]) for one in found.values()])
     parts = ([getattr(one, key) for one in found.values()] for key in ("values", "sigma", "redundancy", "normalised"))
