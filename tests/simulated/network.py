@@ -102,7 +102,10 @@ class Network:
             rows = [f"B{n + 1},{p[a]},{p[b]},{v:.13g},{BAR}" for n, (a, b, v) in enumerate(self.bars)]
             inputs["bars"] = ["bar,from,to,length_mm,sigma_mm", *rows]
         if self.heights:
-            inputs["heights"] = ["from,to,dh_mm,sigma_mm", *(f"{p[a]},{p[b]},{v:.13g},{HEIGHT}" for a, b, v in self.heights)]
+            inputs["heights"] = [
+                "from,to,dh_mm,sigma_mm",
+                *(f"{p[a]},{p[b]},{v:.13g},{HEIGHT}" for a, b, v in self.heights),
+            ]
         for name, lines in inputs.items():
             (folder / f"{name}.csv").write_text("\n".join(lines) + "\n")
         listed = ", ".join(f"{name}: {name}.csv" for name in inputs)
@@ -132,7 +135,9 @@ def network(
     rotations = np.array([turned(*rng.normal(0, tilt, 2), rng.uniform(-3, 3)) for _ in range(stations)])
     if rolled:
         rotations[-1] = turned(1.5, 0.02, 0.4)
-    station, point, face = (one.ravel() for one in np.meshgrid(range(stations), range(points), range(1, faces + 1), indexing="ij"))
+    station, point, face = (
+        one.ravel() for one in np.meshgrid(range(stations), range(points), range(1, faces + 1), indexing="ij")
+    )
     local = np.einsum("nab,na->nb", rotations[station], x[point] - places[station])
     seen = polar(local)
     seen = seen + noise * rng.normal(size=seen.shape) * sigmas(seen)
@@ -146,4 +151,6 @@ def network(
     heights = [(a, b, float(x[b, 2] - x[a, 2] + noise * rng.normal() * HEIGHT)) for a, b in ((0, 4), (4, 5), (5, 6))]
     near[:4] = x[:4] + noise * rng.normal(0, GIVEN, (4, 3))
     lengths = away + noise * rng.normal(0, INTERFEROMETER, away.shape)
-    return replace(found, near=near, tracers=tracers, lengths=lengths, bars=tuple(bars), heights=tuple(heights), given=(0, 1, 2, 3))
+    return replace(
+        found, near=near, tracers=tracers, lengths=lengths, bars=tuple(bars), heights=tuple(heights), given=(0, 1, 2, 3)
+    )

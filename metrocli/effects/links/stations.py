@@ -93,7 +93,9 @@ class ListedWrongly(OfBlock):
         number, index = local.blocks[POINT].members.index(self.point), local.index(POINT)
         c, n = len(self.reader.columns), local.observations.count
         by_block = np.zeros((c, 3, n))
-        here = index == number if isinstance(self.reader, ReadBlock) else (index[self.reader.slots, 0] == number)[:, None]
+        here = (
+            index == number if isinstance(self.reader, ReadBlock) else (index[self.reader.slots, 0] == number)[:, None]
+        )
         by_block[np.arange(c), np.asarray(self.reader.columns)] = here
         shift = (by_block * local.rows(self.block)).sum(axis=1)
         same = np.eye(c)[:, :, None]

@@ -23,7 +23,7 @@ from metrocli.instruments import tracer as t
 from metrocli.instruments.polar import AZIMUTH, DISTANCE, ELEVATION, FACE, Seen
 from metrocli.tasks.adjust_network import KIND
 from metrocli.tasks.adjust_network.effects import EFFECTS, NO_MIRROR, STEERING
-from metrocli.tasks.adjust_network.problem import BARS, GIVEN_POINTS, is_sighting
+from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, is_sighting
 from metrocli.tasks.adjust_network.solve import Solved, refitted
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, in_blocks, noise_found
 

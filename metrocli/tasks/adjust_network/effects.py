@@ -200,4 +200,3 @@ PLACES: tuple[Acting, ...] = (
     scalar("length", Quantity.LENGTH, "mm", ("tracer", "bar")),
 )
 """Quantities on which effects of one's own can act"""
-

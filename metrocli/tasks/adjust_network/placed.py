@@ -45,7 +45,10 @@ class Placed:
             return self.covariance
         free = [(name, int(entry), 1.0) for name in more for entry in np.flatnonzero(solution.blocks[name].free)]
         scale = [solution.by_step(name).ravel()[entry] for name, entry, _ in free]
-        rows = [*(row.by for row in self.rows), *(((name, entry, by),) for (name, entry, _), by in zip(free, scale, strict=True))]
+        rows = [
+            *(row.by for row in self.rows),
+            *(((name, entry, by),) for (name, entry, _), by in zip(free, scale, strict=True)),
+        ]
         return _covariance(solution, rows)
 
 
@@ -102,7 +105,7 @@ def _pose(solution: Solution, name: str) -> list[_Row]:
             f"{name}.{column}",
             float(values[k]),
             "mm" if k < 3 else "rad",
-            tuple((s.STATION, row * 6 + i, float(by_step[k, i])) for i in np.flatnonzero(by_step[k])),
+            tuple((s.STATION, row * 6 + i, float(by_step[k, i])) for i in np.flatnonzero(by_step[k]).tolist()),
         )
         for k, column in enumerate(poses.EULER)
     ]
@@ -136,7 +139,9 @@ def _rounds(network: Network, solution: Solution, number: int, name: str) -> lis
     block = solution.blocks.get(s.ORIENTATION)
     if block is None:
         return []
-    own = [i for i, (station, _) in enumerate(network.readings.sightings.rounds) if station == number and block.free[i, 0]]
+    own = [
+        i for i, (station, _) in enumerate(network.readings.sightings.rounds) if station == number and block.free[i, 0]
+    ]
     several = len(own) > 1
     return [
         _Row(
@@ -187,7 +192,9 @@ def _table(network: Network, found: dict[str, Estimate]) -> Table:
         pairs = [both for pair in zip(values, std, strict=True) for both in pair]
         rows.append((name, instruments[readings.stations.instrument[number]], *pairs, int(shots[number])))
     units = ("mm",) * 3 + ("rad",) * 3 + ("mm",) * 2
-    headings = [text for column, unit in zip(columns, units, strict=True) for text in (f"{column} [{unit}]", f"s_{column} [{unit}]")]
+    headings = [
+        text
+        for column, unit in zip(columns, units, strict=True)
+        for text in (f"{column} [{unit}]", f"s_{column} [{unit}]")
+    ]
     return Table.of_rows(("station [text]", "instrument [text]", *headings, "shots"), rows)
-
-

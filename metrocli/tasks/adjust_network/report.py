@@ -9,15 +9,15 @@ import numpy as np
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import minimal_detectable
 from metrocli.adjust.solution import Residuals, Solution
-from metrocli.arrays import Array
+from metrocli.arrays import Array, Mask
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments import tracer as t
 from metrocli.result import Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.adjust_network import KIND
+from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, HEIGHTS, OF_INSTRUMENT, is_sighting
 from metrocli.tasks.adjust_network.placed import Placed, placed_stations
-from metrocli.tasks.adjust_network.problem import BARS, GIVEN_POINTS, HEIGHTS, OF_INSTRUMENT, is_sighting
 from metrocli.tasks.adjust_network.solve import Solved, Suspect
 from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.noise import NoiseFound
@@ -53,8 +53,8 @@ def report(solved: Solved, noise: NoiseFound) -> Result:
         "residuals": _residuals(solved),
         "groups": _groups(solved),
         "two_face": _two_face(solved),
-        "suspects": _listed(solved, solved.suspects),
-        "rejected": _listed(solved, solved.rejected),
+        "suspects": _listed(solved.suspects),
+        "rejected": _listed(solved.rejected),
         **effect_tables,
     }
     return Result(
@@ -76,7 +76,7 @@ def report(solved: Solved, noise: NoiseFound) -> Result:
 
 def _points(solved: Solved, solution: Solution) -> tuple[Table, dict[str, Array]]:
     block, known = solution.blocks[t.POINT], solution.covariance_or_raise()
-    seen = np.isfinite(block.values).all(axis=1)
+    seen: Mask = np.asarray(np.isfinite(block.values).all(axis=1))
     each = known.members(t.POINT)[seen]
     std = np.sqrt(np.maximum(np.einsum("mii->mi", each), 0.0))
     table = Table.of({"point": np.array(block.members)[seen], "x y z [mm]": block.values[seen], "sx sy sz [mm]": std})
@@ -105,7 +105,11 @@ def _keys(group: Group, names: Sequence[str]) -> dict[str, Array]:
 
 def _residuals(solved: Solved) -> Table:
     """Return /residuals: a row for each component of each reading, with its reliability."""
-    names = [n for n in ("station", "point", "face", "round", "bar", "from", "to", "line") if any(n in g.observations.keys for g in solved.groups)]
+    names = [
+        n
+        for n in ("station", "point", "face", "round", "bar", "from", "to", "line")
+        if any(n in g.observations.keys for g in solved.groups)
+    ]
     parts = [_rows(solved, group, solved.residuals[group.name], names) for group in solved.groups]
     return Table.stack(parts) if parts else Table({})
 
@@ -181,38 +185,29 @@ def _two_face(solved: Solved) -> Table:
         for k, here in enumerate((seen.face > 0, seen.face < 0)):
             for q in range(3):
                 kept = here & np.isfinite(away[q])
-                both[k, q] = np.bincount(number[kept], away[q, kept], count) / np.bincount(number[kept], minlength=count)
+                both[k, q] = np.bincount(number[kept], away[q, kept], count) / np.bincount(
+                    number[kept], minlength=count
+                )
     half = (both[0] - both[1]) / 2
     half[0] *= near[2] * np.cos(near[1])
     half[1] *= near[2]
     rows = np.flatnonzero(np.isfinite(half).any(axis=0))
     names = (readings.stations.names, readings.points.names)
     station, point = ([one[i] for i in index[rows]] for one, index in zip(names, pairs, strict=True))
-    return Table.of({"station [text]": station, "point [text]": point, "azimuth elevation distance [mm]": half[:, rows].T})
+    return Table.of(
+        {"station [text]": station, "point [text]": point, "azimuth elevation distance [mm]": half[:, rows].T}
+    )
 
 
-def _listed(solved: Solved, chosen: Sequence[Suspect]) -> Table:
+def _listed(chosen: Sequence[Suspect]) -> Table:
     """Return a table of readings: their keys, quantity and test."""
-    names = ("station", "point", "face", "round", "time", "bar", "from", "to", "line", "quantity")
-    groups = {group.name: group for group in (*solved.whole.model.readings, *solved.groups)}
-    rows = []
-    for one in chosen:
-        group = groups[one.group]
-        keys = group.observations.keys
-        texts = [keys[name][one.row] if name in keys else "" for name in names]
-        rows.append((*texts, one.test))
-    found = Table.of_rows((*(f"{name} [text]" for name in names), "w"), rows)
-    kept = [name for name in found if name == "w" or any(found.texts(name))]
-    return Table({name: found.columns[name] for name in kept}, found.units)
+    names = list(dict.fromkeys(name for one in chosen for name in one.keys))
+    rows = [(*(one.keys.get(name, "") for name in names), one.test) for one in chosen]
+    return Table.of_rows((*(f"{name} [text]" for name in names), "w"), rows)
 
 
-def _named(solved: Solved, chosen: Sequence[Suspect]) -> list[str]:
-    table = _listed(solved, chosen)
-    keys = [table.texts(name) for name in table if name != "w"]
-    return [
-        f"{'/'.join(text for text in texts if text)} (w = {w:.1f})"
-        for *texts, w in zip(*keys, table.numbers("w").tolist(), strict=True)
-    ]
+def _named(chosen: Sequence[Suspect]) -> list[str]:
+    return [f"{'/'.join(text for text in one.keys.values() if text)} (w = {one.test:.1f})" for one in chosen]
 
 
 def _statistics(solved: Solved, solution: Solution) -> Statistics:
@@ -246,9 +241,9 @@ def _warnings(solved: Solved, solution: Solution) -> Iterator[str]:
     yield from solved.network.readings.warnings
     yield from noise_warnings(solution, (_REMOVE,))
     if solved.rejected:
-        yield f"{len(solved.rejected)} readings are left out as wrong: {listed(_named(solved, solved.rejected))} (table rejected)"
+        yield f"{len(solved.rejected)} readings are left out as wrong: {listed(_named(solved.rejected))} (table rejected)"
     if solved.suspects:
-        yield beyond_bound(_named(solved, solved.suspects), solved.critical, f"{_REMOVE} leaves them out")
+        yield beyond_bound(_named(solved.suspects), solved.critical, f"{_REMOVE} leaves them out")
     once = _seen_once(solved)
     if once:
         yield f"{len(once)} points are determined, but nothing checks them: {listed(once, _ONCE)}; sight them from a second station"
@@ -267,5 +262,3 @@ def _seen_once(solved: Solved) -> list[str]:
         np.add.at(count, index, 1)
     weak = (count > 0) & (total < 1e-6) & block.free.any(axis=1)
     return [block.members[i] for i in np.flatnonzero(weak)]
-
-

@@ -211,7 +211,9 @@ class Settings:
         default=None,
     )
     datum_points: tuple[str, ...] | None = setting(
-        ListOf(Text()), "points on whose listed places inner constraints lay the network; all unless given", default=None
+        ListOf(Text()),
+        "points on whose listed places inner constraints lay the network; all unless given",
+        default=None,
     )
     vertical: Vertical | None = setting(
         Section(Vertical), "verticals that lean and beams that bend; parallel and straight without it", default=None

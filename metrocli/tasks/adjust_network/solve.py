@@ -19,8 +19,10 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
+from metrocli.tasks.adjust_network.datum import FREEDOMS, open_by_given
+from metrocli.tasks.adjust_network.groups import GIVEN_POINTS, ROW, is_sighting
 from metrocli.tasks.adjust_network.noise import component
-from metrocli.tasks.adjust_network.problem import FREEDOMS, GIVEN_POINTS, ROW, Network, is_sighting, open_by_given
+from metrocli.tasks.adjust_network.problem import Network
 from metrocli.tasks.adjust_network.settings import GIVEN, Settings
 from metrocli.words import in_a_row
 
@@ -35,7 +37,9 @@ class Suspect:
 
     group: str
     row: int
+    """Among the readings of the group that were in use"""
     test: float
+    keys: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -44,8 +48,6 @@ class Solved:
 
     network: Network
     """The network of the readings used"""
-    whole: Network
-    """The network of all readings"""
     solution: Solution
     residuals: Mapping[str, Residuals]
     """By group of readings"""
@@ -84,16 +86,24 @@ def solve(settings: Settings, network: Network, remove: bool) -> Solved:
     if settings.datum == GIVEN:
         _must_be_given(network)
     _must_be_checked(network)
-    begun = network.with_blocks(_robust(network))
+    begun = _Used(network.with_blocks(_robust(network)))
 
-    def renewed(used: tuple[Network, tuple[Suspect, ...]], solved: Solved) -> tuple[tuple[Network, tuple[Suspect, ...]], bool]:
+    def renewed(used: _Used, solved: Solved) -> tuple[_Used, bool]:
         if not remove or not solved.suspects:
             return used, False
         most = max(one.test for one in solved.suspects)
         worst = tuple(one for one in solved.suspects if one.test >= most / 2)
-        return (_without(solved.network, solved.solution, worst), (*used[1], *worst)), True
+        return _Used(_without(solved.network, solved.solution, worst), (*used.out, *worst)), True
 
-    return in_rounds((begun, ()), lambda used: _adjusted(network, *used), renewed)[1]
+    return in_rounds(begun, lambda used: _adjusted(used), renewed)[1]
+
+
+@dataclass(frozen=True)
+class _Used:
+    """The network of the readings in use, and those that were left out."""
+
+    network: Network
+    out: tuple[Suspect, ...] = ()
 
 
 def refitted(network: Network, keep: Mapping[str, Mask]) -> Solution:
@@ -118,12 +128,14 @@ def _robust(network: Network) -> dict[str, Block]:
     return state
 
 
-def _adjusted(whole: Network, network: Network, out: tuple[Suspect, ...]) -> Solved:
-    network, solution = _anchored(network, _weighted(network))
+def _adjusted(used: _Used) -> Solved:
+    network, solution = _anchored(used.network, _weighted(used.network))
     _must_be_determined(network, solution)
-    found = {group.name: residuals_of(solution, group) for group in solution.groups if group.name in network.model.measured}
+    found = {
+        group.name: residuals_of(solution, group) for group in solution.groups if group.name in network.model.measured
+    }
     count = sum(one.values.size for one in found.values())
-    return Solved(network, whole, solution, found, tuple(_suspects(found, solution)), out, critical_value(count))
+    return Solved(network, solution, found, tuple(_suspects(found, solution)), used.out, critical_value(count))
 
 
 def _suspects(found: Mapping[str, Residuals], solution: Solution) -> Iterator[Suspect]:
@@ -132,10 +144,13 @@ def _suspects(found: Mapping[str, Residuals], solution: Solution) -> Iterator[Su
     names = [name for name, one in found.items() for _ in range(one.values.shape[1])]
     rows = np.concatenate([np.arange(one.values.shape[1]) for one in found.values()])
     parts = ([getattr(one, key) for one in found.values()] for key in ("values", "sigma", "redundancy", "normalised"))
-    tested = suspects(Residuals(*(np.concatenate(one, axis=1) for one in parts)), Fit(solution.cost, solution.dof, True))
+    tested = suspects(
+        Residuals(*(np.concatenate(one, axis=1) for one in parts)), Fit(solution.cost, solution.dof, True)
+    )
+    groups = {group.name: group.observations.keys for group in solution.groups}
     for i in np.argsort(-tested.tests, kind="stable").tolist():
-        at = int(tested.rows[i])
-        yield Suspect(names[at], int(rows[at]), float(tested.tests[i]))
+        name, row = names[int(tested.rows[i])], int(rows[tested.rows[i]])
+        yield Suspect(name, row, float(tested.tests[i]), {key: texts[row] for key, texts in groups[name].items()})
 
 
 def _without(network: Network, solution: Solution, out: tuple[Suspect, ...]) -> Network:
@@ -226,7 +241,9 @@ def _must_be_checked(network: Network) -> None:
         places = np.concatenate([places, network.blocks[t.TRACER].values[None, member, :3]])
         spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
         if np.isfinite(places).all() and spread[2] < 1e-4 * spread[0]:
-            lines.append(f"  {name} stands in one plane with all points that it reads; a point outside the plane closes it")
+            lines.append(
+                f"  {name} stands in one plane with all points that it reads; a point outside the plane closes it"
+            )
     if lines:
         raise UndeterminedError("lengths do not determine where interferometers stand:\n" + "\n".join(lines))
 

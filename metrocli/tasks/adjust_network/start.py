@@ -34,6 +34,11 @@ class Start:
     """Azimuth of each round of a levelled station, (rounds,)"""
 
 
+def _whole(places: Array) -> Mask:
+    """Return which places (n, 3) are known."""
+    return np.asarray(np.isfinite(places).all(axis=1))
+
+
 class _Search:
     """Points and set-ups that are placed so far."""
 
@@ -44,7 +49,7 @@ class _Search:
         self.points = begin.copy()
         self.poses = np.full((len(readings.stations.names), 6), np.nan)
         self.gamma = np.full(len(seen.rounds), np.nan)
-        self.whole = ~np.isnan(seen.values).any(axis=0)
+        self.whole: Mask = np.asarray(~np.isnan(seen.values).any(axis=0))
         self.local = np.full((len(seen.point), 3), np.nan)
         self.local[self.whole] = cartesian(seen.values[:, self.whole])[0].T
         self.local[:, 2] -= seen.height + readings.setups[1][seen.setup]
@@ -69,7 +74,7 @@ class _Search:
 
     def _open(self) -> list[tuple[int, int]]:
         """Return how many known points each set-up that can be placed shares, and its number."""
-        known = np.isfinite(self.points).all(axis=1)
+        known = self._known()
         found = []
         for number, rows in enumerate(self.rows):
             if np.isfinite(self.gamma[number]):
@@ -79,11 +84,14 @@ class _Search:
                 found.append((len(usable), number))
         return found
 
+    def _known(self) -> Mask:
+        return _whole(self.points)
+
     def _usable(self, number: int, rows: Index, known: Mask) -> Index:
         seen, station = self.readings.sightings, self.readings.sightings.rounds[number][0]
         if self.levelled[station] and np.isfinite(self.poses[station, 0]):
-            return rows[known[seen.point[rows]] & np.isfinite(seen.values[0, rows])]
-        return rows[known[seen.point[rows]] & self.whole[rows]]
+            return np.asarray(rows[known[seen.point[rows]] & np.isfinite(seen.values[0, rows])])
+        return np.asarray(rows[known[seen.point[rows]] & self.whole[rows]])
 
     def _enough(self, number: int, rows: Index) -> bool:
         station = self.readings.sightings.rounds[number][0]
@@ -100,7 +108,7 @@ class _Search:
     def place(self, number: int) -> None:
         """Place one set-up by the points that it shares, and the new points that it sees."""
         seen, station = self.readings.sightings, self.readings.sightings.rounds[number][0]
-        known = np.isfinite(self.points).all(axis=1)
+        known = self._known()
         rows = self._usable(number, self.rows[number], known)
         if self.levelled[station] and np.isfinite(self.poses[station, 0]):
             away = self.points[seen.point[rows]] - self.poses[station, :3]
@@ -176,7 +184,9 @@ def _turned(local: Array, goal: Array, weights: Array) -> Array:
     """Return the pose with a turn about z alone, in least squares."""
     w = weights / weights.sum()
     a, b = local - w @ local, goal - w @ goal
-    gamma = np.arctan2((w * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])).sum(), (w * (a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1])).sum())
+    gamma = np.arctan2(
+        (w * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])).sum(), (w * (a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1])).sum()
+    )
     turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, gamma])
     return np.concatenate([w @ goal - poses.apply(turn, w @ local), turn[3:]])
 
@@ -277,7 +287,7 @@ def _must_be_joined(search: _Search) -> None:
 def _reason(search: _Search, station: int) -> str:
     seen = search.readings.sightings
     rows = np.flatnonzero(seen.station == station)
-    known = np.isfinite(search.points).all(axis=1)
+    known = _whole(search.points)
     shared = np.unique(seen.point[rows[known[seen.point[rows]] & search.whole[rows]]])
     need = 2 if search.levelled[station] else 3
     if len(shared) >= need:

@@ -58,8 +58,7 @@ class Dense:
         for i in range(self.m):
             steps[3 * self.n + i * k + 3 : 3 * self.n + (i + 1) * k] = 1e-6
         columns = [
-            (self.predicted(h * e) - self.predicted(-h * e)) / (2 * h)
-            for h, e in zip(steps, np.eye(size), strict=True)
+            (self.predicted(h * e) - self.predicted(-h * e)) / (2 * h) for h, e in zip(steps, np.eye(size), strict=True)
         ]
         return np.stack(columns, axis=1)
 
@@ -85,7 +84,10 @@ class Dense:
         near = self.net.near
         for _ in range(12):
             sigma = self.deviations()
-            j, v = self.jacobian(self.width) / sigma[:, None], (self.readings() - self.predicted(np.zeros(self.width))) / sigma
+            j, v = (
+                self.jacobian(self.width) / sigma[:, None],
+                (self.readings() - self.predicted(np.zeros(self.width))) / sigma,
+            )
             g = self.constraints(near)
             off = g[: 3 * self.n].T @ (near - self.x).ravel()
             matrix = np.block([[j.T @ j, g], [g.T, np.zeros((g.shape[1],) * 2)]])
