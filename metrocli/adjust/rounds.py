@@ -44,7 +44,7 @@ def adjust_with_iterated_weights(
     datum: Datum | None = None,
     aspects: Mapping[str, Aspect] | None = None,
 ) -> Solution:
-    """Adjust with standard deviations of the groups in `noise` that are computed from the solution, until they converge.
+    """Adjust with standard deviations of some groups that are computed from the solution, until they converge.
 
     The standard deviations are computed again after each step: they change far less than what a step moves. Within the
     last adjustment the weights are constants, so the result is the least-squares solution for the last weights.

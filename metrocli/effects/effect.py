@@ -179,7 +179,8 @@ class Effect:
         """
         first = self.parameters[0]
         alike = all(p.dimension == first.dimension for p in self.parameters)
-        if self.link is None or self.selects or len(self.keys) != 1 or self.scanned or self.of_one_reading or self.turns or not alike:
+        apart = self.selects or self.scanned or self.of_one_reading or self.turns
+        if self.link is None or len(self.keys) != 1 or apart or not alike:
             return None
         return Parameter("std", first.dimension, first.plausible)
 

@@ -69,7 +69,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class ReadPolar:
-    """Link to one of azimuth, elevation and distance as it was read; an azimuth is that turn of it next to the reading."""
+    """Link to one of azimuth, elevation and distance as it was read, an azimuth in the turn of the reading."""
 
     component: int
     takes = Quantity.POLAR

@@ -144,7 +144,8 @@ class _Builder:
             self._repeat(event)
         elif isinstance(event, yaml.ScalarEvent):
             self._refuse_extras(event)
-            self._close(self._node(event, "scalar", text=event.value, quoted=event.style in tuple("'\"|>")), event.anchor)
+            quoted = event.style in tuple("'\"|>")
+            self._close(self._node(event, "scalar", text=event.value, quoted=quoted), event.anchor)
         elif isinstance(event, yaml.CollectionStartEvent):
             self._refuse_extras(event)
             self._open(event)

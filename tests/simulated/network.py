@@ -154,3 +154,19 @@ def network(
     return replace(
         found, near=near, tracers=tracers, lengths=lengths, bars=tuple(bars), heights=tuple(heights), given=(0, 1, 2, 3)
     )
+
+
+def marks(rng: np.random.Generator, count: int = 14) -> tuple[Array, Array, Array, Array]:
+    """Points, heights of instruments and targets over them, and what four levelled stations over marks read.
+
+    Returns points (n, 3), heights of the stations (4,), heights of the targets (n,), and azimuth, elevation and distance
+    (4, n, 3); station i stands over point 4 + i, and does not see it.
+    """
+    x = rng.uniform(0, 1, (count, 3)) * SIZE * 5
+    height, target = rng.uniform(1500, 1700, 4), rng.uniform(50, 150, count)
+    seen = np.full((4, count, 3), np.nan)
+    for i in range(4):
+        away = x + np.array([0.0, 0.0, 1.0]) * target[:, None] - x[4 + i] - [0.0, 0.0, height[i]]
+        others = np.arange(count) != 4 + i
+        seen[i, others] = polar(away[others] @ turned(0.0, 0.0, 0.3 * i))
+    return x, height, target, seen

@@ -15,7 +15,7 @@ from metrocli.effects.effect import ELAPSED
 from metrocli.effects.links.own import OwnTerms
 from metrocli.expressions.expression import parse
 from metrocli.frozen import dataclass
-from metrocli.geometry.rotations import cross_matrix, rotation_from_vector
+from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.polar import POLAR, cartesian, face, polar
 
 
@@ -153,27 +153,49 @@ class OnPoint:
 
 @dataclass(frozen=True)
 class Tilted(OfBlock):
-    """The frame of an instrument turns by small angles from a time on: `v <- R' v`, R of the columns (rx, ry) or (rz).
+    """The axes of an instrument turn from a time on: `v <- R(rx, ry, 0)' v`; columns rx, ry [rad], at [s]."""
 
-    The last column is `at` [s]. The product of the turns is Exp(rx, ry, 0): tilts are small.
-    """
-
-    first: int
-    """0 for rx and ry, 2 for rz"""
     takes = gives = Quantity.POINT_IN_TRACKER
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point (3, n)."""
-        rows, later = local.rows(self.block), later_than(local, self.block)
-        n, count = value.shape[1], len(rows) - 1
-        turn = np.zeros((n, 3))
-        turn[:, self.first : self.first + count] = (rows[:count] * later).T
-        back = np.ascontiguousarray(np.transpose(rotation_from_vector(turn), (2, 1, 0)))
-        moved = np.stack([(row * value).sum(axis=0) for row in back])
-        by_block = np.zeros((3, len(rows), n))
-        crossed = np.moveaxis(cross_matrix(moved.T), 0, -1)
-        by_block[:, :count] = crossed[:, self.first : self.first + count] * later
+        later = later_than(local, self.block)
+        rx, ry = local.rows(self.block)[:2] * later
+        first = _turned_back(1, ry)
+        second = _turned_back(0, rx)
+        x, _, z = level = _seen_through(first, value)
+        moved = _seen_through(second, level)
+        by_block = np.zeros((3, 3, len(later)))
+        by_block[:, 0] = np.stack([np.zeros_like(x), moved[2], -moved[1]]) * later
+        by_block[:, 1] = _seen_through(second, np.stack([-z, np.zeros_like(x), x])) * later
+        return Step(moved, through(second, first), {self.block: by_block})
+
+
+@dataclass(frozen=True)
+class Turned(OfBlock):
+    """An instrument turns about its standing axis from a time on: `v <- Rz(rz)' v`; columns rz [rad], at [s]."""
+
+    takes = gives = Quantity.POINT_IN_TRACKER
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n)."""
+        later = later_than(local, self.block)
+        back = _turned_back(2, local.rows(self.block)[0] * later)
+        moved = _seen_through(back, value)
+        by_block = np.zeros((3, 2, len(later)))
+        by_block[:2, 0] = np.stack([moved[1], -moved[0]]) * later
         return Step(moved, back, {self.block: by_block})
+
+
+def _turned_back(axis: int, angle: Array) -> Array:
+    """Return `R'` of turns about an axis, (3, 3, n)."""
+    vector = np.zeros((len(angle), 3))
+    vector[:, axis] = angle
+    return np.ascontiguousarray(np.transpose(rotation_from_vector(vector), (2, 1, 0)))
+
+
+def _seen_through(back: Array, value: Array) -> Array:
+    return np.stack([(row * value).sum(axis=0) for row in back])
 
 
 def later_than(local: Local, block: str) -> Array:

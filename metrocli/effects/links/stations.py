@@ -53,7 +53,7 @@ class TargetRaised(OfBlock):
 
 @dataclass(frozen=True)
 class StationRaised(OfBlock):
-    """A station stands higher over its point than listed: `X -= dh u`, u the vertical at the station; column dh [mm]."""
+    """A station stands higher over its point than listed: `X -= dh u`, u the vertical there; column dh [mm]."""
 
     takes = gives = Quantity.POINT_IN_MACHINE
 
@@ -70,7 +70,7 @@ class StationRaised(OfBlock):
 
 @dataclass(frozen=True)
 class ListedWrongly(OfBlock):
-    """The listed coordinates of a point are off by d: what is known of them is `X - X0 + d`; columns dx, dy, dz [mm]."""
+    """The listed coordinates X0 of a point are off by d, so that they read `X - X0 + d`; columns dx, dy, dz [mm]."""
 
     point: str
     reader: ReadBlock | ReadEntries | None = None

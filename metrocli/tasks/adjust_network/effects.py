@@ -7,7 +7,7 @@ from dataclasses import replace
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.acting import Acting, components, point, scalar, seen_from
 from metrocli.effects.effect import Effect, Parameter, change_points, sizes
-from metrocli.effects.links.angles import Tilted
+from metrocli.effects.links.angles import Tilted, Turned
 from metrocli.effects.links.lengths import LengthOffset
 from metrocli.effects.links.points import PointStep
 from metrocli.effects.links.stations import HeightStep, ListedWrongly, StationDrift, StationRaised, TargetRaised
@@ -21,8 +21,8 @@ _ACROSS_INSTRUMENTS = ("tracker-air-gradient",)
 _OF_TRACERS = {"tracer-scale": "instrument", "dead-path-jump": "tracer", "dead-path-drift": "tracer"}
 STEERING = "tracker-steering-mirror"
 NO_MIRROR = (
-    "an instrument whose laser stands in the head has no steering mirror; where it has one, its tilt looks like that of "
-    "mirror and transit together: name it in `effects:` to estimate it"
+    "an instrument with its laser in the head has no steering mirror; the tilt of one looks like that of mirror and "
+    "transit together: name it in `effects:` to estimate it"
 )
 
 _OF_PLACES: tuple[Effect, ...] = (
@@ -56,7 +56,7 @@ _OF_PLACES: tuple[Effect, ...] = (
         "station-tilted",
         "the stand of a station settled during its measurement: its standing axis leans otherwise",
         sizes("rx ry", "angle", "60 arcsec"),
-        lambda block, where: Tilted(block, 0),
+        lambda block, where: Tilted(block),
         where=("station",),
         scanned=_AT,
         needs=("t",),
@@ -69,7 +69,7 @@ _OF_PLACES: tuple[Effect, ...] = (
         "station-turned",
         "a station turned about its standing axis during its measurement",
         sizes("rz", "angle", "60 arcsec"),
-        lambda block, where: Tilted(block, 2),
+        lambda block, where: Turned(block),
         where=("station",),
         scanned=_AT,
         needs=("t",),
@@ -163,7 +163,7 @@ _OF_PLACES: tuple[Effect, ...] = (
     ),
     Effect(
         "height-epoch",
-        "a mark stands higher in one levelling than in the others: it moved, or its height was taken from another surface",
+        "a mark stands higher in one levelling than in others: it moved, or its height was taken from another surface",
         sizes("dh", "length", "10 mm"),
         lambda block, where: HeightStep(block, where["point"], "method"),
         where=("point",),
@@ -178,11 +178,13 @@ _OF_PLACES: tuple[Effect, ...] = (
 )
 """Effects on points, stations, targets and what is listed"""
 
-EFFECTS: tuple[Effect, ...] = (
+_ALL: tuple[Effect, ...] = (
     *(one if one.name in _ACROSS_INSTRUMENTS else replace(one, where=("instrument",)) for one in TRACKER_EFFECTS),
     *(replace(one, where=(_OF_TRACERS[one.name],)) for one in LENGTH_EFFECTS if one.name in _OF_TRACERS),
     *(replace(one, limited=not one.is_step) for one in _OF_PLACES),
 )
+_NAMES = {one.name for one in _ALL}
+EFFECTS = tuple(replace(one, confused_with=tuple(name for name in one.confused_with if name in _NAMES)) for one in _ALL)
 """The table of effects, in the order of docs/effects"""
 
 _WHERE = ("instrument", "station", "point")

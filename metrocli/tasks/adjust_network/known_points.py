@@ -114,5 +114,3 @@ def _joint_of_result(known: KnownPoints, points: Result) -> KnownPoints:
         return known
     rows = np.arange(3 * n)
     return KnownPoints(known.names, known.listed, known.sigma, joint, (rows // 3, rows % 3))
-
-

@@ -234,19 +234,22 @@ def _datum_note(solved: Solved, placed: Placed) -> Iterator[str]:
     count = int(network.datum.members.sum())
     yield f"datum: inner constraints on {count} points {where}; {solution.conditions} motions are open"
     if network.first >= 0:
-        yield f"no list says where the network is: station {network.readings.stations.names[network.first]} stands at the origin"
+        name = network.readings.stations.names[network.first]
+        yield f"no list says where the network is: station {name} stands at the origin"
 
 
 def _warnings(solved: Solved, solution: Solution) -> Iterator[str]:
     yield from solved.network.readings.warnings
     yield from noise_warnings(solution, (_REMOVE,))
     if solved.rejected:
-        yield f"{len(solved.rejected)} readings are left out as wrong: {listed(_named(solved.rejected))} (table rejected)"
+        named = listed(_named(solved.rejected))
+        yield f"{len(solved.rejected)} readings are left out as wrong: {named} (table rejected)"
     if solved.suspects:
         yield beyond_bound(_named(solved.suspects), solved.critical, f"{_REMOVE} leaves them out")
     once = _seen_once(solved)
     if once:
-        yield f"{len(once)} points are determined, but nothing checks them: {listed(once, _ONCE)}; sight them from a second station"
+        named = listed(once, _ONCE)
+        yield f"{len(once)} points are determined, but nothing checks them: {named}; sight them from a second station"
 
 
 def _seen_once(solved: Solved) -> list[str]:

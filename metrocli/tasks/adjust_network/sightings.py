@@ -113,8 +113,8 @@ def sightings_of(
             if rows.size:
                 setup[rows] = matched(rows_of(table, rows), "setup", setups[1:], "the set-ups") + 1
     values, face = _reduced(table)
-    _refuse_sightings(table, values, [settings.instruments[name] for name in settings.instruments], stations, station)
     sigma = np.stack([_sigma(table, *pair) for pair in (("az", "hz"), ("el", "zd"), ("d", "d"))])
+    _refuse_sightings(table, values, sigma, list(settings.instruments.values()), stations, station)
     orientation, rounds = _rounds(_texts(table, "round"), station)
     height = np.nan_to_num(table.numbers("th", 0.0))
     return Sightings(table, station, point, values, sigma, face, orientation, rounds, setup, height)
@@ -141,11 +141,34 @@ def _reduced(table: Table) -> tuple[Array, Array]:
     return np.stack([azimuth, np.pi / 2 - zenith, table.numbers("d", np.nan)]), face
 
 
+def _refuse_exact(table: Table, values: Array, sigma: Array, instruments: Sequence[Instrument], station: Index) -> None:
+    """Raise InputError for readings that neither the instrument nor the file gives a standard deviation."""
+    known = np.zeros((3, len(instruments)), dtype=bool)
+    for number, one in enumerate(instruments):
+        if one.noise is not None:
+            across = bool(one.noise.lateral or one.noise.centring)
+            known[:, number] = (
+                across or bool(one.noise.azimuth),
+                across or bool(one.noise.elevation),
+                bool(one.noise.distance is not None or one.noise.centring),
+            )
+    exact = np.isfinite(values) & ~(sigma > 0) & ~known[:, station]
+    exact |= sigma <= 0
+    refuse(
+        table,
+        {
+            f"{name} has no standard deviation: give `noise:` of the instrument, or a column sigma": exact[k]
+            for k, name in enumerate(("the azimuth", "the elevation", "the distance"))
+        },
+    )
+
+
 def _refuse_sightings(
-    table: Table, values: Array, instruments: Sequence[Instrument], stations: Stations, station: Index
+    table: Table, values: Array, sigma: Array, instruments: Sequence[Instrument], stations: Stations, station: Index
 ) -> None:
     kinds = np.array([instruments[i].type == INTERFEROMETER for i in stations.instrument])
-    azimuth, elevation, distance = values
+    _refuse_exact(table, values, sigma, [instruments[i] for i in stations.instrument], station)
+    _, elevation, distance = values
     refuse(
         table,
         {
@@ -182,5 +205,3 @@ def refuse_pairs(table: Table) -> None:
     ]
     if faults:
         raise InputError(faults)
-
-

@@ -260,7 +260,7 @@ def _cures(solution: Solution) -> Iterator[str]:
     """Yield what would determine what is open."""
     open_blocks = {part[0] for combination in solution.undetermined for part in combination.parts[:3]}
     if open_blocks & {s.OVER, s.SETUP}:
-        yield "  A height of an instrument or target follows from a height tie: a level line, or another instrument at the mark"
+        yield "  A height of an instrument or target needs a tie: a level line, or another instrument at the mark"
     elif t.POINT in open_blocks:
         yield "  Distances, a second station, or given coordinates of these points determine them"
     elif open_blocks:

@@ -1,7 +1,7 @@
 """Starting values of a network without any coordinates: set-ups are joined one after the other over common points.
 
-The sightings of a set-up (a round of a levelled station) give points in its own frame. A set-up is placed where it fits
-the points that are known: levelled ones by a shift and a turn about z, others by a pose. New points then follow from it.
+The sightings of a set-up (a round of a levelled station) give points in its own frame. A set-up is placed where it
+fits the points that are known: levelled ones by a shift and a turn about z, others by a pose. New points then follow.
 """
 
 from __future__ import annotations
