@@ -50,7 +50,7 @@ def _points(files: Files) -> tuple[tuple[str, ...], Array, Array]:
     if table is not None:
         names, place = list(table.texts("point")), table.stacked("xyz")
         sigma = sigmas(table) if not isinstance(files.points, Result) else _spread(files.points, len(names))
-    columns = [(files.readings, "point"), (files.lengths, "point"), (files.bars, "from"), (files.bars, "to")]
+    columns = [(files.sightings, "point"), (files.lengths, "point"), (files.bars, "from"), (files.bars, "to")]
     columns += [(files.heights, "from"), (files.heights, "to")]
     every = [table.texts(column) for table, column in columns if table is not None and column in table]
     more = [name for name in dict.fromkeys(name for one in every for name in one) if name not in set(names)]

@@ -83,12 +83,12 @@ def read(settings: Settings, files: Files) -> Readings:
         with each():
             stations = stations_of(settings, files, names)
         with each():
-            refuse_pairs(files.readings)
+            refuse_pairs(files.sightings)
     with all_faults() as each:
         with each():
             setups = _setups(files.setups)
         with each():
-            sightings = sightings_of(settings, files.readings, stations, names, setups[0])
+            sightings = sightings_of(settings, files.sightings, stations, names, setups[0])
         with each():
             lengths = _lengths(settings, files.lengths, stations, names)
         with each():

@@ -86,7 +86,7 @@ COVARIANCE = Columns(
 class Files:
     """What the instruments of a network read, their set-ups, and what is known of its points."""
 
-    readings: Table = content(TableFile(READINGS), needed=False, default=ABSENT)
+    readings: Table | None = content(TableFile(READINGS), needed=False)
     stations: Table = content(TableFile(STATIONS), default=ABSENT)
     lengths: Table | None = content(TableFile(LENGTHS), needed=False)
     bars: Table | None = content(TableFile(BARS), needed=False)
@@ -96,6 +96,11 @@ class Files:
         Either(TableFile(POINTS), FileOf(POINT_RESULTS)), "points, or the result that measured them", needed=False
     )
     covariance: Table | None = content(TableFile(COVARIANCE), needed=False)
+
+    @property
+    def sightings(self) -> Table:
+        """The readings of trackers and total stations; empty if there are none."""
+        return ABSENT if self.readings is None else self.readings
 
 
 Inputs = inputs_of(Files)

@@ -6,13 +6,17 @@ import numpy as np
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.errors import all_faults
+from metrocli.plan import Plan
 from metrocli.result import Result
+from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.adjust_network.diagnosis import adjusted_job, noise_of
 from metrocli.tasks.adjust_network.effects import EFFECTS, PLACES
+from metrocli.tasks.adjust_network.plan import planned
 from metrocli.tasks.adjust_network.problem import Network, build
 from metrocli.tasks.adjust_network.readings import read
 from metrocli.tasks.adjust_network.report import report
-from metrocli.tasks.adjust_network.settings import Files, Settings
+from metrocli.tasks.adjust_network.settings import Files, NetworkSimulation, Settings
+from metrocli.tasks.adjust_network.simulation import simulated
 from metrocli.tasks.adjust_network.solve import Solved, solve
 from metrocli.tasks.adjust_network.start import Start, start
 from metrocli.tasks.job import Job, Task
@@ -48,4 +52,15 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     return adjusted_job(_solved(job, remove=False)[0])
 
 
-TASK = Task(Files, run, check, None, None, diagnosed, EFFECTS, PLACES)
+def plan(job: Job[Settings, Files]) -> Plan:
+    """Return what the network of the listed stations and points will determine; raises as `planned` does."""
+    return planned(job.settings, job.files, tuple(job.effects))
+
+
+def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
+    """Return simulated readings for the points and stations of the files, which are then the truth."""
+    truth = job.settings.simulation or NetworkSimulation()
+    return simulated(job.settings, job.files, truth, job.effects, np.random.default_rng(options.seed))
+
+
+TASK = Task(Files, run, check, plan, simulate, diagnosed, EFFECTS, PLACES)
