@@ -32,6 +32,8 @@ from metrocli.tasks.shared.lists import listed_places
 
 _TILT = 0.02
 """Standard deviation of the tilt of a simulated tracker, about each axis [rad]"""
+_PACE = 10.0
+"""Time from one sighting to the next of stations that are added to a file [s]"""
 _DEAD = (300.0, 900.0)
 """Range of simulated dead paths [mm]"""
 
@@ -87,6 +89,8 @@ def _joined(old: Table, new: Table) -> Table:
     for name, values in old.columns.items():
         given = new.columns.get(also.get(name, name))
         empty = np.full(count, "") if values.dtype.kind == "U" else np.full(count, np.nan)
+        if name == "t":
+            empty = float(np.max(values)) + _PACE * np.arange(1.0, count + 1)
         columns[name] = np.concatenate([values, empty if given is None else given])
     return Table(columns, old.units, old.file)
 
