@@ -285,7 +285,7 @@ def _freed(model: Model, effect: Effect, instances: tuple[tuple[str, ...], ...],
     """Return the model with columns of one of its own blocks set free, or moved by the given values."""
     block = model.blocks[effect.columns_of]
     missing = [p for p in effect.parameters if p.name not in block.columns]
-    block = with_columns(block, tuple(p.name for p in missing), _REACH * np.array([p.plausible for p in missing]))
+    block = block.with_columns(tuple(p.name for p in missing), _REACH * np.array([p.plausible for p in missing]))
     rows = [block.members.index(instance[0]) for instance in instances] if effect.keys else slice(None)
     moved, free, columns = block.values.copy(), block.free.copy(), []
     for parameter in effect.parameters:
@@ -297,17 +297,3 @@ def _freed(model: Model, effect: Effect, instances: tuple[tuple[str, ...], ...],
     changed = replace(block, values=moved, free=free)
     added = Added(effect, instances, block.name, tuple(columns))
     return replace(model, blocks={**model.blocks, block.name: changed}, added=(*model.added, added))
-
-
-def with_columns(block: Block, names: tuple[str, ...], reach: Array) -> Block:
-    """Return the block with additional columns, fixed at 0."""
-    if not names:
-        return block
-    shape = (len(block.members), len(names))
-    return replace(
-        block,
-        values=np.concatenate([block.values, np.zeros(shape)], axis=1),
-        columns=(*block.columns, *names),
-        free=np.concatenate([block.free, np.zeros(shape, dtype=bool)], axis=1),
-        reach=np.concatenate([block.reach, reach]),
-    )

@@ -18,8 +18,8 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.frames import Into, PointOf
-from metrocli.instruments.polar import ReadPolar, Seen
 from metrocli.instruments.tracer import POINT
+from metrocli.instruments.tracker import ReadPolar, Seen
 
 STATION, LEVELLED, OVER = "station", "levelled station", "station over a point"
 """Blocks of stations: poses of trackers; places of levelled instruments; offsets from a mark, in the levelled frame"""

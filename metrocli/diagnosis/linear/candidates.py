@@ -18,7 +18,7 @@ from metrocli.diagnosis.linear.column_parts import Course, Own, Step
 from metrocli.diagnosis.linear.columns import Columns, gathered, joined
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 from metrocli.diagnosis.linear.scans import any_apart, is_filled, scanned_columns, scans, sketch_vectors
-from metrocli.diagnosis.linear.signatures import of_places, scan
+from metrocli.diagnosis.linear.signatures import beyond_plausible, of_places, scan
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import can_act, lacking, names_for, places_of
 from metrocli.effects.links.own import NoValueAtReadingError
@@ -198,7 +198,7 @@ def _of_effect(job: AdjustedJob, system: System, effect: Effect, missing: list[N
         by_size: dict[int, list[_Columns]] = {}
         try:
             for item in _columns(job, system, effect, chosen) if chosen else ():
-                if effect.limited and _beyond(system, item):
+                if effect.limited and beyond_plausible(system, item.own, effect, item.alternative.parameters):
                     missing.append(NotTested(effect, _BEYOND, item.alternative.where))
                     continue
                 by_size.setdefault(item.own.values.shape[1], []).append(item)
@@ -207,16 +207,6 @@ def _of_effect(job: AdjustedJob, system: System, effect: Effect, missing: list[N
             missing.append(NotTested(effect, str(error), at))
         for items in by_size.values():
             yield _family(system, items)
-
-
-def _beyond(system: System, item: _Columns) -> bool:
-    """Return whether the measurement sees a cause only where each of its parameters is larger than plausible."""
-    rows = item.own.rows
-    whole = np.zeros((system.rows, item.own.values.shape[1]))
-    whole[rows] = item.own.values
-    seen = np.linalg.norm(system.seen(whole), axis=0)
-    plausible = {one.name: one.plausible for one in item.alternative.effect.parameters}
-    return bool((seen * [plausible[name] for name in item.alternative.parameters] < 1).all())
 
 
 def _family(system: System, items: Sequence[_Columns]) -> Family:

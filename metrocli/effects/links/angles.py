@@ -16,7 +16,7 @@ from metrocli.effects.links.own import OwnTerms
 from metrocli.expressions.expression import parse
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import rotation_from_vector
-from metrocli.instruments.polar import POLAR, cartesian, face, polar
+from metrocli.instruments.tracker import POLAR, cartesian, face, polar
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from metrocli.adjust.movements import Affine, of_members, of_points
 from metrocli.arrays import Mask
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
-from metrocli.instruments.polar import DISTANCE
+from metrocli.instruments.tracker import DISTANCE
 from metrocli.tasks.adjust_network.readings import Readings
 from metrocli.tasks.adjust_network.settings import GIVEN, Settings
 from metrocli.tasks.adjust_network.unknowns import kind_of_stations, seen_points

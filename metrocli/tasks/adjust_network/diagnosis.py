@@ -20,7 +20,7 @@ from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
-from metrocli.instruments.polar import AZIMUTH, DISTANCE, ELEVATION, FACE, Seen
+from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, FACE, Seen
 from metrocli.tasks.adjust_network import KIND
 from metrocli.tasks.adjust_network.effects import EFFECTS, NO_MIRROR, STEERING
 from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, is_sighting

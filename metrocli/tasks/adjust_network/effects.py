@@ -11,7 +11,7 @@ from metrocli.effects.links.angles import Tilted, Turned
 from metrocli.effects.links.lengths import LengthOffset
 from metrocli.effects.links.points import PointStep
 from metrocli.effects.links.stations import HeightStep, ListedWrongly, StationDrift, StationRaised, TargetRaised
-from metrocli.instruments.polar import POLAR
+from metrocli.instruments.tracker import POLAR
 from metrocli.tasks.shared.length_effects import LENGTH_EFFECTS
 from metrocli.tasks.shared.tracker_effects import TRACKER_EFFECTS
 

@@ -16,7 +16,7 @@ from metrocli.effects.links.stations import BEGUN
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
-from metrocli.instruments.polar import AZIMUTH, DISTANCE, ELEVATION, FACE
+from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, FACE
 from metrocli.tasks.adjust_network import noise as n
 from metrocli.tasks.adjust_network.readings import Lengths, Readings
 from metrocli.tasks.adjust_network.settings import Settings

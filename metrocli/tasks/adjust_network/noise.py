@@ -11,7 +11,7 @@ from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array, Index
 from metrocli.instruments import tracer as t
-from metrocli.instruments.polar import AZIMUTH, DISTANCE, ELEVATION, POLAR, ReadPolar, Seen
+from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, POLAR, ReadPolar, Seen
 from metrocli.tasks.adjust_network.settings import Instrument
 
 _PARTS = ("azimuth", "elevation", "lateral", "centring", "constant", "proportional")

@@ -40,7 +40,7 @@ class Network(Modelled):
     wanted: tuple[Wanted, ...] = ()
     """Effects that the job adds"""
     first: int = -1
-    """Station that stands at the origin, where nothing else says where the network is; -1 if the frame is given"""
+    """Station that stands at the origin, where nothing else gives the frame; -1 if it is given"""
     factor: float = 1.0
     """How many times the declared noise its readings have"""
 

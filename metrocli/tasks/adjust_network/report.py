@@ -235,7 +235,7 @@ def _datum_note(solved: Solved, placed: Placed) -> Iterator[str]:
     yield f"datum: inner constraints on {count} points {where}; {solution.conditions} motions are open"
     if network.first >= 0:
         name = network.readings.stations.names[network.first]
-        yield f"no list says where the network is: station {name} stands at the origin"
+        yield f"without a list of points station {name} stands at the origin"
 
 
 def _warnings(solved: Solved, solution: Solution) -> Iterator[str]:

@@ -15,7 +15,7 @@ from metrocli.tasks.shared.lists import matched, refuse
 
 _PAIRS = (("az", "hz"), ("el", "zd"))
 QUANTITIES = ("az", "el", "d")
-"""Columns of what a polar instrument reads, in the order of `metrocli.instruments.polar`"""
+"""Columns of what a polar instrument reads, in the order of `metrocli.instruments.tracker`"""
 
 
 @dataclass(frozen=True)

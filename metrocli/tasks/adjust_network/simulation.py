@@ -19,7 +19,7 @@ from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
-from metrocli.instruments.polar import AZIMUTH, DISTANCE, ELEVATION
+from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION
 from metrocli.simulation import Simulation
 from metrocli.table import Table
 from metrocli.tasks.adjust_network.groups import BARS, HEIGHTS, LENGTHS, ROW, is_sighting

@@ -170,7 +170,7 @@ def _without(network: Network, solution: Solution, out: tuple[Suspect, ...]) -> 
 
 
 def _anchored(network: Network, solution: Solution) -> tuple[Network, Solution]:
-    """Return the solution with the first station at the origin, where no list says where the network is."""
+    """Return the solution with the first station at the origin, where no list of points gives the frame."""
     if network.first < 0 or not solution.outcome.good or network.datum is None:
         return network, solution
     move = _to_origin(network, solution)

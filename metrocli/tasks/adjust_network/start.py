@@ -12,7 +12,7 @@ from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.instruments.polar import cartesian
+from metrocli.instruments.tracker import cartesian
 from metrocli.tasks.adjust_network.readings import Readings
 from metrocli.words import listed
 
