@@ -21,6 +21,8 @@ from metrocli.effects.extension import with_effect
 from metrocli.effects.links.own import NoValueAtReadingError
 from metrocli.effects.model import Model
 
+BEYOND = "the measurement sees only sizes beyond the plausible"
+
 
 def signature(
     model: Model, system: System, effect: Effect, place: tuple[str, ...], scanned: Mapping[str, float]
