@@ -4,7 +4,7 @@
 
 z is an error of a point in units of its standard uncertainty, after what the datum leaves open is removed: in inner
 constraints the true points are laid onto the list as the adjusted ones are. The networks are those of the tests,
-written without the engine. Bars: z rms 0.95 to 1.05; 40 stations x 5,000 points in 20 s of CPU and 2 GB, the time growing
+written without the engine. Bars: z rms 0.95 to 1.05; 40 stations x 5,000 points in 20 s of CPU and 2 GB; the time grows
 with the number of points to the power 1.1 at most.
 """
 

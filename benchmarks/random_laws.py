@@ -23,13 +23,13 @@ from typing import Any
 
 import numpy as np
 import yaml
-from metrocli.diagnosis.cross_validation import gain_of_model
-from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
-from metrocli.diagnosis.linear.score_tests import ScoreTests
 
 from benchmarks.hidden.foreign import NOTHING, SIMULATED, Planted, planted
 from benchmarks.hidden.rates import Rate
 from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.evidence.folds import gain_between
+from metrocli.diagnosis.evidence.measurement import measurement_of
+from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.job_entries import as_job, scatter_as_job
 from metrocli.diagnosis.laws.definition import as_define, as_wanted, written
@@ -100,15 +100,10 @@ def _explained(one: Planted, law: Law) -> float:
 
 def _held(one: Planted, law: Law) -> float:
     """Return the held-out error with a law, relative to that with the error itself, of which the size is estimated."""
-    job = one.job()
-    system, right = linearised(job.model), linearised(one.correct.adjusted().model)
-    shape = system.seen(system.residual - right.residual)[:, None]
-    tests = ScoreTests(
-        system, (), np.zeros((0, 1, 1)), np.zeros((0, 1), dtype=np.intp), excluded=np.zeros(0, dtype=bool)
-    )
-    before = nothing_fitted(system)
-    with_shape = before.with_columns(shape / np.linalg.norm(shape))
-    return law.gain.after / gain_of_model(job, (tests, before), (tests, with_shape)).after
+    m, right = measurement_of(one.job()), linearised(one.correct.adjusted().model)
+    shape = m.system.seen(m.system.residual - right.residual)[:, None]
+    true = State.of(m, [m.term(shape, (0, 0), 0.0)])
+    return law.gain.after / gain_between(State.of(m), true).after
 
 
 def _after(one: Planted, diagnosis: Diagnosis) -> Verdict | str:

@@ -1,9 +1,10 @@
-"""Known causes left out of real measurements, or planted into them: how often `diagnose` names them, and what else it says.
+"""Known causes left out of real measurements, or planted into them: how often `diagnose` names them, and what else.
 
-Each set is diagnosed as it is with an adequate model, with an ingredient of the model left out, and with an effect planted at
-1, 2 and 4 times the least size that the diagnosis states for the set as it is. Adjustments that share nothing with metrocli
-(benchmarks/real) plant the effects and judge the names: one is false if it predicts held-out images, or parts of a drive, worse.
-The data are not part of the project; where ../shared/data is absent the benchmark reports it and ends.
+Each set is diagnosed as it is with an adequate model, with an ingredient of the model left out, and with an effect
+planted at 1, 2 and 4 times the least size that the diagnosis states for the set as it is. Adjustments with code of
+their own (benchmarks/real) plant the effects and judge the names: one is false if it predicts held-out images, or parts
+of a drive, worse. The data are not part of the project; where ../shared/data is absent the benchmark reports it and
+ends.
 
     python -m benchmarks real_causes [SET ...]
 """

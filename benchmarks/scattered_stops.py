@@ -17,14 +17,14 @@ import numpy as np
 from benchmarks.hidden import stops
 from benchmarks.hidden.rates import Rate
 from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
-from metrocli.diagnosis.findings import Diagnosis
+from metrocli.diagnosis.findings import Diagnosis, RandomEffect
 
 COUNT, SEED = 20, 470
 _DECLARED = 1e-3
 """Declared repeatability [mm]; the true one is three times this"""
 
 
-def named(diagnosis: Diagnosis) -> Scatter | None:
+def named(diagnosis: Diagnosis) -> RandomEffect | None:
     """Return the scatter of the stops, if it is named."""
     return next((one for one in diagnosis.scatters if one.effect.name == "repeatability"), None)
 
@@ -63,7 +63,7 @@ def main(arguments: list[str]) -> int:
     others = sum(bool(one.findings) for _, _, one in found)
     rates.append(Rate("another effect named", others, len(found), most=0.05))
     sized = [(size, one) for _, size, diagnosis in found if size and (one := named(diagnosis)) is not None]
-    held = sum(abs(one.found.std - size) < 1.96 * one.found.spread for size, one in sized)
+    held = sum(abs(one.std - size) < 1.96 * one.spread for size, one in sized)
     rates.append(Rate("95 % intervals that hold the size", held, len(sized)))
     print(*rates, sep="\n")
     print(f"CPU time a diagnosis: {(time.process_time() - before) / len(found):.1f} s")

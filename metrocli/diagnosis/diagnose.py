@@ -11,15 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Design, design
-from metrocli.diagnosis.evidence.folds import Gain, gains
+from metrocli.diagnosis.evidence.folds import gain_between, gains
+from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified, identified
 from metrocli.diagnosis.evidence.measurement import measurement_of
-from metrocli.diagnosis.evidence.parts import Fixed
+from metrocli.diagnosis.evidence.parts import SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.prices import LEVEL
-from metrocli.diagnosis.evidence.rounds import searched
 from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects
@@ -32,6 +33,7 @@ from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import Unit, noise_of
 from metrocli.diagnosis.power.alike import separations
 from metrocli.diagnosis.residual_structure import REPEATS, PureError, RemainingStructure, pure_error
+from metrocli.diagnosis.rounds import searched
 from metrocli.diagnosis.wrong_readings import wrong_readings
 from metrocli.progress import SILENT, Progress
 
@@ -76,7 +78,9 @@ def diagnose(
     kept = readings_kept(state)
     fit = extended_fit(first.measurement.job, names, kept) if names else None
     shifts = result_changes(first.measurement.job, names, fit, kept)
-    correlated, repeats = correlated_errors(state), pure_error(state)
+    correlated, repeats, scattered = correlated_errors(state), pure_error(state), random_effects(state)
+    parts: list[Fixed | Random] = [*state.named, *(one for one in state.random if one.kind == SCATTER)]
+    whole = gain_between(state.minus(parts), state) if scattered else None
     noise = noise_of(
         float(state.residual @ state.residual) if not state.random else state.white_squares, state.noise_freedoms
     )
@@ -87,15 +91,16 @@ def diagnose(
         noisier_units=_variance_groups(state),
         outliers=wrong_readings(state),
         findings=tuple(_findings(state, zip(names, gained, shifts, strict=False), noise.ratio)),
-        left=_left(state, correlated, found.laws, repeats),
+        left=_left(state, correlated, found.laws, repeats, whole or gained[-1] if names else whole),
         before=strongest(first),
         after=strongest(state),
         design=design(state, noise.ratio),
         separate_by=_separate(state.measurement.job, names),
         adjusts=fit is not None or not names,
         together=gained[-1] if len(names) > 1 else None,
+        whole=whole,
         repeats=repeats,
-        scatters=random_effects(state),
+        scatters=scattered,
         unconfirmed=unconfirmed,
         laws=found.laws,
         processes=correlated,
@@ -176,9 +181,17 @@ def _other_shape_from(state: State, name: IdentifiedEffect, noise: float) -> flo
 
 
 def _left(
-    state: State, correlated: Sequence[CorrelatedError], laws: Sequence[Law], repeats: PureError | None
+    state: State,
+    correlated: Sequence[CorrelatedError],
+    laws: Sequence[Law],
+    repeats: PureError | None,
+    gain: Gain | None,
 ) -> RemainingStructure | None:
-    """Return what no identified effect explains: a law, a correlated error, or what repeated readings share."""
+    """Return what no identified effect explains: a law, a correlated error, or what repeated readings share.
+
+    A job whose noise is `structured` declares correlated errors. `gain` is that of all that is identified.
+    """
+    job = state.measurement.job
     law = next((one for one in laws if one.chosen), None)
     if law is not None:
         names = dict.fromkeys(name for term in law.terms for name in term.form.variables)
@@ -191,13 +204,22 @@ def _left(
             float(np.exp(name.log_level)), (state.measurement.families[one.family].unknown,), (), size
         )
     significant = [one for one in correlated if one.log_level < np.log(_CORRELATED)]
-    if significant:
+    if significant and job.noise_model != STRUCTURED:
         best = min(significant, key=lambda one: one.log_level)
         names = dict.fromkeys(one.covariate for one in significant)
         where = (best.place,) if best.place else ()
-        return RemainingStructure(float(np.exp(best.log_level)), tuple(names), where, best.std * best.visible)
+        squares = sum((one.std * one.visible) ** 2 for one in correlated if one.unit == job.reading[0])
+        return RemainingStructure(
+            float(np.exp(best.log_level)),
+            tuple(names),
+            where,
+            best.std * best.visible,
+            squares / gain.before**2 if gain is not None and gain.before else None,
+        )
     if repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
         return RemainingStructure(repeats.lack_of_fit, (REPEATS,))
+    if job.budget.ended and (level := strongest(state)) < LEVEL:
+        return RemainingStructure(level, ("what the search did not reach",))
     return None
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.evidence.folds import gain_between
 from metrocli.diagnosis.evidence.measurement import LENGTHS
-from metrocli.diagnosis.evidence.parts import CORRELATED, SCATTER, Fixed, Random
+from metrocli.diagnosis.evidence.moves import effects
+from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.extended_fit import readings_kept, result_change, with_random_effect
@@ -23,7 +24,8 @@ from metrocli.diagnosis.noise import AS_OTHERS
 
 AS_LIKELY = float(np.log(20.0))
 """Difference of log-likelihoods up to which two variances explain the readings alike"""
-
+_OF_A_PLACE = float(np.log(5.0))
+"""The same for larger noise at the place of an effect: that is less of an answer than what fits all its readings"""
 _MOST_ROWS = 8
 """Largest number of rows of a unit, for each parameter of an effect at it, whose noise can imitate the effect"""
 
@@ -33,11 +35,6 @@ def log_level_of(gain: float) -> float:
     from scipy.special import log_ndtr
 
     return float(log_ndtr(-np.sqrt(max(2 * gain, 0.0))))
-
-
-def likelihood_gain(state: State, one: Random) -> float:
-    """Return by how much a random part raises the likelihood, all other sizes estimated anew without it."""
-    return state.score + one.price - state.minus([one]).score
 
 
 def random_effects(state: State) -> tuple[RandomEffect, ...]:
@@ -88,7 +85,7 @@ def noise_instead(state: State, one: Fixed) -> tuple[Instead, ...]:
             less = state.minus([one])
             other = less.at(with_noise(m, {number: max(less.ratio_of(number), AS_OTHERS)}))
             ahead = other.score - state.score
-            if ahead > -AS_LIKELY:
+            if ahead > -_OF_A_PLACE:
                 found.append(Instead("noise", {key: name}, float(np.exp(min(ahead, 700.0)))))
     return tuple(found)
 
@@ -107,7 +104,9 @@ def correlated_errors(state: State) -> tuple[CorrelatedError, ...]:
 
 def _correlated(state: State, number: int) -> CorrelatedError:
     m, one = state.measurement, state.random[number]
-    gain = likelihood_gain(state, one)
+    less = state.minus([one])
+    gain = state.score + one.price - less.score
+    without = (found for found in effects(less) if found.net > 0)
     functions = m.knots[one.key[0]].functions
     unit = next(iter(functions.sigmas))
     std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * functions.sigmas[unit]
@@ -124,7 +123,8 @@ def _correlated(state: State, number: int) -> CorrelatedError:
         unit,
         level,
         gain,
-        place=place,
+        place,
+        tuple(m.alternative(part.key) for found in without for part in found.fixed if part.sort == EFFECT),
     )
 
 

@@ -8,7 +8,7 @@ from enum import StrEnum
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Design
-from metrocli.diagnosis.evidence.folds import Gain
+from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.extended_fit import Size
 from metrocli.diagnosis.laws.search import Law
@@ -34,6 +34,10 @@ class Verdict(StrEnum):
     """Structure remains that no known effect explains"""
     MISTAKEN = "mistaken"
     """A file has a mistake; the rest of the diagnosis is for the corrected job"""
+
+
+_LITTLE = 0.05
+"""Share of a misfit up to which what is left leaves it explained"""
 
 
 @dataclass(frozen=True)
@@ -125,6 +129,8 @@ class Diagnosis:
     """Whether the job can be adjusted with the named effects"""
     together: Gain | None = None
     """Gain of all named effects together, if there are several"""
+    whole: Gain | None = None
+    """Gain of all named effects and of those at all their places together, if there are such"""
     repeats: PureError | None = None
     """The noise found from repeated readings, if there are any"""
     scatters: tuple[RandomEffect, ...] = ()
@@ -148,6 +154,16 @@ class Diagnosis:
         return next((one for one in self.laws if one.chosen), None)
 
     @property
+    def gain(self) -> Gain | None:
+        """The gain of all that is identified: of the effects, or of one at all its places."""
+        return self.whole or self.together or (self.findings[0].gain if self.findings else None)
+
+    @property
+    def _little_is_left(self) -> bool:
+        """Whether correlated errors are a small part of a misfit that identified effects explain."""
+        return self.left is not None and self.left.share is not None and self.left.share < _LITTLE
+
+    @property
     def ended_early(self) -> str:
         """Why it ended before all was tried, in words; "" if it did not."""
         return "interrupted" if self.interrupted else f"limit of {self.limited:g} s" if self.limited is not None else ""
@@ -157,7 +173,7 @@ class Diagnosis:
         """The verdict, which the report states first."""
         if self.mistaken is not None:
             return Verdict.MISTAKEN
-        if self.left is not None:
+        if self.left is not None and not self._little_is_left:
             return Verdict.UNEXPLAINED
         if not self.findings and not self.scatters:
             return Verdict.CLEAN

@@ -1,6 +1,6 @@
 """The largest change of the delivered result that an effect makes without being found.
 
-Method: docs/algorithms/selection-and-levels.md (what a measurement can see).
+Method: docs/algorithms/what-can-be-seen.md (what a measurement can see).
 """
 
 from __future__ import annotations

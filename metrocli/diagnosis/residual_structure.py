@@ -26,6 +26,8 @@ class RemainingStructure:
     """The units (tracers, images) whose readings show it; empty if all do"""
     size: float = 0.0
     """Its visible size: root mean square over those readings, in their unit"""
+    share: float | None = None
+    """Its share in the squares of held-out errors without the effects; None for what is no correlated error"""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ class Status(StrEnum):
 
 UNCHECKED = "no reading is checked by the others"
 _SWALLOWED = 0.1
-"""Share of a signature that correlated errors and other effects must leave, so that it can be told from them"""
+"""Share of a signature that correlated errors and other effects must leave, so that the readings separate it"""
 _SMALLEST = 0.01
 """Smallest number to which a usual size with a unit of its own is converted"""
 

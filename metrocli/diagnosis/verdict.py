@@ -13,7 +13,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Design
-from metrocli.diagnosis.evidence.folds import Gain
+from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import Rival
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
 from metrocli.diagnosis.laws.definition import written

@@ -48,7 +48,7 @@ from metrocli.record import InputFile
 from metrocli.simulation import SimulationOptions
 
 _STEPS = 400
-"""Steps that a try of an extended job may take, its starts included: a law that needs more is not determined"""
+"""Steps of a try of an extended job, its starts included: a law that needs more is not determined"""
 _NAMED = " with the effects that metrocli diagnose named"
 _SHARED = " with the noise that metrocli diagnose proposes"
 """Ends of the first line of an extended job, by which it is recognised before it is overwritten"""
@@ -130,10 +130,10 @@ def _adjuster(job: JobFile, more: Sequence[Variable] = ()) -> Callable[..., Adju
 def identity(job_text: str, inputs: Sequence[InputFile]) -> dict[str, str]:
     """Return the digest of a job as used, and that of its inputs, by which a diagnosis and a result are matched."""
     files = "\n".join(sorted(f"{item.sha256} {item.path}" for item in inputs))
-    return {"job_sha256": _whole_digest(job_text), "inputs_sha256": _whole_digest(files)}
+    return {"job_sha256": _digest(job_text), "inputs_sha256": _digest(files)}
 
 
-def _whole_digest(text: str) -> str:
+def _digest(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
@@ -202,7 +202,7 @@ def _write(job: JobFile, diagnosis: Diagnosis, law: Law | None, place: tuple[Pat
     new = [_node(job, entry) for entry in (*named, *([] if law is None else [as_wanted(law, called)]))]
     defined = [] if law is None else [_node(job, as_define(law, called))]
     body = yaml_text.emit(_extended(job, new, defined, diagnosis, (path.parent, result)))
-    text = f"# {job.file.name}{_NAMED if new or diagnosis.scatters else _SHARED}\n{_DIGEST}{_digest(body)}\n{body}"
+    text = f"# {job.file.name}{_NAMED if new or diagnosis.scatters else _SHARED}\n{_DIGEST}{_digest(body)[:16]}\n{body}"
     with written_aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
 
@@ -220,13 +220,9 @@ def _refuse_foreign(path: Path) -> None:
     if not first.rstrip().endswith((_NAMED, _SHARED)):
         raise InputError([Fault("the file exists and is not an extended job", str(path), hint="give another --output")])
     digest, _, body = rest.partition("\n")
-    if digest != f"{_DIGEST}{_digest(body)}":
+    if digest != f"{_DIGEST}{_digest(body)[:16]}":
         message = "the extended job is not as diagnose wrote it; it was edited and is kept"
         raise InputError([Fault(message, str(path), hint="give another --output, or replace it with --force")])
-
-
-def _digest(body: str) -> str:
-    return _whole_digest(body)[:16]
 
 
 def _free_name(diagnosis: Diagnosis) -> str:
@@ -250,7 +246,7 @@ def _extended(
         if key.text not in (*below, "output")
     ]
     more = [(_key(job, key), items) for key, items in below.items() if items.items]
-    return replace(job.root, entries=(*kept, *more, (_key(job, "output"), _key(job, _path(output, folder)))))
+    return replace(job.root, entries=(*kept, *more, (_key(job, "output"), _key(job, os.path.relpath(output, folder)))))
 
 
 def _longer(job: JobFile, key: str, more: Sequence[Node]) -> Node:
@@ -276,18 +272,19 @@ def _with_model(job: JobFile, declared: Node, model: str) -> Node:
     return replace(declared, entries=(*parts, (_key(job, MODEL), _key(job, model))))
 
 
-def _path(path: Path, folder: Path) -> str:
-    return Path(os.path.relpath(path, folder)).as_posix()
-
-
 def _relocated(node: Node, old: Path, new: Path) -> Node:
     """Return a node with its paths, relative to `old`, rewritten relative to `new`."""
     if os.path.abspath(old) == os.path.abspath(new):
         return node
     if node.kind == "scalar":
-        return node if Path(node.text).is_absolute() else replace(node, text=_path(old / node.text, new))
-    items = tuple(_relocated(item, old, new) for item in node.items)
-    return replace(node, items=items, entries=tuple((key, _relocated(value, old, new)) for key, value in node.entries))
+        return (
+            node
+            if Path(node.text).is_absolute()
+            else replace(node, text=Path(os.path.relpath(old / node.text, new)).as_posix())
+        )
+    items = (_relocated(item, old, new) for item in node.items)
+    entries = ((key, _relocated(value, old, new)) for key, value in node.entries)
+    return replace(node, items=tuple(items), entries=tuple(entries))
 
 
 def _key(job: JobFile, text: str) -> Node:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from metrocli.diagnosis.evidence.folds import Gain
+from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.extended_fit import result_change
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.laws.definition import written

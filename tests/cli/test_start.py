@@ -14,7 +14,7 @@ from benchmarks.projects import small_jobs
 from metrocli import tasks
 from metrocli.cli import commands, help
 
-HEAVY = ("numpy", "scipy", "cv2", "h5py", "yaml", "json")
+HEAVY = ("numpy", "scipy", "cv2", "h5py", "yaml")
 UNUSED = ("zipfile", "concurrent.futures")
 """Loaded by jobs in chunks only"""
 IMPORTED = """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -154,9 +155,10 @@ def test_a_jump_keeps_its_time_in_the_extended_job(folder: Path, metrocli: Metro
 
 def test_the_report_says_what_to_do(folder: Path, metrocli: Metrocli) -> None:
     ran = metrocli("diagnose", write(folder, measured("tracer-scale")))
-    first, _, head, row, *_ = ran.out.split("\n")
+    first, second, _, head, row, *_ = ran.out.split("\n")
     text = " ".join(ran.out.split())
     assert first == "verdict: explained"
+    assert re.fullmatch(r"  tracer-scale T\d explains \d\d% of the misfit \(squares of held-out errors\)", second)
     assert head.startswith("effect") and row.startswith("tracer-scale T")
     for words in (
         "the wavelength or the air correction of one tracer is wrong",
@@ -372,6 +374,7 @@ def test_a_wrong_sigma_of_known_points_is_told_as_that(
 def test_a_gain_that_is_small_beside_other_errors_is_told_as_that(folder: Path, metrocli: Metrocli) -> None:
     """Points known to 20 um are predicted to that, with the effect and without; the score has all their readings."""
     told = metrocli("diagnose", known(folder, 0.02, 0.02, name="dead-path-drift")).out
+    assert "dead-path-drift T3 explains little of the misfit" in told.splitlines()[1]
     row = next(line for line in told.splitlines() if line.startswith("dead-path-drift"))
     assert " unchanged " in row and " +" in row and "not shown" not in row and "0 %" not in row
 

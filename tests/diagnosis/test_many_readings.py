@@ -6,14 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from metrocli.diagnosis.selection import forward_steps
 
 from benchmarks.hidden import lengths
 from metrocli.cli.diagnosis_report import findings
 from metrocli.diagnosis import diagnose, extended_fit, verdict
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.extended_fit import score_tests_of_job
-from metrocli.diagnosis.linear import counted_tests, memory
+from metrocli.diagnosis.evidence import counting, moves
+from metrocli.diagnosis.evidence.measurement import measurement_of
+from metrocli.diagnosis.evidence.prices import counted
+from metrocli.diagnosis.linear import memory
 from metrocli.errors import InputError
 
 DRIFT = {"rate": 3e-6}
@@ -29,27 +30,24 @@ def job(points: int, drift: bool = False, wrong: float = 0.0) -> AdjustedJob:
 
 
 def test_effective_numbers_of_tests_are_those_of_part_of_the_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole, _ = score_tests_of_job(job(300), {}, np.random.default_rng(1))
-    monkeypatch.setattr(counted_tests, "_SAMPLE", 600)
-    some = counted_tests._of_some_members(whole, np.random.default_rng(2))
-    assert some is not None
-    assert 590 <= some.system.rows <= 610
-    drawn = counted_tests._calibrated(whole, np.random.default_rng(1))
-    ratios = np.array(drawn.tests) / np.array(whole.tests)
+    whole = measurement_of(job(300))
+    monkeypatch.setattr(counting, "_SAMPLE", 600)
+    some, _ = counting.of_some_members(whole.system, whole.families, np.random.default_rng(2))
+    assert 590 <= some.rows <= 610
+    drawn = counted(whole.system, whole.families, len(whole.places), np.random.default_rng(1))
+    assert drawn.dof == whole.prices.dof
+    ratios = np.array(drawn.tests) / np.array(whole.prices.tests)
     assert (ratios > 1 / 2).all()
     assert (ratios < 2).all()
-    assert drawn.causes == pytest.approx(whole.causes, rel=0.4)
 
 
 def test_part_of_the_points_is_a_measurement_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole, _ = score_tests_of_job(job(300), {}, np.random.default_rng(1))
-    monkeypatch.setattr(counted_tests, "_SAMPLE", 600)
-    some = counted_tests._of_some_members(whole, np.random.default_rng(2))
-    assert some is not None
-    system = some.system
+    whole = measurement_of(job(300))
+    monkeypatch.setattr(counting, "_SAMPLE", 600)
+    system, families = counting.of_some_members(whole.system, whole.families, np.random.default_rng(2))
     basis = system.basis.rows(np.arange(system.rows))
     np.testing.assert_allclose(basis.T @ basis @ basis.T, basis.T, atol=1e-9)
-    for family in some.families:
+    for family in families:
         shown = system.seen(family.columns.whole(range(family.columns.count), system.rows))
         np.testing.assert_allclose(
             family.gram, np.einsum("rkp,rkq->kpq", shown, shown), atol=1e-6 * family.raw.max() ** 2
@@ -157,6 +155,6 @@ def test_memory_grows_with_the_readings() -> None:
 
 def test_more_wrong_readings_than_can_be_held_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     network = job(60, wrong=0.03)
-    monkeypatch.setattr(forward_steps, "MOST_NUMBERS", 2 * 360)
+    monkeypatch.setattr(moves, "MOST_NUMBERS", 2 * 360)
     with pytest.raises(InputError, match="more than 2 wrong readings(.|\n)*outliers: remove"):
         diagnose.diagnose(network)

@@ -5,16 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from metrocli.diagnosis.linear.random_columns import with_random_columns
-from metrocli.diagnosis.linear.smooth.knots import around_circle, between_knots
-from metrocli.diagnosis.smooth_errors.functions import process_bases
-from metrocli.diagnosis.smooth_errors.process import Process
 
 from benchmarks.hidden import launch, lengths
 from benchmarks.hidden.foreign import planted
 from benchmarks.hidden.rest import Size, _shown, _together, of_each, of_images
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
+from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.evidence.functions import around_circle, between_knots, process_bases
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.linear.linearised import linearised
@@ -53,12 +51,12 @@ def test_what_wavers_gets_no_name_and_is_reported() -> None:
 )
 def test_its_size_is_in_the_unit_that_suits_it(std: float, unit: str, dimension: str, text: str) -> None:
     """Radio ranges are read in mm: 37000 um helps nobody."""
-    assert Process("t", "tracer", 0.1, std, 0.0, 1.0, unit, 0.0, 1.0, np.zeros((0, 0))).sized(dimension) == text
+    assert CorrelatedError("t", "tracer", 0.1, std, 0.0, 1.0, unit, 0.0, 1.0).sized(dimension) == text
 
 
 def test_what_the_unknowns_absorb_of_its_size_is_stated() -> None:
     """A shift of each image along the images is nearly all absorbed by the poses: 13 px beside residuals of 0.3 px."""
-    text = Process("order of the images", "", 0.1, 13.2, 4.0, 0.013, "px", 0.0, 1.0, np.zeros((0, 0))).sized("pixel")
+    text = CorrelatedError("order of the images", "", 0.1, 13.2, 4.0, 0.013, "px", 0.0, 1.0).sized("pixel")
     assert text == "13 px, of which the unknowns leave 0.17 px"
     for seed in (1,):
         found, _ = wavering(seed)
@@ -217,27 +215,6 @@ def test_the_size_of_a_process_is_in_the_unit_of_the_readings_that_show_it() -> 
 
 def test_white_noise_has_no_process() -> None:
     assert not diagnose(lengths.measurement(np.random.default_rng(3), 60).adjusted()).processes
-
-
-def test_random_columns_are_the_covariance_of_the_readings() -> None:
-    """`v'v` and the change of the unknowns equal those of generalised least squares with I + Z Z'."""
-    m = lengths.measurement(np.random.default_rng(2), 12)
-    system = linearised(m.adjusted().model)
-    rng = np.random.default_rng(4)
-    columns = rng.normal(size=(system.rows, 3))
-    wider = with_random_columns(system, columns)
-    covariance = np.eye(system.rows) + columns @ columns.T
-    whole = system.basis.combined(np.eye(len(system.basis.coordinates(columns))))
-    u = np.linalg.svd(whole, full_matrices=False)[0][:, : system.rows - system.dof]
-    weight = np.linalg.inv(covariance)
-    values = rng.normal(size=system.rows)
-    inside = np.linalg.solve(u.T @ weight @ u, u.T @ weight @ values)
-    squares = float(values @ weight @ (values - u @ inside))
-    longer = np.concatenate([values, np.zeros(3)])
-    seen = wider.seen(longer)
-    assert float(seen @ seen) == pytest.approx(squares, rel=1e-9)
-    assert wider.dof == system.dof
-    np.testing.assert_allclose(wider.absorbed(longer), system.absorbed(u @ inside), atol=1e-9 * np.abs(values).max())
 
 
 def test_knots_add_up_to_one() -> None:

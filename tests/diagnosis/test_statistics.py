@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 import pytest
-from metrocli.diagnosis.cross_validation import fitted_without, held_out_errors
-from metrocli.diagnosis.linear.counted_tests import effective_number_of_tests
-from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns, nothing_fitted
-from metrocli.diagnosis.linear.score_tests import ScoreTests, quadratic
-from metrocli.diagnosis.linear.smooth.recomputed_terms import polynomials
-from metrocli.diagnosis.linear.smooth_terms import visible_directions
-from metrocli.diagnosis.selection.confidence_set import determined
-from metrocli.diagnosis.selection.search import search
-from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from scipy import stats
 
 from benchmarks.hidden import launch, lengths
@@ -28,13 +18,17 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import design
 from metrocli.diagnosis.diagnose import diagnose
-from metrocli.diagnosis.extended_fit import score_tests_of_job
+from metrocli.diagnosis.evidence.counting import effective_number_of_tests
+from metrocli.diagnosis.evidence.identified import determined
+from metrocli.diagnosis.evidence.measurement import Measurement, measurement_of
+from metrocli.diagnosis.evidence.moves import moves
+from metrocli.diagnosis.evidence.search import forward
+from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.candidates import families_of
 from metrocli.diagnosis.linear.distributions import chi_interval, log_family, log_tail, noncentrality, single_level
 from metrocli.diagnosis.linear.linearised import linearised
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.noise import noisier_units
 from metrocli.diagnosis.power.average_power import size_found
 from metrocli.diagnosis.residual_structure import pure_error
 from metrocli.effects.model import Model
@@ -48,8 +42,18 @@ def adjusted() -> AdjustedJob:
 
 
 @cache
-def field() -> ScoreTests:
-    return score_tests_of_job(adjusted(), {}, np.random.default_rng(3))[0]
+def field() -> Measurement:
+    return measurement_of(adjusted())
+
+
+@cache
+def start() -> State:
+    return State.of(field())
+
+
+def seen(family: int, number: int) -> Array:
+    """Columns of a candidate, without what the unknowns absorb."""
+    return np.asarray(field().system.seen(field().whole(family, number)))
 
 
 @cache
@@ -102,57 +106,11 @@ def test_absorbed_changes_are_those_of_the_adjustment_in_its_datum() -> None:
     )
 
 
-def test_a_score_is_the_fall_of_the_sum_of_squares() -> None:
-    system, chosen = field().system, field()
-    start = nothing_fitted(system)
-    for number, family in enumerate(chosen.families):
-        score = chosen.score(number, start)
-        for at in {0, len(family.alternatives) - 1, score.best}:
-            if score.rank[at] < family.columns.parameters:
-                continue  # dependent columns: their rank depends on where the line is drawn
-            columns = chosen.visible(number, at)
-            size = np.linalg.norm(columns, axis=0)
-            fit = (columns / size) @ np.linalg.lstsq(columns / size, system.residual, rcond=1e-5)[0]
-            gain = float(fit @ system.residual)
-            assert abs(score.gain[at] - gain) < 1e-4 * max(gain, 1.0), (family.name, at)
-
-
-def test_scores_given_a_column_are_those_of_both_together() -> None:
-    chosen = field()
-    number = next(i for i, f in enumerate(chosen.families) if f.name == "dead-path-drift")
-    columns = [chosen.visible(number, at) for at in range(2)]
-    start = nothing_fitted(chosen.system)
-    given = start.with_columns(columns[0])
-    both = start.with_columns(np.concatenate(columns, axis=1))
-    assert np.isclose(chosen.score(number, given).gain[1], given.squares - both.squares, rtol=1e-6)
-    assert chosen.score(number, given).rank[0] == 0
-
-
-def test_what_the_unknowns_absorb_but_for_rounding_takes_no_freedom() -> None:
-    chosen, start = field(), nothing_fitted(field().system)
-    absorbed = 0
-    for number, family in enumerate(chosen.families):
-        score = chosen.score(number, start)
-        for at in {0, len(family.alternatives) - 1}:
-            absorbed += int(score.rank[at] < family.columns.parameters)
-            assert start.dof - start.with_columns(chosen.visible(number, at)).dof == score.rank[at], family.name
-    assert absorbed > 3
-
-
 def test_where_no_effect_can_be_tried_structure_is_still_told() -> None:
     m = lengths.measurement(np.random.default_rng(2), 40)
     wave = 1e-3 * np.sin(2 * np.pi * (m.t - m.t.min()) / np.ptp(m.t)) * (m.tracer == 1)
     found = diagnose(replace(replace(m, length=m.length + wave).adjusted(), effects=()))
     assert (found.verdict, found.left and found.left.where) == ("unexplained", ("T1",))
-
-
-def test_outliers_have_their_studentised_residuals() -> None:
-    system, chosen = field().system, field()
-    redundancy = 1 - system.basis.squares()
-    score = chosen.outliers(nothing_fitted(system))
-    good = score.rank > 0
-    assert good.mean() > 0.9
-    assert np.allclose(score.gain[good], (system.residual**2 / redundancy)[good], rtol=1e-8)
 
 
 @pytest.mark.parametrize(("q", "rest"), [(1, 42), (3, 220), (7, 30), (19, 200)])
@@ -191,8 +149,8 @@ def test_a_stated_size_has_its_power_on_average_over_directions(sizes: tuple[flo
 def test_the_stated_size_of_an_effect_is_that_of_a_random_direction(name: str, keys: tuple[str, ...]) -> None:
     """What is visible of it comes from formulas of its own; the level of a single test is that of the diagnosis."""
     m = lengths.measurement(np.random.default_rng(2), 30)
-    one = next(c for c in design(adjusted(), field(), []).candidates if c.alternative.spot == (name, ("T1",)))
-    level = single_level(single_level(0.03, field().causes), field().tests[one.family])
+    one = next(c for c in design(start()).candidates if c.alternative.spot == (name, ("T1",)))
+    level = single_level(0.03, field().prices.tests[one.family])
     units = [lengths.signature(name, 1, dict.fromkeys(keys, 0.0) | {key: 1e-6})(m) * 1e6 for key in keys]
     seen = lengths.visible(m, lengths.absorbed_by(m), np.stack(units, axis=1))
     towards = np.random.default_rng(3).normal(size=(5000, len(keys)))
@@ -225,20 +183,6 @@ def test_small_systems_with_and_without_full_rank() -> None:
     assert rank.tolist() == [2, 1, 0]
 
 
-def test_held_out_errors_are_those_of_an_adjustment_without_them() -> None:
-    """Leaving one reading out, by the formula and by least squares on the others."""
-    jacobian, residual, _ = plain()
-    system = field().system
-    size = np.linalg.norm(jacobian, axis=0)
-    for row in (3, 77):
-        held = held_out_errors(field(), nothing_fitted(system), np.array([row]))
-        rest = np.arange(len(residual)) != row
-        step = np.linalg.lstsq((jacobian / size)[rest], residual[rest], rcond=1e-9)[0]
-        expected = residual[row] - (jacobian / size)[row] @ step
-        assert np.isclose(held.errors[0] / system.scale[row], expected, rtol=1e-3)
-        assert np.isclose(fitted_without(field(), np.array([row])).dof, system.dof - 1 + PRIOR)
-
-
 def test_held_out_errors_are_of_angles_where_distances_are_read_too() -> None:
     rng = np.random.default_rng(21)
     m, _ = launch.planted(launch.measurement(rng, True), rng, "machine-scale", 30.0)
@@ -246,44 +190,6 @@ def test_held_out_errors_are_of_angles_where_distances_are_read_too() -> None:
     arcsec = np.pi / 648_000
     assert gain.before > 20 * arcsec
     assert 3.5 * arcsec < gain.after < 8 * arcsec  # encoders of 5 arcsec
-
-
-def test_in_noise_the_levels_are_what_they_say() -> None:
-    """Of many draws of white noise as residuals, few name anything, and about as many as the level allows."""
-    chosen = field()
-    rng = np.random.default_rng(11)
-    named = 0
-    for _ in range(200):
-        r = chosen.system.seen(rng.normal(size=chosen.system.rows))
-        dof = nothing_fitted(chosen.system).dof
-        start = FittedColumns(np.zeros((len(r), 0)), r, float(r @ r) + PRIOR, dof)
-        named += bool(search(chosen, start).chosen)
-    assert named <= 14
-
-
-def test_a_smooth_function_of_three_values_has_two_directions() -> None:
-    system = field().system
-    values = np.repeat([-1.0, 0.0, 1.0], -(-system.rows // 3))[: system.rows]
-    ((shown, _),) = visible_directions(system, np.arange(system.rows), [polynomials(values[None], 5).T])
-    assert int((np.linalg.norm(shown, axis=0) > 0).sum()) <= 2
-
-
-def test_where_a_step_leads_back_the_next_one_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    chosen = field()
-    columns = [chosen.visible(number, 0) for number in range(2)]
-
-    def steps(selection: Selection) -> Iterator[Selection]:
-        for family in (0, 1):
-            yield selection.with_one(Chosen(family, 0, columns[family]))
-
-    def settled(selection: Selection) -> Selection:
-        left = next((one for one in selection.chosen if one.family == 0), None)
-        selection = selection if left is None else selection.without(left)
-        return Selection(selection.test_set, selection.fit, selection.chosen[:1])
-
-    monkeypatch.setattr("metrocli.diagnosis.selection.search.forward_steps", steps)
-    monkeypatch.setattr("metrocli.diagnosis.selection.search.backward_steps", settled)
-    assert search(chosen, nothing_fitted(chosen.system)).members == {(1, 0)}
 
 
 def test_a_signature_is_the_difference_of_predictions() -> None:
@@ -294,20 +200,6 @@ def test_a_signature_is_the_difference_of_predictions() -> None:
         assert np.allclose(np.linalg.norm(full, axis=0), family.raw[-1])
         whole = family.columns.whole([len(family.alternatives) - 1], system.rows)[:, 0]
         assert np.allclose(system.seen(full), system.seen(whole), atol=1e-9 * family.raw[-1].max())
-
-
-@pytest.mark.parametrize("noisier", [False, True])
-def test_a_noisier_tracer_is_found(noisier: bool) -> None:
-    found = []
-    for seed in range(6):
-        rng = np.random.default_rng([4, seed])
-        m = lengths.measurement(rng, 60)
-        m = lengths.noisier(m, rng) if noisier else m
-        one = m.adjusted()
-        system: System = linearised(one.model)
-        found.append(noisier_units(one, system, nothing_fitted(system), 3))
-    assert [len(units) for units in found] == [int(noisier)] * 6
-    assert all(2 < unit.ratio < 4.5 for units in found for unit in units)
 
 
 def test_repeated_readings_tell_noise_from_a_wrong_model() -> None:
@@ -321,8 +213,9 @@ def test_repeated_readings_tell_noise_from_a_wrong_model() -> None:
         group = Group("readings", Chain((Straight(),)), observations)
         model = Model({"line": block}, (group,), None, ("readings",))
         system = linearised(model)
-        one = replace(adjusted(), model=model, replicates={"readings": np.repeat(np.arange(20), 2)})
-        found = pure_error(one, system, nothing_fitted(system))
+        bare = replace(adjusted(), model=model, effects=(), covariates=(), units=())
+        one = replace(bare, replicates={"readings": np.repeat(np.arange(20), 2)})
+        found = pure_error(State.of(measurement_of(one)))
         pairs = y.reshape(20, 2)
         squares = float(((pairs[:, 0] - pairs[:, 1]) ** 2).sum() / 2)
         assert found is not None
@@ -348,14 +241,84 @@ class Straight:
         return Step((local.rows("line") * terms[0]).sum(axis=0)[None], by_block={"line": terms})
 
 
+def test_what_a_candidate_explains_is_the_fall_of_the_sum_of_squares() -> None:
+    m = field()
+    for number, family in enumerate(m.families):
+        explained, rank = start().of_family(number)
+        for at in {0, len(family.alternatives) - 1, int(np.argmax(explained))}:
+            if rank[at] < family.columns.parameters:
+                continue  # dependent columns: their rank depends on where the line is drawn
+            columns = seen(number, at)
+            size = np.linalg.norm(columns, axis=0)
+            fit = (columns / size) @ np.linalg.lstsq(columns / size, m.system.residual, rcond=1e-5)[0]
+            fall = float(fit @ m.system.residual)
+            assert abs(explained[at] - fall) < 1e-4 * max(fall, 1.0), (family.name, at)
+
+
+def test_what_a_candidate_explains_beside_another_is_that_of_both_together() -> None:
+    m = field()
+    number = next(i for i, f in enumerate(m.families) if f.name == "dead-path-drift")
+    one, other = (m.effect(number, at) for at in range(2))
+    first, both = State.of(m, [one]), State.of(m, [one, other])
+    explained, rank = first.of_family(number)
+    assert np.isclose(explained[1], first.fit.squares - both.fit.squares, rtol=1e-6)
+    assert rank[0] == 0
+
+
+def test_wrong_readings_have_their_studentised_residuals() -> None:
+    system = field().system
+    redundancy = 1 - system.basis.squares()
+    _, rank, explained = start().of_readings()
+    good = rank > 0
+    assert good.mean() > 0.9
+    assert np.allclose(explained[good], (system.residual**2 / redundancy)[good], rtol=1e-8)
+
+
+def test_without_a_wrong_reading_the_others_explain_what_they_do_in_the_smaller_state() -> None:
+    m = field()
+    state = State.of(m, [m.reading(3), m.effect(2, 0), m.reading(77)])
+    for one in state.readings:
+        less, taken = state.beside(one), state.taken_by(one)
+        for found, expected in zip(state.of_readings(taken)[1:], less.of_readings()[1:], strict=True):
+            np.testing.assert_allclose(found, expected, atol=1e-7)
+        for family in range(len(m.families)):
+            for found, expected in zip(state.of_family(family, taken), less.of_family(family), strict=True):
+                np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7)
+
+
+def test_in_noise_the_levels_are_what_they_say() -> None:
+    """Of many draws of white noise as residuals, few name anything, and about as many as the level allows."""
+    m, rng, named = field(), np.random.default_rng(11), 0
+    for _ in range(200):
+        noise = m.system.seen(rng.normal(size=m.system.rows))
+        state = State.of(replace(m, system=replace(m.system, residual=noise), held={}))
+        found = moves(state)
+        named += bool(found and found[0].net > 0 and forward(state).named)
+    assert named <= 14
+
+
+@pytest.mark.parametrize("noisier", [False, True])
+def test_a_noisier_tracer_is_found(noisier: bool) -> None:
+    found = []
+    for seed in range(6):
+        rng = np.random.default_rng([4, seed])
+        m = lengths.measurement(rng, 60)
+        m = lengths.noisier(m, rng) if noisier else m
+        found.append(forward(State.of(measurement_of(m.adjusted()))).measurement.noise)
+    # the noise of one is 1.7 times that of the others only, by chance
+    assert sum(len(ratios) for ratios in found) == (5 if noisier else 0)
+    assert all(2 < ratio < 4.5 for ratios in found for ratio in ratios.values())
+
+
 def test_of_parameters_that_are_not_seen_apart_as_few_are_held_as_need_be() -> None:
     """Columns a, a + b, b and one of rounding, beside an own one: the one of rounding and one of three are held."""
     rng = np.random.default_rng(14)
     a, b, alone = rng.normal(size=(3, 50))
     left = np.stack([a, 1e4 * (a + b), b, 1e-9 * rng.normal(size=50), 1e-3 * alone], axis=1)
-    seen = determined(left, np.array([10.0, 1e5, 10.0, 10.0, 1.0]))
-    assert seen[[3, 4]].tolist() == [False, True] and seen[:3].sum() == 2
-    assert determined(left[:, [0, 2, 4]], np.array([10.0, 10.0, 1.0])).all()
-    kept = left[:, seen]
+    shown, _ = determined(left.T @ left, np.array([10.0, 1e5, 10.0, 10.0, 1.0]))
+    assert shown[[3, 4]].tolist() == [False, True] and shown[:3].sum() == 2
+    few = left[:, [0, 2, 4]]
+    assert determined(few.T @ few, np.array([10.0, 10.0, 1.0]))[0].all()
+    kept = left[:, shown]
     fitted = kept @ np.linalg.lstsq(kept, np.stack([a, a + b, b, alone], axis=1), rcond=None)[0]
     assert fitted == pytest.approx(np.stack([a, a + b, b, alone], axis=1), abs=1e-9), "what is seen is fitted whole"

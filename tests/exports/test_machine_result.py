@@ -18,7 +18,8 @@ from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 
-COMPENSATION = {name for name, form in FORMATS.items() if hasattr(import_module(form.module), "CONTROL")}
+COMPENSATION = {name for name, form in FORMATS.items() if hasattr(import_module(form.module), "CONTROL")} - {"csv"}
+"""Formats of compensation alone; csv writes every table of any result, too"""
 RIGHT = {
     "siemens": (siemens_lec.CONTROL, siemens_cec.CONTROL),
     "isg": (isg_csv.CONTROL,),

@@ -33,6 +33,7 @@ LAYERS = [
     {"units", "nodes", "words", "progress"},
     {"errors"},
     {"frozen"},
+    {"arrays"},
     {"__init__"},
 ]
 """From the top down; parts in one layer do not import each other."""
@@ -49,10 +50,10 @@ INSIDE = {
     "diagnosis": [
         {"verdict", "job_entries", "next_readings"},
         {"diagnose"},
+        {"explanations"},
         {"findings"},
         {"laws"},
         {"*"},
-        {"selection"},
         {"linear"},
         {"adjusted_job"},
     ],

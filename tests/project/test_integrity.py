@@ -301,8 +301,8 @@ def test_leftovers_of_the_dead_are_swept_and_the_living_keep_theirs(tmp_path: Pa
     (tmp_path / "kept.part").touch()
     with aside.written_aside(tmp_path / "r.h5") as temporary:
         subprocess.run(
-            [sys.executable, "-c", "import sys; from pathlib import Path; from metrocli.formats import aside; "
-             "aside.sweep(Path(sys.argv[1]))", str(tmp_path)], check=True)  # fmt: skip
+            [sys.executable, "-c", "import sys; from pathlib import Path; from metrocli.formats import file_bytes; "
+             "file_bytes.sweep(Path(sys.argv[1]))", str(tmp_path)], check=True)  # fmt: skip
         assert temporary.exists()
         temporary.write_text("whole")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["kept.part", "r.h5"]

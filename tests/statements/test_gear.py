@@ -172,10 +172,11 @@ def implied_level(size: float, signature: Array, dof: int) -> float:
 def test_sphere_form(diagnosed: str, seen: Seen) -> None:
     """sphere-form: cannot-see below 0.65 to 11 um, result off by up to 1.6 um at V06.
 
-    The level of a single test is taken from the row of tracer-scale LT4; that of sphere-form is of the same order.
+    The level of a single test is taken from the largest size of tracer-scale, that of LT4; the level of sphere-form is
+    of the same order.
     """
     level = implied_level(
-        in_mm(cells(diagnosed, "tracer-scale", "LT4")[2])[0], seen(seen.of_tracer("tracer-scale", 3))[0], 146
+        in_mm(cells(diagnosed, "tracer-scale")[2])[-1], seen(seen.of_tracer("tracer-scale", 3))[0], 146
     )
     sizes, changes = [], []
     towards = np.stack([np.cos(np.linspace(0, np.pi, 180)), np.sin(np.linspace(0, np.pi, 180))], axis=1)

@@ -47,9 +47,7 @@ def candidate_lines(
     return text_table(_HEAD, lines)
 
 
-def _line(
-    adjusted: AdjustedJob, design: Design, name: str, word: str, found: Sequence[Candidate]
-) -> tuple[str, ...]:
+def _line(adjusted: AdjustedJob, design: Design, name: str, word: str, found: Sequence[Candidate]) -> tuple[str, ...]:
     places = ["/".join(one.alternative.instance) for one in found if one.alternative.instance]
     where = listed(places, _SHOWN)
     effect = found[0].alternative.effect

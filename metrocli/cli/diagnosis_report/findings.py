@@ -7,20 +7,19 @@ from collections.abc import Iterator
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.clusters.robust import ESTIMATED, STRUCTURED
+from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.cli.diagnosis_report.candidates import candidate_lines
+from metrocli.cli.diagnosis_report.headline import LEAST_REDUCTION, headline, smooth, summary
 from metrocli.cli.diagnosis_report.laws import law_lines
-from metrocli.cli.diagnosis_report.noise import noise_lines, noisier
+from metrocli.cli.diagnosis_report.noise import noise_lines
 from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Part
-from metrocli.diagnosis.correlated_error import CorrelatedError
 from metrocli.diagnosis.detectability import Design
-from metrocli.diagnosis.evidence.folds import Gain
+from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.extended_fit import Size
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
 from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.laws.search import Law
-from metrocli.diagnosis.noise import DECLARED_SIGMA
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.project.diagnosed import Extended
 from metrocli.words import listed
@@ -29,14 +28,13 @@ _SHOWN = 6
 _DESCRIBED = 4
 """Most effects with lines of their own; the table lists all"""
 _LEAST_P = 1e-12
-_LEAST_REDUCTION = 0.005
 _HEAD = ("effect", "size (± u)", "chance", "or instead", "held-out error", "log score (± std)", "changes result by")
 
 
 def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None) -> str:
     """Return the report of a diagnosis; `extended` is the extended job that was written."""
     job, findings = diagnosis.job, diagnosis.findings
-    parts = [[f"verdict: {headline(diagnosis)}"]]
+    parts = [[f"verdict: {headline(diagnosis)}", *summary(diagnosis)]]
     if diagnosis.mistaken is not None:
         parts.append(list(_mistake(diagnosis)))
     if findings or diagnosis.scatters:
@@ -50,6 +48,9 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None) -> str:
         parts.append(list(law_lines(diagnosis, None if extended is None else extended.law)))
     parts += [list(_about_scatter(one)) for one in diagnosis.scatters]
     parts += [list(_about(finding)) for finding in findings[:_DESCRIBED]]
+    if diagnosis.unconfirmed:
+        lost = ", ".join(f"{one.name} (log score {one.log_score:+.1f})" for one in diagnosis.unconfirmed)
+        parts.append([f"not confirmed by held-out readings, and not in the model: {lost}"])
     if diagnosis.separate_by:
         parts.append(["to distinguish them, measure:", *(f"  {words}" for words in diagnosis.separate_by)])
     if job.part is not None:
@@ -98,20 +99,6 @@ def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
         return f"the job with `noise: structured`: its uncertainties include the {what}"
     shared = " and with `noise: structured`" if proposed_noise(diagnosis) else ""
     return f"the job extended by {' and '.join(added)}{shared}, and diagnose it again"
-
-
-def headline(diagnosis: Diagnosis) -> str:
-    """Return the verdict with what limits it: wrong readings, and noise that is not as declared."""
-    noise, count = diagnosis.noise, len(diagnosis.outliers)
-    wrong = f", with {count} wrong reading{'s' if count > 1 else ''}" if count else ""
-    as_declared = noise.as_declared or diagnosis.job.noise_model or ESTIMATED in diagnosis.job.declared
-    limits = [] if as_declared else [f"the noise is {noise.ratio:.2g} times what was declared"]
-    limits += [noisier(unit) for unit in diagnosis.noisier_units if unit.key != DECLARED_SIGMA]
-    if diagnosis.left is None and diagnosis.job.noise_model != STRUCTURED:
-        limits += [f"an {_smooth(one)} is not in the uncertainties of the result" for one in diagnosis.processes]
-    where = f" in {diagnosis.job.part}" if diagnosis.job.part else ""
-    where += f" so far ({diagnosis.ended_early})" if diagnosis.ended_early else ""
-    return f"{diagnosis.verdict}{where}{wrong}{', but ' if limits else ''}{', and '.join(limits)}"
 
 
 def of_design(adjusted: AdjustedJob, design: Design) -> str:
@@ -181,16 +168,10 @@ def _included(diagnosis: Diagnosis) -> str:
     return f"The standard uncertainties of the result {include}{remedy}."
 
 
-def _smooth(process: CorrelatedError) -> str:
-    """Return a smooth random error in words."""
-    each = f" of each {process.by} by itself" if process.by else ""
-    return f"error that varies smoothly with {process.covariate}{each}"
-
-
 def _processes(diagnosis: Diagnosis) -> Iterator[str]:
     for one in diagnosis.processes:
         size, chance = one.sized(diagnosis.job.reading[1]), _chance(float(np.exp(one.log_level)))
-        yield f"{_smooth(one)}: {size} (standard deviation, {chance})"
+        yield f"{smooth(one)}: {size} (standard deviation, {chance})"
         if one.instead_of:
             yield f"  Without it these would be named: {listed([str(each) for each in one.instead_of], _SHOWN)}."
     if diagnosis.processes:
@@ -261,7 +242,7 @@ def _row(finding: Finding, adjusted: AdjustedJob) -> tuple[str, ...]:
 
 def _reduction(gain: Gain) -> str:
     """Return the change of held-out errors; the log score may gain where it is too small to be stated in percent."""
-    change = "unchanged" if abs(gain.reduction) < _LEAST_REDUCTION else f"{-100 * gain.reduction:+.0f} %"
+    change = "unchanged" if abs(gain.reduction) < LEAST_REDUCTION else f"{-100 * gain.reduction:+.0f} %"
     return change if gain.shown else f"{change} (not shown)"
 
 

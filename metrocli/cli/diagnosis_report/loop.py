@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from metrocli import units
-from metrocli.cli.diagnosis_report.findings import headline
+from metrocli.cli.diagnosis_report.headline import headline
 from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis import verdict
 from metrocli.diagnosis.findings import Diagnosis

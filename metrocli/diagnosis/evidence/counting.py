@@ -8,16 +8,25 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
+from metrocli.diagnosis.linear.candidates import Family
 from metrocli.diagnosis.linear.columns import Columns
 from metrocli.diagnosis.linear.distributions import log_tail
-from metrocli.diagnosis.linear.quadratics import ranks_of, roots
+from metrocli.diagnosis.linear.projection import VISIBLE, System
+from metrocli.diagnosis.linear.quadratics import orthonormal, ranks_of, roots
 
 LEAST_TESTS = 50.0
 """Fewest independent tests that any library of terms amounts to"""
+_SAMPLE = 12_000
+"""Rows of the local members whose noise is drawn, if a measurement has more than twice as many"""
+_LOST = 0.05
+"""Largest share of the candidates that these members may not show"""
 
 
 def smallest_of_family(columns: Columns, gram: Array, scale: Array, noise: Array, squares: Array, dof: float) -> Array:
@@ -46,3 +55,33 @@ def effective_number_of_tests(log_p: Array) -> float:
     p = np.exp(log_p)
     counts = [np.log1p(-u) / np.log1p(-min(float(np.quantile(p, u)), 1 - 1e-12)) for u in (0.05, 0.1, 0.2, 0.3)]
     return max(1.0, float(np.median(counts)))
+
+
+def of_some_members(
+    system: System, families: Sequence[Family], rng: np.random.Generator
+) -> tuple[System, Sequence[Family]]:
+    """Return a system of some local members with all their rows, such as one point in ten, drawn evenly.
+
+    The correlations of tests, and so their effective number, follow from the shape of a measurement and not from its
+    size. Returned is the given one if it has few rows, or if the members do not show nearly all candidates.
+    """
+    basis = system.basis
+    if system.rows <= 2 * _SAMPLE or basis.members < 2:
+        return system, families
+    ends = np.linspace(0, basis.members, basis.members * _SAMPLE // system.rows + 1).astype(int)
+    there = np.zeros(basis.members + 1, dtype=bool)
+    there[rng.integers(ends[:-1], ends[1:])] = there[-1] = True
+    kept = there[basis.member]
+    rows = np.flatnonzero(kept)
+    own = basis.at(rows)
+    # whole members: their local columns stay orthonormal, and orthogonal to the shared ones
+    own = replace(own, shared=orthonormal(own.shared, VISIBLE))
+    fewer, lost = list[Family](), 0
+    for family in families:
+        columns = family.columns.of_rows(kept)
+        raw, gram = columns.norms(), columns.grams(own)
+        lost += int((ranks_of(roots(gram, raw)) < ranks_of(roots(family.gram, family.raw))).sum())
+        fewer.append(replace(family, columns=columns, raw=raw, gram=gram))
+    if lost > _LOST * sum(family.columns.count for family in families):
+        return system, families
+    return replace(system, residual=np.zeros(len(rows)), basis=own, scale=system.scale[rows], idle=0), fewer

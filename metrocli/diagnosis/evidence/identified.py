@@ -143,9 +143,9 @@ def determined(gram: Array, raw: Array) -> tuple[Mask, Mask]:
 def explains_as_well(log_odds: Array, cosines2: Array, shown: Array | float) -> Mask:
     """Return which rivals explain the readings as well as an identified effect, (k,).
 
-    `log_odds` is ln of the ratio of the evidence of each to its own, `cosines2` are the squared cosines of what both
-    explain, `shown` is what the effect takes off the squares, over the variance: a rival has nearly as much evidence,
-    or the readings cannot tell the two apart.
+    `log_odds` is ln of the ratio of the evidence of each to its own. `cosines2` are the squared cosines of what both
+    explain. `shown` is what the effect takes off the squares, over the variance. A rival has nearly as much evidence,
+    or the readings cannot separate the two.
     """
     return np.asarray((log_odds > -_ODDS) | ((cosines2 > _WIDE**2) & ((1 - cosines2) * shown < _NOT_APART)))
 

@@ -236,5 +236,3 @@ def _solved(lower: Array, right: Array) -> Array:
     from scipy.linalg import solve_triangular
 
     return np.asarray(solve_triangular(lower, right, lower=True, check_finite=False)) if len(lower) else right
-
-

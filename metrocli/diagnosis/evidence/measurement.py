@@ -21,6 +21,7 @@ from metrocli.diagnosis.evidence.parts import (
     LARGEST,
     READING,
     READINGS,
+    SCATTER,
     TERM,
     UNKNOWN,
     Fixed,
@@ -29,7 +30,7 @@ from metrocli.diagnosis.evidence.parts import (
     fixed,
     kernel,
 )
-from metrocli.diagnosis.evidence.prices import OF_ALL, OF_UNITS, Prices, counted, price_of_variance
+from metrocli.diagnosis.evidence.prices import OF_ALL, OF_UNITS, PRIOR, Prices, counted, price_of_variance
 from metrocli.diagnosis.evidence.unknown import unknown_families
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.candidates import Alternative, Family, NotTested, families_of, families_throughout
@@ -85,12 +86,12 @@ class Measurement:
     def squares(self) -> float:
         """Squares of the residual, with those that the declared noise counts for."""
         r = float(self.system.residual @ self.system.residual)
-        return r + 2.0 * min(1.0, r / max(self.system.dof, 1))
+        return r + PRIOR * min(1.0, r / max(self.system.dof, 1))
 
     @cached_property
     def dof(self) -> float:
         """Degrees of freedom, with those that the declared noise counts for."""
-        return self.system.dof + 2.0
+        return self.system.dof + PRIOR
 
     @cached_property
     def by_member(self) -> tuple[Index, Index]:
@@ -101,9 +102,8 @@ class Measurement:
 
     def is_local(self, knots: Knots) -> bool:
         """Whether each unit of a covariate lies in one local member, so that its errors are eliminated with it."""
-        member, by = self.system.basis.member, knots.functions.by
-        there = knots.component >= 0
-        if not by or self.system.basis.members < 2 or (member[there] < 0).any():
+        member, there = self.system.basis.member, knots.component >= 0
+        if not knots.functions.by or self.system.basis.members < 2 or (member[there] < 0).any():
             return False
         pairs = np.unique(np.stack([knots.unit[there], member[there]]), axis=1)
         return bool(len(np.unique(pairs[0])) == pairs.shape[1])
@@ -210,6 +210,15 @@ class Measurement:
         columns = own.compact(turn, unit) if local or unit >= 0 else own.spread(turn)
         price = self.price_of_correlated(number, unit)
         return Random(CORRELATED, key, columns, local, price, LARGEST)
+
+    def scatter(self, number: int) -> Random:
+        """Return an effect at all its places, with sizes of one variance in the unit of its parameters."""
+        rows = self.system.rows
+        columns = [one.columns.whole(range(one.columns.count), rows) for one in self.scatters[number]]
+        every = np.concatenate([one.reshape(rows, -1) for one in columns], axis=1)
+        norms = np.linalg.norm(every, axis=0)
+        typical = float(np.median(norms[norms > 0])) if norms.any() else 1.0
+        return Random(SCATTER, (number, 0, -1), every / typical, False, self.price_of_scatter, 30.0, 1 / typical)
 
     def keys_of(self, reading: int) -> dict[str, str]:
         """Return the keys that identify a reading, with its component if the components are tested one by one."""

@@ -5,17 +5,12 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.evidence.functions import Functions
 from metrocli.frozen import dataclass
-
-if TYPE_CHECKING:
-    from metrocli.diagnosis.evidence.measurement import Measurement
 
 READINGS = -1
 """Family of the errors of single readings"""
@@ -150,14 +145,3 @@ class Knots:
         found = np.zeros((len(own), self.functions.count, own.shape[1]))
         found[np.arange(len(own)), self.unit] = own
         return found.reshape(len(own), -1)
-
-
-def scatter(measurement: Measurement, number: int) -> Random:
-    """Return an effect at all its places, with sizes of one variance in the unit of its parameters."""
-    families = measurement.scatters[number]
-    rows = measurement.system.rows
-    columns = [one.columns.whole(range(one.columns.count), rows).reshape(rows, -1) for one in families]
-    every = np.concatenate(columns, axis=1)
-    norms = np.linalg.norm(every, axis=0)
-    typical = float(np.median(norms[norms > 0])) if norms.any() else 1.0
-    return Random(SCATTER, (number, 0, -1), every / typical, False, measurement.price_of_scatter, 30.0, 1 / typical)

@@ -11,7 +11,7 @@ from dataclasses import field
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.evidence.counting import effective_number_of_tests, smallest_of_family
+from metrocli.diagnosis.evidence.counting import effective_number_of_tests, of_some_members, smallest_of_family
 from metrocli.diagnosis.linear.candidates import Family
 from metrocli.diagnosis.linear.distributions import critical, log_family, single_level
 from metrocli.diagnosis.linear.projection import System
@@ -83,10 +83,12 @@ def counted(system: System, families: Sequence[Family], readings: int, rng: np.r
 
     Errors of single readings are nearly independent tests, so their number is that of the readings.
     """
+    every = system.dof + PRIOR
+    system, families = of_some_members(system, families, rng)
     noise = system.seen(rng.normal(size=(system.rows, DRAWS)))
     squares, dof = (noise**2).sum(axis=0) + rng.chisquare(PRIOR, DRAWS), system.dof + PRIOR
     least = [smallest_of_family(one.columns, one.gram, one.raw, noise, squares, dof) for one in families]
     counts = [effective_number_of_tests(one) for one in least]
     levels = [log_family(one, count) for one, count in zip(least, counts, strict=True)]
     causes = (effective_number_of_tests(np.min(levels, axis=0)) if levels else 0.0) + 1.0
-    return Prices((*(causes * count for count in counts), causes * max(readings, 1)), dof)
+    return Prices((*(causes * count for count in counts), causes * max(readings, 1)), every)

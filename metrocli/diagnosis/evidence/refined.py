@@ -5,7 +5,7 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,18 +32,20 @@ _NEAR, _STARTS = 0.7, 5
 """Values of a scan that explain at least this share of what its best one does are refined too, at most so many"""
 
 
-def refined(state: State) -> State:
+def refined(state: State, waves: Collection[tuple[int, int]] | None = None) -> State:
     """Return the state with the scanned parameters of its effects at their best values beside all else.
 
-    The price of an effect stays that of the scan, which counts the values tried.
+    Of the effects `waves` that have just entered those whose values between the tried ones differ: what a coarse value
+    leaves would look like something else. The price of an effect stays that of the scan, which counts the values tried.
     """
     for _ in range(_ROUNDS):
         before = state
         for number in range(len(state.fixed)):
             one = state.fixed[number]
-            if one.is_reading:
+            effect = None if one.is_reading else state.measurement.alternative(one.key).effect
+            if effect is None or (waves is not None and (one.key not in waves or not is_filled(effect))):
                 continue
-            for parameter in state.measurement.alternative(one.key).effect.scanned:
+            for parameter in effect.scanned:
                 if parameter.grid is not None:
                     state = _closer(state, number, parameter.name)
         if state is before:

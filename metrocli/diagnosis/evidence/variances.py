@@ -14,7 +14,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
-from metrocli.diagnosis.evidence.parts import CORRELATED, LARGEST, SCATTER, Random, scatter
+from metrocli.diagnosis.evidence.parts import CORRELATED, LARGEST, SCATTER, Random
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.noise import DECLARED_SIGMA
 from metrocli.frozen import dataclass
@@ -63,7 +63,7 @@ class Found:
     def part(self, m: Measurement) -> Random:
         """Return its columns."""
         if self.kind == SCATTER:
-            return scatter(m, self.key[0])
+            return m.scatter(self.key[0])
         return m.correlated(self.key[0], LENGTHS[self.key[1]], self.key[2])
 
 
@@ -189,7 +189,7 @@ def scattered_effects(state: State) -> list[Found]:
         if number in held:
             continue
         if (SCATTER, number) not in m.held:
-            m.held[SCATTER, number] = scatter(m, number).columns
+            m.held[SCATTER, number] = m.scatter(number).columns
         columns = m.held[SCATTER, number]
         inside = state.inside(columns)
         d, vectors = np.linalg.eigh(columns.T @ columns - inside.T @ inside)

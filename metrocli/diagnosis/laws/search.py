@@ -13,7 +13,8 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.adjusted_job import Ordered
-from metrocli.diagnosis.evidence.folds import Fold, Gain, Held, Model, Train, folds_of, gain_of
+from metrocli.diagnosis.evidence.gain import Gain, Held, gain_of
+from metrocli.diagnosis.evidence.held_out import Fold, Model, Train, folds_of
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.library import Library, Term

@@ -3,7 +3,7 @@
 A reading uses one point (or one image). The columns of different points are orthogonal, so their part of the basis has
 as many numbers a row as a point has unknowns. Time and memory are then linear in the readings.
 
-Method: docs/algorithms/selection-and-levels.md (projection).
+Method: docs/algorithms/what-can-be-seen.md (projection).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Candidates: the forms and places of each cause, with the columns that each would add to the model.
 
-Method: docs/algorithms/selection-and-levels.md.
+Method: docs/algorithms/what-can-be-seen.md.
 """
 
 from __future__ import annotations

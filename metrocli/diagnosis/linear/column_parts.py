@@ -1,6 +1,6 @@
 """Parts of the columns of a family: alternatives at the same rows, and steps that share one course of columns.
 
-Method: docs/algorithms/selection-and-levels.md (projection).
+Method: docs/algorithms/what-can-be-seen.md (projection).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 An effect of one tracer, image or point changes a few rows only. Its visible part `M g` is dense, but a product with a
 visible vector v needs no projection: `(M g)' v = g' v`, because `M v = v`. So the signatures are stored as they are,
-and only those that enter a model are projected. Method: docs/algorithms/selection-and-levels.md (projection).
+and only those that enter a model are projected. Method: docs/algorithms/what-can-be-seen.md (projection).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.diagnosis.linear.basis import Basis
+from metrocli.diagnosis.linear.basis import Basis, grams_of
 from metrocli.diagnosis.linear.column_parts import ColumnPart, Own, Part, Step, Steps
 
 if TYPE_CHECKING:
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 _MANY, _SMALL = 12, 2000
 """Number of parts from which those with fewer rows are held as one sparse matrix: one product instead of many"""
+_DENSE = 2_000_000
+"""Most numbers of the columns of many parts whose Gram matrices are computed as of one table"""
 
 
 @dataclass(frozen=True)
@@ -127,6 +129,10 @@ class Columns:
     def grams(self, basis: Basis) -> Array:
         """Return `g' M g` of each alternative, (alternatives, parameters, parameters), M without a basis."""
         found = np.zeros((self.count, self.parameters, self.parameters))
+        rows = len(basis.local)
+        if len(self.parts) > _MANY and rows * self.count * self.parameters <= _DENSE:
+            whole = self.whole(range(self.count), rows)
+            return np.asarray(grams_of(whole) - basis.grams(whole))
         for part in self.parts:
             found[part.numbers] = part.grams(basis)
         return found

@@ -1,6 +1,6 @@
 """Tails of the F distribution as logarithms, which do not underflow.
 
-Method: docs/algorithms/selection-and-levels.md.
+Method: docs/algorithms/what-can-be-seen.md.
 """
 
 from __future__ import annotations

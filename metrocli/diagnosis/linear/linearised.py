@@ -1,6 +1,6 @@
 """A model as a linear system: local unknowns are removed member by member, the shared ones are dense.
 
-Method: docs/algorithms/selection-and-levels.md.
+Method: docs/algorithms/what-can-be-seen.md.
 """
 
 from __future__ import annotations

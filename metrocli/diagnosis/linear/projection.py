@@ -4,7 +4,7 @@ J are the whitened derivatives by all unknowns. The projector `M = I - J (J'J)^-
 that the unknowns absorb. `M g` is visible in the residuals. `J^- g` is the error of the unknowns (external
 reliability). M does not depend on the datum.
 
-Method: docs/algorithms/selection-and-levels.md.
+Method: docs/algorithms/what-can-be-seen.md.
 """
 
 from __future__ import annotations

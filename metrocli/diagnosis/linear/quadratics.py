@@ -1,6 +1,6 @@
 """Quadratic forms `b' A^+ b` of many small systems at once, with the directions of A that are visible.
 
-Method: docs/algorithms/selection-and-levels.md.
+Method: docs/algorithms/what-can-be-seen.md.
 """
 
 from __future__ import annotations

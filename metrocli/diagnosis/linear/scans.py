@@ -1,6 +1,6 @@
 """Values of scanned parameters that are tried: so many that no form of an effect between two of them is missed.
 
-Method: docs/algorithms/selection-and-levels.md (scans).
+Method: docs/algorithms/what-can-be-seen.md (scans).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Signatures: the whitened columns that an effect adds to the linearised system of a model.
 
-Method: docs/algorithms/selection-and-levels.md.
+Method: docs/algorithms/what-can-be-seen.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """From what the basis absorbs of an error to the change of the unknowns.
 
-Method: docs/algorithms/selection-and-levels.md (projection).
+Method: docs/algorithms/what-can-be-seen.md (projection).
 """
 
 from __future__ import annotations

@@ -11,7 +11,6 @@ from collections.abc import Callable
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.evidence.parts import scatter
 from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.hidden_change import HiddenChange, hidden_by_scatter
@@ -141,7 +140,7 @@ def _candidate(state: State, effect: Effect, noise: float) -> ScatterCandidate:
     number = next((i for i, own in enumerate(m.scatters) if own[0].name == effect.name), None)
     if number is None:
         return ScatterCandidate(effect, float("inf"), HiddenChange(0.0))
-    one = scatter(m, number)
+    one = m.scatter(number)
     left = one.columns.T @ state.seen(one.columns) * one.unit**-2
     eigenvalues = np.linalg.eigvalsh(left)
     seen = eigenvalues[eigenvalues > _SEEN * eigenvalues[-1]], m.dof, effect.plausible / noise

@@ -11,11 +11,12 @@ import pytest
 
 from benchmarks.hidden import images, lengths
 from benchmarks.hidden.scenes import board_scene
-from metrocli.diagnosis.evidence.folds import Fold, Model, folds_of
+from metrocli.diagnosis.evidence.held_out import Fold, Model, folds_of
 from metrocli.diagnosis.evidence.measurement import Measurement, measurement_of
-from metrocli.diagnosis.evidence.parts import Fixed, Random, scatter
+from metrocli.diagnosis.evidence.parts import Fixed, Random
 from metrocli.diagnosis.evidence.prices import gain_of_columns
-from metrocli.diagnosis.evidence.state import State, local_columns
+from metrocli.diagnosis.evidence.products import local_columns
+from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
 
 Array = npt.NDArray[np.float64]
@@ -41,7 +42,7 @@ def parts(kind: str) -> tuple[list[Fixed], list[Random], list[float]]:
     fixed = [m.reading(7), m.effect(0, 0)]
     if kind == BOARD:
         each, one = number_of(m, "place in the image", "image"), number_of(m, "image radius", "image")
-        random = [m.correlated(each, 1 / 4, -1), scatter(m, 0), m.correlated(one, m.lengths(one)[-1], 2)]
+        random = [m.correlated(each, 1 / 4, -1), m.scatter(0), m.correlated(one, m.lengths(one)[-1], 2)]
         return fixed, random, [0.3, 1.2, -0.5]
     each = number_of(m, "t_s", "tracer")
     return fixed, [m.correlated(each, 1 / 4, -1), m.correlated(each, 1 / 8, 1)], [0.4, 1.0]
@@ -93,7 +94,7 @@ def test_the_likelihood_is_the_restricted_one(kind: str) -> None:
     bare = float(m.system.residual @ projected(v, j) @ m.system.residual)
     full = projected(v, np.concatenate([j, *(one.columns for one in fixed)], axis=1))
     prior = m.squares - float(m.system.residual @ m.system.residual)
-    assert state.bare == pytest.approx(bare + prior, rel=1e-9)
+    assert state.given.squares == pytest.approx(bare + prior, rel=1e-9)
     assert state.fit.squares == pytest.approx(float(m.system.residual @ full @ m.system.residual) + prior, rel=1e-9)
     log_det = np.linalg.slogdet(v)[1] + np.linalg.slogdet(j.T @ np.linalg.solve(v, j))[1]
     assert state.fit.log_det == pytest.approx(log_det, rel=1e-9)

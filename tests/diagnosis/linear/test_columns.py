@@ -87,13 +87,14 @@ def test_rows_left_out_and_alternatives_added_are_those_of_the_dense_array(
     assert np.allclose(cut, np.where(kept[:, None, None], dense, 0.0))
     nothing = Basis(np.zeros((ROWS, 1)), np.full(ROWS, -1), 0, np.zeros((ROWS, 0)))
     assert np.allclose(columns.at(kept).grams(nothing), np.einsum("rkp,rkq->kpq", cut, cut))
-    left = columns.only(kept)
-    assert np.allclose(left.whole(range(5), ROWS), np.where(kept[:, None, None], dense, 0.0))
-    assert np.allclose(left.norms(), np.linalg.norm(np.where(kept[:, None, None], dense, 0.0), axis=0))
+    factor = rng.uniform(size=ROWS)
+    left = columns.weighted(factor)
+    assert np.allclose(left.whole(range(5), ROWS), factor[:, None, None] * dense)
+    assert np.allclose(left.norms(), np.linalg.norm(factor[:, None, None] * dense, axis=0))
     more = rng.normal(size=(ROWS, 2))
     assert np.allclose(columns.followed_by(more).whole([5, 2], ROWS), np.stack([more, dense[:, 2]], axis=1))
-    both = joined([columns, columns]).only(kept)
-    assert np.allclose(both.whole([1, 6], ROWS)[:, 1], np.where(kept[:, None], dense[:, 1], 0.0))
+    both = joined([columns, columns]).weighted(factor)
+    assert np.allclose(both.whole([1, 6], ROWS)[:, 1], factor[:, None] * dense[:, 1])
 
 
 def test_a_course_of_all_rows_is_in_the_order_of_time() -> None:
@@ -121,7 +122,7 @@ def test_many_small_parts_give_the_products_of_each() -> None:
     assert columns.products(vectors[:, :0]).shape == (columns.count, 2, 0)
     kept = rng.random(ROWS) < 0.7
     there = np.where(np.append(kept, np.ones(5, dtype=bool))[:, None], vectors, 0.0)
-    assert np.abs(columns.only(kept).products(there) - columns.at(kept).products(there)).max() < 1e-12
+    assert np.abs(columns.products(there) - columns.at(kept).products(there)).max() < 1e-12
 
 
 def test_members_without_rows_are_not_taken_for_members_of_one_row() -> None:

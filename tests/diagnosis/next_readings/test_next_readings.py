@@ -201,8 +201,9 @@ def test_the_chance_to_separate_is_that_of_simulated_readings(rival: str) -> Non
 def test_what_is_proposed_raises_the_power_more_than_as_many_readings_at_random() -> None:
     diagnosis, following = found()
     assert str(diagnosis.findings[0].effect.alternative) == "dead-path-drift T2"
-    assert following.aims[0].before == 0
-    assert following.aims[0].after > 0.95
+    (other,) = (one for one in following.aims if one.why.endswith("dead-path-drift T4"))
+    assert other.before == 0
+    assert other.after > 0.95
     best = plain_powers([one.proposal for one in following.readings])
     all_of_them, rng = proposals(diagnosis.job), np.random.default_rng(1)
     for _ in range(10):

@@ -11,7 +11,7 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.identified import all_identified
 from metrocli.diagnosis.evidence.measurement import measurement_of
 from metrocli.diagnosis.evidence.refined import refined
-from metrocli.diagnosis.evidence.search import forward, swapped
+from metrocli.diagnosis.evidence.search import forward, pruned, swapped
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.extended_fit import extended_fit, relinearised
 from metrocli.errors import UndeterminedError
@@ -58,4 +58,4 @@ def searched(job: AdjustedJob) -> tuple[State, State]:
             state = forward(state)
             break
         m = measurement_of(relinearised(job, names, fit), None, m)
-    return first, refined(swapped(state))
+    return first, pruned(refined(swapped(state)))

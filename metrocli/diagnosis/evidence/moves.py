@@ -1,0 +1,185 @@
+"""The moves of the search: what may enter a state, with its quick net gain.
+
+Method: docs/algorithms/evidence.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import islice
+
+import numpy as np
+
+from metrocli.adjust.robust import SAME
+from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed
+from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.evidence.variances import Found, correlated_errors, noisier_groups, scattered_effects
+from metrocli.diagnosis.evidence.weights import with_noise
+from metrocli.diagnosis.linear.projection import MOST_NUMBERS, READING
+from metrocli.diagnosis.linear.quadratics import quadratic
+from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA
+from metrocli.errors import InputError
+from metrocli.frozen import dataclass
+
+_CORRELATED = 4
+"""Largest number of correlated errors: what more of them explain is small beside these"""
+_AT_ONCE = 60
+"""Wrong readings of one step, at most"""
+_APART = 0.3
+"""Largest correlation of wrong readings that are taken in one step"""
+_ESTIMATES, _STAYS = 6, 1.03
+"""Largest number of estimates of the noise of a group, and the ratio of two that ends them"""
+_MASKED, _TOGETHER = 2.0, 8
+"""Variance of the noise, in that declared, from which several wrong readings are sought together, and how many"""
+
+
+@dataclass(frozen=True)
+class Move:
+    """Parts that may enter, with their quick net gain."""
+
+    net: float
+    fixed: tuple[Fixed, ...] = ()
+    found: Found | None = None
+    noise: Mapping[int, float] | None = None
+    given: bool = False
+    """Whether the noise is that of prior values, whose stated sigma is wrong"""
+
+    @property
+    def is_cause(self) -> bool:
+        """Whether known effects enter, at a place or at all their places."""
+        return any(one.sort == EFFECT for one in self.fixed) or (self.found is not None and self.found.kind == SCATTER)
+
+    @property
+    def keys(self) -> tuple[tuple[int, ...], ...]:
+        """Keys of the parts that enter."""
+        return (*(one.key for one in self.fixed), *(() if self.found is None else (self.found.key,)))
+
+    def made(self, state: State) -> State:
+        """Return the state after the move."""
+        if self.noise is not None:
+            return _with_noise(state, self.noise)
+        if self.found is not None:
+            return state.plus(random=[self.found.part(state.measurement)], logs=[self.found.log])
+        return state.plus(self.fixed)
+
+
+def _with_noise(state: State, noise: Mapping[int, float]) -> State:
+    """Return a state whose variance groups have a noise of their own, estimated until it stays."""
+    for _ in range(_ESTIMATES):
+        after = state.at(with_noise(state.measurement, noise))
+        if after.score < state.score and state.measurement.noise:
+            return state
+        state, noise = after, {number: after.ratio_of(number) for number in noise}
+        if all(1 / _STAYS < ratio < _STAYS for ratio in noise.values()):
+            break
+    return state
+
+
+def moves(state: State, quiet: set[int] | None = None) -> list[Move]:
+    """Return what may enter a state, the best first; `quiet` are covariates that showed nothing before."""
+    found = [*effects(state), *readings(state), *_masked_readings(state)]
+    random = scattered_effects(state)[:1]
+    if sum(one.kind == CORRELATED for one in state.random) < _CORRELATED:
+        random += correlated_errors(state, quiet)
+    found += [Move(one.net, found=one) for one in random]
+    found += _noise(state)
+    return sorted((one for one in found if one.net > -1), key=lambda one: -one.net)
+
+
+def _noise(state: State) -> list[Move]:
+    """Return the noisier variance groups of one step: the most certain, and those of its kind nearly as certain."""
+    of_readings = [one[0] not in (READING, DECLARED_SIGMA) for one in state.measurement.units]
+    # one of many units that is quieter than the others is no cause for anything
+    groups = [
+        one
+        for one in noisier_groups(state)
+        if one[0] > 0 and (one[2] > AS_OTHERS or (one[2] < 1 / AS_OTHERS and not of_readings[one[1]]))
+    ]
+    if not groups:
+        return []
+    kind = state.measurement.units[groups[0][1]][0]
+    alike = [one for one in groups if state.measurement.units[one[1]][0] == kind and one[0] > groups[0][0] / 2]
+    return [Move(groups[0][0], noise={number: ratio for _, number, ratio in alike}, given=kind == DECLARED_SIGMA)]
+
+
+def effects(state: State, most: int = 2) -> list[Move]:
+    """Return the effects, and unknown causes, of the largest net gains.
+
+    Left out is what the error of one reading explains as well: beside its dead path, a jump after the first reading of
+    a tracer is an error of that reading. How many readings there are is no evidence for the jump.
+    """
+    m = state.measurement
+    taken = {m.alternative(one.key).form for one in (*state.named, *state.unknown)}
+    found: list[tuple[float, int, int, float]] = []
+    for family in range(len(m.families)):
+        gain, price, explained = state.gains_of_family(family)
+        net = gain - price
+        for at in np.argsort(-net)[:4].tolist():
+            if net[at] > -1 and gain[at] > 0 and m.alternative((family, at)).form not in taken:
+                found.append((float(net[at]), family, at, float(explained[at])))
+    found.sort(reverse=True)
+    chosen = (one for one in found if not _is_of_one_reading(state, *one[1:]))
+    return [Move(net, (m.effect(family, at),)) for net, family, at, _ in islice(chosen, most)]
+
+
+def _is_of_one_reading(state: State, family: int, number: int, explained: float) -> bool:
+    """Return whether the error of one reading changes what the state leaves as an alternative does."""
+    m = state.measurement
+    _, rank, by_readings = state.of_readings()
+    alike = (rank > 0) & (rank <= m.families[family].columns.parameters) & (by_readings > SAME * explained)
+    rows = m.places[alike]
+    if not len(rows):
+        return False
+    gram, right = (one[number] for one in state.left(family))
+    whole = m.whole(family, number) @ (np.linalg.pinv(gram, hermitian=True) @ right)
+    there = rows >= 0
+    blocks = np.eye(rows.shape[1]) * there[:, :, None] - state.basis.products(rows, rows)
+    shared, _ = quadratic(blocks, np.where(there, state.seen(whole)[rows], 0.0), np.ones(rows.shape))
+    return bool(shared.max() > SAME * explained)
+
+
+def readings(state: State) -> list[Move]:
+    """Return the wrong readings of one step: the most certain, and others nearly as bad that it does not imitate."""
+    m = state.measurement
+    gain, price, t = state.gains_of_readings()
+    net = gain - price
+    taken = {one.number for one in state.readings}
+    order = [i for i in np.argsort(-net)[:_AT_ONCE].tolist() if net[i] > 0 and i not in taken]
+    chosen: list[Fixed] = []
+    for i in (i for i in order if t[i] > t[order[0]] / 4):
+        one = m.reading(i)
+        if all(np.abs(other.columns.T @ m.system.seen(one.columns)).max(initial=0.0) < _APART for other in chosen):
+            chosen.append(one)
+    _must_be_held(state, len(chosen))
+    return [Move(float(net[order[0]]), tuple(chosen))] if chosen else []
+
+
+def _must_be_held(state: State, more: int) -> None:
+    """Raise InputError if so many fixed columns need more memory than a diagnosis may take."""
+    rows = state.measurement.system.rows
+    if rows * (len(state.fixed) + more) > MOST_NUMBERS:
+        raise InputError(
+            f"diagnose finds more than {MOST_NUMBERS // rows} wrong readings and effects in {rows} readings: "
+            "it fits them together, which needs too much memory\n"
+            "remove the wrong readings first: write `outliers: remove` in the job"
+        )
+
+
+def _masked_readings(state: State) -> list[Move]:
+    """Return the wrong readings that show only together: each of them passes for noise beside the others.
+
+    They are sought where the noise is larger than declared: the worst is taken out, and so on.
+    """
+    if state.variance < _MASKED or state.random:
+        return []
+    best, at = state, state
+    most = min(_TOGETHER, len(state.measurement.places) // 4)
+    for _ in range(most):
+        gain, _, t = at.gains_of_readings()
+        worst = int(np.argmax(np.where(gain > 0, t, -np.inf)))
+        if gain[worst] <= 0 or worst in {one.number for one in at.readings}:
+            break
+        at = at.plus([state.measurement.reading(worst)])
+        best = at if at.score > best.score else best
+    new = best.fixed[len(state.fixed) :]
+    return [Move(best.score - state.score, new)] if len(new) > 1 else []

@@ -1,0 +1,158 @@
+"""Products of the columns of parts, each pair computed once for a measurement.
+
+Method: docs/algorithms/evidence.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.evidence.likelihood import Products
+from metrocli.diagnosis.evidence.measurement import Measurement
+from metrocli.diagnosis.evidence.parts import HELD_OUT, Fixed, Random
+
+_NEVER_HELD = (HELD_OUT, (0, 0))
+"""Key of the columns of held-out rows, of which each fold has its own"""
+
+
+def local_part(m: Measurement, own: Array, x: Array) -> Array:
+    """Return `E E' x` of columns E of single members."""
+    order, begins = m.by_member
+    found = np.zeros(x.shape)
+    for a, b in pairwise(begins):
+        rows = order[a:b]
+        found[rows] = own[rows] @ (own[rows].T @ x[rows])
+    return found
+
+
+def within(m: Measurement, columns: Array) -> Array:
+    """Return columns (rows, k) without what the local unknowns absorb."""
+    basis = replace(m.system.basis, shared=np.zeros((m.system.rows, 0)))
+    return columns - basis.combined(basis.coordinates(columns)) if basis.members else columns
+
+
+def without_local(m: Measurement, key: object, columns: Array) -> Array:
+    """Return columns (rows, k) without what local unknowns absorb, computed once for each key but those held out."""
+    if key == _NEVER_HELD:
+        return within(m, columns)
+    if key not in m.held:
+        m.held[key] = within(m, columns)
+    return m.held[key]
+
+
+def _shared_parts(
+    m: Measurement, fixed: Sequence[Fixed], random: Sequence[Random], unknowns: bool
+) -> list[tuple[object, Array]]:
+    """Return the shared columns of unknowns, random and fixed parts with their keys, free of local unknowns.
+
+    Without the unknowns the others are free of these as well.
+    """
+    others: list[tuple[object, Array]] = [((one.kind, one.key), one.columns) for one in random if not one.local]
+    others += [((one.sort, one.key), one.columns) for one in fixed]
+    if unknowns:
+        return [("unknowns", m.system.basis.shared), *((key, without_local(m, key, one)) for key, one in others)]
+    return [(("M", key), _without_unknowns(m, key, one)) for key, one in others]
+
+
+def _without_unknowns(m: Measurement, key: object, columns: Array) -> Array:
+    """Return columns (rows, k) without what the unknowns absorb, computed once for each key but those held out."""
+    if key == _NEVER_HELD or ("M", key) not in m.held:
+        left, shared = without_local(m, key, columns), m.system.basis.shared
+        left = left - shared @ (shared.T @ left)
+        if key == _NEVER_HELD:
+            return left
+        m.held["M", key] = left
+    return m.held["M", key]
+
+
+def shared_columns(m: Measurement, fixed: Sequence[Fixed], random: Sequence[Random], unknowns: bool = True) -> Array:
+    """Return the shared columns of unknowns, random and fixed parts side by side, (rows, p)."""
+    parts = [one for _, one in _shared_parts(m, fixed, random, unknowns)]
+    return np.concatenate([np.zeros((m.system.rows, 0)), *parts], axis=1) if len(parts) != 1 else parts[0]
+
+
+def _local_parts(m: Measurement, random: Sequence[Random]) -> list[tuple[object, Array]]:
+    """Return the columns of errors of single members with their keys, free of the unknowns of these."""
+    keys = [((one.kind, one.key), one.columns) for one in random if one.local]
+    return [(key, without_local(m, key, columns)) for key, columns in keys]
+
+
+def local_columns(m: Measurement, random: Sequence[Random]) -> Array:
+    """Return the columns of errors of single members, free of their unknowns, (rows, k)."""
+    return np.concatenate([np.zeros((m.system.rows, 0)), *(one for _, one in _local_parts(m, random))], axis=1)
+
+
+def products_of(
+    m: Measurement, fixed: Sequence[Fixed], random: Sequence[Random], with_unknowns: bool = False
+) -> Products:
+    """Return the products of all columns of a state, those of the unknowns where members have errors, or if asked.
+
+    Products of two parts are computed once.
+    """
+    local = _local_parts(m, random)
+    with_unknowns |= bool(local)
+    residual = "residual", m.system.residual[:, None]
+    shared = [*_shared_parts(m, fixed, random, with_unknowns), residual]
+    sizes = [one.shape[1] for _, one in shared]
+    ends = np.cumsum([0, *sizes])
+    gram = np.empty((ends[-1], ends[-1]))
+    for i, first in enumerate(shared):
+        rows = slice(ends[i], ends[i + 1])
+        for j in range(i, len(shared)):
+            block = _product(m, first, shared[j])
+            gram[rows, ends[j] : ends[j + 1]] = block
+            gram[ends[j] : ends[j + 1], rows] = block.T
+    unknowns = sizes[0] if with_unknowns else 0
+    kinds = [np.full(unknowns, -1)]
+    kinds += [np.full(one.columns.shape[1], j) for j, one in enumerate(random) if not one.local]
+    kinds += [np.full(one.rank, -1) for one in fixed]
+    of_local = [np.full(one.columns.shape[1], j) for j, one in enumerate(random) if one.local]
+    empty, members = np.zeros(0, dtype=np.intp), m.system.basis.members if local else 0
+    own = np.zeros((members, 0, 0))
+    mixed = np.zeros((members, 0, ends[-1]))
+    if local:
+        own = np.concatenate(
+            [np.concatenate([_of_members(m, one, other) for other in local], axis=2) for one in local], axis=1
+        )
+        mixed = np.concatenate(
+            [np.concatenate([_of_members(m, one, other) for other in shared], axis=2) for one in local], axis=1
+        )
+    return Products(
+        gram[:-1, :-1],
+        gram[:-1, -1],
+        m.squares,
+        m.dof,
+        unknowns,
+        np.concatenate([*kinds, empty]).astype(np.intp),
+        np.concatenate([*of_local, empty]).astype(np.intp),
+        own,
+        mixed[:, :, :-1],
+        mixed[:, :, -1],
+    )
+
+
+def _product(m: Measurement, one: tuple[object, Array], other: tuple[object, Array]) -> Array:
+    """Return the product of the columns of two parts, computed once for those of known keys."""
+    key = "product", one[0], other[0]
+    if _NEVER_HELD in (one[0], other[0]):
+        return one[1].T @ other[1]
+    if key not in m.held:
+        m.held[key] = one[1].T @ other[1]
+    return m.held[key]
+
+
+def _of_members(m: Measurement, one: tuple[object, Array], other: tuple[object, Array]) -> Array:
+    """Return the products of the columns of two parts in each local member, (members, k, p)."""
+    key = "of members", one[0], other[0]
+    if key in m.held:
+        return m.held[key]
+    order, begins = m.by_member
+    found = np.stack([one[1][order[a:b]].T @ other[1][order[a:b]] for a, b in pairwise(begins)])
+    if _NEVER_HELD not in (one[0], other[0]):
+        m.held[key] = found
+    return found

@@ -1,0 +1,212 @@
+"""Parts that explain the residuals at their likeliest sizes, with their score.
+
+Method: docs/algorithms/evidence.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import field
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.evidence.likelihood import Fit, fit_at, likeliest
+from metrocli.diagnosis.evidence.measurement import LENGTHS, Measurement
+from metrocli.diagnosis.evidence.parts import EFFECT, READINGS, SCATTER, UNKNOWN, Fixed, Random
+from metrocli.diagnosis.evidence.prices import FURTHER, PRIOR, gain_of_columns
+from metrocli.diagnosis.evidence.products import products_of
+from metrocli.frozen import dataclass
+
+
+@dataclass(frozen=True)
+class Given:
+    """Products of the columns of fixed parts, without what unknowns and random parts take of them."""
+
+    gram: Array
+    """(k, k)"""
+    right: Array
+    """With what these leave of the residual, (k,)"""
+    squares: float
+    """Squares of the residual that these leave"""
+    dof: float
+    ranks: tuple[int, ...]
+    """Number of columns of each part"""
+
+    def _columns(self, parts: Sequence[int]) -> Array:
+        ends = np.cumsum([0, *self.ranks])
+        return np.concatenate([np.arange(ends[j], ends[j + 1]) for j in parts] or [np.zeros(0, dtype=np.intp)])
+
+    def evidence(self, parts: Sequence[int]) -> float:
+        """Return the sum of the evidence of some parts, each beside those before it."""
+        at = self._columns(parts)
+        if not at.size:
+            return 0.0
+        ranks = [self.ranks[j] for j in parts]
+        return _in_turn(self.gram[np.ix_(at, at)], self.right[at], ranks, self.squares, self.dof)
+
+
+def _in_turn(gram: Array, right: Array, ranks: Sequence[int], squares: float, dof: float) -> float:
+    """Return the sum of the evidence of fixed columns, each beside those before it."""
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    unit = gram / scale / scale[:, None]
+    lower = np.linalg.cholesky(unit + 1e-12 * np.eye(len(unit)))
+    found = np.linalg.solve(lower, right / scale) ** 2
+    # a column that depends on those before it explains nothing
+    found = np.where(np.diag(lower) > 1e-5, found, 0.0)
+    total, at = 0.0, 0
+    for rank in ranks:
+        t = float(found[at : at + rank].sum())
+        total += float(gain_of_columns(np.array(t), np.array(rank), squares, dof))
+        squares, dof, at = max(squares - t, 1e-300), dof - rank, at + rank
+    return total
+
+
+TRIAL = 2
+"""Steps of the sizes in a trial"""
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Parts that explain the residuals of a measurement, at the likeliest sizes."""
+
+    measurement: Measurement
+    fixed: tuple[Fixed, ...]
+    random: tuple[Random, ...]
+    fit: Fit
+    held: dict[object, tuple[Array, Array]] = field(default_factory=dict, compare=False, repr=False)
+    """Cache of what is left of families"""
+
+    @classmethod
+    def of(
+        cls,
+        measurement: Measurement,
+        fixed: Sequence[Fixed] = (),
+        random: Sequence[Random] = (),
+        logs: Sequence[float] | Array = (),
+        steps: int = 12,
+    ) -> Self:
+        """Return a state, its sizes estimated from some on."""
+        products = products_of(measurement, fixed, random)
+        most = np.array([one.most for one in random])
+        fit = likeliest(products, np.array(logs, dtype=float), most, steps)
+        return cls(measurement, tuple(fixed), tuple(random), fit)
+
+    @property
+    def logs(self) -> Array:
+        """ln of the variance of each random part, in that of the noise."""
+        return self.fit.logs
+
+    @property
+    def named(self) -> tuple[Fixed, ...]:
+        """The identified effects."""
+        return tuple(one for one in self.fixed if one.sort == EFFECT)
+
+    @property
+    def unknown(self) -> tuple[Fixed, ...]:
+        """What varies with a covariate for a cause that is not known."""
+        return tuple(one for one in self.fixed if one.sort == UNKNOWN)
+
+    @property
+    def readings(self) -> tuple[Fixed, ...]:
+        """The wrong readings."""
+        return tuple(one for one in self.fixed if one.is_reading)
+
+    @cached_property
+    def given(self) -> Given:
+        """The fixed columns, given the unknowns and the random parts."""
+        at = self.fit.fixed
+        lower, sought = self.fit.lower[at:, at:], self.fit.sought[at:]
+        ranks = tuple(one.rank for one in self.fixed)
+        return Given(lower @ lower.T, lower @ sought, float(self.fit.squares + sought @ sought), self.fit.dof, ranks)
+
+    @cached_property
+    def freedoms(self) -> float:
+        """Degrees of freedom beside all fixed columns."""
+        return float(self.fit.dof - sum(one.rank for one in self.fixed))
+
+    @cached_property
+    def noise_freedoms(self) -> float:
+        """Degrees of freedom of the white noise alone: without those of the declared one and of the random parts."""
+        return max(self.freedoms - PRIOR - float(self.fit.slopes[1][0].sum()), 1.0)
+
+    @property
+    def white_squares(self) -> float:
+        """Squares of the white noise, by its variance and degrees of freedom."""
+        return self.variance * self.noise_freedoms
+
+    @property
+    def variance(self) -> float:
+        """Variance of the noise, in that declared."""
+        return float(self.fit.squares / max(self.freedoms, 1.0))
+
+    @cached_property
+    def score(self) -> float:
+        """The restricted log-likelihood with the evidence of the fixed parts, less the prices of all parts."""
+        return self._score(range(len(self.fixed)))
+
+    def _score(self, kept: Sequence[int]) -> float:
+        """Return the score with some of the fixed parts, in their order, at the same sizes of the random parts."""
+        found = self.measurement.log_scale - (self.fit.dof * np.log(self.given.squares) + self.fit.log_det) / 2
+        return float(found + self.given.evidence(kept) - self._prices([self.fixed[j] for j in kept]))
+
+    def _prices(self, fixed: Sequence[Fixed]) -> float:
+        names = sum(one.sort == EFFECT for one in fixed)
+        alone = all(not one.is_reading for one in fixed)
+        further = FURTHER * max(names - alone, 0)
+        noise = len(self.measurement.noise) * self.measurement.price_of_noise
+        return noise + further + sum(one.price for one in fixed) + sum(one.price for one in self.random)
+
+    def without_fixed(self) -> Array:
+        """Return what each fixed part adds to the score, at the same sizes of the random parts."""
+        every = list(range(len(self.fixed)))
+        return np.array([self.score - self._score([k for k in every if k != j]) for j in every])
+
+    def plus(
+        self, fixed: Sequence[Fixed] = (), random: Sequence[Random] = (), logs: Sequence[float] = (), steps: int = TRIAL
+    ) -> Self:
+        """Return the state with further parts, all sizes estimated anew."""
+        every = (*self.random, *random)
+        return type(self).of(self.measurement, (*self.fixed, *fixed), every, (*self.logs, *logs), steps)
+
+    def minus(self, parts: Sequence[Fixed | Random], steps: int = TRIAL) -> Self:
+        """Return the state without some parts, all sizes estimated anew."""
+        gone = {id(one) for one in parts}
+        kept = [j for j, one in enumerate(self.random) if id(one) not in gone]
+        fixed = [one for one in self.fixed if id(one) not in gone]
+        random = [self.random[j] for j in kept]
+        return type(self).of(self.measurement, fixed, random, self.logs[kept], steps)
+
+    def beside(self, one: Fixed) -> Self:
+        """Return the state without a fixed part, at the same sizes of the random parts."""
+        others = [other for other in self.fixed if other is not one]
+        return type(self).of(self.measurement, others, self.random, self.logs, 0)
+
+    def with_fixed(self, number: int, one: Fixed) -> Self:
+        """Return the state with another fixed part in the place of one."""
+        fixed = (*self.fixed[:number], one, *self.fixed[number + 1 :])
+        return type(self).of(self.measurement, fixed, self.random, self.logs, TRIAL)
+
+    def at(self, measurement: Measurement, random: bool = True) -> Self:
+        """Return the state of the same parts, or of the fixed ones, in the measurement with other weights."""
+        keys = (one.key for one in self.fixed)
+        fixed = [measurement.reading(j) if i == READINGS else measurement.effect(i, j) for i, j in keys]
+        if not random:
+            return type(self).of(measurement, fixed)
+        return type(self).of(measurement, fixed, [remade(measurement, one) for one in self.random], self.logs)
+
+    def settled(self) -> Self:
+        """Return the state with all sizes estimated until they stay."""
+        return type(self).of(self.measurement, self.fixed, self.random, self.logs) if self.random else self
+
+
+def remade(m: Measurement, one: Random) -> Random:
+    """Return a random part of another linearisation in this one."""
+    return m.scatter(one.key[0]) if one.kind == SCATTER else m.correlated(one.key[0], LENGTHS[one.key[1]], one.key[2])
+
+
+def at_sizes(state: Scored, logs: Array) -> Fit:
+    """Return the fit of a state at other sizes of its random parts."""
+    return fit_at(state.fit.products, logs)
