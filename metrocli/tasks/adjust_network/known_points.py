@@ -51,9 +51,10 @@ def _points(files: Files) -> tuple[tuple[str, ...], Array, Array]:
         names, place = list(table.texts("point")), table.stacked("xyz")
         sigma = sigmas(table) if not isinstance(files.points, Result) else _spread(files.points, len(names))
     columns = [(files.sightings, "point"), (files.lengths, "point"), (files.bars, "from"), (files.bars, "to")]
-    columns += [(files.heights, "from"), (files.heights, "to")]
+    columns += [(files.heights, "from"), (files.heights, "to"), (files.stations, "over")]
+    known = set(names)
     every = [table.texts(column) for table, column in columns if table is not None and column in table]
-    more = [name for name in dict.fromkeys(name for one in every for name in one) if name not in set(names)]
+    more = [name for name in dict.fromkeys(name for one in every for name in one) if name and name not in known]
     unknown = np.full((len(more), 3), np.nan)
     return (*names, *more), np.concatenate([place, unknown]), np.concatenate([sigma, unknown])
 

@@ -114,7 +114,14 @@ def sightings_of(
                 setup[rows] = matched(rows_of(table, rows), "setup", setups[1:], "the set-ups") + 1
     values, face = _reduced(table)
     sigma = np.stack([_sigma(table, *pair) for pair in (("az", "hz"), ("el", "zd"), ("d", "d"))])
-    _refuse_sightings(table, values, sigma, list(settings.instruments.values()), stations, station)
+    with all_faults() as each:
+        with each():
+            _refuse_faces(table)
+        with each():
+            _refuse_sightings(table, values, list(settings.instruments.values()), stations, station)
+        with each():
+            chosen = list(settings.instruments.values())
+            _refuse_exact(table, values, sigma, [chosen[i] for i in stations.instrument], station)
     orientation, rounds = _rounds(_texts(table, "round"), station)
     height = np.nan_to_num(table.numbers("th", 0.0))
     return Sightings(table, station, point, values, sigma, face, orientation, rounds, setup, height)
@@ -130,7 +137,6 @@ def _reduced(table: Table) -> tuple[Array, Array]:
     Raw angles of face 2 have a zenith distance above 180 deg: `zd := 360 deg - zd`, `hz := hz - 180 deg`.
     """
     given = table.numbers("face", 1.0)
-    refuse(table, {"the face is 1 or 2": np.asarray(~np.isin(np.where(np.isnan(given), 1.0, given), (1.0, 2.0)))})
     azimuth = table.numbers("az") if "az" in table else -table.numbers("hz", np.nan)
     zenith = np.pi / 2 - table.numbers("el") if "el" in table else table.numbers("zd", np.nan)
     over = zenith > np.pi if "zd" in table else zenith < 0
@@ -139,6 +145,11 @@ def _reduced(table: Table) -> tuple[Array, Array]:
     azimuth = np.where(raw, azimuth + np.pi, azimuth)
     face = np.where((given == 2.0) | raw, -1.0, 1.0)
     return np.stack([azimuth, np.pi / 2 - zenith, table.numbers("d", np.nan)]), face
+
+
+def _refuse_faces(table: Table) -> None:
+    given = table.numbers("face", 1.0)
+    refuse(table, {"the face is 1 or 2": np.asarray(~np.isin(np.where(np.isnan(given), 1.0, given), (1.0, 2.0)))})
 
 
 def _refuse_exact(table: Table, values: Array, sigma: Array, instruments: Sequence[Instrument], station: Index) -> None:
@@ -164,10 +175,9 @@ def _refuse_exact(table: Table, values: Array, sigma: Array, instruments: Sequen
 
 
 def _refuse_sightings(
-    table: Table, values: Array, sigma: Array, instruments: Sequence[Instrument], stations: Stations, station: Index
+    table: Table, values: Array, instruments: Sequence[Instrument], stations: Stations, station: Index
 ) -> None:
     kinds = np.array([instruments[i].type == INTERFEROMETER for i in stations.instrument])
-    _refuse_exact(table, values, sigma, [instruments[i] for i in stations.instrument], station)
     _, elevation, distance = values
     refuse(
         table,

@@ -14,12 +14,11 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.tracker import cartesian
 from metrocli.tasks.adjust_network.readings import Readings
+from metrocli.tasks.adjust_network.rough_poses import fitted
 from metrocli.words import listed
 
 _LINE = 1e-3
 """Thickness of shared points, relative to their extent, below which they are on a line"""
-_REWEIGHTED = 8
-"""Rounds of a fit that gross errors do not spoil"""
 
 
 @dataclass(frozen=True)
@@ -63,6 +62,12 @@ class _Search:
             mark = self.points[stations.over[number]]
             if np.isfinite(mark).all():
                 self.poses[number] = [*(mark + [0.0, 0.0, stations.height[number]]), 0.0, 0.0, 0.0]
+
+    def _mark_below(self, station: int) -> None:
+        """Place the mark under a station that is placed."""
+        mark = self.readings.stations.over[station]
+        if mark >= 0 and np.isnan(self.points[mark]).any():
+            self.points[mark] = self.poses[station, :3] - [0.0, 0.0, self.readings.stations.height[station]]
 
     def run(self) -> None:
         """Place set-ups until no further one can be placed."""
@@ -115,7 +120,7 @@ class _Search:
             turns = np.arctan2(away[:, 1], away[:, 0]) - seen.values[0, rows]
             self.gamma[number] = np.angle(np.exp(1j * turns).sum())
         else:
-            pose = _fitted(self.local[rows], self.points[seen.point[rows]], bool(self.levelled[station]))
+            pose = fitted(self.local[rows], self.points[seen.point[rows]], bool(self.levelled[station]))
             self._set(number, station, pose)
         self._see(number)
 
@@ -123,6 +128,7 @@ class _Search:
         if self.levelled[station]:
             self.gamma[number] = pose[5]
             self.poses[station] = [*pose[:3], 0.0, 0.0, 0.0]
+            self._mark_below(station)
         else:
             self.poses[station], self.gamma[number] = pose, 0.0
             others = [i for i, (of, _) in enumerate(self.readings.sightings.rounds) if of == station]
@@ -164,40 +170,6 @@ class _Search:
             if np.linalg.eigvalsh(matrix)[0] > 1e-6:
                 right = np.einsum("nab,nb->a", across, turned[:, :3])
                 self.points[point] = np.linalg.solve(matrix, right)
-
-
-def _fitted(local: Array, goal: Array, levelled: bool) -> Array:
-    """Return the pose that brings local points to their places; gross errors get low weights."""
-    weights = np.ones(len(local))
-    pose = np.zeros(6)
-    for _ in range(_REWEIGHTED):
-        pose = _turned(local, goal, weights) if levelled else _pose(local, goal, weights)
-        miss = np.linalg.norm(poses.apply(pose, local) - goal, axis=1)
-        scale = max(float(np.median(miss)), 1e-9)
-        if miss.max() <= 8 * scale or len(local) < 5:
-            break
-        weights = 1 / np.maximum(miss / scale, 1.0)
-    return pose
-
-
-def _turned(local: Array, goal: Array, weights: Array) -> Array:
-    """Return the pose with a turn about z alone, in least squares."""
-    w = weights / weights.sum()
-    a, b = local - w @ local, goal - w @ goal
-    gamma = np.arctan2(
-        (w * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])).sum(), (w * (a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1])).sum()
-    )
-    turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, gamma])
-    return np.concatenate([w @ goal - poses.apply(turn, w @ local), turn[3:]])
-
-
-def _pose(local: Array, goal: Array, weights: Array) -> Array:
-    from metrocli.geometry.rotations import nearest_rotation
-
-    w = weights / weights.sum()
-    centre, target = w @ local, w @ goal
-    rotation = nearest_rotation(((goal - target) * w[:, None]).T @ (local - centre))
-    return poses.pose(rotation, target - rotation @ centre)
 
 
 def start(readings: Readings) -> Start:
@@ -252,7 +224,7 @@ def _onto_list(search: _Search, given: Array) -> None:
     if not both.any():
         return
     upright = bool(search.levelled.any()) or both.sum() < 3
-    _moved(search, _fitted(search.points[both], given[both], upright))
+    _moved(search, fitted(search.points[both], given[both], upright))
     search.points = np.where(np.isfinite(search.points), search.points, given)
 
 

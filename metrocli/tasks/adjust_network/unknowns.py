@@ -68,6 +68,8 @@ def seen_points(readings: Readings) -> Mask:
     """Return which points some reading concerns, (points,)."""
     seen = np.zeros(readings.points.count, dtype=bool)
     seen[readings.sightings.point] = True
+    below = readings.stations.over[np.unique(readings.sightings.station)]
+    seen[below[below >= 0]] = True
     for pairs, with_first in ((readings.lengths, False), (readings.bars, True), (readings.heights, True)):
         if pairs is not None:
             seen[pairs.second] = True
