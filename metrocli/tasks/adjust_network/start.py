@@ -53,7 +53,8 @@ class _Search:
         self.local[self.whole] = cartesian(seen.values[:, self.whole])[0].T
         self.local[:, 2] -= seen.height + readings.setups[1][seen.setup]
         order = np.argsort(seen.orientation, kind="stable")
-        self.rows = np.split(order, np.cumsum(np.bincount(seen.orientation, minlength=len(seen.rounds)))[:-1])
+        counts = np.bincount(seen.orientation, minlength=len(seen.rounds))
+        self.rows = np.split(order, np.cumsum(counts)[:-1]) if len(counts) else []
         self._place_over()
 
     def _place_over(self) -> None:
