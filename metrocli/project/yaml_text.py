@@ -15,7 +15,7 @@ import yaml
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats.file_bytes import FileBytes, read_bytes
-from metrocli.nodes import Node, Source
+from metrocli.nodes import Node, Source, values_in, with_paths
 
 HDF5 = b"\x89HDF"
 """First bytes of a result file"""
@@ -184,7 +184,7 @@ class _Builder:
 
     def _close(self, node: Node, anchor: str | None = None) -> None:
         if anchor:
-            self.anchored[anchor] = node, _values_in(node)
+            self.anchored[anchor] = node, values_in(node)
         if self.stack:
             self.stack[-1].children.append(node)
         else:
@@ -226,26 +226,6 @@ class _Builder:
 
     def _refuse(self, event: Any, message: str, hint: str) -> None:
         self.faults.append(self._node(event, "scalar").fault(message, hint))
-
-
-def _values_in(node: Node) -> int:
-    """Return how many values a node holds, itself included."""
-    return 1 + sum(map(_values_in, node.items)) + sum(1 + _values_in(value) for _, value in node.entries)
-
-
-def with_paths(node: Node, path: str = "") -> Node:
-    """Return a tree whose nodes hold their paths, such as `camera.estimate[2]`."""
-    below = f"{path}." if path else ""
-    items = tuple(with_paths(item, f"{path}[{n}]") for n, item in enumerate(node.items, 1))
-    entries = tuple((replace(key, path=path), with_paths(value, below + key.text)) for key, value in node.entries)
-    return replace(node, path=path, items=items, entries=entries)
-
-
-def without_lines(node: Node) -> Node:
-    """Return a tree without lines and columns, for a value from the command line."""
-    items = tuple(without_lines(item) for item in node.items)
-    entries = tuple((without_lines(key), without_lines(value)) for key, value in node.entries)
-    return replace(node, items=items, entries=entries, line=None, column=None)
 
 
 def emit(node: Node, comment: str = "") -> str:

@@ -27,10 +27,10 @@ from metrocli.geometry.poses import pose_from_euler
 from metrocli.table import Table
 from metrocli.tasks.adjust_network import problem as network_problem
 from metrocli.tasks.adjust_network import readings as network_readings
-from metrocli.tasks.adjust_network import start as network_start
 from metrocli.tasks.adjust_network.settings import DistanceNoise, Instrument, InstrumentNoise
 from metrocli.tasks.adjust_network.settings import Files as NetworkFiles
 from metrocli.tasks.adjust_network.settings import Settings as NetworkSettings
+from metrocli.tasks.adjust_network.starts import search as network_start
 from metrocli.tasks.calibrate_machine.effects.tracker import OF_THE_LASER
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths as machine_lengths
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.acting import Acting, components, point, scalar, seen_from
+from metrocli.effects.acting import Acting, components, point, seen_from
 from metrocli.effects.effect import Effect, Parameter, change_points, sizes
 from metrocli.effects.links.angles import Tilted, Turned
 from metrocli.effects.links.lengths import LengthOffset
 from metrocli.effects.links.points import PointStep
 from metrocli.effects.links.stations import HeightStep, ListedWrongly, StationDrift, StationRaised, TargetRaised
 from metrocli.instruments.tracker import POLAR
-from metrocli.tasks.shared.length_effects import LENGTH_EFFECTS
+from metrocli.tasks.shared.length_effects import LENGTH_EFFECTS, length
 from metrocli.tasks.shared.tracker_effects import TRACKER_EFFECTS
 
 _SOURCE = "Baarda 1968, A testing procedure for use in geodetic networks; deformation analysis"
@@ -153,6 +153,7 @@ _OF_PLACES: tuple[Effect, ...] = (
         "a mark stands higher in a later levelling than before: it moved, or its height was taken from another surface",
         sizes("dh", "length", "10 mm"),
         lambda block, where: HeightStep(block, where["point"], "t"),
+        by="t",
         where=("point",),
         scanned=_AT,
         needs=("t", "heights of {point}"),
@@ -199,6 +200,6 @@ PLACES: tuple[Acting, ...] = (
     ),
     point("point-in-tracker", Quantity.POINT_IN_TRACKER, _WHERE, *seen_from()),
     point("point-in-machine", Quantity.POINT_IN_MACHINE, _WHERE),
-    scalar("length", Quantity.LENGTH, "mm", ("tracer", "bar")),
+    length(),
 )
 """Quantities on which effects of one's own can act"""

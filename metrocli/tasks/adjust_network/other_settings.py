@@ -19,7 +19,7 @@ from metrocli.instruments.tracker import cartesian
 from metrocli.table import Table
 from metrocli.tasks.adjust_network.readings import Readings, read
 from metrocli.tasks.adjust_network.settings import Files, Settings
-from metrocli.tasks.adjust_network.start import Start, start
+from metrocli.tasks.adjust_network.starts.search import Start, start
 from metrocli.tasks.job import Job
 
 _GON = 0.9

@@ -24,7 +24,7 @@ from metrocli.tasks.adjust_network import noise as n
 from metrocli.tasks.adjust_network.datum import datum_of
 from metrocli.tasks.adjust_network.readings import Readings
 from metrocli.tasks.adjust_network.settings import Settings
-from metrocli.tasks.adjust_network.start import Start
+from metrocli.tasks.adjust_network.starts.search import Start
 from metrocli.tasks.adjust_network.unknowns import blocks_of, kind_of_stations, rows_of_kind
 
 
@@ -89,6 +89,8 @@ def build(settings: Settings, readings: Readings, start: Start, wanted: Sequence
     first, datum = datum_of(settings, readings, blocks)
     places = _places(readings)
     aspects = {} if settings.vertical is None else _verticals(1 / settings.vertical.radius)
+    if readings.lengths is not None:
+        aspects |= {name: partial(_of_lengths, aspect) for name, aspect in t.aspects(t.reach()).items()}
     nominal = {t.POINT: blocks[t.POINT].values.copy()}
     ready = [_weighed(with_aspects(group, aspects, blocks)[0], noise, blocks) for group in groups]
     model = Model(blocks, (*ready, *g.known(readings, blocks)), datum, measured, places, aspects, nominal=nominal)
@@ -117,6 +119,11 @@ def _places(readings: Readings) -> dict[str, Place]:
         "setup": Place(readings.setups[0], g.OF_SETUP),
         "method": Place(g.methods(readings)),
     }
+
+
+def _of_lengths(aspect: Aspect, blocks: Mapping[str, Block], observations: Observations) -> Array:
+    """Return a condition of the beams of interferometers, 0 for other readings."""
+    return aspect(blocks, observations) if t.TRACER in observations.index else np.zeros(observations.count)
 
 
 def _verticals(curvature: float) -> dict[str, Aspect]:

@@ -14,7 +14,7 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.tracker import cartesian
 from metrocli.tasks.adjust_network.readings import Readings
-from metrocli.tasks.adjust_network.rough_poses import fitted
+from metrocli.tasks.adjust_network.starts.rough_poses import fitted
 from metrocli.words import listed
 
 _LINE = 1e-3
