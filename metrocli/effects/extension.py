@@ -97,10 +97,7 @@ def _nominal(model: Model, group: Group) -> dict[str, Array]:
 
 def can_act(model: Model, effect: Effect, where: Mapping[str, str]) -> bool:
     """Whether some readings have the conditions that an effect needs at a place, and a chain on which it acts."""
-    return any(
-        _has(group, effect.needed(where)) and _concerns(model, group, effect) and _reaches(group, effect, where)
-        for group in model.readings
-    )
+    return any(_passes(model, group, effect, where) for group in model.readings)
 
 
 def _has(group: Group, needs: Sequence[str]) -> bool:
@@ -135,10 +132,11 @@ def with_effect(
         return _freed(model, effect, tuple(instances), values)
     name = _unused(" ".join([effect.name, *(instances[0] if len(instances) == 1 else ())]), model.blocks)
     apart = not effect.selects and any(model.places[key].index for key in effect.keys)
-    link = effect.link(name, dict(zip(effect.keys, instances[0], strict=True)))
+    where = dict(zip(effect.keys, instances[0], strict=True))
+    link = effect.link(name, where)
     block = _block(effect, name, instances, values, apart)
     groups = tuple(
-        _spliced(model, group, effect, instances, link, apart) if _passes(model, group, effect, link) else group
+        _spliced(model, group, effect, instances, link, apart) if _passes(model, group, effect, where) else group
         for group in model.groups
     )
     added = Added(effect, tuple(instances), name, columns)
@@ -245,10 +243,10 @@ def _block(
     )
 
 
-def _passes(model: Model, group: Group, effect: Effect, link: Link) -> bool:
-    """Return whether the readings of a group pass through a link, and may concern the places of its effect."""
-    used = set(link.blocks[:-1]) <= set(group.chain.blocks)
-    return group.name in model.measured and used and group.chain.takes(link) and _concerns(model, group, effect)
+def _passes(model: Model, group: Group, effect: Effect, where: Mapping[str, str]) -> bool:
+    """Return whether readings have what an effect needs, pass through its link, and may concern its places."""
+    has = group.name in model.measured and _has(group, effect.needed(where))
+    return has and _concerns(model, group, effect) and _reaches(group, effect, where)
 
 
 def _concerns(model: Model, group: Group, effect: Effect) -> bool:
