@@ -50,6 +50,16 @@ def test_gon_clockwise_zenith_and_raw_faces_are_the_same_network(tmp_path: Path,
     assert len(other.tables["two_face"]) == len(plain.tables["two_face"]) == len(net.station) // 2
 
 
+def test_points_are_written_for_spatial_analyzer(tmp_path: Path, metrocli: Metrocli) -> None:
+    net = network(np.random.default_rng(37))
+    result = solved(net.write(tmp_path), metrocli)
+    assert metrocli("export", tmp_path / "result.h5", "--to", "sa-ascii", "--out", tmp_path).code == 0
+    back = tmp_path / "back"
+    assert metrocli("import", tmp_path / "points.txt", "--from", "sa-ascii", "--unit", "mm", "--out", back).code == 0
+    found = np.loadtxt(back / "points.csv", delimiter=",", skiprows=2, usecols=(1, 2, 3))
+    assert np.abs(found - result.tables["points"].stacked("xyz")).max() < 1e-6
+
+
 def test_missing_cells_are_not_readings(tmp_path: Path, metrocli: Metrocli) -> None:
     net = network(np.random.default_rng(32))
     seen = net.seen.copy()
