@@ -36,6 +36,7 @@ FORMATS: dict[str, Format] = {
     "linuxcnc": Format("metrocli.exports.linuxcnc", "COMP_FILE of each joint"),
     "isg-csv": Format("metrocli.exports.isg_csv", "volumetric compensation of ISG and Beckhoff"),
     "etalon": Format("metrocli.exports.volumetric", "Etalon exchange format"),
+    "sa-ascii": Format("metrocli.exports.sa_ascii", "points for SpatialAnalyzer"),
     "dcc": Format("metrocli.exports.dcc", "Digital Calibration Certificate of PTB (XML)", recorded=True),
 }
 
