@@ -95,7 +95,7 @@ def _shots(solved: Solved) -> Array:
     for group in solved.groups:
         index = np.atleast_2d(group.observations.index[t.POINT])
         index = index[:1] if is_sighting(group) else index
-        np.add.at(count, index.ravel(), 1)
+        count += np.bincount(index.ravel(), minlength=len(count))
     return count
 
 
@@ -270,7 +270,7 @@ def _seen_once(solved: Solved) -> list[str]:
             continue
         index = group.observations.index[t.POINT]
         index = index[0] if index.ndim > 1 else index
-        np.add.at(total, index, solved.residuals[group.name].redundancy.max(axis=0))
-        np.add.at(count, index, 1)
+        total += np.bincount(index, solved.residuals[group.name].redundancy.max(axis=0), len(total))
+        count += np.bincount(index, minlength=len(count))
     weak = (count > 0) & (total < 1e-6) & block.free.any(axis=1)
     return [block.members[i] for i in np.flatnonzero(weak)]
