@@ -10,6 +10,8 @@ from metrocli.result import Result, Scalar
 MOST = 2.0
 """Largest sigma0 of a result that may be used, where the job requires no other"""
 _LEVEL = 0.999
+_CORNER = 0.05
+"""Largest standard uncertainty of a projection into a corner, as a share of the longer side of the image"""
 _MOST_REJECTED = 1 / 3
 
 
@@ -18,10 +20,12 @@ def doubts_of(result: Result, verdicts: Sequence[Verdict], strict: bool = False)
 
     The reasons are those of the kind's own checks (`Result.doubts`), and residuals that contradict the declared noise:
     sigma0 above 2, or above what the job requires, and above the 99.9 % bound `sqrt(chi2(0.999; dof) / dof)`. So is a
-    measurement of which more than a third was left out as outliers. With `strict` every warning is a reason too.
+    measurement of which more than a third was left out as outliers, and a camera whose projection into a corner of the
+    image is uncertain by more than 5 % of its longer side (`corner_std`), where the job requires no other. With
+    `strict` every warning is a reason too.
     """
     figures = result.statistics
-    own = (*result.doubts, *_misfit(figures, verdicts), *_thinned(figures))
+    own = (*result.doubts, *_misfit(figures, verdicts), *_thinned(figures), *_uncovered(figures, verdicts))
     return (*own, *result.warnings) if strict else own
 
 
@@ -53,6 +57,20 @@ def _thinned(statistics: Mapping[str, Scalar | Mapping[str, float]]) -> tuple[st
     return (
         f"{rejected:.0f} of {whole:.0f} readings are left out as outliers, more than a third: "
         "the model does not describe this measurement, do not use this result",
+    )
+
+
+def _uncovered(statistics: Mapping[str, Scalar | Mapping[str, float]], verdicts: Sequence[Verdict]) -> tuple[str, ...]:
+    corner = _number(statistics.get("corner_std"))
+    most = _CORNER * max(_number(statistics.get("image_width")), _number(statistics.get("image_height")))
+    if not corner > most or any(one.name.removeprefix("statistics.") == "corner_std" for one in verdicts):
+        return ()
+    hull, radius = (100 * _number(statistics.get(f"coverage_{name}")) for name in ("hull", "radius"))
+    return (
+        f"readings span {hull:.0f} % of the image, up to {radius:.0f} % of its radius. In a corner the lens is "
+        f"uncertain by {corner:.2g} px (standard uncertainty), where {most:.2g} px (5 % of the image) are "
+        "allowed. Show the target near the corners, estimate fewer lens parameters, or set another limit: "
+        f'`require: {{corner_std: "< {float(f"{2 * corner:.1g}"):g}"}}`',
     )
 
 

@@ -8,8 +8,12 @@ from typing import Any
 
 from metrocli.frozen import dataclass
 
-DONE, DOUBTFUL, UNMET = "done", "doubtful", "requirements not met"
-"""The status of a result; other jobs and exports use one that is done"""
+DONE, FAIL, DOUBTFUL, UNMET = "done", "fail", "doubtful", "requirements not met"
+"""The status of a result; `fail` is a sound result of something that is out of tolerance"""
+USABLE = (DONE, FAIL)
+"""Results that other jobs and exports use"""
+PASS, GUARD_BAND = "pass", "in the guard band"
+"""With FAIL, the decisions on a tolerance (ISO 14253-1)"""
 NOT_MET = 6
 """Exit code of a job that is done but is doubtful or does not meet an acceptance criterion"""
 
@@ -36,12 +40,16 @@ class Verdict:
     value: float
     unit: str
     met: bool
+    decision: str = ""
+    """Of a tolerance: pass, fail, or in the guard band; empty for a criterion of `require:`"""
 
     def __str__(self) -> str:
         from metrocli.units import as_stated, format_quantity
 
         outcome = "met" if self.met else "NOT met"
         found = format_quantity(*as_stated(self.value, self.unit, self.condition))
+        if self.decision:
+            return f"conformity of {self.name}, {self.condition}: {self.decision} ({found})"
         return f"required {self.name} {self.condition}: {outcome} ({found})"
 
 
@@ -82,10 +90,19 @@ class Record:
 
     @property
     def status(self) -> str:
-        """`doubtful` if anything speaks against the result, else whether all acceptance criteria are met."""
+        """`doubtful` if anything speaks against the result, else whether criteria and then tolerances are met."""
         if self.doubts:
             return DOUBTFUL
-        return DONE if all(verdict.met for verdict in self.verdicts) else UNMET
+        unmet = [verdict for verdict in self.verdicts if not verdict.met]
+        if any(not verdict.decision for verdict in unmet):
+            return UNMET
+        return FAIL if unmet else DONE
+
+    @property
+    def conformity(self) -> str:
+        """The worst decision on the tolerances of the job; empty without tolerances."""
+        found = {verdict.decision for verdict in self.verdicts}
+        return next((one for one in (FAIL, GUARD_BAND, PASS) if one in found), "")
 
     @property
     def exit_code(self) -> int:
@@ -95,4 +112,4 @@ class Record:
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why the result is not fit for use: its doubts, and the acceptance criteria that are not met."""
-        return (*self.doubts, *(str(verdict) for verdict in self.verdicts if not verdict.met))
+        return (*self.doubts, *(str(verdict) for verdict in self.verdicts if not verdict.met and not verdict.decision))

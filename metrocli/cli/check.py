@@ -28,24 +28,30 @@ if TYPE_CHECKING:
 def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_json: bool, quiet: bool) -> int:
     """Print `no faults` for each job, and its files outside the project; raise InputError with every fault otherwise.
 
-    A foreign file at the output is a fault too: `run` would not replace it.
+    A foreign file at the output is a fault too: `run` would not replace it. A result that `run` would replace is not
+    judged.
     """
     from metrocli.cli.summary import as_json as json_text
     from metrocli.formats.hdf5 import refuse_foreign
     from metrocli.project.job import Wishes, load_parts
+    from metrocli.project.named_files import absolute
     from metrocli.project.runner import verify
+    from metrocli.project.staleness import states
     from metrocli.project.steps import load_project
 
+    renewed: set[Path] = set()
     if place.is_dir() or place.name == PROJECT_FILE:
         if overrides:
             raise UsageError("--set changes one job, and this is a project: name the job file instead")
-        jobs: list[JobFile] = [step.job for step in load_project(place, accept_doubtful)]
+        steps = load_project(place, accept_doubtful)
+        jobs: list[JobFile] = [step.job for step in steps]
+        renewed = {absolute(one.step.job.output) for one in states(steps) if one.reason and not one.waits}
     else:
         jobs = load_parts(place, Wishes(overrides, accept_doubtful=accept_doubtful))
     faults: list[Fault] = []
     for job in jobs:
         foreign = partial(refuse_foreign, job.output, job.kind)
-        for look in (partial(verify, job), partial(refuse_unwritable, job.output), foreign):
+        for look in (partial(verify, job, renewed), partial(refuse_unwritable, job.output), foreign):
             try:
                 look()
             except InputError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from copy import copy
 from importlib import import_module
 
@@ -111,7 +112,8 @@ def _carry_out(arguments: list[str]) -> tuple[int, Exception | None]:
         echo("interrupted", err=True)
         return INTERRUPTED, None
     except click.ClickException as error:
-        error.show()
+        with suppress(OSError):
+            error.show()
         return 2, error
     except InputError as error:
         echo(str(error), err=True)

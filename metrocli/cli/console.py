@@ -7,7 +7,7 @@ import os
 import re
 import sys
 from collections.abc import Iterable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import Protocol
 
@@ -47,8 +47,8 @@ def echo(text: str, err: bool = False, nl: bool = True, as_is: bool = False) -> 
         text = fitted(text, terminal_size(stream.fileno())[0])
         if not os.environ.get("NO_COLOR") and os.environ.get("TERM", "dumb") != "dumb":
             text = coloured(text)
-    with LINES[-1].away() if LINES else nullcontext():
-        click.echo(text, err=err, nl=nl)
+    with LINES[-1].away() if LINES else nullcontext(), suppress(OSError) if err else nullcontext():
+        click.echo(text, err=err, nl=nl)  # a full or closed stderr is no reason to lose the result
 
 
 def printable(text: str) -> str:

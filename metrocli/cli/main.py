@@ -7,6 +7,7 @@ import sys
 
 from metrocli.cli.help import help_text, version_text
 from metrocli.cli.shell.idle import nothing_to_do
+from metrocli.cli.shell.streams import guarded
 
 COMPLETE = "_METROCLI_COMPLETE"
 """Set by the completion of the shell, which then calls without arguments"""
@@ -14,6 +15,10 @@ COMPLETE = "_METROCLI_COMPLETE"
 
 def main() -> None:
     """Run the installed command `metrocli`."""
+    sys.exit(guarded(_main))
+
+
+def _main() -> int:
     arguments = sys.argv[1:]
     if arguments in ([], ["-h"], ["--help"]) and COMPLETE not in os.environ:
         sys.stdout.write(help_text())
@@ -26,11 +31,12 @@ def main() -> None:
         # while Python loads modules, and while it ends, Ctrl-C ends it without a traceback
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         if nothing_to_do(arguments):
-            return
+            return 0
         # Threads within one matrix product wait for each other where other programs run. numpy reads this on import.
         os.environ.setdefault("OMP_NUM_THREADS", "1")
         from metrocli.cli.commands import run
 
         code = run(arguments)
         gc.freeze()  # Python searches its memory for cycles as it ends, a tenth of a small job: nothing needs that
-        sys.exit(code)
+        return code
+    return 0

@@ -15,7 +15,7 @@ from metrocli.cli.shell.idle import up_to_date_lines
 from metrocli.cli.shell.live_table import has_terminal, live_table, time_text
 from metrocli.project import PROJECT_FILE
 from metrocli.project.running import memo
-from metrocli.record import DOUBTFUL, NOT_MET, UNMET
+from metrocli.record import DOUBTFUL, FAIL, NOT_MET, UNMET
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -161,13 +161,19 @@ def _print_count(reports: Sequence[Report], console: Console, end: str) -> None:
         return
     counts: dict[str, int] = {}
     for report in reports:
-        what = "not fit for use" if report.exit_code == NOT_MET and report.action != "not run" else str(report.action)
+        unfit = report.exit_code == NOT_MET and report.action != "not run"
+        failed = unfit and report.record is not None and report.record.status == FAIL
+        what = "out of tolerance" if failed else "not fit for use" if unfit else str(report.action)
         counts[what] = counts.get(what, 0) + 1
     what_they_did = ", ".join(f"{count} {what}" for what, count in counts.items())
     echo(f"{len(reports)} job{'s' if len(reports) > 1 else ''}: {what_they_did}{end}", err=True)
 
 
-_UNFIT = {UNMET: "an acceptance criterion is not met", DOUBTFUL: "doubtful: do not use this result"}
+_UNFIT = {
+    FAIL: "fail: out of tolerance",
+    UNMET: "an acceptance criterion is not met",
+    DOUBTFUL: "doubtful: do not use this result",
+}
 
 
 def state_text(state: State) -> str:

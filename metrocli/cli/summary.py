@@ -22,6 +22,7 @@ def summary(result: Result, record: Record, path: Path) -> dict[str, Any]:
         "kind": result.kind,
         "title": result.title,
         "status": record.status,
+        **({"conformity": record.conformity} if record.conformity else {}),
         "result": str(path),
         "estimates": {e.name: of_estimate(e) | dict(result.details.get(e.name, {})) for e in result.estimates},
         "statistics": dict(result.statistics),

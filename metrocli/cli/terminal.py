@@ -12,7 +12,7 @@ from metrocli import units
 from metrocli.cli.columns import columns_text, table_text
 from metrocli.cli.console import echo
 from metrocli.plan import Plan
-from metrocli.record import Record
+from metrocli.record import DONE, FAIL, Record
 from metrocli.report.html import compound_unit, stated
 from metrocli.result import SCALE, Estimate, Result, ShownTable
 from metrocli.table import Table
@@ -34,7 +34,9 @@ def result_text(result: Result, record: Record, path: Path) -> str:
 
 def _status_line(result: Result, record: Record) -> str:
     count = len(result.warnings)
-    return f"status: {record.status}" + (f", {count} warning{'s' if count > 1 else ''}" if count else "")
+    decided = f", conformity: {record.conformity}" if record.conformity else ""
+    status = DONE if record.status == FAIL else record.status
+    return f"status: {status}{decided}" + (f", {count} warning{'s' if count > 1 else ''}" if count else "")
 
 
 def plan_text(plan: Plan, job_text: str = "") -> str:

@@ -73,10 +73,10 @@ def _units_of_lengths(table: Table, names: Sequence[str]) -> Iterator[tuple[str,
         return
     read = _unit(table, names[0], "length")
     per_metre = find_unit("m", "length").inside(1.0)
-    for factor in (per_metre, 1 / per_metre, INCH, 1 / INCH):
-        meant = next(
-            (unit for unit in DIMENSIONS["length"].units if _alike(unit.times / unit.over, factor * read)), None
-        )
+    per_centimetre = find_unit("cm", "length").inside(1.0)
+    for factor in (per_metre, 1 / per_metre, INCH, 1 / INCH, per_centimetre, 1 / per_centimetre):
+        lengths = DIMENSIONS["length"].units
+        meant = next((unit for unit in lengths if _alike(unit.times / unit.over, factor * read)), None)
         if meant is not None:
             words = f"{in_a_row(_headings(table, names))} {'are' if names[1:] else 'is'} in {meant.symbol}"
             write = f"{in_a_row([f'{name}_{meant.symbol}' for name in names])} in the heading"

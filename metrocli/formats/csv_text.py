@@ -15,6 +15,7 @@ import numpy as np
 from metrocli.arrays import Values
 from metrocli.copies import row_hashes
 from metrocli.errors import Fault, InputError
+from metrocli.formats.csv_header import MARKS, has_decimal_comma, later_header, separator_of
 from metrocli.formats.csv_plain import PlainCells
 from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.frozen import dataclass
@@ -78,7 +79,7 @@ def read_text(path: Path, shown: str, held: FileBytes | None = None) -> str:
         line = data[: data.index(b"\0")].count(b"\n") + 1
         raise InputError([Fault("this is not a text file", shown, line, 1, hint="expected CSV in UTF-8")])
     try:
-        text = data.decode("utf-8-sig")
+        text = data.decode("utf-8").lstrip(MARKS)
         return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
@@ -92,13 +93,16 @@ def taken_apart(text: str, file: str, plainly: Plainly | None = None) -> Raw:
 
     Raises InputError if there is no header or no row, or if a row has another number of cells than the header.
     """
-    found = next(((n, line, end) for n, line, end in _lines(text) if _is_row(line)), None)
+    lines = ((n, line, end) for n, line, end in _lines(text) if _is_row(line))
+    found, stated = next(lines, None), None
+    if found is not None and (stated := separator_of(found[1])) is not None:
+        found = next(lines, None)
     if found is None:
         raise InputError(
             [Fault("the file is empty", file, 1, 1, hint="expected a header with the names of the columns")]
         )
     number, heading, end = found
-    separator = max(",;\t", key=heading.count)
+    separator = stated or max(",;\t", key=heading.count)
     header = tuple(cell.strip() for cell in next(csv.reader([heading], delimiter=separator)))
     if len(header) > MOST_COLUMNS:
         hint = "keep the columns that a job reads; is it a table with rows and columns exchanged?"
@@ -107,10 +111,24 @@ def taken_apart(text: str, file: str, plainly: Plainly | None = None) -> Raw:
     raw = Raw(file, text, separator, number, header, (), ())
     if all(re.fullmatch(r"[-+.\deE]+", cell) for cell in header):
         raise InputError([raw.fault("the columns have no names", number, None, "write their names in the first line")])
-    cells = plainly(text[end + 1 :], separator, len(header)) if plainly else None
+    if len(header) == 1:
+        _refuse_preamble(raw)
+    cells = plainly(text[end + 1 :], separator, len(header)) if plainly and header[-1] else None
     if cells is not None:
         return replace(raw, cells=cells, numbers=range(number + 1, number + 1 + cells.rows), bare=True)
-    return _row_by_row(raw)
+    return _without_empty(_row_by_row(raw))
+
+
+def _without_empty(raw: Raw) -> Raw:
+    """Return a file without the last columns that have neither a name nor a cell, and then without its empty rows."""
+    width = len(raw.header)
+    while width > 1 and not raw.header[width - 1] and not any(cell.strip() for cell in raw.cells[width - 1]):
+        width -= 1
+    if width == len(raw.header):
+        return raw
+    kept = [row for row in range(len(raw.numbers)) if any(column[row].strip() for column in raw.cells[:width])]
+    cells = tuple([column[row] for row in kept] for column in raw.cells[:width])
+    return replace(raw, header=raw.header[:width], cells=cells, numbers=[raw.numbers[row] for row in kept])
 
 
 def _lines(text: str) -> Iterator[tuple[int, str, int]]:
@@ -169,15 +187,26 @@ def _quoted(raw: Raw) -> Raw:
 
 def refuse_cells(raw: Raw, wrong: Sequence[tuple[int, int]]) -> None:
     """Raise InputError for rows with a wrong number of cells, given as (line, number of cells)."""
-    comma = raw.separator == ","
+    if wrong:
+        _refuse_preamble(raw)
+    decimal = raw.separator == "," and all(has_decimal_comma(raw.lines[line - 1]) for line, _ in wrong)
     faults = []
     for line, count in wrong[: MOST_FAULTS + 1]:
         more = count > len(raw.header)
-        hint = "is there a decimal comma? write 0.1, not 0,1" if more and comma else f"columns: {', '.join(raw.header)}"
+        comma = more and decimal
+        hint = "is there a decimal comma? write 0.1, not 0,1" if comma else f"columns: {', '.join(raw.header)}"
         message = f"cells in this row: {count}; columns in the header: {len(raw.header)}"
         faults.append(raw.fault(message, line, min(count, len(raw.header)) if more else count, hint))
     if faults:
         raise InputError(shortened(faults))
+
+
+def _refuse_preamble(raw: Raw) -> None:
+    """Raise InputError if the first line is not the header, but one of an instrument before it."""
+    lines = [(n, line) for n, line in enumerate(raw.lines, 1) if n >= raw.header_line and _is_row(line)]
+    if later := later_header(lines):
+        hint = f"delete the lines before it, or read the file by `metrocli import` with a mapping and `header: {later}`"
+        raise InputError([raw.fault(f"this is not the header, which is line {later}", raw.header_line, None, hint)])
 
 
 def shortened(faults: Sequence[Fault]) -> list[Fault]:
@@ -203,7 +232,7 @@ def numeric(path: Path) -> tuple[str, ...]:
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)
-        text = head.decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
+        text = head.decode("utf-8", errors="replace").lstrip(MARKS).replace("\r\n", "\n").replace("\r", "\n")
         whole = text if len(head) < _HEAD else text[: text.rfind("\n")]
         raw = taken_apart(whole, str(path))
     except (OSError, InputError):

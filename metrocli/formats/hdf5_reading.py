@@ -184,8 +184,8 @@ def _certificate(file: h5py.File) -> dict[str, Any]:
     return found
 
 
-def _verdict(name: str, condition: str, value: float, unit: str, met: bool) -> Verdict:
-    return Verdict(name, condition, float(value), unit, bool(met))
+def _verdict(name: str, condition: str, value: float, unit: str, met: bool, decision: str = "") -> Verdict:
+    return Verdict(name, condition, float(value), unit, bool(met), decision)
 
 
 def _rows(data: h5py.Dataset) -> list[dict[str, Any]]:

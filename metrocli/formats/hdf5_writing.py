@@ -57,7 +57,7 @@ def _write_all(file: h5py.File, result: Result, record: Record) -> None:
         _write_table(file, name, table)
     for name, array in sorted(result.arrays.items()):
         file.create_dataset(name, data=array)
-    verdicts = ("name", "condition", "value", "unit", "met")
+    verdicts = ("name", "condition", "value", "unit", "met", "decision")
     _write_table(file, "requirements", _table_of([asdict(verdict) for verdict in record.verdicts], verdicts))
     for name, lines in (("warnings", result.warnings), ("notes", result.notes), ("doubts", record.doubts)):
         _write_texts(file, name, lines)

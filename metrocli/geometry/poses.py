@@ -92,3 +92,20 @@ def fit_pose(points: Array, targets: Array) -> Array:
     centre, goal = points.mean(axis=0), targets.mean(axis=0)
     rotation = nearest_rotation((targets - goal).T @ (points - centre))
     return pose(rotation, goal - rotation @ centre)
+
+
+def mirrored_about(values: Array, sight: Array, centre: Array, normal: Array) -> Array:
+    """Return poses (n, 6) whose plane has its normal mirrored about a line of sight, and whose centre stays.
+
+    The mirror image of the normal n about the unit vector s is `2 (s n) s - n` (Schweighofer and Pinz 2006). `sight` is
+    the vector to the centre (n, 3); `centre` and `normal` (3,) are in the frame of the plane.
+    """
+    rotation, middle = rotation_of(values), apply(values, centre)
+    along = sight / np.linalg.norm(sight, axis=1, keepdims=True)
+    now = rotation @ normal
+    goal = 2 * (along * now).sum(axis=1, keepdims=True) * along - now
+    axis = np.cross(now, goal)
+    sine, cosine = np.linalg.norm(axis, axis=1), (now * goal).sum(axis=1)
+    turn = axis / np.maximum(sine, 1e-12)[:, None] * np.arctan2(sine, cosine)[:, None]
+    turned = rotation_from_vector(turn) @ rotation
+    return pose(turned, middle - turned @ centre)

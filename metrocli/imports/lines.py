@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 
 from metrocli.errors import Fault
+from metrocli.formats.csv_header import separator_of
 from metrocli.frozen import dataclass
 
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
@@ -28,6 +29,8 @@ class Lines:
     def without(self, comment: str, start: int = 1) -> Iterator[tuple[int, str]]:
         """Yield number and text of each line from `start` on that is neither empty nor a comment."""
         for number, line in enumerate(self.lines[start - 1 :], start):
+            if number == 1 and separator_of(line) is not None:
+                continue
             if line.strip() and not (comment and line.lstrip().startswith(comment)):
                 yield number, line
 
@@ -44,10 +47,15 @@ def with_sign(number: str, sign: int) -> str:
     return number[1:] if number.startswith("-") else f"-{number.removeprefix('+')}"
 
 
-def to_csv(header: Sequence[str], rows: Iterable[Sequence[str]], origin: str) -> str:
-    """Return the text of a CSV file; its first line names where it comes from."""
+NOTE = "# note: "
+"""Begins a line of a CSV on what was left out"""
+
+
+def to_csv(header: Sequence[str], rows: Iterable[Sequence[str]], origin: str, notes: Iterable[str] = ()) -> str:
+    """Return the text of a CSV file; its first line names where it comes from, and notes follow."""
     text = io.StringIO()
     text.write(f"# {origin}\n")
+    text.writelines(f"{NOTE}{note}\n" for note in notes)
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
     writer.writerows(rows)

@@ -1,12 +1,13 @@
 """Corners of a chessboard as mrgingham writes them for mrcal: a vnlog table `# filename x y level`.
 
-Source: manual page mrgingham(1). Corners of an image follow each other in the order of the board, so they are numbered
-from 0. An image without corners has `-`. Pixel (0, 0) is the centre of the first pixel, as here.
+Sources: manual page mrgingham(1); mrcal-calibrate-cameras of github.com/dkogan/mrcal. Corners of an image follow each
+other in the order of the board, so they are numbered from 0. An image without corners has `-`. A corner that was not
+found has the level `-` or one below 0, whatever its coordinates. Pixel (0, 0) is the centre of the first pixel.
 """
 
 from __future__ import annotations
 
-from collections import Counter
+from collections.abc import Mapping
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_text import shortened
@@ -14,6 +15,7 @@ from metrocli.imports import Imported, Wishes
 from metrocli.imports.lines import Lines, is_number, to_csv
 
 _WANTED = ("filename", "x", "y")
+_LEVEL = "level"
 
 
 def files(lines: Lines, wishes: Wishes) -> Imported:
@@ -26,29 +28,39 @@ def files(lines: Lines, wishes: Wishes) -> Imported:
         hint = "expected a line such as '# filename x y level'"
         raise InputError([lines.fault(f"the legend lacks {', '.join(absent)}", legend[0] if legend else None, hint)])
     at = [names.index(name) for name in _WANTED]
-    counts, rows, faults = Counter[str](), [], list[Fault]()
+    level = names.index(_LEVEL) if _LEVEL in names else None
+    corners, faults = dict[str, list[tuple[str, str] | None]](), list[Fault]()
     for number, line in lines.without("#", legend[0] + 1):
         cells = line.split()
-        if len(cells) > max(at) and cells[at[1]] == cells[at[2]] == "-":
-            continue
-        wrong = next((cells[i] for i in at[1:] if i < len(cells) and not is_number(cells[i])), None)
-        if len(cells) <= max(at):
+        if len(cells) <= max(*at, level or 0):
             faults.append(lines.fault(f"the line has {len(cells)} fields; the legend has {len(names)}", number))
             continue
+        image, place = cells[at[0]], (cells[at[1]], cells[at[2]])
+        lost = place == ("-", "-") or (level is not None and cells[level].startswith("-"))
+        wrong = next((text for text in place if not lost and not is_number(text)), None)
         if wrong is not None:
             faults.append(lines.fault(f"the coordinate '{wrong}' is not a number", number, "expected pixels, or - -"))
             continue
-        image = cells[at[0]]
-        rows.append((image, str(counts[image]), cells[at[1]], cells[at[2]]))
-        counts[image] += 1
-    faults += _incomplete(lines, counts)
+        corners.setdefault(image, []).append(None if lost else place)
+    found = {image: each for image, each in corners.items() if any(each)}
+    faults += _incomplete(lines, {image: len(each) for image, each in found.items()})
     if faults:
         raise InputError(shortened(faults))
+    rows = [
+        (image, str(number), *place)
+        for image, each in found.items()
+        for number, place in enumerate(each)
+        if place is not None
+    ]
+    skipped = sum(each.count(None) for each in found.values())
+    notes = [f"{skipped} corners that the file calls not found are left out (level - or below 0)"] if skipped else []
+    empty = len(corners) - len(found)
+    notes += [f"{empty} images have no corner and are left out"] if empty else []
     header = ("image", "target", "u_px", "v_px")
-    return {"observations.csv": to_csv(header, rows, f"from {lines.file} (vnl)")}
+    return {"observations.csv": to_csv(header, rows, f"from {lines.file} (vnl)", notes)}
 
 
-def _incomplete(lines: Lines, counts: Counter[str]) -> list[Fault]:
+def _incomplete(lines: Lines, counts: Mapping[str, int]) -> list[Fault]:
     """Return a fault for each image with another number of corners than the first: its corners cannot be named."""
     if not counts:
         return [lines.fault("no image has corners")]

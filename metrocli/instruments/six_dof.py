@@ -9,7 +9,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.adjust.model.quantities import Quantity
-from metrocli.arrays import Array
+from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ErrorMotion, Machine
 
@@ -47,9 +47,9 @@ class LineNoise:
         return covariance
 
 
-def line_block(names: Sequence[str]) -> Block:
-    """Return the block of misalignments of the lines, (lines, 8), all zero."""
-    return Block(LINE, np.zeros((len(names), 8)), COLUMNS, tuple(names), reach=_REACH, noun="line")
+def line_block(names: Sequence[str], free: Mask | bool = True) -> Block:
+    """Return the block of misalignments of the lines, (lines, 8), all zero; those in `free` are unknown."""
+    return Block(LINE, np.zeros((len(names), 8)), COLUMNS, tuple(names), np.asarray(free), reach=_REACH, noun="line")
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,21 @@ class Misaligned:
         return Step(moved, np.eye(6)[:, :, None], {LINE: by_line})
 
 
-def line_chain(machine: Machine) -> Chain:
-    """Return the forward model of a reading on a line."""
-    return Chain((ErrorMotion(machine), Misaligned()))
+@dataclass(frozen=True)
+class Displacement:
+    """Link from the six channels to the displacement along the line, all that a plain laser or a scale reads."""
+
+    takes = Quantity.ERROR_MOTION
+    gives = Quantity.DISPLACEMENT
+    blocks = ()
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the displacement, (1, n), with its derivative by the channels, (1, 6, n)."""
+        along = np.zeros((1, 6, local.observations.count))
+        along[0, :3] = [local.observations.conditions[name] for name in ALONG]
+        return Step((along[0] * value).sum(axis=0)[None], along)
+
+
+def line_chain(machine: Machine, displacement: bool = False) -> Chain:
+    """Return the forward model of a reading on a line, or of its displacement only."""
+    return Chain((ErrorMotion(machine), Misaligned(), *([Displacement()] if displacement else [])))

@@ -14,7 +14,7 @@ from metrocli.nodes import Node
 from metrocli.project.campaign import ForEach
 from metrocli.project.ranges import Ranges
 from metrocli.project.requirements import Requirement, Requirements
-from metrocli.settings import BAD, Schema, Section, Text, path_beside, setting
+from metrocli.settings import BAD, Choice, Schema, Section, Text, path_beside, setting
 from metrocli.settings.certificate import Certificate
 from metrocli.words import suggestion
 
@@ -148,6 +148,11 @@ class Heading:
     effects_from: Node | None = setting(FileBeside(), "file with effects of one's own under `define:`", default=None)
     ranges: Mapping[str, Node] = setting(Ranges(), "largest values of columns in CSV files, by name", default={})
     require: tuple[Requirement, ...] = setting(Requirements(), "acceptance criteria", default=())
+    conformity: str = setting(
+        Choice("decide", "report"),
+        "whether a tolerance that is not met ends the job with exit code 6, or is only reported",
+        default="decide",
+    )
     parts: Node | None = setting(ForEach(), "one result for each part of a list", default=None, key="for")
     certificate: Certificate | None = setting(
         Section(Certificate), "laboratory, customer, item: what a certificate states", default=None

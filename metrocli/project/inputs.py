@@ -13,7 +13,7 @@ from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.project import meaning
 from metrocli.project.job import JobFile
 from metrocli.project.named_files import Input
-from metrocli.record import DONE, InputFile
+from metrocli.record import USABLE, InputFile
 from metrocli.settings import ANY_KIND, FileOf, ImageFiles, MeshFile, TableFile
 
 
@@ -30,7 +30,7 @@ def read_with_files(job: JobFile, absent: Collection[str] = ()) -> tuple[dict[st
     """Return the content of each input as `read_inputs`, and the record of the very bytes that were read."""
     held: dict[str, Any] = {}
     files: dict[str, InputFile] = {}
-    faults: list[Fault] = [] if job.accept_doubtful else unfit_inputs(job)
+    faults: list[Fault] = [] if job.accept_doubtful else unfit_inputs(job, absent)
     for item in job.inputs:
         if item.key in absent and not (item.paths and all(path.is_file() for path in item.paths)):
             continue
@@ -47,9 +47,13 @@ def read_with_files(job: JobFile, absent: Collection[str] = ()) -> tuple[dict[st
     return named | ({"files": elsewhere} if elsewhere else {}), tuple(files[path] for path in sorted(files))
 
 
-def unfit_inputs(job: JobFile) -> list[Fault]:
-    """Return a fault for each result among the inputs that is doubtful or does not meet the requirements of its job."""
-    return [fault for item in job.inputs for path in item.paths if (fault := _unfit(item, path)) is not None]
+def unfit_inputs(job: JobFile, absent: Collection[str] = ()) -> list[Fault]:
+    """Return a fault for each result among the inputs that is doubtful or does not meet the requirements of its job.
+
+    Inputs in `absent` are not looked at.
+    """
+    looked_at = [item for item in job.inputs if item.key not in absent]
+    return [fault for item in looked_at for path in item.paths if (fault := _unfit(item, path)) is not None]
 
 
 def _unfit(item: Input, path: Path) -> Fault | None:
@@ -59,7 +63,7 @@ def _unfit(item: Input, path: Path) -> Fault | None:
     from metrocli.formats import hdf5
 
     try:
-        if hdf5.read_label(path).status == DONE:
+        if hdf5.read_label(path).status in USABLE:
             return None
         _, record = hdf5.read_record(path)
     except InputError:

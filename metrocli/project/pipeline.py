@@ -14,7 +14,7 @@ from metrocli.formats.seal import Label
 from metrocli.frozen import dataclass
 from metrocli.project.staleness import State, refuse_lost, state_of, unfit_words
 from metrocli.project.steps import Step
-from metrocli.record import NOT_MET, Record
+from metrocli.record import NOT_MET, USABLE, Record
 
 if TYPE_CHECKING:
     from metrocli.project.runner import Done
@@ -164,12 +164,15 @@ def _stops(needed: Report, step: Step) -> bool:
     """Return whether a step cannot run after what happened to a job that it needs."""
     if needed.action in (Action.FAILED, Action.NOT_RUN):
         return True
-    return needed.exit_code != 0 and not step.job.accept_doubtful
+    return needed.exit_code != 0 and _status(needed) not in USABLE and not step.job.accept_doubtful
+
+
+def _status(needed: Report) -> str:
+    return needed.done.record.status if needed.done else needed.label.status if needed.label else ""
 
 
 def _why(needed: Report) -> str:
-    status = needed.done.record.status if needed.done else needed.label.status if needed.label else ""
-    if status:
+    if status := _status(needed):
         return f"{needed.step.name}: {unfit_words(status)}"
     return f"{needed.step.name} {'failed' if needed.action is Action.FAILED else 'does not run'}"
 

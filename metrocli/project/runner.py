@@ -23,8 +23,10 @@ from metrocli.frozen import dataclass
 from metrocli.plan import Plan
 from metrocli.progress import SILENT, Named, Progress
 from metrocli.project import meaning
+from metrocli.project.conformity import decisions
 from metrocli.project.inputs import read_inputs, read_with_files, unfit_inputs
 from metrocli.project.job import JobFile, figures_of
+from metrocli.project.named_files import absolute
 from metrocli.project.requirements import by_names
 from metrocli.project.running.files import ChunkFolder
 from metrocli.record import Record, Verdict
@@ -186,13 +188,18 @@ def _job(file: JobFile, held: Mapping[str, Any]) -> Job[Any, Any]:
     return tasks.KINDS[file.kind].task().job(file.settings, effects=file.effects, **held)
 
 
-def verify(file: JobFile) -> None:
+def verify(file: JobFile, renewed: Collection[Path] = ()) -> None:
     """Raise InputError for faults of a job's inputs, and if settings and inputs do not fit together.
 
     Nothing is adjusted, and what only the adjustment can judge is left to it, such as whether the data determine the
-    unknowns. While results that other jobs will write are missing, the other inputs are read only.
+    unknowns. While results that other jobs will write are missing, or are `renewed` by jobs that would run before, the
+    other inputs are read only.
     """
-    missing = [item.key for item in file.inputs if not all(path.exists() for path in item.paths)]
+    missing = [
+        item.key
+        for item in file.inputs
+        if not all(path.exists() for path in item.paths) or any(absolute(path) in renewed for path in item.paths)
+    ]
     with _placed(file):
         held = read_inputs(file, missing)
         if not missing:
@@ -280,4 +287,5 @@ def _verdicts(file: JobFile, result: Result) -> tuple[Verdict, ...]:
     verdicts = [requirement.verdict(result, faults) for requirement in file.heading.require]
     if faults:
         raise InputError(faults)
-    return tuple(verdict for verdict in verdicts if verdict is not None)
+    found = [verdict for verdict in verdicts if verdict is not None]
+    return (*found, *decisions(result, file.heading.conformity == "report"))

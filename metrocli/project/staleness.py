@@ -17,7 +17,7 @@ from metrocli.project.inputs import content_now, input_files
 from metrocli.project.job import JobFile
 from metrocli.project.named_files import absolute
 from metrocli.project.steps import Step
-from metrocli.record import DONE, DOUBTFUL, Record
+from metrocli.record import DOUBTFUL, USABLE, Record
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def states(steps: Iterable[Step], force: bool = False, strict: bool = False) -> 
             unfit[step.name] = f"{step.name} does not run"
         elif state.reason:
             running[step.name] = step.job.output
-        elif state.label is not None and state.label.status != DONE and not step.job.accept_doubtful:
+        elif state.label is not None and state.label.status not in USABLE and not step.job.accept_doubtful:
             unfit[step.name] = f"{step.name}: {unfit_words(state.label.status)}"
         yield state
 

@@ -58,7 +58,7 @@ def text_of(held: FileBytes, shown: str) -> str:
     """Return the text of a YAML file that is already read; raises InputError as `read_text`."""
     data = held.data
     try:
-        return data.decode("utf-8-sig")
+        return data.decode("utf-8").lstrip("\ufeff")  # a mark that some editors write twice
     except UnicodeDecodeError as error:
         if data.startswith(HDF5):
             hint = f"`metrocli show {shown}` prints it"

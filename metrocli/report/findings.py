@@ -14,7 +14,7 @@ from metrocli.plots.magnify import length_in_words, micro
 from metrocli.plots.noise_bands import largest_of
 from metrocli.plots.places import places_of
 from metrocli.plots.readings import residuals_of
-from metrocli.record import DONE, DOUBTFUL
+from metrocli.record import DOUBTFUL, FAIL, GUARD_BAND, USABLE
 from metrocli.report.html import Content, Html, code, compound_unit
 from metrocli.result import SCALE, Estimate, K, Result
 from metrocli.units import two_digits
@@ -73,8 +73,11 @@ def verdict(content: Content) -> tuple[str, str]:
     record = content.record
     if record.status == DOUBTFUL:
         return BAD, "Doubtful: do not use this result."
-    if record.status != DONE:
+    if record.status not in USABLE:
         return BAD, "The result does not meet its requirements."
+    out = [one.name for one in record.verdicts if one.decision == FAIL]
+    if out:
+        return BAD, f"Fail: {listed(out)} {'is' if len(out) == 1 else 'are'} out of tolerance."
     held = content.diagnosis
     data = held.data if held is not None and held.of_this else {"verdict": "clean"}
     if data["verdict"] != "clean":
@@ -82,10 +85,13 @@ def verdict(content: Content) -> tuple[str, str]:
     limits = _limits(data)
     if limits:
         return WARNED, f"Done, but {limits}."
-    count = len(content.result.warnings)
+    near = [one.name for one in record.verdicts if one.decision == GUARD_BAND]
+    if near:
+        return WARNED, f"Done; neither conformity nor non-conformity is shown, in the guard band: {listed(near)}."
+    count, done = len(content.result.warnings), "Pass: all tolerances are met" if record.conformity else "Done"
     if count:
-        return WARNED, f"Done, with {count} warning{'s' if count > 1 else ''}."
-    return GOOD, "Done."
+        return WARNED, f"{done}, with {count} warning{'s' if count > 1 else ''}."
+    return GOOD, f"{done}."
 
 
 def worst(result: Result) -> Iterator[str]:
@@ -152,10 +158,14 @@ def next_step(content: Content) -> str | Html:
             return "Declare the noise that the readings have, or `noise: estimated`, and run the job again."
     if record.status == DOUBTFUL:
         return Html(f"Find the cause by {diagnose}.")
-    if record.status != DONE:
+    if record.status not in USABLE:
         return "See which requirement is not met: measure more, or better, where the uncertainty is largest."
     if held is None and content.result.statistics.get("dof") and residuals_of(content.result):
         return Html(f"Check the model by {diagnose}, then use or export the result.")
+    if record.conformity == FAIL:
+        return "Decide on what is out of tolerance: reject, rework, or a concession."
+    if record.conformity == GUARD_BAND:
+        return "Measure with a smaller uncertainty, or decide by another rule (`tolerance:` states it)."
     if content.result.warnings:
         return "Read the warnings; then use or export the result."
     return "Use or export the result."

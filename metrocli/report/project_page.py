@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from metrocli.frozen import dataclass
-from metrocli.record import DONE
+from metrocli.record import DONE, FAIL, GUARD_BAND, USABLE
 from metrocli.report.findings import BAD, GOOD
 from metrocli.report.html import EMPTY, Html, code, joined, scrolling, table, tag
 from metrocli.report.pdf import page
@@ -31,30 +31,34 @@ class Entry:
     """Files that no job of the project writes"""
     page: str
     """Link to the page of the result; empty without one"""
+    conformity: str = ""
+    """Decision on the tolerances of the job: pass, fail, or in the guard band"""
     verdict: str = ""
     """Verdict of the diagnosis beside the result; empty without one of this result"""
 
     @property
     def fit(self) -> bool:
         """Whether the result is fit for use, also by its diagnosis if there is one."""
-        return self.status == DONE and self.verdict in ("", "clean")
+        return self.status == DONE and self.conformity != GUARD_BAND and self.verdict in ("", "clean")
 
 
 def project_page(name: str, entries: Sequence[Entry], charts: Sequence[Html] = ()) -> str:
     """Return the page of a project as HTML, with control charts of its jobs that have many parts."""
     stale = [one for one in entries if one.stale]
-    bad = [one for one in entries if not one.stale and one.status != DONE]
-    lacking = [one for one in entries if not one.stale and one.status == DONE and not one.fit]
+    bad = [one for one in entries if not one.stale and one.status not in USABLE]
+    out = [one for one in entries if not one.stale and one.conformity in (FAIL, GUARD_BAND)]
+    complete = [one for one in entries if not one.stale and one.status in USABLE]
+    lacking = [one for one in complete if one.verdict not in ("", "clean")]
     words = "All results are up to date and done."
-    if stale or bad or lacking:
-        counts = (stale, _STALE), (bad, _UNFIT), (lacking, _LACKING)
+    if stale or bad or lacking or out:
+        counts = (stale, _STALE), (bad, _UNFIT), (out, _IN_TOLERANCE), (lacking, _LACKING)
         words = " ".join(_count(some, len(entries), what) for some, what in counts if some)
     head = ["job", "state", "kind", "title", *(["needs"] if any(one.needs for one in entries) else [])]
     rows = [(_link(one), _state(one), one.kind, one.title, ", ".join(one.needs))[: len(head)] for one in entries]
     parts = [
         tag("p", "metrocli project", class_="muted"),
         tag("h1", name),
-        tag("div", tag("p", tag("strong", words)), class_=f"verdict {BAD if stale or bad or lacking else GOOD}"),
+        tag("div", tag("p", tag("strong", words)), class_=f"verdict {BAD if stale or bad or lacking or out else GOOD}"),
         tag("p", "Bring it up to date by ", code("metrocli run"), ".") if stale else EMPTY,
         tag("h2", "Jobs"),
         table(head, rows, "Jobs in the order in which they run"),
@@ -66,6 +70,7 @@ def project_page(name: str, entries: Sequence[Entry], charts: Sequence[Html] = (
 
 
 _STALE, _UNFIT, _LACKING = "up to date", "fit for use", "complete in its model, by its diagnosis"
+_IN_TOLERANCE = "shown to be in tolerance"
 
 
 def _count(some: Sequence[Entry], of: int, what: str) -> str:
@@ -80,7 +85,8 @@ def _state(one: Entry) -> Html:
     if one.stale:
         return tag("span", f"not up to date: {one.stale}", class_="stale")
     diagnosed = f"; diagnosis: {one.verdict}" if one.verdict else ""
-    return tag("span", f"up to date, {one.status}{diagnosed}", class_="" if one.fit else "stale")
+    decided = f", {one.conformity}" if one.conformity not in ("", one.status) else ""
+    return tag("span", f"up to date, {one.status}{decided}{diagnosed}", class_="" if one.fit else "stale")
 
 
 def ranks(entries: Sequence[Entry]) -> dict[str, int]:

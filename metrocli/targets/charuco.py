@@ -7,6 +7,9 @@ Method: docs/algorithms/target-detection.md.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -14,7 +17,7 @@ from metrocli.arrays import Array, Picture
 from metrocli.targets.blobs import eight_bit
 from metrocli.targets.find import Sightings, nothing, points
 from metrocli.targets.lattice import homography, order_fault, projected
-from metrocli.targets.pattern import Pattern, lattice, names
+from metrocli.targets.pattern import DICTIONARIES, Pattern, lattice, names
 from metrocli.targets.saddles import WINDOW, fit_grid
 
 FEWEST = 6
@@ -29,10 +32,12 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
     OpenCV only supplies the names of the corners, because its image coordinates have moved by half a pixel between
     versions.
     """
-    detector = cv2.aruco.CharucoDetector(_board(pattern))
-    corners, ids = detector.detectBoard(eight_bit(picture))[:2]
+    seen = eight_bit(picture)
+    corners, ids, _, markers = cv2.aruco.CharucoDetector(_board(pattern)).detectBoard(seen)
     if ids is None or len(ids) < FEWEST:
-        return nothing(f"no ChArUco board: {0 if ids is None else len(ids)} corners found, {FEWEST} are needed")
+        found = f"no ChArUco board: {0 if ids is None else len(ids)} corners found, {FEWEST} are needed"
+        other = _other_board(pattern, seen, 0 if markers is None else len(markers))
+        return nothing(f"{found}; {other}" if other else found)
     ids, start = np.asarray(ids).ravel(), np.asarray(corners, dtype=float).reshape(-1, 2)
     steps = lattice(pattern)
     reason = order_fault(steps[ids], start)
@@ -45,6 +50,40 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
     uv, spread = fitted.reshape(-1, 2)[ids], sigma.ravel()[ids]
     good = np.isfinite(spread)
     return points([names(pattern)[place] for place in ids[good]], uv[good], spread[good])
+
+
+def _other_board(pattern: Pattern, seen: Picture, markers: int) -> str:
+    """Return which other board the image shows, and what to write; empty if none of those tried.
+
+    Where markers are found, their layout is another one; else they are of another dictionary.
+    """
+    found = 0
+    for other, write in _layouts(pattern) if markers >= FEWEST else _dictionaries(pattern):
+        ids = cv2.aruco.CharucoDetector(_board(other)).detectBoard(seen)[1]
+        found = 0 if ids is None else len(ids)
+        if found >= FEWEST:
+            return f"with `{write}` there are {found}"
+    hint = "check columns, rows and dictionary" if markers else "check the dictionary, or is there no board?"
+    return f"{markers} markers of {pattern.dictionary} are found: {hint}"
+
+
+def _layouts(pattern: Pattern) -> Iterator[tuple[Pattern, str]]:
+    rows, columns = pattern.shape
+    for legacy in (pattern.legacy, not pattern.legacy):
+        words = f", legacy: {str(legacy).lower()}" if legacy != pattern.legacy else ""
+        if words:
+            yield replace(pattern, legacy=legacy), words.removeprefix(", ")
+        for n, m in ((columns, rows), (rows - 1, columns - 1), (columns - 1, rows - 1)):
+            if n > 1 and m > 1 and (n, m) != (rows, columns):
+                yield replace(pattern, rows=n, columns=m, legacy=legacy), f"columns: {m}, rows: {n}{words}"
+
+
+def _dictionaries(pattern: Pattern) -> Iterator[tuple[Pattern, str]]:
+    for name in DICTIONARIES:
+        if name.endswith("_250") and name[0] != pattern.dictionary[0]:
+            for legacy in (pattern.legacy, not pattern.legacy):
+                words = f", legacy: {str(legacy).lower()}" if legacy != pattern.legacy else ""
+                yield replace(pattern, dictionary=name, legacy=legacy), f"dictionary: {name}{words}"
 
 
 def artwork(pattern: Pattern) -> tuple[Array, int]:
@@ -66,7 +105,9 @@ def _board(pattern: Pattern) -> cv2.aruco.CharucoBoard:
     rows, columns = pattern.shape
     number = getattr(cv2.aruco, f"DICT_{pattern.dictionary.upper()}")
     square, marker = _sizes(pattern)
-    return cv2.aruco.CharucoBoard((columns + 1, rows + 1), square, marker, cv2.aruco.getPredefinedDictionary(number))
+    board = cv2.aruco.CharucoBoard((columns + 1, rows + 1), square, marker, cv2.aruco.getPredefinedDictionary(number))
+    board.setLegacyPattern(pattern.legacy)
+    return board
 
 
 def _sizes(pattern: Pattern) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.settings import Choice, Quantity, Text, Whole, setting
+from metrocli.settings import Choice, Flag, Quantity, Text, Whole, setting
 
 if TYPE_CHECKING:
     import numpy as np
@@ -49,6 +49,11 @@ class Pattern:
     )
     marker_size: float | None = setting(Quantity("length", positive=True), "side of a marker (charuco)", default=None)
     dictionary: str = setting(Choice(*DICTIONARIES), "ArUco dictionary of the markers (charuco)", default="4x4_50")
+    legacy: bool = setting(
+        Flag(),
+        "an even number of rows of squares begins with a marker, as boards made before OpenCV 4.6 do (charuco)",
+        default=False,
+    )
     target: str = setting(Text(), "name of the target (dot)", default="dot")
 
     def faults(self) -> Iterable[tuple[str, str]]:

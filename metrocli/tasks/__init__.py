@@ -18,6 +18,7 @@ _PACKAGES = (
     "calibrate_machine",
     "adjust_network",
     "fit_part",
+    "fit_points",
     "report_uncertainty",
 )
 

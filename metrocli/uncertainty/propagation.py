@@ -75,6 +75,10 @@ def propagate(models: Mapping[str, Expression], inputs: Inputs) -> Propagated:
     return Propagated(found, slopes @ inputs.covariance @ slopes.T)
 
 
+_ROUNDING = 1e-14
+"""Contributions below this share of the value are rounding errors of derivatives that cancel"""
+
+
 def _attempt(model: Expression, inputs: Inputs) -> Linear:
     try:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -104,7 +108,11 @@ def _linear(model: Expression, inputs: Inputs) -> Linear:
     more = 0.5 * float(np.trace(turned @ turned)) + float(np.sum(jet.along * own))
     slopes = np.zeros(len(names))
     slopes[used] = gradient
+    if (np.abs(slopes) * np.sqrt(np.diag(covariance)) <= _ROUNDING * abs(float(jet.value))).all():
+        slopes, variance, more, turned = np.zeros(len(names)), 0.0, 0.0, np.zeros_like(turned)
     dof, notes = effective_dof(inputs, slopes)
+    if used and variance == 0 and more == 0 and covariance[used, used].any():
+        notes = (*notes, "depends on no input: what the inputs change cancels, up to rounding")
     # if the second-order terms make the variance negative, the expansion is not valid
     second = math.sqrt(variance + more) if 0 <= variance + more < math.inf else math.nan
     return Linear(

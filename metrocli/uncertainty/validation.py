@@ -29,6 +29,8 @@ class Judged:
     """Symmetric coverage interval of Monte Carlo"""
     normal_factor: float
     """Coverage factor of the probability for a normal distribution"""
+    dof: float
+    """Effective degrees of freedom"""
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,8 @@ def judge(found: Judged, digits: int) -> Verdict:
     Otherwise the verdict lists reasons: a non-linear model (share of the second order, shift of the mean), a
     distribution that is not normal (k by Monte Carlo), or quantities with few degrees of freedom.
     """
+    if found.std == found.mc_std == 0:
+        return Verdict(True, ())
     allowed = tolerance_of(found.std or found.mc_std, digits)
     low = abs(found.value - found.U - found.interval[0])
     high = abs(found.value + found.U - found.interval[1])
@@ -63,7 +67,8 @@ def _reasons(found: Judged) -> Sequence[str]:
         lines.append(f"the mean is shifted by {shift / found.std:+.2f} u against the value at the best estimates")
     if found.mc_std > found.second_std * (1 + _NOTABLE):
         more = found.mc_std / found.second_std
-        lines.append(f"the std of the trials is {more:.2f} times the second-order u: few degrees of freedom")
+        few = "few degrees of freedom" if math.isfinite(found.dof) else "higher orders act, as of a pole near the value"
+        lines.append(f"the std of the trials is {more:.2f} times the second-order u: {few}")
     if found.mc_std > 0:
         half = (found.interval[1] - found.interval[0]) / 2
         factor = half / found.mc_std

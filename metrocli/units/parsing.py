@@ -10,6 +10,7 @@ from metrocli.units.table import DIMENSIONS, INCH, Dimension, QuantityError, Uni
 _INTERNAL = {"slope": "1", "ratio": "1"}
 _SPELLINGS = {"\u00b5": "u", "\u03bc": "u", "°C": "degC", "°": "deg", "%": "percent", "\u03a9": "ohm", "\u2126": "ohm"}
 """Other spellings of units, including both micro signs and both ohm signs of Unicode."""
+_NAMES = {"foot": "ft", "feet": "ft", "grad": "gon"}
 _WORDS = {
     "micron": "um", "microns": "um", "micrometer": "um", "micrometre": "um", "millimeter": "mm", "millimetre": "mm",
     "meter": "m", "metre": "m", "degree": "deg", "degrees": "deg", "pixel": "px", "pixels": "px", "sec": "s",
@@ -17,6 +18,10 @@ _WORDS = {
     "MM": "mm", "C": "degC", "celsius": "degC", "'": "arcmin", "''": "arcsec", '"': "arcsec",
 }  # fmt: skip
 _INCHES = ("in", "inch", "inches")
+_SYMBOL, _RESEMBLES = 2, 0.7
+"""Longest symbol that is not compared with others, and similarity of words that are taken for each other"""
+_OTHERS = ("mil", "thou", "mile", "yard")
+"""Units of people that resemble known ones"""
 _NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _QUANTITY = re.compile(rf"({_NUMBER})\s*(.*)", re.DOTALL)
 _COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+)(.*)", re.DOTALL)
@@ -84,17 +89,23 @@ def plain_symbol(symbol: str) -> str:
     """Return a unit in the spelling of the table: "um" for "\u00b5m", "degC" for "\u00b0C", "percent" for "%"."""
     for typed, plain in _SPELLINGS.items():
         symbol = symbol.replace(typed, plain)
-    return symbol.strip()
+    symbol = symbol.strip()
+    return _NAMES.get(symbol, symbol)
 
 
 def nearest(word: str, known: tuple[str, ...]) -> str | None:
-    """Return the known unit that was probably meant, or None."""
+    """Return the known unit that was probably meant, or None.
+
+    Short symbols resemble each other and mean another quantity or size (`cl` and `ml`), so only words are compared.
+    """
     from difflib import get_close_matches
 
     meant = _WORDS.get(word)
     if meant in known:
         return meant
-    return next(iter(get_close_matches(word, known, 1, 0.5)), None)
+    if len(word) <= _SYMBOL or word in _OTHERS:
+        return None
+    return next(iter(get_close_matches(word, known, 1, _RESEMBLES)), None)
 
 
 def quantity_pattern(dimension: str) -> str:

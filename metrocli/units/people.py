@@ -66,9 +66,8 @@ def readable(value: float, dimension: str) -> tuple[float, str]:
     """Return a value and the unit of its dimension in which the number is nearest to 3 on a logarithmic scale."""
     if not dimension or value == 0 or not math.isfinite(value):
         return value, internal_unit(dimension) if dimension else ""
-    return _nearest_to_3(
-        value, dimension, tuple(unit.symbol for unit in DIMENSIONS[dimension].units if not unit.offset)
-    )
+    reported = [unit for unit in DIMENSIONS[dimension].units if unit.reported and not unit.offset]
+    return _nearest_to_3(value, dimension, tuple(unit.symbol for unit in reported))
 
 
 def _nearest_to_3(value: float, dimension: str, symbols: tuple[str, ...]) -> tuple[float, str]:

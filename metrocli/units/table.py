@@ -26,6 +26,8 @@ class Unit:
     times: float = 1.0
     over: float = 1.0
     offset: float = 0.0
+    reported: bool = True
+    """Whether reports choose it; files may use any"""
 
     def inside(self, number: float) -> float:
         """Return the internal value of a number in this unit, rounded only once if the factor is a power of ten."""
@@ -76,7 +78,16 @@ class QuantityError(ValueError):
 
 
 KILO, _MILLION, _BILLION = 1e3, 1e6, 1e9
-_LENGTHS = (Unit("mm"), Unit("m", KILO), Unit("um", over=KILO), Unit("nm", over=_MILLION))
+_LENGTHS = (
+    Unit("mm"),
+    Unit("m", KILO),
+    Unit("um", over=KILO),
+    Unit("nm", over=_MILLION),
+    Unit("cm", 10.0, reported=False),
+    Unit("dm", 100.0, reported=False),
+    Unit("km", _MILLION, reported=False),
+    Unit("ft", 12 * INCH, reported=False),
+)
 _SLOPES = (Unit("1"), Unit("mm/m", over=KILO), Unit("um/m", over=_MILLION), Unit("nm/m", over=_BILLION))
 _SCALES = (Unit("percent", over=100.0), Unit("ppm", over=_MILLION), Unit("ppb", over=_BILLION))
 _ANGLES = (
@@ -86,8 +97,8 @@ _ANGLES = (
     Unit("deg", _PI, 180.0),
     Unit("arcmin", 2 * _PI, _ARCSEC_PER_TURN / 60),
     Unit("arcsec", 2 * _PI, _ARCSEC_PER_TURN),
-    Unit("gon", _PI, 200.0),
-    Unit("mgon", _PI, 200.0 * KILO),
+    Unit("gon", _PI, 200.0, reported=False),
+    Unit("mgon", _PI, 200.0 * KILO, reported=False),
 )
 _TIMES = (Unit("s"), Unit("ms", over=KILO), Unit("min", 60.0), Unit("h", 3600.0))
 _EXPANSIONS = (Unit("1/K"), Unit("ppm/K", over=_MILLION), Unit("um/m/K", over=_MILLION))
@@ -128,12 +139,12 @@ _PRESSURES = (
     *(Unit(unit.symbol, unit.times, unit.over * 100.0) for unit in _si("Pa")),
     Unit("mbar"),
     Unit("bar", KILO),
+    Unit("psi", 68.94757293168361, reported=False),
 )
 
 _ALL = (
     Dimension("length", "a length", "0.1 mm", _LENGTHS, "mm"),
-    Dimension("wavelength", "a wavelength", "633 nm", (Unit("mm"), *_LENGTHS[2:]), "mm"),
-    Dimension("radius", "a radius of curvature", "6371 km", (*_LENGTHS[:2], Unit("km", _MILLION)), "mm"),
+    Dimension("wavelength", "a wavelength", "633 nm", (Unit("mm"), *_LENGTHS[2:4]), "mm"),
     Dimension("angle", "an angle", "20 arcsec", _ANGLES),
     Dimension("slope", "a slope", "0.1 mm/m", _SLOPES[1:]),
     Dimension("ratio", "a ratio of lengths", "0.1 um/m", (*_SLOPES[1:], *_SCALES)),

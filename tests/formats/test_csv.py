@@ -110,7 +110,7 @@ BROKEN = {
     "unit in brackets": ("image,target,u [px]\na,1,2\n", "1:14", "'u [px]' does not name", "u_px"),
     "two units": ("image,target,u_px,t_s,t_min\na,1,2,3,4\n", "1:23", "two columns hold the same quantity: t_s and t_min", "one"),
     "column twice": ("image,target,u_px,image\na,1,2,a\n", "1:19", "the column 'image' is there twice", ""),
-    "column without name": ("image,target,u_px,\na,1,2,\n", "1:19", "a column has no name", ""),
+    "column without name": ("image,target,u_px,\na,1,2,5\n", "1:19", "a column has no name", ""),
     "too few cells": (HEAD + "a,1\n", "2:4", "cells in this row: 2; columns in the header: 3", "image, target, u_px"),
     "too many cells": (HEAD + "a,1,2,3\n", "2:7", "cells in this row: 4; columns in the header: 3", "decimal comma"),
     "decimal comma": ("image;target;u_px\na;1;0,5\n", "2:5", "'0,5' is not a number", "write 0.5"),

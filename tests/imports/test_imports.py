@@ -62,7 +62,7 @@ Metrocli = Callable[..., Any]
 
 
 def rows_of(path: Path) -> list[str]:
-    return path.read_text().splitlines()[1:]
+    return [line for line in path.read_text().splitlines() if not line.startswith("#")]
 
 
 def test_any_table_becomes_the_input_of_a_job(folder: Path, metrocli: Metrocli) -> None:
@@ -123,6 +123,25 @@ def test_corners_of_mrgingham(folder: Path, metrocli: Metrocli) -> None:
         "c.jpg,0,10.5,20.25",
         "c.jpg,1,30.5,-0.25",
     ]
+
+
+@pytest.mark.parametrize("level", ["-", "-1"])
+def test_corners_that_were_not_found_are_left_out_and_counted(level: str, folder: Path, metrocli: Metrocli) -> None:
+    """Their coordinates may be numbers; the corners after them keep their names."""
+    (folder / "corners.vnl").write_text(VNL.replace("10.5 20.25 0", f"0 0 {level}"))
+    ran = metrocli("import", "corners.vnl", "--from", "vnl", "--out", "data")
+    assert ran.code == 0 and "1 corners that the file calls not found are left out" in ran.err
+    assert [row for row in rows_of(folder / "data/observations.csv") if row.startswith("c.")] == ["c.jpg,1,30.5,-0.25"]
+
+
+def test_an_input_is_never_overwritten(folder: Path, metrocli: Metrocli) -> None:
+    """Neither with --force nor under another spelling of its path."""
+    before = (folder / "LT1.txt").read_text()
+    (folder / "map.yaml").write_text(f"{MAP}file: LT1.txt\n")
+    for more in ((), ("--out", f"../{folder.name}")):
+        ran = metrocli("import", "LT1.txt", "--from", "columns", "--map", "map.yaml", "--force", *more)
+        assert ran.code == 3 and "the file it reads" in ran.err
+    assert (folder / "LT1.txt").read_text() == before
 
 
 def test_nothing_is_replaced_without_force(folder: Path, metrocli: Metrocli) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -94,8 +95,39 @@ def test_very_small_values_are_shown_in_powers_of_ten() -> None:
     assert units.rounded(1.23e-14, 1e-16) == ("1.230e-14", "1.0e-16")
 
 
+@pytest.mark.parametrize(
+    ("text", "dimension", "value"),
+    [
+        ("10 cm", "length", 100.0),
+        ("2 dm", "length", 200.0),
+        ("1.5 km", "length", 1.5e6),
+        ("1 ft", "length", 304.8),
+        ("2 feet", "length", 609.6),
+        ("100 gon", "angle", np.pi / 2),
+        ("10 mgon", "angle", np.pi / 20000),
+        ("30 psi", "pressure", 2068.4271879508483),
+    ],
+)
+def test_units_of_people_are_read(text: str, dimension: str, value: float) -> None:
+    """NIST SP 811, appendix B: 1 ft = 304.8 mm, 1 psi = 6894.757 Pa; 400 gon are a turn."""
+    assert units.parse_quantity(text, dimension) == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize(("value", "dimension"), [(123.0, "length"), (1.5707, "angle"), (70.0, "pressure")])
+def test_reports_choose_none_of_them(value: float, dimension: str) -> None:
+    assert units.readable(value, dimension)[1] not in ("cm", "dm", "km", "ft", "gon", "mgon", "psi")
+
+
+@pytest.mark.parametrize("text", ["5 cl", "5 hm", "3 mil", "5 pt", "2 g", "7 kp"])
+def test_no_unit_is_proposed_that_would_change_the_size(text: str) -> None:
+    """A symbol that resembles another one is mostly another unit."""
+    with pytest.raises(units.QuantityError) as raised:
+        units.parse_quantity(text, "length")
+    assert "did you mean" not in raised.value.hint
+
+
 def test_column_endings() -> None:
-    assert set(units.suffixes("length")) == {"mm", "m", "um", "nm"}
+    assert set(units.suffixes("length")) == {"mm", "m", "um", "nm", "cm", "dm", "km", "ft"}
     assert "um_per_m" in units.suffixes("ratio")
     assert units.suffix_of("1/K") == "per_K"
     assert units.suffix_of("1") == ""

@@ -26,6 +26,7 @@ class Quantity(Enum):
     MACHINE_READING = "point as the machine reads it"
     LENGTH = "length"
     ERROR_MOTION = "displacement and rotation of a machine's tool against its workpiece"
+    DISPLACEMENT = "displacement of a machine's tool along a line"
     POINT_IN_TRACKER = "point in the frame of the laser tracker"
     POLAR = "azimuth, elevation and distance in the frame of an instrument"
     SIGHTING = "readings of a sighting"

@@ -8,10 +8,14 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
+from metrocli.errors import Fault, InputError
 from metrocli.imports import FORMATS, Wishes, imported
-from metrocli.imports.lines import Lines
+from metrocli.imports.lines import NOTE, Lines
 
 SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items())
+
+_FIRST = 10
+"""Lines of a file that may be notes"""
 
 
 @click.command("import", help="Write a file of an instrument as CSV that jobs read, and print the paths of the files.")
@@ -50,10 +54,20 @@ def command(
     lines = Lines(str(file), read_text(file, str(file)).split("\n"))
     found = imported(form, lines, Wishes(root, unit))
     folder = file.parent if out is None else out
+    for name in found:
+        if inside(folder, name).resolve() == file.resolve():
+            raise InputError(
+                [Fault(f"would overwrite {file}, the file it reads", str(file), hint="give a folder: --out DIR")]
+            )
     written = list(write_all({inside(folder, name): text.encode() for name, text in found.items()}, force))
+    console = Console(quiet)
+    for name, text in found.items():
+        notes = [line.removeprefix(NOTE) for line in text.splitlines()[:_FIRST] if line.startswith(NOTE)]
+        for note in notes:
+            console.warning(f"{name}: {note}")
     if as_json:
         echo(json_text({"status": "ok", "files": list(map(str, written))}))
         return 0
     for path in written:
-        Console(quiet).print(str(path))
+        console.print(str(path))
     return 0

@@ -134,7 +134,10 @@ def _project(place: Path, out: Path | None, units: str, done: Counter) -> dict[P
         status = state.record.status if state.record is not None else ""
         own = tuple(_files(step, made, file.parent))
         title = step.job.heading.title
-        entries.append(Entry(step.name, step.job.kind, title, status, state.reason, step.needs, own, page, verdict))
+        decided = state.record.conformity if state.record is not None else ""
+        entries.append(
+            Entry(step.name, step.job.kind, title, status, state.reason, step.needs, own, page, decided, verdict)
+        )
     name = name_of_project(place) or file.parent.resolve().name
     return {index: project_page(name, entries, list(_charts(found, file.parent))), **pages}
 

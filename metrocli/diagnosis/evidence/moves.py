@@ -50,6 +50,11 @@ class Move:
         return any(one.sort == EFFECT for one in self.fixed) or (self.found is not None and self.found.kind == SCATTER)
 
     @property
+    def is_correlated(self) -> bool:
+        """Whether an error of all readings, or of each unit, enters that is correlated over a covariate."""
+        return self.found is not None and self.found.kind == CORRELATED and self.found.key[2] < 0
+
+    @property
     def keys(self) -> tuple[tuple[int, ...], ...]:
         """Keys of the parts that enter."""
         return (*(one.key for one in self.fixed), *(() if self.found is None else (self.found.key,)))

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.diagnosis.evidence.moves import Move, moves, readings
+from metrocli.diagnosis.evidence.moves import Move, effects, moves, readings
 from metrocli.diagnosis.evidence.parts import CORRELATED, Fixed, Random
 from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.scored import at_sizes
@@ -35,6 +35,19 @@ def _with_all_readings(state: State) -> State:
     while found := readings(state):
         other = state.plus(found[0].fixed, steps=0)
         if other.score <= state.score:
+            break
+        state = other
+    return state
+
+
+def _with_all_effects(state: State) -> State:
+    """Return the state with the effects that show beside it: what a correlated error is to be added to.
+
+    A smooth function of the place in the image contains much of a skew. What it adds to the skew is small.
+    """
+    while found := [one for one in effects(state) if one.net > 0 and one.is_cause]:
+        other = without_weak_fixed(found[0].made(state))
+        if other.score <= state.score + _GAINED:
             break
         state = other
     return state
@@ -65,16 +78,19 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
     """Return the best of the states after moves; where sizes stay as they are, the quick gains are exact."""
     if not possible or possible[0].net <= 0:
         return None
-    first, tried = possible[0].net, list[State]()
+    first, tried, named = possible[0].net, list[tuple[State, Move]](), None
     for move in possible[:_MOST_TRIED]:
         if move.net < first - max(_NEAR, 0.3 * first):
             break
         made = move.made(state)
-        tried.append(_with_all_readings(made) if any(one.is_reading for one in move.fixed) else made)
+        tried.append((_with_all_readings(made) if any(one.is_reading for one in move.fixed) else made, move))
+        if move.is_correlated:
+            named = _with_all_effects(state) if named is None else named
+            tried += [(move.made(named), move)] if named is not state else []
         if not state.random and move.fixed:
             break
-    best = max(tried, key=lambda one: one.score)
-    alike = [(one, move) for one, move in zip(tried, possible, strict=False) if one.score > best.score - _ALIKE]
+    best = max((one for one, _ in tried), key=lambda one: one.score)
+    alike = [(one, move) for one, move in tried if one.score > best.score - _ALIKE]
     # a sigma that the job states explains as much as an effect at all places: it is what can be corrected
     given = [one for one, move in alike if move.given]
     # so can an effect, and noise of its place does not say what is wrong there

@@ -129,9 +129,9 @@ _OWN = ("job", "status", "up_to_date", "sigma0")
 def table_of(states: Iterable[State]) -> Table:
     """Return a row for each job that has a result which can be believed.
 
-    Columns: job, the columns of its list of parts, status, up_to_date (yes or no), sigma0, and for each estimate NAME
-    and NAME.std; empty where a result has no such estimate. Where names meet, columns of the list are called for.NAME,
-    estimates estimates.NAME. Raises InputError if there is no result.
+    Columns: job, the columns of its list of parts, status, conformity of jobs with tolerances, up_to_date (yes or no),
+    sigma0, and for each estimate NAME, NAME.std and NAME.U; empty where a result has no such estimate. Where names
+    meet, columns of the list are called for.NAME, estimates estimates.NAME. Raises InputError if there is no result.
     """
     rows: list[dict[str, str | float]] = []
     parts: list[Mapping[str, str]] = []
@@ -144,12 +144,13 @@ def table_of(states: Iterable[State]) -> Table:
         parts.append(part.values if part else {})
         sigma0 = result.statistics.get("sigma0")
         row: dict[str, str | float] = {"job": state.step.name, "status": record.status}
+        row |= {"conformity": record.conformity} if record.conformity else {}
         row |= {"up_to_date": "no" if state.reason else "yes"}
         row |= {"sigma0": float(sigma0)} if isinstance(sigma0, float | int) else {}
         for one in result.estimates:
             named = _named(one)
-            row |= {named: one.value, f"{named}.std": one.std}
-            known |= {named: one.unit, f"{named}.std": one.unit}
+            row |= {named: one.value, f"{named}.std": one.std, f"{named}.U": result.expanded(one)[0]}
+            known |= dict.fromkeys((named, f"{named}.std", f"{named}.U"), one.unit)
         rows.append(row)
     if not rows:
         raise InputError("the project has no results yet; run it first")

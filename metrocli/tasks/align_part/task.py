@@ -24,6 +24,7 @@ from metrocli.tasks.align_part.problem import Problem, Truth, build, true_model
 from metrocli.tasks.align_part.report import delivered, explained, predicted, report
 from metrocli.tasks.align_part.settings import Files, Settings
 from metrocli.tasks.align_part.spindle_poses import SpindlePoses
+from metrocli.tasks.align_part.two_poses import mirrored_pose
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.places import not_sought
@@ -108,7 +109,8 @@ def solved(settings: Settings, problem: Problem) -> Adjusted:
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         raise UndeterminedError(explained(problem, solution), solution.misfit)
     must_converge(solution)
-    return adjusted
+    other = mirrored_pose(problem, adjusted)
+    return adjusted if other is None else solved(settings, other)
 
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:

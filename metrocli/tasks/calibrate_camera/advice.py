@@ -18,6 +18,7 @@ from metrocli.instruments.lens import RATIONAL
 from metrocli.table import Table
 from metrocli.targets.lattice import GATE, determines_homography, homography, projected
 from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.shared.images.camera_parameters import HIGH
 from metrocli.words import listed
 
 _PARALLEL = np.radians(3.0)
@@ -246,3 +247,10 @@ def not_found(problem: Problem, images: Group, residuals: Array) -> list[str]:
         for name, size in each
         if size > max(_LOST * most, _APART * typical)
     ]
+
+
+def correlation_warnings(table: Table) -> list[str]:
+    """Return a warning of parameters that are highly correlated."""
+    rows = zip(table.texts("first"), table.texts("second"), table.numbers("correlation"), strict=True)
+    pairs = ", ".join(f"{a}-{b} {c:+.3f}" for a, b, c in rows)
+    return [f"correlations above {HIGH}: {pairs}"] if pairs else []

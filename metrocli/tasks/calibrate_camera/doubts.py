@@ -140,3 +140,42 @@ def too_near(problem: Problem, adjusted: Adjusted, pixel_size: float | None) -> 
         f"{units.sized(focal, 'length')}, where a lens has no image: check the unit of the targets, or the pitch, "
         "and pixel_size"
     ]
+
+
+_FEW = 20
+"""Fewest readings of an image whose residuals are smoothed"""
+_SMOOTH = 7
+"""Largest degree of the polynomial that stands for what the lens model lacks in one image"""
+_MISFIT = 5.0
+"""Residuals so many times as large as the scatter of neighbouring points are no noise"""
+
+
+def unmodelled(problem: Problem, adjusted: Adjusted) -> list[str]:
+    """Return why a camera must not be used whose residuals are smooth in each image, and many times their scatter.
+
+    The scatter is what a polynomial in u and v leaves of the residuals of an image, the median of all images. A
+    noise that follows the residuals takes such a misfit for noise of the points (decision 171).
+    """
+    if adjusted.noise is None or adjusted.structured is not None:
+        return []
+    observations, residuals = adjusted.group.observations, adjusted.known_residuals().values
+    view, (w, h) = observations.index[camera.VIEW], problem.image_size
+    scatters, whole, used = list[float](), 0.0, 0
+    for i in np.flatnonzero(np.bincount(view) >= _FEW).tolist():
+        mine = view == i
+        x, y = observations.readings[0, mine] / w - 0.5, observations.readings[1, mine] / h - 0.5
+        degree = next(d for d in range(_SMOOTH, 0, -1) if (d + 1) * (d + 2) <= mine.sum())
+        smooth = np.stack([x**a * y**b for a in range(degree + 1) for b in range(degree + 1 - a)], axis=1)
+        values = residuals[:, mine].T
+        left = values - smooth @ np.linalg.lstsq(smooth, values, rcond=None)[0]
+        scatters.append(float((left**2).sum()) / (2 * (len(left) - smooth.shape[1])))
+        whole += float((values**2).sum())
+        used += 2 * int(mine.sum())
+    if not scatters or whole / used <= _MISFIT**2 * np.median(scatters):
+        return []
+    size, scatter = np.sqrt(2 * whole / used), np.sqrt(2 * np.median(scatters))
+    return [
+        f"residuals of {size:.2g} px (root mean square) are smooth in each image, where the points scatter by "
+        f"{scatter:.2g} px: the lens model, or the list of targets, does not describe these images. The stated "
+        "uncertainties do not hold. --compare shows which lens model fits best, `metrocli diagnose` what else is wrong"
+    ]

@@ -7,6 +7,7 @@ from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, sizes
 from metrocli.effects.links.images import LensChange, TargetEccentricity
 from metrocli.effects.links.points import Growth, PlaneBend, Stretch
 from metrocli.effects.links.shifts import Shift
+from metrocli.tasks.calibrate_camera.turns import TURN
 from metrocli.tasks.shared.images.places import IMAGE, PERSPECTIVE_BLUR, image_point, rolling_shutter
 
 _LENS = "lens"
@@ -136,6 +137,18 @@ EFFECTS: tuple[Effect, ...] = (
         usual="1 to 50 px",
         reveal="views tilted about both axes, and the camera turned about its viewing axis",
         source="Brown 1971",
+    ),
+    Effect(
+        "turned-principal-point",
+        "images taken with the camera turned have another principal point: the lens or the sensor sags in its mount",
+        sizes("cx cy", "pixel", "200 px"),
+        lambda block, where: LensChange(block, added=(("cx",), ("cy",))),
+        where=(TURN,),
+        not_first=(TURN,),
+        confused_with=("axis-skew", "aspect-ratio"),
+        usual="0.5 to 30 px",
+        reveal="images in all four directions, several of each; the lens held firmly in its mount",
+        source="Hastedt, Luhmann and Tecklenburg 2002, Image-variant interior orientation of digital cameras",
     ),
     Effect(
         "target-eccentricity",

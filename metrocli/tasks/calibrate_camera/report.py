@@ -18,9 +18,9 @@ from metrocli.instruments.conventions import projection_range
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
-from metrocli.tasks.calibrate_camera.advice import not_found, seen_from_behind, turned_too_little
+from metrocli.tasks.calibrate_camera.advice import correlation_warnings, not_found, seen_from_behind, turned_too_little
 from metrocli.tasks.calibrate_camera.diagnosis import uncontrolled
-from metrocli.tasks.calibrate_camera.doubts import PrincipalPoint, held_doubts, principal_point, too_near
+from metrocli.tasks.calibrate_camera.doubts import PrincipalPoint, held_doubts, principal_point, too_near, unmodelled
 from metrocli.tasks.calibrate_camera.length_errors import LengthErrors, length_errors
 from metrocli.tasks.calibrate_camera.lens_conventions import (
     conventions_table,
@@ -29,9 +29,11 @@ from metrocli.tasks.calibrate_camera.lens_conventions import (
     photogrammetric_form,
 )
 from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.projection_error import corner_std, coverage_note, coverage_warnings
 from metrocli.tasks.calibrate_camera.settings import Camera, Settings
+from metrocli.tasks.calibrate_camera.turned_images import turned_images
 from metrocli.tasks.shared.images.adjustment import Adjusted
-from metrocli.tasks.shared.images.camera_parameters import HIGH, POSE_UNITS, Parameters, parameters, unit_of
+from metrocli.tasks.shared.images.camera_parameters import POSE_UNITS, Parameters, parameters, unit_of
 from metrocli.tasks.shared.images.tables import (
     adjustment_notes,
     rms_table,
@@ -91,6 +93,7 @@ def report(problem: Problem, job: Settings, adjusted: Adjusted, tests: Table | N
     views, tested = _views(solved), _tested(solved, tests, job) if tests is not None else None
     hidden = uncontrolled(problem, settings, adjusted, centre)
     tables, arrays = _tables_and_arrays(solved, views, hidden)
+    statistics = _statistics(solved)
     if tested is not None:
         tables["length_errors"] = tested.table
     return Result(
@@ -100,10 +103,10 @@ def report(problem: Problem, job: Settings, adjusted: Adjusted, tests: Table | N
             Estimate(*row) for row in zip(p.names, p.values.tolist(), p.std.tolist(), p.units, strict=True)
         ),
         covariance=p.covariance,
-        statistics={**_statistics(solved), **(tested.statistics if tested is not None else {})},
+        statistics={**statistics, **(tested.statistics if tested is not None else {})},
         tables=tables,
         arrays=arrays,
-        warnings=tuple(_warnings(solved, views)),
+        warnings=(*_warnings(solved, views), *coverage_warnings(statistics)),
         doubts=tuple(_doubts(solved)),
         shown=(ShownTable("views", ("image", "readings", "rms", "largest", "largest_target")),)
         if problem.rig == "board"
@@ -111,6 +114,7 @@ def report(problem: Problem, job: Settings, adjusted: Adjusted, tests: Table | N
         notes=(
             *(tested.notes if tested is not None else ()),
             *adjustment_notes(adjusted),
+            coverage_note(statistics),
             *(noise_notes(solution) if adjusted.noise is None else ()),
             *in_words(hidden),
         ),
@@ -173,6 +177,7 @@ def _statistics(solved: _Calibration) -> Statistics:
         "images": len(problem.sighted.images),
         "targets": len(np.unique(observations.index[camera.TARGET])),
         **coverage(observations.readings, problem.image_size, (lens["cx"], lens["cy"])),
+        "corner_std": corner_std(problem, solution, observations.readings),
         "sigma0_low": low,
         "sigma0_high": high,
         "condition": float(np.sqrt(eigenvalues.max(initial=1.0) / max(eigenvalues.min(initial=1.0), 1e-300))),
@@ -256,7 +261,7 @@ def _warnings(solved: _Calibration, views: Table) -> list[str]:
     if problem.rig != "cmm":
         lines += suspect_images(problem.sighted.images, views.numbers("rms"), views.numbers("readings"))
     lines += suspect_readings(adjusted.suspects, adjusted.group)
-    lines += _correlation_warnings(solved.delivered.high_correlations())
+    lines += correlation_warnings(solved.delivered.high_correlations())
     lines += turned_too_little(problem, solved.solution) + seen_from_behind(problem, solved.solution)
     lines += noise_warnings(solved.solution) if adjusted.noise is None else []
     lines += solved.centre.warnings() if solved.centre is not None else []
@@ -267,14 +272,17 @@ def _doubts(solved: _Calibration) -> list[str]:
     """Return why the camera must not be used.
 
     It holds its principal point or other values against the readings. Or its targets are nearer than its focal length,
-    or the lens model maps two directions to one pixel among the readings, or some image points were not found.
+    or the lens model maps two directions to one pixel among the readings, or some image points were not found, or it
+    does not describe the images.
     """
     problem, residuals = solved.problem, solved.adjusted.group.residuals(solved.solution.blocks)
     centre = solved.centre.doubts() if solved.centre is not None else []
     near = too_near(problem, solved.adjusted, solved.settings.pixel_size)
     held = held_doubts(problem, solved.settings, solved.adjusted)
     lost = not_found(problem, solved.adjusted.group, residuals)
-    return [*lost, *centre, *held, *near, *(text for text, among in _folds(solved) if among)]
+    smooth = [] if lost else unmodelled(problem, solved.adjusted)
+    turned = [] if lost or smooth else turned_images(problem, solved.adjusted)
+    return [*turned, *lost, *smooth, *centre, *held, *near, *(text for text, among in _folds(solved) if among)]
 
 
 def _folds(solved: _Calibration) -> Iterator[tuple[str, bool]]:
@@ -288,9 +296,3 @@ def _folds(solved: _Calibration) -> Iterator[tuple[str, bool]]:
             "use fewer distortion parameters",
             bool(np.hypot(u - lens["cx"], v - lens["cy"]).max() >= fold),
         )
-
-
-def _correlation_warnings(table: Table) -> list[str]:
-    rows = zip(table.texts("first"), table.texts("second"), table.numbers("correlation"), strict=True)
-    pairs = ", ".join(f"{a}-{b} {c:+.3f}" for a, b, c in rows)
-    return [f"correlations above {HIGH}: {pairs}"] if pairs else []

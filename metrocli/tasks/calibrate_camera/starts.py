@@ -18,7 +18,6 @@ from metrocli.adjust.robust import gross, robust_start
 from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments import camera
 from metrocli.instruments.camera import VIEW
 from metrocli.tasks.calibrate_camera.problem import Problem
@@ -130,7 +129,7 @@ def better_poses(blocks: dict[str, Block], images: Group, board: Array, normal: 
     far = extent < _FAR * np.linalg.norm(middle, axis=1)
     if not far.any():
         return Turned(views, ())
-    turned = replaced(views, _mirrored(views.values, middle, board.mean(axis=0), normal), far)
+    turned = replaced(views, poses.mirrored_about(views.values, middle, board.mean(axis=0), normal), far)
     held = [*(block.fixed() for name, block in blocks.items() if name != VIEW), turned]
     other = adjust(held, [images], None, Control(limit=30, covariance=False)).blocks[VIEW]
     here, there = (_costs({**blocks, VIEW: views_}, images) for views_ in (views, other))
@@ -144,18 +143,6 @@ def better_poses(blocks: dict[str, Block], images: Group, board: Array, normal: 
 def replaced(views: Block, values: Array, chosen: Mask) -> Block:
     """Return the block with other values for the chosen members."""
     return views.with_values(np.where(chosen[:, None], values, views.values))
-
-
-def _mirrored(values: Array, middle: Array, centre: Array, normal: Array) -> Array:
-    rotation = poses.rotation_of(values)
-    sight = middle / np.linalg.norm(middle, axis=1, keepdims=True)
-    now = rotation @ normal
-    goal = 2 * (sight * now).sum(axis=1, keepdims=True) * sight - now
-    axis = np.cross(now, goal)
-    sine, cosine = np.linalg.norm(axis, axis=1), (now * goal).sum(axis=1)
-    turn = axis / np.maximum(sine, 1e-12)[:, None] * np.arctan2(sine, cosine)[:, None]
-    mirrored = rotation_from_vector(turn) @ rotation
-    return poses.pose(mirrored, middle - mirrored @ centre)
 
 
 def _costs(blocks: dict[str, Block], images: Group) -> Array:

@@ -28,14 +28,15 @@ TRACK = Columns(
 LINES = Columns(
     columns(
         "line axis [text]",
-        "position ex ey ez [length]",
-        "ea eb ec [angle]",
+        "position [length]",
+        "ex?* ey?* ez?* [length]",
+        "ea?* eb?* ec?* [angle]",
         "x? y? z? [length]",
         "t? [time]",
         "temp? [temperature]",
     ),
     (),
-    "lines of a laser with six degrees of freedom",
+    "lines of a laser with six degrees of freedom, or the displacement along single axes only",
     measured=("ex", "ey", "ez", "ea", "eb", "ec"),
     alike=("axis", "position"),
     group=("line",),

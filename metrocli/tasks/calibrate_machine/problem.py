@@ -39,7 +39,7 @@ from metrocli.instruments.tracer import aspects as beam_aspects
 from metrocli.instruments.tracker import LEG, TRACKER
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.iso230 import Run
-from metrocli.tasks.calibrate_machine.settings import Settings
+from metrocli.tasks.calibrate_machine.settings import AxisSettings, Settings
 from metrocli.tasks.shared.lengths import PathNoise, with_noise
 from metrocli.words import suggestion
 
@@ -70,6 +70,10 @@ class Problem(Modelled):
     """Standard deviations of lengths, which follow from the solution; None for other readings"""
     notes: tuple[str, ...] = ()
     """What was done with the readings, in sentences"""
+    displacement_only: bool = False
+    """Whether only positioning along single axes was read, so that nothing is known of the volume"""
+    said: Array | None = None
+    """Listed places of the stations of lengths, (stations, 3), nan where not listed; None for other readings"""
 
     @property
     def readings(self) -> Group:
@@ -144,10 +148,11 @@ def model_of(
 
 def machine_of(settings: Settings) -> Machine:
     """Return the machine with equally spaced knots that the settings describe."""
-    given = settings.machine.axes
+    given = settings.machine.axes.given
+    rest = AxisSettings((0.0, 100.0), 2)  # an axis that stands still, where only another one is measured
     axes = tuple(
         Axis(letter, np.linspace(*axis.range, axis.knots))
-        for letter, axis in zip(AXES, (given.x, given.y, given.z), strict=True)
+        for letter, axis in ((letter, given.get(letter, rest)) for letter in AXES)
     )
     return Machine(axis_order(settings.machine.chain), (axes[0], axes[1], axes[2]))
 

@@ -56,7 +56,9 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
     identified = solved.identified
     effect_tables, effect_arrays = effect_results(added, solution)
     hidden = uncontrolled(solved, tables, settings)
-    volume = volume_tables(tables, identified, settings.volume, solved.problem.tools_used)
+    volume = {}
+    if not solved.problem.displacement_only:
+        volume = volume_tables(tables, identified, settings.volume, solved.problem.tools_used)
     tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
     found = (*_estimates(solution), *effect_estimates(added, solution))
     figures, of_figures = _positioning(solved.problem.runs, settings, noise.factor)
@@ -116,7 +118,8 @@ def _notes(solved: Solved, settings: Settings, noise: NoiseFound) -> Iterator[st
     yield from solved.problem.notes
     yield from _at_20_degrees(settings)
     yield from solved.problem.noise.notes if solved.problem.noise else ()
-    yield NOT_CONTAINED
+    if not solved.problem.displacement_only:
+        yield NOT_CONTAINED
     yield from found_notes(noise)
     yield from noise_notes(noise.solution, cures(settings))
 

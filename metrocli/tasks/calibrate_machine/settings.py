@@ -33,11 +33,12 @@ _INPUTS = {STANDSTILL: ("points",), ON_THE_FLY: ("path", "track"), SIX_DOF: ("li
 _NOISE = {
     STANDSTILL: ("beam",),
     ON_THE_FLY: ("beam",),
-    SIX_DOF: ("displacement", "straightness", "angle"),
+    SIX_DOF: ("displacement",),
     LENGTHS: ("constant",),
 }
 """Standard deviations that each method needs"""
 _VECTOR = ListOf(Quantity("length"), 3)
+_AXES = 3
 
 
 @dataclass(frozen=True)
@@ -58,19 +59,25 @@ class AxisSettings:
 
 @dataclass(frozen=True)
 class AxesSettings:
-    """The three linear axes."""
+    """The linear axes; method six-dof with displacement only needs those that have lines."""
 
-    x: AxisSettings = setting(Section(AxisSettings), "the X axis")
-    y: AxisSettings = setting(Section(AxisSettings), "the Y axis")
-    z: AxisSettings = setting(Section(AxisSettings), "the Z axis")
+    x: AxisSettings | None = setting(Section(AxisSettings), "the X axis", default=None)
+    y: AxisSettings | None = setting(Section(AxisSettings), "the Y axis", default=None)
+    z: AxisSettings | None = setting(Section(AxisSettings), "the Z axis", default=None)
+
+    @property
+    def given(self) -> dict[str, AxisSettings]:
+        """The axes by letter, X to Z."""
+        named = {"X": self.x, "Y": self.y, "Z": self.z}
+        return {letter: axis for letter, axis in named.items() if axis is not None}
 
 
 @dataclass(frozen=True)
 class MachineSettings:
     """The kinematic chain, the axes and the tool vectors."""
 
-    chain: str = setting(Text(), "axes from workpiece to tool with the bed marked, such as wXbYZt")
-    axes: AxesSettings = setting(Section(AxesSettings), "range and knots of each axis")
+    chain: str = setting(Text(), "axes from workpiece to tool with the bed marked, such as wXbYZt", default="wXYZt")
+    axes: AxesSettings = setting(Section(AxesSettings), "range and knots of each axis", AxesSettings())
     tool: tuple[float, ...] | None = setting(
         _VECTOR, "vector from the spindle's reference point to the reflector (default: 0)", default=None
     )
@@ -226,13 +233,15 @@ class Settings:
     @property
     def estimated(self) -> tuple[str, ...]:
         """Names of the errors to estimate, in the spelling of this program."""
-        return ALL_NAMES if isinstance(self.estimate, str) else tuple(canonical(name) for name in self.estimate)
+        axes = self.machine.axes.given
+        if isinstance(self.estimate, str):
+            return ALL_NAMES if len(axes) == _AXES else tuple(f"E{axis}{axis}" for axis in axes)
+        return tuple(canonical(name) for name in self.estimate)
 
     @property
     def scales(self) -> dict[str, Warm]:
         """The scales whose temperature is given, by the letter of their axis."""
-        axes = {"X": self.machine.axes.x, "Y": self.machine.axes.y, "Z": self.machine.axes.z}
-        return {letter: axis.scale for letter, axis in axes.items() if axis.scale is not None}
+        return {letter: axis.scale for letter, axis in self.machine.axes.given.items() if axis.scale is not None}
 
     @property
     def tools(self) -> dict[str, tuple[float, ...]]:
@@ -257,6 +266,11 @@ class Settings:
                 )
         if self.method == ON_THE_FLY and self.outliers == "remove":
             yield "outliers", "method on-the-fly always removes wild points of the track: leave this key out"
+        missing = [axis for axis in "XYZ" if axis not in self.machine.axes.given]
+        if missing == ["X", "Y", "Z"]:
+            yield "machine.axes", "no axis is given: write e.g. `x: {range: [0 mm, 600 mm], knots: 13}`"
+        elif missing and self.method != SIX_DOF:
+            yield "machine.axes", f"method {self.method} needs all three axes; {' and '.join(missing)} are missing"
         for key in _NOISE[self.method]:
             if getattr(self.noise, key) is None:
                 yield "noise", f"method {self.method} needs the noise '{key}'"

@@ -18,6 +18,7 @@ from metrocli.instruments.machine import TOOL
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.problem import Problem
 from metrocli.tasks.shared.lengths import with_repeatability
+from metrocli.tasks.shared.mirror import Mirrored, mirrored, must_be_decided, of_tracers
 
 _VAGUE = (
     "\nan unknown tool vector cannot be separated from the tracker's place: give `tool_uncertainty` as a few mm, "
@@ -46,6 +47,15 @@ class Solved:
     def read(self) -> tuple[Residuals, ...]:
         """The residuals of all readings."""
         return (self.residuals,)
+
+    @cached_property
+    def second(self) -> list[Mirrored]:
+        """Stations with a second place that fits their lengths as well; none for other readings."""
+        if self.problem.said is None:
+            return []
+        name = self.problem.readings.name
+        group = next(group for group in self.solution.groups if group.name == name)
+        return mirrored(of_tracers(self.solution, group, self.problem.said), max(1.0, self.solution.misfit))
 
     @cached_property
     def suspects(self) -> Suspects:
@@ -79,7 +89,9 @@ def solve(problem: Problem, remove: bool) -> Solved:
         )
         return _Using(left.with_blocks(state), identified, (*used.rejected, *gone)), True
 
-    return in_rounds(begun, _Using.solved, fewer)[1]
+    solved = in_rounds(begun, _Using.solved, fewer)[1]
+    must_be_decided(solved.second)
+    return solved
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, Setti
 from metrocli.tasks.calibrate_machine.solve import Solved
 from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.shared.environment import blocks_of
+from metrocli.tasks.shared.mirror import hidden_by
 from metrocli.tasks.shared.part import Warm
 from metrocli.tasks.shared.statistics import REMOVE, REPEATS, beyond_bound, noise_warnings
 from metrocli.tasks.shared.uncontrolled import AIR, AIR_WORDS, ASSUMED, ASSUMED_CONTROL, Hidden, table_of
@@ -115,7 +116,7 @@ def uncontrolled(solved: Solved, tables: Tables, settings: Settings) -> Table:
     The uncertainty of a stated air is in the tables, and so is that of the scales of axes whose temperature is stated
     with its standard uncertainty.
     """
-    return table_of((*_hidden(solved, tables, settings.scales), *_senses(tables, settings)))
+    return table_of((*hidden_by(solved.second), *_hidden(solved, tables, settings.scales), *_senses(tables, settings)))
 
 
 def _senses(tables: Tables, settings: Settings) -> Iterator[Hidden]:

@@ -44,7 +44,7 @@ _KEYS = {
     CONE: {"axis", "half_angle", "material"},
 }
 """Keys of each type of surface beside name, type and point"""
-SIZES = {"mm": 1.0, "m": 1000.0, "um": 1e-3, "inch": 25.4}
+SIZES = {"mm": 1.0, "m": 1000.0, "um": 1e-3, "cm": 10.0, "inch": 25.4}
 """Units of a mesh, in mm"""
 
 

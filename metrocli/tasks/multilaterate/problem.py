@@ -16,6 +16,7 @@ from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
+from metrocli.instruments.tracer_start import start
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.readings import Readings, distances_of, read
 from metrocli.tasks.multilaterate.settings import Files, Settings
@@ -23,6 +24,8 @@ from metrocli.tasks.shared.environment import Air, priors_of
 from metrocli.tasks.shared.lengths import PathNoise, Scale, stop_priors, with_noise
 from metrocli.tasks.shared.tracers import places_of
 
+_ROUGH = 0.02
+"""Points whose lengths are off by more than this share of the measured volume start from their lengths"""
 LENGTHS = "lengths"
 """Name of the group of lengths from tracers"""
 
@@ -37,6 +40,8 @@ class Network(Modelled):
     """The mover's readings of the points, (points, 3)"""
     absolute: bool
     """Whether lengths are absolute distances, without a dead path"""
+    surveyed: bool = False
+    """Whether the places of all tracers are known, so that points need no listed places"""
     said: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """Listed places of the tracers, (tracers, 3), nan if not listed"""
     warnings: tuple[str, ...] = ()
@@ -97,18 +102,45 @@ def _without(group: Group, left: Mask) -> Group:
 def build(settings: Settings, files: Files) -> Network:
     """Return the adjustment of the files, with starting values found from the lengths; raises as `places_of` does."""
     readings = read(settings, files)
-    return network_of(settings, readings, places_of(readings.seen_by), files.distances)
+    places = places_of(readings.seen_by)
+    return network_of(settings, readings, places, files.distances, _points_from(readings, places))
 
 
-def network_of(settings: Settings, readings: Readings, places: Array, distances: Table | None = None) -> Network:
+def _points_from(readings: Readings, places: Array) -> Array:
+    """Return starting values of the points, (points, 3): from distances to known tracers where the list is rough.
+
+    A point is to known tracers what a tracer is to known points.
+    """
+    found, observations = readings.nominal.copy(), readings.observations
+    if not (readings.absolute and readings.tracers.given.all()):
+        return found
+    of, ends = observations.index[t.POINT], places[observations.index[t.TRACER], :3]
+    lengths = observations.readings[0]
+    miss = np.abs(lengths - np.linalg.norm(found[of] - ends, axis=1))
+    rough = np.bincount(of, miss > _ROUGH * readings.seen_by.extent, len(found)) > 0
+    for i in np.flatnonzero(rough & (readings.seen >= 3)).tolist():
+        mine = of == i
+        place = start(ends[mine], lengths[mine], True, readings.nominal[i])[:3]
+        found[i] = np.where((readings.sigma[i] != 0) & np.isfinite(place), place, found[i])
+    return found
+
+
+def network_of(
+    settings: Settings,
+    readings: Readings,
+    places: Array,
+    distances: Table | None = None,
+    points_at: Array | None = None,
+) -> Network:
     """Return the adjustment of readings; `places` (tracers, 5) are the starting values of the tracers.
 
+    Points start at `points_at` (points, 3), or where they are listed.
     Raises InputError that lists every fault in the calibrated distances.
     """
     sigma, tracers = readings.sigma, readings.tracers
     free = (sigma != 0) & (readings.seen > 0)[:, None]
     extent = readings.seen_by.extent
-    points = t.point_block(readings.nominal, readings.names, free, extent)
+    points = t.point_block(readings.nominal if points_at is None else points_at, readings.names, free, extent)
     stations = t.tracer_block(
         places, tracers.names, tracers.free(readings.absolute, settings.scale is not None), extent
     )
@@ -130,4 +162,7 @@ def network_of(settings: Settings, readings: Readings, places: Array, distances:
     nominal = {t.POINT: readings.nominal}
     model = Model(blocks, groups, datum, (LENGTHS,), acting, t.aspects(t.reach()), nominal=nominal)
     warnings, air = readings.warnings, readings.air
-    return Network(model, noise, readings.nominal, readings.absolute, tracers.said, warnings, settings.scale, air)
+    given, scale = bool(tracers.given.all()), settings.scale
+    return Network(
+        model, noise, readings.nominal, readings.absolute, given, tracers.said, warnings, scale, air
+    )

@@ -89,8 +89,8 @@ def read(settings: Settings, files: Files) -> Readings:
         index = {} if stops is None else {t.STOP: numbers}
         conditions = {**observations.conditions, t.ALONE: alone}
         observations = replace(observations, index={**observations.index, **index}, conditions=conditions)
-    read_points = nominal[np.bincount(point, minlength=len(names)) > 0]
-    extent = float(np.ptp(read_points, axis=0).max()) or 1.0
+    places = np.vstack([nominal[np.bincount(point, minlength=len(names)) > 0], read_by.said[read_by.given]])
+    extent = float(np.ptp(places, axis=0).max()) or 1.0
     rows = few_of_each(read_by)
     seen = Seen(read_by, rows, nominal[point[rows]], length[rows], extent, absolute, lengths.file)
     found = Readings(names, nominal, sigma, read_by, observations, stops, air, absolute, seen)
@@ -117,15 +117,14 @@ def _unused(readings: Readings) -> tuple[str, ...]:
     """Return a warning of points without a length, and one of tracers without a reading."""
     unseen = [readings.names[row] for row in np.flatnonzero(readings.seen == 0)]
     warnings = (f"{len(unseen)} points have no length: {listed(unseen)}",) if unseen else ()
-    idle = readings.tracers.idle
-    return warnings + ((f"tracers without a reading are left out: {listed(idle)}",) if idle else ())
+    idle, values = readings.tracers.idle, readings.observations.readings[0]
+    equal = ("all lengths are equal: is this the right column?",) if len(values) > 1 and np.ptp(values) == 0 else ()
+    return warnings + equal + ((f"tracers without a reading are left out: {listed(idle)}",) if idle else ())
 
 
 def _refuse_readings(lengths: Table, absolute: bool) -> None:
     values = lengths.numbers("length")
     refuse(lengths, {"an absolute distance is not above zero": np.asarray(absolute & (values <= 0))})
-    if len(values) > 1 and np.ptp(values) == 0:
-        raise InputError([lengths.fault("all lengths are equal", "is this the right column?")])
 
 
 def distances_of(table: Table | None, names: Sequence[str], seen: Index) -> list[Group]:

@@ -19,7 +19,8 @@ from metrocli.tasks.multilaterate.blunders import Reason
 from metrocli.tasks.multilaterate.correction import Probing, astray, corrected, distant, wrong_entries
 from metrocli.tasks.multilaterate.features.report import FEATURES, SHOWN, exchanging, fitted
 from metrocli.tasks.multilaterate.features.wanted import Wanted
-from metrocli.tasks.multilaterate.solve import Solved, noise_of_tests
+from metrocli.tasks.multilaterate.second_places import noise_of_tests
+from metrocli.tasks.multilaterate.solve import Solved
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
 from metrocli.tasks.shared.joint_covariance import factors
@@ -67,7 +68,7 @@ def report(
     """
     solution, added = noise.solution, solved.network.effects
     found = (*_tracer_estimates(solution), *estimates_of(solution), *estimates(added, solution))
-    hidden = uncontrolled(solved.network, part)
+    hidden = uncontrolled(solved.network, part, solved.second)
     tables, arrays = _adjusted(solved, solution, None if probing is not None else part)
     tables["not_controlled"] = hidden
     if probing is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -32,8 +33,10 @@ from metrocli.tasks.multilaterate.blunders import (
 )
 from metrocli.tasks.multilaterate.layout_faults import carries, explained
 from metrocli.tasks.multilaterate.problem import LENGTHS, Network
+from metrocli.tasks.multilaterate.second_places import at_others, noise_of_tests, second_places
 from metrocli.tasks.shared.lengths import with_repeatability
 from metrocli.tasks.shared.lists import name_of
+from metrocli.tasks.shared.mirror import Mirrored, must_be_decided
 
 _EQUAL = 1e-4
 """Tests of a point that differ by less than this share are equal"""
@@ -55,7 +58,7 @@ _DELAY = ", or all lengths share a large error, such as a delay: `effects: [{nam
 _POINTS_NEAR, _TRACERS_NEAR = 0.02, 0.5
 """Plausible deviations of points and tracers from their lists, as shares of the measured volume"""
 _NOISY = 3.0
-"""Standard deviations of a length by which points may lie farther from their list: they are known no better"""
+"""Standard deviations of a length by which points may lie farther from their list"""
 _SMALL_ENOUGH = 1000
 """Networks of up to so many points are checked for determinacy before they are adjusted"""
 
@@ -100,13 +103,20 @@ class Solved:
         """The residuals of all readings."""
         return (self.residuals,)
 
+    @cached_property
+    def second(self) -> list[Mirrored]:
+        """Points and tracers with a second place that fits as well."""
+        return second_places(self.network, self.solution, noise_of_tests(self.solution))
+
     @property
     def astray(self) -> float:
         """How far points and tracers lie from their lists, relative to the plausible deviation.
 
-        The deviation of the points is a root mean square, that of the tracers a median; the larger ratio counts.
+        The points have a root mean square, the tracers a median; the larger ratio counts. 0 where tracers are known.
         """
         network, blocks = self.whole, self.solution.blocks
+        if network.surveyed:
+            return 0.0
         seen = network.seen > 0
         extent = float(np.ptp(network.nominal[seen], axis=0).max()) or 1.0
         off = network.nominal[seen] - blocks[t.POINT].values[seen]
@@ -141,7 +151,11 @@ def solve(network: Network, remove: bool) -> Solved:
         more = worst or (_doubtful(solved) if used.out else {})
         return _Using(state, used.out | more, used.back), bool(more)
 
-    return in_rounds(begun, lambda used: _adjusted(network, used.state, used.out), fewer)[1]
+    used, solved = in_rounds(begun, lambda used: _adjusted(network, used.state, used.out), fewer)
+    if better := [one for one in solved.second if one.better and not one.decided]:
+        solved = _adjusted(network, at_others(solved.solution.blocks, better), used.out)
+    must_be_decided(solved.second)
+    return solved
 
 
 @dataclass(frozen=True)
@@ -204,6 +218,8 @@ def _must_see_effects(network: Network, solution: Solution) -> None:
 
 def _must_be_near(network: Network, solution: Solution) -> None:
     """Raise NotConvergedError if the solution is far from the mover's readings, such as the mirror image."""
+    if network.surveyed:
+        return
     seen = network.seen > 0
     away = np.linalg.norm(solution.blocks[t.POINT].values[seen] - network.nominal[seen], axis=1)
     middle = float(median(away))
@@ -233,11 +249,6 @@ def _doubtful(solved: Solved) -> dict[int, Rejected]:
     bad = lost & (misfit > chdtri(np.maximum(left - 3, 1), _DOUBT))
     used = np.delete(np.arange(solved.whole.lengths.observations.count), [one.row for one in solved.rejected])
     return {int(row): Rejected(int(row), float("nan"), Reason.CONTRADICTED) for row in used[bad[point]]}
-
-
-def noise_of_tests(solution: Solution) -> float:
-    """Return the noise to which tests of single lengths refer, in units of the declared one: sigma0, but at least 1."""
-    return max(1.0, float(np.nan_to_num(solution.sigma0, nan=1.0)))
 
 
 def _units(solution: Solution, found: Residuals) -> Array:

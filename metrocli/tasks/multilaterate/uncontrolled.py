@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -12,11 +12,12 @@ from metrocli.instruments import tracer as t
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.problem import Network
 from metrocli.tasks.multilaterate.readings import DISTANCES
+from metrocli.tasks.shared.mirror import Mirrored, hidden_by
 from metrocli.tasks.shared.part import Part, taken_as_exact
 from metrocli.tasks.shared.uncontrolled import AIR, AIR_WORDS, ASSUMED, ASSUMED_CONTROL, Hidden, table_of
 
 
-def uncontrolled(network: Network, part: Part | None = None) -> Table:
+def uncontrolled(network: Network, part: Part | None = None, second: Sequence[Mirrored] = ()) -> Table:
     """Return effects that the points absorb, the error of the points from each, and what would control it.
 
     The error in `hides` is that of the plausible cause in `assumed`, and is proportional to it.
@@ -24,7 +25,7 @@ def uncontrolled(network: Network, part: Part | None = None) -> Table:
     seen = network.nominal[network.seen > 0]
     extent = float(np.linalg.norm(np.ptp(seen, axis=0))) if len(seen) else 0.0
     rows = _rows(network, extent) if network.unknown[network.seen > 0].any() else ()
-    return table_of((*rows, *taken_as_exact(part, extent, "points at 20 degC")))
+    return table_of((*hidden_by(second), *rows, *taken_as_exact(part, extent, "points at 20 degC")))
 
 
 def scale_warnings(network: Network, solution: Solution) -> Iterator[str]:

@@ -121,7 +121,7 @@ def _measurand(found: Found, index: int, name: str) -> _Measurand:
     }  # fmt: skip
     verdict = None
     if mc is not None:
-        mc["covered"] = _share_within(found, index, interval)
+        mc["covered"] = _share_within(found, index, interval) if mc["std"] else 1.0
         mc = details["mc"] = {key: item if key in _PURE else _scaled(item, factor) for key, item in mc.items()}
         verdict = _verdict(found, linear, k, factor, mc)
     details["gum_valid"] = verdict.valid if verdict is not None else math.nan
@@ -137,7 +137,7 @@ def _verdict(found: Found, linear: Linear, k: float, factor: float, mc: dict[str
     normal = coverage_factor(Coverage(covered(found.coverage, linear.dof)), math.inf)
     value, std, second = linear.value / factor, linear.std / factor, linear.second_std / factor
     ends = (mc["interval"][0], mc["interval"][1])
-    judged = Judged(value, std, k * std, linear.nonlinear, second, mc["mean"], mc["std"], ends, normal)
+    judged = Judged(value, std, k * std, linear.nonlinear, second, mc["mean"], mc["std"], ends, normal, linear.dof)
     return judge(judged, found.settings.monte_carlo.digits)
 
 
@@ -161,14 +161,21 @@ def _share_within(found: Found, index: int, interval: tuple[float, float]) -> fl
     return sample.below(interval[1] - centre) - sample.below(interval[0] - centre)
 
 
+_ROUNDING = 1e-14
+"""A smaller relative std of trials is that of rounding errors"""
+
+
 def _monte_carlo(found: Found, index: int, probability: float) -> dict[str, Any] | None:
     outcome = found.outcome
     if outcome is None:
         return None
     sample, centre = outcome.samples[index], outcome.centres[index]
+    mean, std = float(outcome.means[index]), math.sqrt(outcome.covariance[index, index])
+    if std <= _ROUNDING * abs(mean):
+        return {"mean": mean, "std": 0.0, "interval": [mean, mean], "shortest": [mean, mean], "trials": outcome.trials}
     said: dict[str, Any] = {
-        "mean": float(outcome.means[index]),
-        "std": float(math.sqrt(outcome.covariance[index, index])),
+        "mean": mean,
+        "std": std,
         "interval": [end + centre for end in sample.symmetric(probability)],
         "shortest": [end + centre for end in sample.shortest(probability)],
         "trials": outcome.trials,

@@ -27,6 +27,8 @@ _MISFIT = 0.05
 """Lengths whose median misfit exceeds this share of the volume do not belong to these points"""
 _REMOTE = 500.0
 """A tracer farther away than this many times the volume is rejected: from there all lengths change alike"""
+_WORSE = 10.0
+"""Lengths of one known tracer do not belong to the points if they fit so many times worse than those of the others"""
 _SPARE = 3
 """Redundant lengths that a tracer needs before its misfit is meaningful"""
 _AS_LONG = 5
@@ -50,6 +52,11 @@ class Tracers:
     """Listed tracers without a reading"""
     noun: str = "tracer"
     """What the file calls a tracer: one that moves has several stations"""
+
+    @property
+    def given(self) -> Mask:
+        """Tracers whose whole place is known, exactly or with a standard uncertainty, (tracers,)."""
+        return np.asarray(np.isfinite(self.sigma).all(axis=1))
 
     def free(self, absolute: bool, scaled: bool) -> Mask:
         """Return the unknowns of each tracer, (tracers, 5): its place, unless exact, its dead path, and its scale."""
@@ -166,6 +173,8 @@ def places_of(seen: Seen) -> Array:
             misfits[i] = _misfit(points, lengths, values[i])
             away = float(np.linalg.norm(values[i, :3] - points.mean(axis=0)))
             strange[i] = misfits[i] > _MISFIT * seen.extent or away > _REMOTE * seen.extent
+    if tracers.given.all():  # known tracers find their points: a rough list of points is off for all of them alike
+        strange &= misfits > _WORSE * median(misfits)
     bad = np.flatnonzero(strange)
     if bad.size:
         raise InputError([_strange(seen, int(i), float(misfits[i]), bad.size) for i in bad])
@@ -213,7 +222,8 @@ def _strange(seen: Seen, i: int, misfit: float, bad: int) -> Fault:
     for factor, symbol in _factors():
         take(_AS_LONG)
         found = np.nan_to_num(start(points, factor * lengths, seen.absolute))
-        if _misfit(points, factor * lengths, found) < _MISFIT * seen.extent / 10:
+        spread = min(seen.extent, float(np.ptp(factor * lengths)))  # lengths near zero fit any points
+        if _misfit(points, factor * lengths, found) < _MISFIT * spread / 10:
             hint = (
                 "they fit with the other sign: lengths grow with the distance"
                 if factor < 0
@@ -225,6 +235,7 @@ def _strange(seen: Seen, i: int, misfit: float, bad: int) -> Fault:
 
 def _factors() -> list[tuple[float, str]]:
     """Return factors that correct likely mistakes in lengths, each with its cause: a reversed sign, or wrong units."""
-    ones = {unit.symbol: unit.inside(1.0) for unit in units.DIMENSIONS["length"].units}
+    ones = {unit.symbol: unit.inside(1.0) for unit in units.DIMENSIONS["length"].units if unit.reported}
+    ones |= {"cm": 10.0}
     ratios = {f"{a} written as {b}": ones[a] / ones[b] for a in ones for b in ones if a != b}
     return [(-1.0, ""), *((ratio, name) for name, ratio in ratios.items())]

@@ -5,8 +5,6 @@ Method: docs/algorithms/monte-carlo-chunks.md.
 
 from __future__ import annotations
 
-import json
-import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,17 +13,15 @@ from itertools import islice
 from typing import Any, Generic, TypeVar
 
 from metrocli import __version__
-from metrocli.errors import Fault, InputError
+from metrocli.errors import InputError
 from metrocli.frozen import dataclass
+from metrocli.uncertainty.workers.dask_client import PATIENCE_S, client_of
 
 T = TypeVar("T")
-PATIENCE_S = 2.5
-"""Longest time for a scheduler to answer [s]"""
 PATIENCE_WITH_WORKERS_S = 60.0
 """Longest time until the first worker of a cluster appears [s]"""
 _TASK_S, _MOST_AT_ONCE = 1.0, 25
 """Time that a task of a cluster should take [s], so that sending it does not count, and the most numbers in one"""
-_ADDRESSES, _ENCRYPTED = ("tcp://", "tls://", "ucx://", "ws://", "wss://"), ("tls://", "wss://")
 
 
 @contextmanager
@@ -34,7 +30,7 @@ def cluster(address: str, more: Callable[[], str] | None = None) -> Iterator[Any
 
     `more` states in words what else must be the same there as here.
     """
-    client = _client(address)
+    client = client_of(address)
     try:
         _await_worker(client, address)
         _refuse_other_versions(client, address, more)
@@ -205,81 +201,3 @@ def _do(work: Callable[[int], T], numbers: Sequence[int], versions: Versions) ->
     except Exception as error:
         return _Done(values, error, time.monotonic() - begun)
     return _Done(values, None, time.monotonic() - begun)
-
-
-def _must_listen(address: str) -> None:
-    """Raise InputError if nothing listens at tcp://HOST:PORT; checked before the slow import of the library."""
-    import socket
-    from urllib.parse import urlsplit
-
-    try:
-        place = urlsplit(address)
-        socket.create_connection((place.hostname, place.port or 8786), PATIENCE_S).close()
-    except (OSError, ValueError) as error:
-        raise _unanswered(address, error) from error
-
-
-def _unanswered(address: str, error: Exception) -> InputError:
-    hint = "one with TLS has an address tls://HOST:PORT" if address.startswith("tcp://") else None
-    return InputError([Fault(f"--scheduler {address}: no Dask scheduler answers there ({error})", hint=hint)])
-
-
-def _in_file(path: str) -> str:
-    """Return the address that a scheduler file holds."""
-    if not os.path.isfile(path):
-        raise InputError(f"--scheduler {path}: no such scheduler file; write tcp://HOST:PORT or the path of one")
-    try:
-        with open(path, encoding="utf-8") as file:
-            return str(json.load(file)["address"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"--scheduler {path}: this is no scheduler file of Dask ({error})") from error
-
-
-def _silence() -> None:
-    """Keep from the terminal what the library writes for those who program with it.
-
-    That is its tracebacks when a cluster is lost, which errors state in words, and its advice on large files.
-    """
-    import logging
-    import warnings
-
-    warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
-
-    # its configuration gives some of its loggers levels of their own
-    for name in ("distributed", *logging.root.manager.loggerDict):
-        if name.partition(".")[0] == "distributed":
-            logging.getLogger(name).setLevel(logging.CRITICAL)
-
-
-def _security(library: Any, address: str) -> Any:
-    """Return the security of Dask's own configuration; raise InputError if it lacks what an encrypted address needs."""
-    security = library.Security()
-    hint = "state ca-file, client.cert and client.key under distributed.comm.tls in the configuration of Dask"
-    try:
-        context = security.get_connection_args("client").get("ssl_context")
-    except OSError as error:
-        files = ", ".join(filter(None, (security.tls_ca_file, security.tls_client_cert, security.tls_client_key)))
-        message = f"--scheduler {address}: the certificates {files} cannot be used ({error})"
-        raise InputError([Fault(message, hint=hint)]) from error
-    if address.startswith(_ENCRYPTED) and context is None:
-        raise InputError(
-            [Fault(f"--scheduler {address}: the scheduler uses TLS, and no certificate is given", hint=hint)]
-        )
-    return security
-
-
-def _client(scheduler: str) -> Any:
-    """Return a client of a running cluster, or raise InputError in a few seconds."""
-    address = scheduler if scheduler.startswith(_ADDRESSES) else _in_file(scheduler)
-    if address.startswith(("tcp://", "tls://")):
-        _must_listen(address)
-    try:
-        import distributed
-    except ImportError as error:
-        raise InputError("--scheduler needs the library 'distributed': pip install 'metrocli[cluster]'") from error
-    library: Any = distributed
-    _silence()
-    try:
-        return library.Client(address, timeout=PATIENCE_S, security=_security(library, address))
-    except (OSError, TimeoutError, ValueError) as error:
-        raise _unanswered(address, error) from error

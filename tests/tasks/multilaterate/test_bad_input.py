@@ -74,7 +74,7 @@ CASES: dict[str, tuple[str, Callable[[list[str]], list[str]], str]] = {
     "all lengths equal": (
         "lengths.csv",
         lambda rows: [rows[0], *(",".join([*row.split(",")[:2], "500.0"]) for row in rows[1:])],
-        "all lengths are equal",
+        "lengths.csv: error: the lengths of tracer T0 do not belong to these points",
     ),
     "one tracer's lengths shuffled": (
         "lengths.csv",

@@ -280,7 +280,7 @@ def test_points_known_no_better_than_their_ranges_are_not_far_from_their_list() 
     astray = {}
     for declared in (25.0, 1.0):
         job = replace(settings(measures="absolute"), noise=LengthNoise(declared, 0.0))
-        beacons = rough.tracer_table(0.0, sigma=np.zeros(6))
+        beacons = rough.tracer_table(0.0)
         built = build(job, Files(rough.lengths(), rough.point_table(), beacons))
         astray[declared] = solve(built, remove=False).astray
     assert astray[25.0] < 0.7 < 1 < astray[1.0]
@@ -288,12 +288,12 @@ def test_points_known_no_better_than_their_ranges_are_not_far_from_their_list() 
 
 @pytest.mark.parametrize("listed", [True, False])
 def test_points_far_from_their_list_are_explained_by_what_is_listed(listed: bool) -> None:
-    """Where all places of beacons are given, it does not help to give them."""
+    """Where all places of beacons are listed, it does not help to list them."""
     net = replace(network(30, 6, seed=149), dead=np.zeros(6)).read(np.random.default_rng(150))
-    beacons = net.tracer_table(0.0, sigma=np.zeros(6)) if listed else None
+    beacons = net.tracer_table(0.0) if listed else None
     late = replace(net, readings=net.readings + 300.0)
     built = build(settings(measures="absolute"), Files(late.lengths(), late.point_table(), beacons))
     with pytest.raises(NotConvergedError) as raised:
-        solve(replace(built, nominal=built.nominal + (0.0 if listed else 400.0)), remove=False)
+        solve(replace(built, nominal=built.nominal + 400.0), remove=False)
     assert ("length-offset" in str(raised.value)) == listed
     assert ("inputs: tracers" in str(raised.value)) != listed

@@ -91,6 +91,7 @@ def lengths(settings: Settings, table: Table, stations: Table | None = None) -> 
         unused(settings.environment, table),
         notes=() if air is None else (air.note,),
         noise=noise,
+        said=read_by.said,
     )
 
 

@@ -10,14 +10,15 @@ import numpy as np
 
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
-from metrocli.arrays import Array, Index, Values
+from metrocli.arrays import Array, Index, Mask, Values
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
-from metrocli.instruments.machine import TOOL, Machine
+from metrocli.instruments.machine import AXES, TOOL, Machine
 from metrocli.instruments.six_dof import (
     ACROSS,
     ALONG,
     CHANNELS,
+    COLUMNS,
     FROM_START,
     LINE,
     POSITION,
@@ -40,7 +41,7 @@ from metrocli.tasks.calibrate_machine.problem import (
     tool_prior,
 )
 from metrocli.tasks.calibrate_machine.settings import Settings
-from metrocli.words import suggestion
+from metrocli.words import listed, suggestion
 
 READINGS = "lines"
 DIRECTIONS = {"x": (0,), "y": (1,), "z": (2,), "xy": (0, 1), "yz": (1, 2), "xz": (0, 2)}
@@ -158,31 +159,77 @@ def six_dof(settings: Settings, table: Table) -> Problem:
     if len(settings.tools) > 1:
         raise InputError("method six-dof has one tool: the receiver's vector, `machine: {tool: [...]}`")
     lines = lines_of(machine, table)
+    displacement = displacement_only(settings, lines, table)
     must_support(machine, lines.position, blocks)
     laser = laser_noise(settings)
     along = lines.along
+    read = table.stacked(CHANNELS).T if displacement is None else displacement[None]
     observations = Observations(
-        table.stacked(CHANNELS).T,
-        np.ones(1),
+        read,
+        np.full(read.shape, laser.displacement),
         machine.index(lines.position) | {TOOL: np.zeros(len(table), dtype=np.intp), LINE: lines.of},
-        covariance=laser.covariance(along[lines.of].T),
+        covariance=laser.covariance(along[lines.of].T) if displacement is None else None,
         keys={
             "line": tuple(table.texts("line")),
             "at": tuple(f"{distance:g} mm" for distance in lines.distance.tolist()),
         },
         conditions=conditions(lines.position, table) | line_conditions(lines, along) | approach(lines),
-        components=CHANNELS,
+        components=CHANNELS if displacement is None else ("displacement",),
         unit="mm",
     )
-    readings = Group(READINGS, line_chain(machine), observations)
+    readings = Group(READINGS, line_chain(machine, displacement is not None), observations)
+    free: Mask | bool = True
+    if displacement is not None:
+        free = np.array([[channel == f"e{axis}" for channel in COLUMNS] for axis in lines.axis])
     return Problem(
-        model_of({**blocks, LINE: line_block(lines.names)}, readings, tool_prior(blocks, settings)),
+        model_of({**blocks, LINE: line_block(lines.names, free)}, readings, tool_prior(blocks, settings)),
         machine,
         np.ones(len(table)),
         tuple(settings.tools),
         facts={"lines": len(lines.names)},
         runs=tuple(runs_of(lines, table)),
+        displacement_only=displacement is not None,
     )
+
+
+def displacement_only(settings: Settings, lines: Lines, table: Table) -> Array | None:
+    """Return the displacement of each reading, (n,), where the file has no other channels; None if it has all six.
+
+    Raises InputError if it has some of them, or if the noise of the channels that it has is not given.
+    """
+    missing = [name for name in CHANNELS if name not in table or np.isnan(table.numbers(name)).any()]
+    if not missing:
+        lacking = [key for key in ("straightness", "angle") if getattr(settings.noise, key) is None]
+        if lacking or len(settings.machine.axes.given) < len(AXES):
+            needs = listed([*(f"noise: {key}" for key in lacking), *(() if lacking else ("all three axes",))])
+            raise InputError(f"the lines have all six channels, so the job needs {needs}")
+        return None
+    own = [f"e{axis}" for axis in lines.axis]
+    more = sorted(set(CHANNELS) - set(missing) - set(own))
+    absent = [name for name in dict.fromkeys(own) if name not in table]
+    if more or absent or any(axis not in "xyz" for axis in lines.axis):
+        raise InputError(
+            [
+                Fault(
+                    f"lines have either all six channels ({', '.join(missing)} {'is' if not missing[1:] else 'are'} "
+                    "missing), or the displacement alone: ex along x, ey along y, ez along z",
+                    table.file,
+                )
+            ]
+        )
+    unlike = [name for name in settings.estimated if name not in {f"E{axis}{axis}".upper() for axis in lines.axis}]
+    if unlike:
+        raise InputError(
+            f"displacement alone determines {listed(sorted({f'E{axis}{axis}'.upper() for axis in lines.axis}))} only: "
+            f"leave {listed(unlike)} out of `estimate`"
+        )
+    values = np.stack([table.numbers(name) for name in dict.fromkeys(own)])
+    which = [list(dict.fromkeys(own)).index(name) for name in own]
+    found: Array = values[np.array(which)[lines.of], np.arange(len(lines.of))]
+    if np.isnan(found).any():
+        row = int(np.flatnonzero(np.isnan(found))[0])
+        raise InputError([table.fault_at(row, "the displacement is empty")])
+    return found
 
 
 def runs_of(lines: Lines, table: Table) -> list[Run]:

@@ -1,0 +1,120 @@
+"""How well a camera model projects where no reading is: the standard uncertainty of a corner of the image."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index
+from metrocli.instruments import camera
+from metrocli.instruments.lens import focal, ideal_point, image_point
+from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.shared.statistics import Statistics
+from metrocli.units.people import two_digits
+
+_STEP = 1e-6
+_WARNED = 0.01
+"""Uncertainty of a corner, as a share of the width of the image, from which it is a warning"""
+_SAMPLE = 400
+"""Most readings that determine which rotation of the camera a change of the lens imitates"""
+_ALONG = np.linspace(0.01, 4.0, 400)
+"""Directions that are tried for an image point, as multiples of its direction without distortion"""
+
+
+def corner_std(problem: Problem, solution: Solution, readings: Array) -> float:
+    """Return the largest standard uncertainty [px] of the image of a fixed direction in a corner of the image.
+
+    J is the derivative of image points by the lens parameters p, at the corners c and at readings r (2, n), and T that
+    by a rotation of the camera. The uncertainty is that of `(J_c - T_c T_r^+ J_r) dp`. A rotation of the camera changes
+    no measurement, and a shift of the principal point is nearly one (mrcal, projection uncertainty).
+    """
+    lens = solution.blocks[camera.LENS]
+    free = np.flatnonzero(lens.free[0])
+    if not free.size:
+        return 0.0
+    w, h = problem.image_size
+    corners = np.array([[x, y] for x in (0, w - 1) for y in (0, h - 1)], dtype=float).T
+    some = readings[:, np.linspace(0, readings.shape[1] - 1, min(readings.shape[1], _SAMPLE)).astype(int)]
+    there = _Linear(problem, lens.columns, lens.values[0])
+    at_corners, by_turn = there.by_lens(corners, free), there.by_turn(corners)
+    near, near_turn = there.by_lens(some, free), there.by_turn(some)
+    imitated = np.linalg.lstsq(near_turn, near, rcond=None)[0]
+    change = at_corners - by_turn @ imitated
+    covariance = solution.covariance_or_raise().of(camera.LENS)[np.ix_(free, free)]
+    variance = np.einsum("ia,ab,ib->i", change, covariance, change)
+    return float(np.sqrt(np.maximum(variance.reshape(2, -1).sum(axis=0), 0.0).max()))
+
+
+class _Linear:
+    """Derivatives of image points of fixed directions, u of all before v of all."""
+
+    def __init__(self, problem: Problem, columns: tuple[str, ...], values: Array) -> None:
+        self.columns, self.values, self.convention = columns, values, problem.convention
+
+    def named(self, values: Array) -> dict[str, float]:
+        return dict(zip(self.columns, values.tolist(), strict=True))
+
+    def directions(self, uv: Array) -> Array:
+        """Return the directions of image points, (2, n), the nearest to the optical axis that the lens maps there.
+
+        A polynomial may have further ones beyond its fold; where it folds before the image point, that of the fold.
+        """
+        lens = self.named(self.values)
+        if self.convention != "forward":
+            return np.array(ideal_point(lens, uv[0], uv[1], self.convention))
+        fx, fy = focal(lens)
+        centre = np.array([[lens["cx"]], [lens["cy"]]])
+        away = (uv - centre) / [[fx], [fy]]
+        reached = np.array(image_point(lens, *(away[:, :, None] * _ALONG))) - centre[:, :, None]
+        radius, wanted = np.hypot(*reached), np.hypot(*(uv - centre))[:, None]
+        grows = np.cumprod(np.diff(radius, axis=1, prepend=0.0) > 0, axis=1)
+        last = np.maximum((grows * (radius < wanted)).sum(axis=1), 1) - 1
+        return np.asarray(away * _ALONG[last])
+
+    def image(self, values: Array, uv: Array, directions: Array) -> Array:
+        lens = self.named(values)
+        if self.convention == "forward":
+            return np.concatenate(image_point(lens, *directions))
+        # the measured point is corrected: a change of its direction at a fixed pixel, in pixels
+        fx, fy = focal(lens)
+        x, y = ideal_point(lens, uv[0], uv[1], self.convention)
+        return np.concatenate([fx * x, fy * y])
+
+    def by_lens(self, uv: Array, free: Index) -> Array:
+        """Return the derivatives by the lens parameters, (2 n, k)."""
+        directions, columns = self.directions(uv), []
+        for k in free.tolist():
+            step = np.zeros(len(self.values))
+            step[k] = _STEP * max(abs(self.values[k]), 1.0)
+            ahead, behind = (self.image(self.values + sign * step, uv, directions) for sign in (1, -1))
+            columns.append((ahead - behind) / (2 * step[k]))
+        return np.stack(columns, axis=1)
+
+    def by_turn(self, uv: Array) -> Array:
+        """Return the derivatives by a rotation of the camera about x, y and z, (2 n, 3), without distortion."""
+        fx, fy = focal(self.named(self.values))
+        x, y = self.directions(uv)
+        by_x = np.concatenate([fx * x * y, fy * (1 + y**2)])
+        by_y = np.concatenate([fx * (1 + x**2), fy * x * y])
+        by_z = np.concatenate([fx * -y, fy * x])
+        return np.stack([by_x, by_y, by_z], axis=1)
+
+
+def coverage_note(statistics: Statistics) -> str:
+    """Return how much of the image the readings cover, and how well the model projects in its worst corner."""
+    hull, radius, corner = (float(statistics[name]) for name in ("coverage_hull", "coverage_radius", "corner_std"))  # type: ignore[arg-type]
+    return (
+        f"coverage: readings span {100 * hull:.0f} % of the image, up to {100 * radius:.0f} % of its radius; "
+        f"projection into its worst corner: standard uncertainty {two_digits(corner)} px"
+    )
+
+
+def coverage_warnings(statistics: Statistics) -> list[str]:
+    """Return that the lens is known badly in a corner of the image (beyond 5 % of the image it is a doubt)."""
+    corner, size = (float(statistics[name]) for name in ("corner_std", "image_width"))  # type: ignore[arg-type]
+    if corner <= _WARNED * size:
+        return []
+    return [
+        f"the readings do not reach the corners of the image, where the lens is uncertain by {two_digits(corner)} px "
+        "(standard uncertainty): show the target there, or estimate fewer lens parameters"
+    ]

@@ -1,0 +1,107 @@
+"""Images that a viewer turned by 180 degrees: each still fits a board, with the principal point on the other side.
+
+A turned image has (W-1-u, H-1-v) for (u, v), so its principal point is that of the others, reflected in the middle of
+the image. Poses take up most of the difference, and the noise the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.adjustment import Control, adjust
+from metrocli.arrays import Array, Mask
+from metrocli.geometry import poses
+from metrocli.instruments import camera
+from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.words import listed
+
+_FEWEST = 4
+_CERTAIN = 3.0
+"""Standard uncertainties by which the principal point of turned images is on the other side"""
+_GAIN = 50.0
+"""Decrease of chi-square by turning images back from which they are named, in units of the residuals' variance"""
+_AXES = ("cx", "cy")
+
+
+def turned_images(problem: Problem, adjusted: Adjusted) -> list[str]:
+    """Return why a camera must not be used some of whose images fit better turned by 180 degrees."""
+    lens = adjusted.solution.blocks[camera.LENS]
+    at = [lens.columns.index(name) for name in _AXES]
+    if problem.rig == "cmm" or len(problem.sighted.images) < _FEWEST or not lens.free[0, at].all():
+        return []
+    few = _on_the_other_side(problem, adjusted, at)
+    if not few.any():
+        return []
+    group, (w, h) = adjusted.group, problem.image_size
+    observations = group.observations
+    there, readings = few[observations.index[camera.VIEW]], observations.readings
+    flipped = np.where(there, np.array([[w - 1.0], [h - 1.0]]) - readings, readings)
+    back = group.with_observations(observations.with_readings(flipped))
+    blocks = dict(adjusted.solution.blocks)
+    views = blocks[camera.VIEW]
+    blocks[camera.VIEW] = views.with_values(np.where(few[:, None], _rolled(views.values, problem.rig), views.values))
+    begun = [block.fixed() if name != camera.VIEW else block for name, block in blocks.items()]
+    begun = list(adjust(begun, [back], None, Control(limit=30, covariance=False)).blocks.values())
+    freed = [replace(block, free=blocks[block.name].free) for block in begun]
+    other = adjust(freed, [back, *problem.others], problem.datum, Control(covariance=False))
+    solution = adjusted.solution
+    variance = max(other.cost / max(solution.dof, 1), 1e-12)
+    if not np.isfinite(other.cost) or (solution.cost - other.cost) / variance < _GAIN:
+        return []
+    names = [name for name, turned in zip(problem.sighted.images, few, strict=True) if turned]
+    values = other.blocks[camera.LENS].named()
+    f = "f" if "f" in values else "fx"
+    return [
+        f"{len(names)} images are turned by 180 degrees, or the {len(few) - len(names)} others are: {listed(names)}; "
+        f"with them turned back the squared residuals are {solution.cost / other.cost:.2g} times smaller and {f} = "
+        f"{values[f]:.1f} px; save all images as the camera wrote them"
+    ]
+
+
+def _rolled(values: Array, rig: str) -> Array:
+    """Return poses of views after a turn of the camera by 180 degrees about its viewing axis."""
+    half = poses.pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    turns = np.broadcast_to(half, values.shape)
+    return poses.compose(turns, values) if rig == "board" else poses.compose(values, turns)
+
+
+def _on_the_other_side(problem: Problem, adjusted: Adjusted, at: list[int]) -> Mask:
+    """Return the images whose own principal point is on the other side of the middle than that of most, (images,).
+
+    Each image has its own principal point here, by one linear step with its pose and the rest of the lens held.
+    """
+    solution, count = adjusted.solution, len(problem.sighted.images)
+    linear = adjusted.group.linear(solution.blocks, frozenset((camera.LENS, camera.VIEW)))
+    columns = {touch.block: touch.jacobian for touch in linear.touches}
+    view = adjusted.group.observations.index[camera.VIEW]
+    middle = (np.array(problem.image_size) - 1) / 2
+    offset, weight = np.zeros((count, 2)), np.zeros((count, 2, 2))
+    held = solution.blocks[camera.LENS].values[0, at] - middle
+    for i in np.flatnonzero(np.bincount(view, minlength=count) > _FEWEST).tolist():
+        mine = view == i
+        own = np.moveaxis(columns[camera.LENS][:, at][:, :, mine], 1, 2).reshape(-1, 2)
+        pose = np.moveaxis(columns[camera.VIEW][:, :, mine], 1, 2).reshape(-1, 6)
+        residual = linear.residual[:, mine].ravel()
+        both = np.linalg.lstsq(pose, np.column_stack([own, residual]), rcond=None)[0]
+        left = np.column_stack([own, residual]) - pose @ both
+        weight[i] = left[:, :2].T @ left[:, :2]
+        offset[i] = held + np.linalg.lstsq(left[:, :2], left[:, 2], rcond=None)[0]
+    scale = solution.cost / max(solution.dof, 1)
+    along = np.linalg.eigh(_spread(offset, weight))[1][:, -1]
+    position, information = offset @ along, np.einsum("a,iab,b->i", along, weight, along) / scale
+    side = position > 0
+    few = side if 2 * side.sum() <= count else ~side
+    total = float(information[few].sum())
+    if total <= 0:
+        return np.zeros(count, dtype=bool)
+    mean = abs(float((information * position)[few].sum() / total))
+    return few if mean * np.sqrt(total) > _CERTAIN else np.zeros(count, dtype=bool)
+
+
+def _spread(offset: Array, weight: Array) -> Array:
+    """Return the weighted sum of squares of offsets (n, 2), (2, 2)."""
+    each = np.einsum("iaa->i", weight)
+    return np.asarray((offset * each[:, None]).T @ offset)

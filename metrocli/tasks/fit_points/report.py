@@ -1,0 +1,123 @@
+"""The result of a best fit: transformation, moved points with their uncertainty, deviations and their tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from metrocli.adjust.robust import Fit, Suspects, suspects
+from metrocli.adjust.solution import Residuals, Solution, residuals_of
+from metrocli.arrays import Array
+from metrocli.geometry import poses
+from metrocli.result import SCALE as ABOUT_ONE
+from metrocli.result import Estimate, Result, ShownTable
+from metrocli.table import Table
+from metrocli.tasks.fit_points import KIND
+from metrocli.tasks.fit_points.problem import POSE, SCALE, Problem
+from metrocli.tasks.shared.statistics import basic_statistics, noise_notes, noise_warnings, residual_table, with_noise
+from metrocli.words import listed
+
+_NOTABLE = 0.95
+"""A mirror image is named that has so many times the deviations or fewer"""
+
+
+def report(problem: Problem, solution: Solution, mirrored: float) -> Result:
+    """Return the result of a solved best fit; `mirrored` is the root mean square deviation of the mirror image [mm]."""
+    estimated = problem.estimated
+    factor = solution.sigma0 if estimated and solution.dof > 0 else 1.0
+    pose, scale = solution.blocks[POSE].values[0], float(solution.blocks[SCALE].values[0, 0])
+    names = (POSE, SCALE) if problem.scale else (POSE,)
+    covariance = solution.joint(names) * factor**2
+    groups = solution.groups[: sum(group.name in "xyz" for group in solution.groups)]
+    read = [residuals_of(solution, group) for group in groups]
+    found = _merged(read)
+    tested = suspects(found, Fit(solution.cost, solution.dof, not estimated))
+    moved, std = _moved(problem, pose, scale, covariance, factor)
+    off = moved - problem.nominal
+    change = np.eye(len(covariance))
+    change[:6, :6] = poses.euler_form_by_step(pose)
+    of_euler = change @ covariance @ change.T
+    values, stds = [*poses.euler_form(pose).tolist(), scale], np.sqrt(np.diag(of_euler)).tolist()
+    rows = [*zip(poses.EULER, values, stds, ("mm",) * 3 + ("rad",) * 3, strict=False)]
+    estimates = [Estimate(name, value, s, unit) for name, value, s, unit in rows]
+    if problem.scale:
+        estimates.append(Estimate("scale", scale, stds[6], "1", ABOUT_ONE))
+    distance = np.sqrt(np.nansum(off**2, axis=1))
+    size = float(np.sqrt((distance**2).mean()))
+    statistics = basic_statistics(solution, {"mm": size}) | {"points": len(problem.names), "mirrored_rms": mirrored}
+    if estimated:
+        statistics = with_noise(statistics, solution, {"noise": factor * problem.start_noise})
+    points = {
+        "point": problem.names,
+        "x y z [mm]": moved,
+        "sx sy sz [mm]": std,
+        "dx dy dz [mm]": off,
+        "d [mm]": distance,
+    }
+    keys = [f"{point}.{group.name}" for group in groups for point in group.observations.keys["point"]]
+    return Result(
+        kind=KIND.name,
+        title="",
+        estimates=tuple(estimates),
+        covariance=of_euler,
+        statistics=statistics,
+        tables={
+            "points": Table.of(points),
+            "residuals": Table.stack([residual_table(one, group) for one, group in zip(read, groups, strict=True)]),
+            "suspects": _suspects(tested, keys),
+        },
+        arrays={"rotation": poses.rotation_of(pose)},
+        warnings=tuple(_warnings(problem, solution, tested, keys)),
+        shown=(ShownTable("points"),),
+        notes=tuple(_notes(problem, solution, size, mirrored)),
+    )
+
+
+def _merged(read: list[Residuals]) -> Residuals:
+    """Return the residuals of all coordinates as readings of one component."""
+    parts = ("values", "sigma", "redundancy", "normalised")
+    return Residuals(*(np.concatenate([getattr(one, part) for one in read], axis=1) for part in parts))
+
+
+def _moved(problem: Problem, pose: Array, scale: float, covariance: Array, factor: float) -> tuple[Array, Array]:
+    """Return the measured points after the transformation (n, 3), and their standard uncertainties.
+
+    These are of the transformation at the point, and of the point itself where its list gives one.
+    """
+    turned = scale * problem.measured @ poses.rotation_of(pose).T
+    slope = np.zeros((len(turned), 3, len(covariance)))
+    slope[:, :, :3] = np.eye(3)
+    x, y, z = turned.T
+    slope[:, 0, 4], slope[:, 0, 5], slope[:, 1, 3] = z, -y, -z
+    slope[:, 1, 5], slope[:, 2, 3], slope[:, 2, 4] = x, y, -x
+    if problem.scale:
+        slope[:, :, 6] = turned / scale
+    variance = np.einsum("nak,kl,nal->na", slope, covariance, slope)
+    own = np.nan_to_num(problem.measured_sigma) ** 2 @ (poses.rotation_of(pose).T ** 2)
+    return turned + pose[:3], np.sqrt(variance + (scale * factor) ** 2 * own)
+
+
+def _suspects(found: Suspects, keys: list[str]) -> Table:
+    order = np.argsort(-found.tests)
+    return Table.of({"coordinate [text]": [keys[i] for i in found.rows[order]], "w": found.tests[order]})
+
+
+def _warnings(problem: Problem, solution: Solution, found: Suspects, keys: list[str]) -> Iterator[str]:
+    yield from problem.warnings
+    if not problem.estimated:
+        yield from noise_warnings(solution, ())
+    if len(found.rows):
+        named = [f"{keys[i]} (w = {test:.1f})" for i, test in zip(found.rows, found.tests, strict=True)]
+        yield f"coordinates that do not fit the others, beyond |w| = {found.critical:.2f}: {listed(named, 5)}"
+
+
+def _notes(problem: Problem, solution: Solution, size: float, mirrored: float) -> Iterator[str]:
+    yield f"deviations of {len(problem.names)} points: root mean square {size:.4g} mm"
+    if np.isfinite(mirrored) and mirrored < _NOTABLE * size:
+        yield f"a mirror image would have {mirrored:.4g} mm; a rotation cannot give it, and this is a rotation"
+    if problem.estimated:
+        noise = solution.sigma0 * problem.start_noise
+        yield f"estimated noise of a coordinate: {noise:.3g} mm; covariances are scaled by it"
+    else:
+        yield from noise_notes(solution, ())

@@ -1,0 +1,37 @@
+"""Points and tracers with a second place that fits their lengths as well, and the noise that tests refer to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.solution import Solution
+from metrocli.tasks.multilaterate.problem import LENGTHS, Network
+from metrocli.tasks.shared.mirror import Mirrored, mirrored, of_points, of_tracers
+
+
+def second_places(network: Network, solution: Solution, noise: float) -> list[Mirrored]:
+    """Return tracers and points with a second place; `noise` is a factor on the standard deviations of lengths.
+
+    In a free network the list of points fixes the frame. Points that it decides for are left out there.
+    """
+    group = next(group for group in solution.groups if group.name == LENGTHS)
+    tracers = mirrored(of_tracers(solution, group, network.said), noise)
+    points = mirrored(of_points(solution, group, network.nominal), noise)
+    return [*tracers, *(one for one in points if network.surveyed or not one.decided)]
+
+
+def at_others(blocks: Mapping[str, Block], found: Sequence[Mirrored]) -> dict[str, Block]:
+    """Return blocks whose members stand at the other one of two places that fit."""
+    moved = {name: block.values.copy() for name, block in blocks.items()}
+    for one in found:
+        moved[one.noun][one.member, :3] = one.other
+    return {name: replace(block, values=moved[name]) for name, block in blocks.items()}
+
+
+def noise_of_tests(solution: Solution) -> float:
+    """Return the noise to which tests of single lengths refer, in units of the declared one: sigma0, but at least 1."""
+    return max(1.0, float(np.nan_to_num(solution.sigma0, nan=1.0)))

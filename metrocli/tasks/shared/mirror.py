@@ -1,0 +1,279 @@
+"""Second places that fit lengths as well: the mirror image of a tracer or a point in the plane of what it is read with.
+
+Lengths to ends in one plane, or nearly in one, do not tell its two sides apart. Nor do three lengths.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.arrays import Array, Index, Mask
+from metrocli.errors import UndeterminedError
+from metrocli.frozen import dataclass
+from metrocli.instruments import tracer as t
+from metrocli.tasks.shared.uncontrolled import Hidden
+
+_STEPS = 40
+_ALIKE = 10.83
+"""Increase of chi-square up to which a second place fits as well: 0.1 % of chance, one degree of freedom"""
+_APART = 6.0
+"""Standard uncertainties of a place from which a second one is another solution and not the same"""
+_FLAT = 0.3
+"""Ends whose thickness is below this share of their extent may let a mirror image fit"""
+_DECIDED = 0.5
+"""A listed place decides if its distance from the solution is below this share of that from the mirror image"""
+
+_MOST = 5
+"""Most mirror images that a table lists"""
+_OTHERS = {"point": "tracers"}
+"""What is in the plane that mirrors a member: the other ends of its lengths"""
+
+
+def coordinates(place: Array) -> str:
+    """Return a place for a message: "(1.5, -20, 310) mm"."""
+    return f"({', '.join(f'{value:.5g}' for value in place)}) mm"
+
+
+@dataclass(frozen=True)
+class Sights:
+    """Lengths between members, such as points, and their ends, such as tracers, as an adjustment found them."""
+
+    noun: str
+    names: Sequence[str]
+    of: Index
+    """Member of each length, (n,)"""
+    ends: Array
+    """Place of the other end of each length, (n, 3)"""
+    residuals: Array
+    sigma: Array
+    """Standard deviation of each length, with that of its other end, (n,)"""
+    places: Array
+    """Places found, (members, 3)"""
+    std: Array
+    """Their standard uncertainties, (members, 3)"""
+    free: Mask
+    """(members, 3)"""
+    listed: Array
+    """Places that files list, (members, 3), nan where they list none"""
+    offset: Mask
+    """Members whose lengths share an unknown offset, (members,)"""
+
+    def selected(self, members: Mask) -> Sights:
+        """Return the sights of some of the members."""
+        rows, number = members[self.of], np.cumsum(members) - 1
+        return Sights(
+            self.noun,
+            [name for name, kept in zip(self.names, members, strict=True) if kept],
+            number[self.of[rows]],
+            self.ends[rows],
+            self.residuals[rows],
+            self.sigma[rows],
+            self.places[members],
+            self.std[members],
+            self.free[members],
+            self.listed[members],
+            self.offset[members],
+        )
+
+
+@dataclass(frozen=True)
+class Mirrored:
+    """A member with a second place that fits its lengths."""
+
+    noun: str
+    name: str
+    member: int
+    found: Array
+    other: Array
+    gain: float
+    """Chi-square of the place found less that of the other one"""
+    decided: bool
+    """Whether the list of places decides for the place found"""
+
+    @property
+    def better(self) -> bool:
+        """Whether the other place fits better than by chance."""
+        return self.gain > _ALIKE
+
+    @property
+    def words(self) -> str:
+        """Both places, for a message."""
+        return f"{self.noun} {self.name} at {coordinates(self.found)} or {coordinates(self.other)}"
+
+
+def of_tracers(solution: Solution, group: Group, said: Array) -> Sights:
+    """Return the lengths of a group as those from tracers to the ends of its chain; `said` are the listed places."""
+    block, observations = solution.blocks[t.TRACER], group.observations
+    found = residuals_of(solution, group)
+    noun = next(key for key in observations.keys if key in ("tracer", "station"))
+    links = list(group.chain.links)
+    length = next(i for i, link in enumerate(links) if isinstance(link, t.LengthFrom))
+    ends = Chain(tuple(links[:length])).predict(solution.blocks, observations).T
+    sigma = np.hypot(found.sigma[0], _spread(solution, observations))
+    return Sights(
+        noun,
+        block.members,
+        observations.index[t.TRACER],
+        np.ascontiguousarray(ends),
+        found.values[0],
+        sigma,
+        block.values[:, :3],
+        solution.std(t.TRACER)[:, :3],
+        block.free[:, :3],
+        said,
+        block.free[:, 3],
+    )
+
+
+def of_points(solution: Solution, group: Group, nominal: Array) -> Sights:
+    """Return the lengths of a group as those from points to tracers; `nominal` are the listed places of the points."""
+    block, observations = solution.blocks[t.POINT], group.observations
+    found, tracer = residuals_of(solution, group), observations.index[t.TRACER]
+    return Sights(
+        block.noun,
+        block.members,
+        observations.index[t.POINT],
+        solution.blocks[t.TRACER].values[tracer, :3],
+        found.values[0],
+        found.sigma[0],
+        block.values,
+        solution.std(t.POINT),
+        block.free,
+        nominal,
+        np.zeros(len(block.members), dtype=bool),
+    )
+
+
+def _spread(solution: Solution, observations: Observations) -> Array | float:
+    """Return the standard uncertainty of a coordinate of the point of each length, (n,); 0 where it is no unknown."""
+    if t.POINT not in solution.blocks or not solution.blocks[t.POINT].free.any():
+        return 0.0
+    return np.asarray(np.sqrt((solution.std(t.POINT) ** 2).mean(axis=1))[observations.index[t.POINT]])
+
+
+def must_be_decided(found: Sequence[Mirrored]) -> None:
+    """Raise UndeterminedError if a place and its mirror image fit alike, and no list is nearer to the one found."""
+    if open_ones := [one for one in found if not one.decided]:
+        noun, other = open_ones[0].noun, _OTHERS.get(open_ones[0].noun, "points")
+        raise UndeterminedError(
+            f"two places fit the lengths alike, mirror images in the plane of the {other}:\n"
+            + "\n".join(f"  {one.words}" for one in open_ones[:3])
+            + f"\n  what decides: a place in `inputs: {noun}s` that is near one of them, or lengths to {other} away "
+            "from that plane",
+            0.0,
+        )
+
+
+def hidden_by(found: Sequence[Mirrored]) -> Iterator[Hidden]:
+    """Yield what no residual shows: places that only the list decides for, not their mirror images."""
+    for one in found[:_MOST]:
+        apart = float(np.linalg.norm(one.other - one.found))
+        other = _OTHERS.get(one.noun, "points")
+        yield Hidden(
+            f"mirror image of {one.noun} {one.name} in the plane of the {other} (its listed place decides)",
+            f"the other side of the plane, {coordinates(one.other)}",
+            apart,
+            f"lengths to {other} away from that plane",
+        )
+
+
+def mirrored(sights: Sights, noise: float = 1.0) -> list[Mirrored]:
+    """Return the members with a second place whose chi-square is at most 10.83 larger (0.1 %) than that of the first.
+
+    `noise` is a factor on the standard deviations. Members whose ends are far from one plane are not tried.
+    """
+    count = len(sights.places)
+    lengths = np.bincount(sights.of, minlength=count)
+    normal, thin, centre = _planes(sights, lengths)
+    height = ((sights.places - centre) * normal).sum(axis=1)
+    tried = ((thin < _FLAT) | (lengths <= 3)) & (lengths > 0) & sights.free.any(axis=1) & (np.abs(height) > 0)
+    if not tried.any():
+        return []
+    few = sights.selected(tried)
+    start = few.places - 2 * (height[:, None] * normal)[tried] * few.free
+    other, gain = _refined(few, start, noise)
+    apart = np.linalg.norm(other - few.places, axis=1)
+    away, from_other = (np.linalg.norm(few.listed - place, axis=1) for place in (few.places, other))
+    alike = (gain > -_ALIKE) & (apart > _APART * np.linalg.norm(few.std, axis=1)) & np.isfinite(apart)
+    members = np.flatnonzero(tried)
+    return [
+        Mirrored(
+            sights.noun,
+            few.names[i],
+            int(members[i]),
+            few.places[i],
+            other[i],
+            float(gain[i]),
+            bool(away[i] < _DECIDED * from_other[i]),
+        )
+        for i in np.flatnonzero(alike).tolist()
+    ]
+
+
+def _sums(of: Index, left: Array, right: Array, weight: Array, count: int) -> Array:
+    """Return the weighted sums of products of columns over the lengths of each member, (m, a, b)."""
+    pairs = [[np.bincount(of, weight * a * b, count) for b in right.T] for a in left.T]
+    return np.moveaxis(np.array(pairs), 2, 0)
+
+
+def _planes(sights: Sights, lengths: Index) -> tuple[Array, Array, Array]:
+    """Return unit normal (m, 3), relative thickness (m,) and centre (m, 3) of the plane nearest to each member's ends.
+
+    Coordinates that are given are no direction of the normal.
+    """
+    count = len(lengths)
+    each = np.maximum(lengths, 1)[:, None]
+    centre = np.stack([np.bincount(sights.of, axis, count) for axis in sights.ends.T], axis=1) / each
+    away = sights.ends - centre[sights.of]
+    scatter = _sums(sights.of, away, away, np.ones(len(away)), count)
+    given = ~sights.free
+    scatter[given[:, :, None] | given[:, None, :]] = 0.0
+    largest = np.maximum(scatter.max(axis=(1, 2)), 1e-300)
+    scatter[:, range(3), range(3)] += np.where(given, 1e3 * largest[:, None], 0.0)
+    values, vectors = np.linalg.eigh(scatter)
+    thin: Array = np.sqrt(np.maximum(values[:, 0], 0.0) / largest)
+    return vectors[:, :, 0], thin, np.asarray(centre)
+
+
+def _refined(sights: Sights, start: Array, noise: float) -> tuple[Array, Array]:
+    """Return the places (m, 3) of least chi-square near a start, and by how much it is below that of the places found.
+
+    Damped Gauss-Newton steps of all members at once; each has its own damping.
+    """
+    count, of = len(start), sights.of
+    weight = 1 / (noise * sights.sigma) ** 2
+    unknown = np.column_stack([sights.free, sights.offset]).astype(float)
+    read = np.linalg.norm(sights.places[of] - sights.ends, axis=1) + sights.residuals
+
+    def misfit(state: Array) -> tuple[Array, Array, Array]:
+        away = state[of, :3] - sights.ends
+        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-12)
+        miss = read + state[of, 3] - distance
+        cost: Array = np.bincount(of, weight * miss**2, count).astype(float)
+        return miss, away / distance[:, None], cost
+
+    before = misfit(np.column_stack([sights.places, np.zeros(count)]))[2]
+    state, damping = np.column_stack([start, np.zeros(count)]), np.full(count, 1e-6)
+    miss, towards, cost = misfit(state)
+    for _ in range(_STEPS):
+        columns = np.column_stack([towards, -np.ones(len(of))]) * unknown[of]
+        normal, right = _sums(of, columns, columns, weight, count), _sums(of, columns, miss[:, None], weight, count)
+        size = np.maximum(normal[:, range(4), range(4)].max(axis=1), 1e-300)
+        normal[:, range(4), range(4)] += (damping * size)[:, None] + (1 - unknown) * size[:, None]
+        moved = state + np.linalg.solve(normal, right)[:, :, 0]
+        new_miss, new_towards, new_cost = misfit(moved)
+        better = new_cost <= cost
+        still = np.abs(cost - new_cost).max() <= 1e-9 * (1 + cost.max())
+        damping = np.clip(np.where(better, damping / 10, damping * 10), 1e-12, 1e6)
+        state, cost = np.where(better[:, None], moved, state), np.where(better, new_cost, cost)
+        rows = better[of]
+        miss, towards = np.where(rows, new_miss, miss), np.where(rows[:, None], new_towards, towards)
+        if still:
+            break
+    return state[:, :3], before - cost

@@ -1,0 +1,48 @@
+"""Tables that other programs write: marks of a separator, empty ends, headers after other lines; hints that are right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from metrocli.errors import InputError
+from metrocli.formats import csv
+from metrocli.table import Columns, columns
+
+POINTS = Columns((*columns("point [text]", "x y [length]"),), ("point",), "points")
+
+
+def read(folder: Path, text: str) -> list[float]:
+    (folder / "points.csv").write_text(text, encoding="utf-8")
+    table = csv.read(folder / "points.csv", POINTS)
+    return [*table.numbers("x"), *table.numbers("y")]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "sep=;\npoint;x_mm;y_mm\na;1;2\nb;3;4\n",
+        '"sep=,"\npoint,x_mm,y_mm\na,1,2\nb,3,4\n',
+        "SEP=\t\npoint\tx_mm\ty_mm\na\t1\t2\nb\t3\t4\n",
+        "point,x_mm,y_mm,,\na,1,2,,\nb,3,4,,\n,,,,\n,,,,\n",
+        "\ufeff\ufeffpoint,x_mm,y_mm\na,1,2\nb,3,4\n",
+    ],
+)
+def test_it_is_read(text: str, tmp_path: Path) -> None:
+    assert read(tmp_path, text) == [1, 3, 2, 4]
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "never"),
+    [
+        ("Made by X\n\npoint;x_mm;y_mm\na;1;2\nb;3;4\n", "not the header, which is line 3", "decimal comma"),
+        ("point,x_mm,y_mm\na,1,5,2,5\nb,3,5,4,5\n", "is there a decimal comma?", "delete"),
+        ("point,x_mm,y_mm\na,1.5,2.5,left\nb,3,4,\n", "columns: point, x_mm, y_mm", "decimal comma"),
+        ("point,x_mm,y_mm,\na,1,2,\nb,3,4,5\n", "a column has no name", "decimal comma"),
+    ],
+)
+def test_hints_are_given_where_they_are_right(text: str, words: str, never: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as raised:
+        read(tmp_path, text)
+    assert words in str(raised.value) and never not in str(raised.value)

@@ -1,0 +1,40 @@
+"""Cameras of people: corners that a detector calls not found, lenses that the readings do not cover."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+Case = Callable[[str], Path]
+Metrocli = Callable[..., Any]
+
+
+def test_corners_that_mrgingham_did_not_find(case: Case, metrocli: Metrocli) -> None:
+    """The reader of mrcal skips them; the truth is f = 1761.2 px."""
+    case("06-vnl-level-skip")
+    ran = metrocli("import", "corners.vnl", "--from", "vnl")
+    assert ran.code == 0 and "5 corners that the file calls not found are left out" in ran.err
+    assert metrocli("calibrate-camera", "job.yaml").code == 0
+    f = json.loads(metrocli("show", "r.h5", "--json").out)["estimates"]["f"]
+    assert abs(f["value"] - 1761.2) < 2 * f["std"]
+
+
+def test_rational_terms_of_boards_in_the_middle(case: Case, metrocli: Metrocli) -> None:
+    """Readings cover 6 % of the image; in a corner the lens is off by 130 px."""
+    case("10-rational-uncovered")
+    ran = metrocli("calibrate-camera", "job.yaml")
+    assert ran.code == 6 and "readings span 6 % of the image, up to 23 % of its radius" in ran.out
+
+
+def test_the_older_layout_of_charuco_boards(case: Case, metrocli: Metrocli) -> None:
+    """Boards made before OpenCV 4.6 with an even number of rows of squares begin with a marker."""
+    case("07-charuco-legacy")
+    ran = metrocli("calibrate-camera", "job.yaml")
+    assert ran.code == 3 and "with `legacy: true` there are" in ran.err
+    ran = metrocli("calibrate-camera", "job.yaml", "--set", "pattern.legacy=true")
+    assert ran.code == 0, ran.err
+    found = json.loads(metrocli("show", "r.h5", "--json").out)["estimates"]
+    for name, value in (("f", 1100.0), ("cx", 634.9), ("cy", 487.0)):
+        assert abs(found[name]["value"] - value) < max(4 * found[name]["std"], 0.5)
