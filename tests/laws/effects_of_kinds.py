@@ -24,6 +24,7 @@ from metrocli.effects.effect import Effect
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.geometry.poses import pose_from_euler
+from metrocli.instruments.tracker import FACE
 from metrocli.table import Table
 from metrocli.tasks.adjust_network import problem as network_problem
 from metrocli.tasks.adjust_network import readings as network_readings
@@ -115,6 +116,7 @@ def calibrate_machine(effect: Effect) -> Model:
     machine = simulated_machine.random_machine(rng)
     table = simulated_machine.points(machine, rng, 120, tools, noise=0.0)
     more = {f"from_{axis}": rng.choice([-1.0, 1.0], 120) for axis in "xyz"} | {"t": rng.uniform(100.0, 2000.0, 120)}
+    more |= {"face": rng.choice([1.0, 2.0], 120)} if effect.needs == (FACE,) else {}
     table = replace(table, columns={**table.columns, **more})
     settings = simulated_machine.settings(tools=tools, tool_uncertainty=0.001)
     problem = standstill(settings, table)
