@@ -57,3 +57,10 @@ def test_texts_that_spreadsheets_would_run_are_written_behind_a_space(tmp_path: 
     text = (tmp_path / "points.csv").read_text()
     assert "\n =1+1," in text and "\n @SUM(A1)," in text and "\n +x," in text and "\n-y," in text
     assert csv.read(tmp_path / "points.csv", POINTS).texts("point") == names.tolist()
+
+
+def test_names_are_equal_whatever_their_accents_are_made_of(tmp_path: Path) -> None:
+    """An accent may be part of a letter, or a letter of its own (macOS)."""
+    for text in ("point,x_mm,y_mm\nS\u00fcd,1,2\n", "point,x_mm,y_mm\nSu\u0308d,1,2\n"):
+        (tmp_path / "points.csv").write_text(text, encoding="utf-8")
+        assert csv.read(tmp_path / "points.csv", POINTS).texts("point") == ["S\u00fcd"]
