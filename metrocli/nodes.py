@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -62,3 +63,23 @@ class Node:
                 return node
             node = below
         return node
+
+
+def values_in(node: Node) -> int:
+    """Return how many values a node holds, itself included."""
+    return 1 + sum(map(values_in, node.items)) + sum(1 + values_in(value) for _, value in node.entries)
+
+
+def with_paths(node: Node, path: str = "") -> Node:
+    """Return a tree whose nodes hold their paths, such as `camera.estimate[2]`."""
+    below = f"{path}." if path else ""
+    items = tuple(with_paths(item, f"{path}[{n}]") for n, item in enumerate(node.items, 1))
+    entries = tuple((replace(key, path=path), with_paths(value, below + key.text)) for key, value in node.entries)
+    return replace(node, path=path, items=items, entries=entries)
+
+
+def without_lines(node: Node) -> Node:
+    """Return a tree without lines and columns, for a value from the command line."""
+    items = tuple(without_lines(item) for item in node.items)
+    entries = tuple((without_lines(key), without_lines(value)) for key, value in node.entries)
+    return replace(node, items=items, entries=entries, line=None, column=None)

@@ -40,27 +40,31 @@ _STILL = 1e-7
 def adjust_with_iterated_weights(
     blocks: Iterable[Block],
     groups: Sequence[Group],
-    noise: tuple[str, Noise],
+    noise: Mapping[str, Noise],
     datum: Datum | None = None,
     aspects: Mapping[str, Aspect] | None = None,
 ) -> Solution:
-    """Adjust with standard deviations of group `noise[0]` that are computed from the solution, until they converge.
+    """Adjust with standard deviations of some groups that are computed from the solution, until they converge.
 
     The standard deviations are computed again after each step: they change far less than what a step moves. Within the
     last adjustment the weights are constants, so the result is the least-squares solution for the last weights.
-    The aspects among the conditions of the group are constants too: otherwise an effect that depends on a direction
+    The aspects among the conditions of these groups are constants too: otherwise an effect that depends on a direction
     would fix the orientation of a free network.
     """
-    name, sigma_of = noise
     state = {block.name: block for block in blocks}
     for _ in range(_ROUNDS):
         solution = adjust(state.values(), groups, datum, Control(1, covariance=False))
         state = dict(solution.blocks)
-        found = next(group for group in groups if group.name == name)
-        sigma = sigma_of(found, state)
-        change = float(np.max(np.abs(sigma / found.observations.sigma - 1), initial=0.0))
-        renewed, turned = with_aspects(found, aspects or {}, state)
-        groups = [_with_sigma(renewed, sigma) if group.name == name else group for group in groups]
+        change = turned = 0.0
+        renewed = []
+        for group in groups:
+            if group.name in noise:
+                sigma = noise[group.name](group, state)
+                change = max(change, float(np.max(np.abs(sigma / group.observations.sigma - 1), initial=0.0)))
+                group, moved = with_aspects(group, aspects or {}, state)
+                group, turned = _with_sigma(group, sigma), max(turned, moved)
+            renewed.append(group)
+        groups = renewed
         failed = solution.outcome not in (Outcome.CONVERGED, Outcome.ITERATION_LIMIT)
         if failed or (change < _SETTLED and turned < _STILL):
             break

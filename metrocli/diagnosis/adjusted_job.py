@@ -162,6 +162,8 @@ class AdjustedJob:
     """Fewest components of readings that an effect must change; what changes fewer is an outlier"""
     single_components: bool = False
     """Whether the components of a reading (u, v) are tested as outliers one by one"""
+    certified: frozenset[str] = frozenset()
+    """Groups of which a wrong reading is a cause of its own, such as the certificate of a bar, and no outlier"""
     places: tuple[Acting, ...] = ()
     """Quantities on which a law can act"""
     declared: str = ""

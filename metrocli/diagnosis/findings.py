@@ -149,6 +149,11 @@ class Diagnosis:
     """A mistake in the files; all other findings are those of the job without it"""
 
     @property
+    def identified(self) -> tuple[Finding | RandomEffect, ...]:
+        """The effects, at one place or at all of theirs, the one with the largest held-out log score first."""
+        return tuple(sorted([*self.findings, *self.scatters], key=lambda one: -one.gain.log_score))
+
+    @property
     def law(self) -> Law | None:
         """The law with the most evidence, if any predicts held-out readings better."""
         return next((one for one in self.laws if one.chosen), None)

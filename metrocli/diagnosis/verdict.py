@@ -44,8 +44,8 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
         "mistake": None if diagnosis.mistaken is None else _correction(diagnosis.mistaken),
         "outliers": [_outlier(one) for one in diagnosis.outliers],
         "effects": [
-            *(_scatter(diagnosis.job, one) for one in diagnosis.scatters),
-            *(_effect(diagnosis.job, finding) for finding in diagnosis.findings),
+            _effect(diagnosis.job, one) if isinstance(one, Finding) else _scatter(diagnosis.job, one)
+            for one in diagnosis.identified
         ],
         "unconfirmed": [asdict(one) for one in diagnosis.unconfirmed],
         "together": None if diagnosis.together is None else _gain(diagnosis.together, diagnosis.job),

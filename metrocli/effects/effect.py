@@ -131,6 +131,10 @@ class Effect:
     """What to measure to detect it, or to separate it from the effects in `confused_with`"""
     source: str = ""
     """Paper, standard or practice that describes it"""
+    limited: bool = False
+    """Whether `diagnose` tries it only where it sees sizes up to the plausible: larger ones cannot be"""
+    selects: bool = False
+    """Whether its link finds the readings of its place itself, because a reading concerns several places of the kind"""
     turns: bool = False
     """Whether its parameters form a vector that turns with the frame of a free network"""
     of_one_reading: bool = False
@@ -175,7 +179,8 @@ class Effect:
         """
         first = self.parameters[0]
         alike = all(p.dimension == first.dimension for p in self.parameters)
-        if self.link is None or len(self.keys) != 1 or self.scanned or self.of_one_reading or self.turns or not alike:
+        apart = self.selects or self.scanned or self.of_one_reading or self.turns
+        if self.link is None or len(self.keys) != 1 or apart or not alike:
             return None
         return Parameter("std", first.dimension, first.plausible)
 

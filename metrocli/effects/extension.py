@@ -89,13 +89,15 @@ def _nominal(model: Model, group: Group) -> dict[str, Array]:
     observations = group.observations
     if NOMINAL[0] in observations.conditions:
         return {}
-    found = (places[observations.index[name]] for name, places in model.nominal.items() if name in observations.index)
+    known = ((observations.index[name], at) for name, at in model.nominal.items() if name in observations.index)
+    # a reading may use a second point, such as that under its station
+    found = (at[index if index.ndim == 1 else index[0]] for index, at in known)
     return {axis: values for places in found for axis, values in zip(NOMINAL, places.T, strict=True)}
 
 
 def can_act(model: Model, effect: Effect, where: Mapping[str, str]) -> bool:
     """Whether some readings have the conditions that an effect needs at a place, and a chain on which it acts."""
-    return any(_has(group, effect.needed(where)) and _reaches(group, effect, where) for group in model.readings)
+    return any(_passes(model, group, effect, where) for group in model.readings)
 
 
 def _has(group: Group, needs: Sequence[str]) -> bool:
@@ -129,11 +131,12 @@ def with_effect(
     if effect.link is None:
         return _freed(model, effect, tuple(instances), values)
     name = _unused(" ".join([effect.name, *(instances[0] if len(instances) == 1 else ())]), model.blocks)
-    apart = any(model.places[key].index for key in effect.keys)
-    link = effect.link(name, dict(zip(effect.keys, instances[0], strict=True)))
+    apart = not effect.selects and any(model.places[key].index for key in effect.keys)
+    where = dict(zip(effect.keys, instances[0], strict=True))
+    link = effect.link(name, where)
     block = _block(effect, name, instances, values, apart)
     groups = tuple(
-        _spliced(model, group, effect, instances, link, apart) if _passes(group, link, model) else group
+        _spliced(model, group, effect, instances, link, apart) if _passes(model, group, effect, where) else group
         for group in model.groups
     )
     added = Added(effect, tuple(instances), name, columns)
@@ -240,8 +243,16 @@ def _block(
     )
 
 
-def _passes(group: Group, link: Link, model: Model) -> bool:
-    return group.name in model.measured and group.chain.takes(link)
+def _passes(model: Model, group: Group, effect: Effect, where: Mapping[str, str]) -> bool:
+    """Return whether readings have what an effect needs, pass through its link, and may concern its places."""
+    has = group.name in model.measured and _has(group, effect.needed(where))
+    return has and _concerns(model, group, effect) and _reaches(group, effect, where)
+
+
+def _concerns(model: Model, group: Group, effect: Effect) -> bool:
+    """Return whether the readings of a group name the places of an effect: those of another instrument do not."""
+    indices = [model.places[key].index for key in effect.keys if key in model.places and not effect.selects]
+    return all(index in group.observations.index for index in indices if index)
 
 
 def _spliced(
@@ -272,7 +283,7 @@ def _freed(model: Model, effect: Effect, instances: tuple[tuple[str, ...], ...],
     """Return the model with columns of one of its own blocks set free, or moved by the given values."""
     block = model.blocks[effect.columns_of]
     missing = [p for p in effect.parameters if p.name not in block.columns]
-    block = with_columns(block, tuple(p.name for p in missing), _REACH * np.array([p.plausible for p in missing]))
+    block = block.with_columns(tuple(p.name for p in missing), _REACH * np.array([p.plausible for p in missing]))
     rows = [block.members.index(instance[0]) for instance in instances] if effect.keys else slice(None)
     moved, free, columns = block.values.copy(), block.free.copy(), []
     for parameter in effect.parameters:
@@ -284,17 +295,3 @@ def _freed(model: Model, effect: Effect, instances: tuple[tuple[str, ...], ...],
     changed = replace(block, values=moved, free=free)
     added = Added(effect, instances, block.name, tuple(columns))
     return replace(model, blocks={**model.blocks, block.name: changed}, added=(*model.added, added))
-
-
-def with_columns(block: Block, names: tuple[str, ...], reach: Array) -> Block:
-    """Return the block with additional columns, fixed at 0."""
-    if not names:
-        return block
-    shape = (len(block.members), len(names))
-    return replace(
-        block,
-        values=np.concatenate([block.values, np.zeros(shape)], axis=1),
-        columns=(*block.columns, *names),
-        free=np.concatenate([block.free, np.zeros(shape, dtype=bool)], axis=1),
-        reach=np.concatenate([block.reach, reach]),
-    )

@@ -48,6 +48,7 @@ FORMATS: dict[str, Format] = {
             ("mrcal", "mrcal (cameramodel)"),
         )
     },
+    "sa-ascii": Format("metrocli.exports.sa_ascii", "points for SpatialAnalyzer"),
     "dcc": Format("metrocli.exports.dcc", "Digital Calibration Certificate of PTB (XML)", recorded=True),
 }
 

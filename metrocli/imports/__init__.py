@@ -54,6 +54,11 @@ FORMATS: dict[str, Format] = {
             "OpenCV, camera_calibration; sensor_msgs/CameraInfo; COLMAP, Camera Models",
         ),
     ),
+    "gama-xml": Format(
+        "metrocli.imports.gama_xml",
+        "spatial networks of GNU Gama (gama-local)",
+        "GNU Gama manual, XML input data format for gama-local",
+    ),
     "sa-ascii": Format(
         "metrocli.imports.sa_ascii",
         "points of SpatialAnalyzer (--unit)",

@@ -105,7 +105,7 @@ def _others(job: JobFile, inputs: Mapping[str, object], adjust: Callable[..., Ad
     """Return the other settings of a job, each with what adjusts it."""
     task = tasks.KINDS[job.kind].task()
     trials = partial(task.jobs_with_others, task.job(job.settings, effects=job.effects, **inputs))
-    return lambda *how: [(wrong, partial(adjust, inputs, other.settings)) for wrong, other in trials(*how)]
+    return lambda *how: [(wrong, partial(adjust, vars(one.files), one.settings)) for wrong, one in trials(*how)]
 
 
 def _adjuster(job: JobFile, more: Sequence[Variable] = ()) -> Callable[..., AdjustedJob]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from metrocli import units
 from metrocli.errors import Fault, UsageError
-from metrocli.nodes import Node, Source
+from metrocli.nodes import Node, Source, with_paths, without_lines
 from metrocli.project import yaml_text
 from metrocli.settings import BAD, Schema, TableFile
 from metrocli.words import suggestion
@@ -25,7 +25,7 @@ def overridden(root: Node, override: str, folder: Path) -> Node:
     if not equals or not all(names):
         raise UsageError(f"--set {override}: write it as key.path=value, such as --set output=other.h5")
     new = yaml_text.parse(value or "~", f"--set {override}", folder)
-    return yaml_text.with_paths(_replaced(root, names, yaml_text.without_lines(new)))
+    return with_paths(_replaced(root, names, without_lines(new)))
 
 
 def _replaced(node: Node, names: Sequence[str], new: Node) -> Node:
@@ -61,7 +61,7 @@ def effect_node(text: str, folder: Path) -> Node:
         return Node("scalar", source, text=value.strip())
 
     entries = tuple((word(key), word(value)) for key, value in (("name", name), *((k, v) for k, _, v in pairs)))
-    return yaml_text.with_paths(Node("mapping", source, entries=entries))
+    return with_paths(Node("mapping", source, entries=entries))
 
 
 class Ranges:

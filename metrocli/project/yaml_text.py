@@ -15,7 +15,7 @@ import yaml
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats.file_bytes import FileBytes, read_bytes
-from metrocli.nodes import Node, Source
+from metrocli.nodes import Node, Source, values_in, with_paths
 
 HDF5 = b"\x89HDF"
 """First bytes of a result file"""
@@ -46,7 +46,6 @@ _PLAIN_WORDS = (
     ("quoted scalar", "a quotation mark is opened but not closed", "close it on the same line"),
     ("unexpected end of stream", "a quotation mark is opened but not closed", "close it on the same line"),
     ("undefined tag", "YAML tags are not used in jobs", "remove the word that begins with '!'"),
-    ("undefined alias", "YAML aliases are not used in jobs", "write the value out"),
     ("node content", "a value is expected here", "close the bracket, or put the text in quotes"),
     ("document start", "a job file holds one document only", "remove the '---' and what follows"),
 )  # fmt: skip
@@ -123,6 +122,7 @@ class _Open:
     node: Node
     children: list[Node] = field(default_factory=list)
     repeated: bool = False
+    anchor: str = ""
 
 
 class _Builder:
@@ -135,25 +135,41 @@ class _Builder:
         self.root: Node | None = None
         self.stack: list[_Open] = []
         self.documents = self.events = 0
+        self.anchored: dict[str, tuple[Node, int]] = {}
+        """Value of each anchor, and how many values it holds: an alias counts as all of them"""
 
     def take(self, event: Any) -> None:
-        self.events += 1
-        if self.events > MOST_VALUES:
-            self._refuse(event, f"more than {MOST_VALUES} values", "this is not a job file; put long lists into a CSV")
-            raise InputError(self.faults)
+        self._count(event, 1)
         if isinstance(event, yaml.DocumentStartEvent):
             self._start_document(event)
         elif isinstance(event, yaml.AliasEvent):
-            self._refuse(event, "a YAML alias (*) is not used in jobs", "write the value out")
-            self._close(self._node(event, "scalar", text="*"))
+            self._repeat(event)
         elif isinstance(event, yaml.ScalarEvent):
             self._refuse_extras(event)
-            self._close(self._node(event, "scalar", text=event.value, quoted=event.style in tuple("'\"|>")))
+            quoted = event.style in tuple("'\"|>")
+            self._close(self._node(event, "scalar", text=event.value, quoted=quoted), event.anchor)
         elif isinstance(event, yaml.CollectionStartEvent):
             self._refuse_extras(event)
             self._open(event)
         elif isinstance(event, yaml.CollectionEndEvent):
-            self._close(self._finished(self.stack.pop()))
+            opened = self.stack.pop()
+            self._close(self._finished(opened), opened.anchor)
+
+    def _count(self, event: Any, values: int) -> None:
+        self.events += values
+        if self.events > MOST_VALUES:
+            self._refuse(event, f"more than {MOST_VALUES} values", "this is not a job file; put long lists into a CSV")
+            raise InputError(self.faults)
+
+    def _repeat(self, event: Any) -> None:
+        """Put the value of an anchor in the place of its alias."""
+        if event.anchor not in self.anchored:
+            self._refuse(event, f"no value above has the anchor &{event.anchor}", "write the value out")
+            self._close(self._node(event, "scalar", text="*"))
+            return
+        node, values = self.anchored[event.anchor]
+        self._count(event, values)
+        self._close(with_paths(node, self._path()))
 
     def _start_document(self, event: Any) -> None:
         self.documents += 1
@@ -165,9 +181,12 @@ class _Builder:
         if len(self.stack) >= DEEPEST:
             self._refuse(event, f"more than {DEEPEST} nested levels", "this is not a job file")
             raise InputError(self.faults)
-        self.stack.append(_Open(self._node(event, "mapping" if isinstance(event, yaml.MappingStartEvent) else "list")))
+        kind = "mapping" if isinstance(event, yaml.MappingStartEvent) else "list"
+        self.stack.append(_Open(self._node(event, kind), anchor=event.anchor or ""))
 
-    def _close(self, node: Node) -> None:
+    def _close(self, node: Node, anchor: str | None = None) -> None:
+        if anchor:
+            self.anchored[anchor] = node, values_in(node)
         if self.stack:
             self.stack[-1].children.append(node)
         else:
@@ -204,28 +223,11 @@ class _Builder:
         return Node(kind, self.source, self._path(), text, quoted, (), (), mark.line + 1, mark.column + 1)
 
     def _refuse_extras(self, event: Any) -> None:
-        if event.anchor is not None:
-            self._refuse(event, "a YAML anchor (&) is not used in jobs", "write the value out where it is used")
         if event.tag is not None:
             self._refuse(event, f"a YAML tag ({event.tag}) is not used in jobs", "write the plain value")
 
     def _refuse(self, event: Any, message: str, hint: str) -> None:
         self.faults.append(self._node(event, "scalar").fault(message, hint))
-
-
-def with_paths(node: Node, path: str = "") -> Node:
-    """Return a tree whose nodes hold their paths, such as `camera.estimate[2]`."""
-    below = f"{path}." if path else ""
-    items = tuple(with_paths(item, f"{path}[{n}]") for n, item in enumerate(node.items, 1))
-    entries = tuple((replace(key, path=path), with_paths(value, below + key.text)) for key, value in node.entries)
-    return replace(node, path=path, items=items, entries=entries)
-
-
-def without_lines(node: Node) -> Node:
-    """Return a tree without lines and columns, for a value from the command line."""
-    items = tuple(without_lines(item) for item in node.items)
-    entries = tuple((without_lines(key), without_lines(value)) for key, value in node.entries)
-    return replace(node, items=items, entries=entries, line=None, column=None)
 
 
 def emit(node: Node, comment: str = "") -> str:

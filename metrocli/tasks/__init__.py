@@ -16,6 +16,7 @@ _PACKAGES = (
     "selfcal_grid",
     "locate_launch_unit",
     "calibrate_machine",
+    "adjust_network",
     "fit_part",
     "fit_points",
     "report_uncertainty",

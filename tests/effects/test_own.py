@@ -176,6 +176,7 @@ def test_every_kind_has_its_reading_and_its_points_as_places(kind: str) -> None:
         "calibrate-machine": {"error-motion", "coordinates", "point-in-machine", "point-in-tracker"},
         "align-part": {"image", "point-in-part", "point-in-machine", "point-in-camera"},
         "calibrate-camera": {"image", "point-in-camera"},
+        "adjust-network": {"sighting", "length", "point-in-tracker", "point-in-machine"},
     }[kind]
     places: tuple[Acting, ...] = KINDS[kind].task().places
     assert least <= {place.name for place in places}
@@ -378,7 +379,7 @@ def test_the_command_lists_each_effect_once_and_where_own_ones_have_sizes_of_the
 ) -> None:
     assert run(["effects", "--json"]) == 0
     for name, kind in json.loads(capsys.readouterr().out)["kinds"].items():
-        forms = [(one["name"], one["by"]) for one in kind["effects"]]
+        forms = [(one["name"], one["by"], *one["where"]) for one in kind["effects"]]
         assert len(set(forms)) == len(forms), name
         assert run(["effects", name]) == 0
         text = capsys.readouterr().out

@@ -16,6 +16,7 @@ from simulated import launch as simulated_launch
 from simulated import lengths as simulated_lengths
 from simulated import machine as simulated_machine
 from simulated import machine_lengths as simulated_lengths_of_machine
+from simulated import network as simulated_network
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.dense_jacobian import unit_noise
@@ -23,6 +24,13 @@ from metrocli.effects.effect import Effect
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.geometry.poses import pose_from_euler
+from metrocli.table import Table
+from metrocli.tasks.adjust_network import problem as network_problem
+from metrocli.tasks.adjust_network import readings as network_readings
+from metrocli.tasks.adjust_network.settings import DistanceNoise, Instrument, InstrumentNoise
+from metrocli.tasks.adjust_network.settings import Files as NetworkFiles
+from metrocli.tasks.adjust_network.settings import Settings as NetworkSettings
+from metrocli.tasks.adjust_network.starts import search as network_start
 from metrocli.tasks.calibrate_machine.effects.tracker import OF_THE_LASER
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths as machine_lengths
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
@@ -156,12 +164,111 @@ def machine_from_lines() -> Model:
     return with_conditions(problem.model.with_blocks(adjust(problem.blocks.values(), problem.groups).blocks))
 
 
+def adjust_network(effect: Effect) -> Model:
+    """Two trackers at four stations, two interferometers, bars, heights and given points, or stations over marks."""
+    over = effect.name in ("target-height", "station-height")
+    files = marks_as_files() if over else network_as_files()
+    settings = network_settings(over, ("I", "J", "A", "B") if effect.name == "tracer-scale" else ("A", "B", "I", "J"))
+    found = network_readings.read(settings, NetworkFiles(**files))
+    network = network_problem.build(settings, found, network_start.start(found))
+    solved = adjust(network.blocks.values(), network.model.groups, network.datum)
+    assert solved.outcome.good, solved.undetermined
+    return with_conditions(network.model.with_blocks(solved.blocks))
+
+
+def network_settings(over: bool, order: tuple[str, ...]) -> NetworkSettings:
+    """Two trackers or total stations and two interferometers, in an order."""
+    noise = InstrumentNoise(azimuth=2e-6, elevation=2e-6, lateral=0.004, distance=DistanceNoise(0.002, 3e-7))
+    length = InstrumentNoise(distance=DistanceNoise(3e-4))
+    kind = "total-station" if over else "tracker"
+    devices = {name: Instrument(type=kind, noise=noise) for name in ("A", "B")}
+    devices |= {name: Instrument(type="interferometer", noise=length) for name in ("I", "J")}
+    return NetworkSettings(inputs=None, instruments={name: devices[name] for name in order})
+
+
+def network_as_files() -> dict[str, Table]:
+    """Readings without noise in both faces, with times; all points are known to 0.01 mm."""
+    net = simulated_network.network(np.random.default_rng(21), 4, 12, 2, 0.0, mixed=True)
+    names = np.array(net.names)
+    n = len(net.station)
+    rng = np.random.default_rng(22)
+    readings = {
+        "station [text]": np.array([f"S{i}" for i in net.station]),
+        "point [text]": names[net.point],
+        "face": net.face.astype(float),
+        "az el [rad]": net.seen[:, :2],
+        "d [mm]": net.seen[:, 2],
+        "t [s]": rng.uniform(100.0, 2000.0, n),
+        "temp [degC]": rng.uniform(20, 21, n),
+    }
+    stations = {"station [text]": [*(f"S{i}" for i in range(4)), "I0", "I1"], "instrument [text]": list("AABBIJ")}
+    i, k = np.indices(net.lengths.shape).reshape(2, -1)
+    lengths = {
+        "station [text]": np.array([f"I{one}" for one in i]),
+        "point [text]": names[k],
+        "length [mm]": net.lengths.ravel(),
+        "t [s]": rng.uniform(100.0, 2000.0, len(i)),
+    }
+    a, b, bar = (np.array(one) for one in zip(*net.bars, strict=True))
+    bars = {
+        "bar [text]": ["B1", "B2"],
+        "from [text]": names[a],
+        "to [text]": names[b],
+        "length sigma [mm]": np.column_stack([bar, np.full(2, 0.005)]),
+    }
+    ends = np.array([(p, q) for p in range(6) for q in range(p + 1, 6)])
+    rise = net.points[ends[:, 1], 2] - net.points[ends[:, 0], 2]
+    heights = {
+        "from [text]": names[ends[:, 0]],
+        "to [text]": names[ends[:, 1]],
+        "dh sigma [mm]": np.column_stack([rise, np.full(len(ends), 0.02)]),
+        "t [s]": rng.uniform(100.0, 2000.0, len(ends)),
+        "method [text]": np.array(["early", "late"])[np.arange(len(ends)) % 2],
+    }
+    points = {"point [text]": names, "x y z sigma [mm]": np.column_stack([net.points, np.full(len(names), 0.01)])}
+    tables = {
+        "readings": readings,
+        "stations": stations,
+        "lengths": lengths,
+        "bars": bars,
+        "heights": heights,
+        "points": points,
+    }
+    return {name: Table.of(columns) for name, columns in tables.items()}
+
+
+def marks_as_files() -> dict[str, Table]:
+    """Levelled stations over marks, with known heights of instruments and targets."""
+    x, height, target, seen = simulated_network.marks(np.random.default_rng(23))
+    names = np.array([f"P{i}" for i in range(len(x))])
+    i, k = np.nonzero(np.isfinite(seen[:, :, 0]))
+    setups = np.array([f"T{one}" for one in range(len(x))])
+    readings = {
+        "station [text]": np.array([f"S{one}" for one in i]),
+        "point [text]": names[k],
+        "setup [text]": setups[k],
+        "az el [rad]": seen[i, k, :2],
+        "d [mm]": seen[i, k, 2],
+    }
+    stations = {
+        "station [text]": [f"S{one}" for one in range(4)],
+        "instrument [text]": list("AABB"),
+        "over [text]": names[4:8],
+        "height sigma_height [mm]": np.column_stack([height, np.zeros(4)]),
+    }
+    points = {"point [text]": names, "x y z sigma [mm]": np.column_stack([x, np.full(len(x), 0.01)])}
+    tables = {"readings": readings, "stations": stations, "points": points}
+    tables["setups"] = {"setup [text]": setups, "height sigma [mm]": np.column_stack([target, np.zeros(len(x))])}
+    return {name: Table.of(columns) for name, columns in tables.items()}
+
+
 MEASURED: dict[str, Measured] = {
     "calibrate-camera": Measured(lambda effect: with_conditions(calibration(effect)), {}),
     "align-part": Measured(lambda effect: with_conditions(alignment(effect)), {}),
     "calibrate-machine": Measured(calibrate_machine, {"period": 37.0, "length": 30.0, "at": 900.0}),
     "multilaterate": Measured(multilaterate, {"at": 900.0}),
     "locate-launch-unit": Measured(locate_launch_unit, {}),
+    "adjust-network": Measured(adjust_network, {"at": 900.0, "method": 1.0}),
     "selfcal-grid": Measured(selfcal_grid, {"at": 1600.0, "from_view": 2.0}),
 }
 

@@ -232,7 +232,7 @@ def test_the_table_has_every_link() -> None:
     }
     # a prior of members has a test of its own: its slots are the members, not the readings
     # links of the machine have tests of their own (test_model.py)
-    apart = {"PointOf", "ReadMembers", "ErrorMotion", "ReachedPoint"}
+    apart = {"PointOf", "ReadEntries", "ErrorMotion", "ReachedPoint"}
     assert classes | {"Coupling"} <= {type(case.link).__name__ for case in CASES.values()} | apart
     assert {
         name for case in CASES.values() for block in case.blocks if block.name == "lens" for name in block.columns

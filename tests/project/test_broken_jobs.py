@@ -11,7 +11,7 @@ import pytest
 
 HEAD = "metrocli: 1\njob: straight-line\n"
 GOOD = HEAD + "inputs: {readings: readings.csv}\nnoise: 0.1 mm\n"
-BOMB = "a: &a [x, x]\nb: &b [*a, *a]\nc: &c [*b, *b]\n"
+BOMB = "a0: &a0 [x, x]\n" + "".join(f"a{n + 1}: &a{n + 1} [*a{n}, *a{n}]\n" for n in range(40))
 
 # name: (text of the job, line:column, message, hint)
 BROKEN = {
@@ -24,8 +24,8 @@ BROKEN = {
     "open quote": (GOOD + "title: 'abc\n", "5:8", "quotation mark", "close it"),
     "at sign": (GOOD + "title: @abc\n", "5:8", "cannot begin", "quotes"),
     "no colon": (GOOD + "title\n", "5:1", "a key without ': '", "key: value"),
-    "alias bomb": (BOMB + GOOD, "1:4", "anchor", "write the value out"),
-    "alias": (GOOD + "title: *a\n", "5:8", "alias", "write the value out"),
+    "alias bomb": (BOMB + GOOD, "15:18", "more than", "CSV"),
+    "alias": (GOOD + "title: *a\n", "5:8", "no value above has the anchor &a", "write the value out"),
     "tag": (GOOD + "title: !!python/name:os.system x\n", "5:8", "tag", "plain value"),
     "deep": (GOOD + f"title: {'[' * 5000}\n", "5:37", "more than 30 nested levels", ""),
     "two documents": (GOOD + "---\na: 1\n", "5:1", "second document", "one document"),

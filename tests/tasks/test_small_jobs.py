@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from places import SAMPLES
 from simulated.castings import casting
+from simulated.network import network
 from tasks.calibrate_machine.test_commands import STANDSTILL
 from tasks.shared.images import small_jobs
 
@@ -110,6 +111,15 @@ def calibrate_machine(folder: Path, metrocli: Metrocli) -> None:
     assert_true(carried_out(job, "calibrate-machine", metrocli), truth)
 
 
+def adjust_network(folder: Path, metrocli: Metrocli) -> None:
+    net = network(np.random.default_rng(3))
+    job = net.write(folder)
+    result = carried_out(job, "adjust-network", metrocli)
+    truth = {f"S{i + 1}.{axis}": place[k] for i, place in enumerate(net.places) for k, axis in enumerate("xyz")}
+    # the frame is that of the list, to its error of 0.5 mm over the root of 12 points
+    assert max(abs(result[name]["value"] - value) for name, value in truth.items()) < 1.0
+
+
 def fit_part(folder: Path, metrocli: Metrocli) -> None:
     """All points get the minimum, and the pose is within the stock of where the casting was made."""
     one = casting(5)
@@ -138,6 +148,7 @@ JOBS = (
     locate_launch_unit,
     selfcal_grid,
     calibrate_machine,
+    adjust_network,
     fit_part,
     report_uncertainty,
 )

@@ -114,6 +114,19 @@ class Block:
         """Return the block with other values."""
         return replace(self, values=values)
 
+    def with_columns(self, names: tuple[str, ...], reach: Array) -> Block:
+        """Return the block with additional columns, fixed at 0."""
+        if not names:
+            return self
+        shape = (len(self.members), len(names))
+        return replace(
+            self,
+            values=np.concatenate([self.values, np.zeros(shape)], axis=1),
+            columns=(*self.columns, *names),
+            free=np.concatenate([self.free, np.zeros(shape, dtype=bool)], axis=1),
+            reach=np.concatenate([self.reach, reach]),
+        )
+
     def fixed(self) -> Block:
         """Return the block with all entries fixed."""
         return replace(self, free=np.array(False))

@@ -106,6 +106,11 @@ class ReadBlock(OfBlock):
     takes = None
     gives = Quantity.PARAMETERS
 
+    def entries(self, index: Index) -> tuple[Index, Index]:
+        """Return members and columns of the entries that readings with an index read."""
+        members, columns = np.meshgrid(np.unique(index), self.columns, indexing="ij")
+        return members.ravel(), columns.ravel()
+
     def step(self, value: Array, local: Local) -> Step:
         """Return the differences (columns, n) and their derivatives by a step of the block."""
         values = local.members(self.block)
@@ -155,39 +160,55 @@ def priors(block: Block, sigma: Array, free: Mask) -> list[Group]:
 
 
 @dataclass(frozen=True)
-class ReadMembers(OfBlock):
-    """The forward model of a joint prior of several members: some columns of a block, read as one vector."""
+class ReadEntries(OfBlock):
+    """The forward model of a joint prior: entries of a block, of any members and columns, read as one vector."""
 
     reference: Array
     """(members, size)"""
-    columns: tuple[int, ...]
+    slots: Index
+    """For each entry its member, among those of the index, (k,)"""
+    columns: Index
+    """For each entry its column, (k,)"""
     takes = None
     gives = Quantity.PARAMETERS
 
+    def entries(self, index: Index) -> tuple[Index, Index]:
+        """Return members and columns of the entries that readings with an index read."""
+        return index[self.slots, 0], self.columns
+
     def step(self, value: Array, local: Local) -> Step:
-        """Return the differences (m c, 1), member by member, and their derivatives by each, (m, m c, size, 1)."""
+        """Return the differences (k, 1) and their derivatives by each member, (m, k, size, 1)."""
         chosen = local.index(self.block)[:, 0]
-        m, c, size = len(chosen), len(self.columns), self.reference.shape[1]
-        by_member = np.zeros((m, m, c, size, 1))
-        by_member[np.arange(m), np.arange(m)] = np.eye(size)[list(self.columns), :, None]
-        difference = (local.members(self.block) - self.reference)[chosen][:, self.columns]
-        return Step(difference.reshape(m * c, 1), by_block={self.block: by_member.reshape(m, m * c, size, 1)})
+        k = len(self.slots)
+        by_member = np.zeros((len(chosen), k, self.reference.shape[1], 1))
+        by_member[self.slots, np.arange(k), self.columns] = 1.0
+        difference = (local.members(self.block) - self.reference)[chosen[self.slots], self.columns]
+        return Step(difference[:, None], by_block={self.block: by_member})
+
+
+def prior_of_entries(block: Block, members: Index, columns: Index, covariance: Array) -> Group:
+    """Return the joint prior of entries of a block: their present values with a covariance (k, k).
+
+    Entry i is `block[members[i], columns[i]]`. The block has no constraint between its columns (Space.FLAT).
+    """
+    used, slots = np.unique(members, return_inverse=True)
+    observations = Observations(
+        readings=np.zeros((len(covariance), 1)),
+        sigma=np.ones(1),
+        index={block.name: np.asarray(used, dtype=np.intp)[:, None]},
+        covariance=np.asarray(covariance, dtype=float)[:, :, None],
+        components=tuple(f"{block.members[i]} {block.columns[k]}" for i, k in zip(members, columns, strict=True)),
+    )
+    link = ReadEntries(block.name, block.values, slots, np.asarray(columns, dtype=np.intp))
+    return Group(f"prior of {block.name}", Chain((link,)), observations)
 
 
 def prior_of_members(block: Block, columns: tuple[int, ...], covariance: Array, members: Index) -> Group:
     """Return the joint prior of some columns of some members: their present values with a covariance (m c, m c).
 
-    Its rows run over the columns of the first member, then of the next. The block has no constraint between its
-    columns (Space.FLAT).
+    Its rows run over the columns of the first member, then of the next.
     """
-    observations = Observations(
-        readings=np.zeros((len(covariance), 1)),
-        sigma=np.ones(1),
-        index={block.name: np.asarray(members, dtype=np.intp)[:, None]},
-        covariance=np.asarray(covariance, dtype=float)[:, :, None],
-        components=tuple(f"{block.members[i]} {block.columns[k]}" for i in members for k in columns),
-    )
-    return Group(f"prior of {block.name}", Chain((ReadMembers(block.name, block.values, columns),)), observations)
+    return prior_of_entries(block, np.repeat(members, len(columns)), np.tile(columns, len(members)), covariance)
 
 
 @dataclass(frozen=True)
@@ -239,9 +260,9 @@ def listed_values(blocks: Mapping[str, Block], groups: Iterable[Group]) -> Mappi
     values: dict[str, Array] = {}
     for group in groups:
         for link in group.chain.links:
-            if isinstance(link, ReadBlock | ReadMembers) and blocks[link.block].space is Space.FLAT:
-                members = np.unique(group.observations.index[link.block])
+            if isinstance(link, ReadBlock | ReadEntries) and blocks[link.block].space is Space.FLAT:
+                index = group.observations.index[link.block]
                 own = values.setdefault(link.block, blocks[link.block].values.copy())
-                for column in link.columns:
-                    own[members, column] = link.reference[members, column]
+                entries = link.entries(index)
+                own[entries] = link.reference[entries]
     return {**blocks, **{name: blocks[name].with_values(own) for name, own in values.items()}} if values else blocks

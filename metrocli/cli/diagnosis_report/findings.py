@@ -39,7 +39,8 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None) -> str:
         parts.append(list(_mistake(diagnosis)))
     if findings or diagnosis.scatters:
         together = [_together(diagnosis.together, job)] if diagnosis.together is not None else []
-        rows = [*(_row_of_scatter(one, job) for one in diagnosis.scatters), *(_row(one, job) for one in findings)]
+        identified = diagnosis.identified
+        rows = [_row(one, job) if isinstance(one, Finding) else _row_of_scatter(one, job) for one in identified]
         parts.append(text_table(_HEAD, [*rows, *together]))
     if diagnosis.outliers:
         parts.append(list(_wrong(diagnosis.outliers)))

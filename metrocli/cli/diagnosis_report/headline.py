@@ -10,7 +10,7 @@ from metrocli import units
 from metrocli.adjust.clusters.robust import ESTIMATED, STRUCTURED
 from metrocli.cli.diagnosis_report.noise import noisier
 from metrocli.diagnosis.correlated_error import CorrelatedError
-from metrocli.diagnosis.findings import Diagnosis
+from metrocli.diagnosis.findings import Diagnosis, Finding
 from metrocli.diagnosis.noise import DECLARED_SIGMA
 from metrocli.words import listed
 
@@ -38,8 +38,11 @@ def summary(diagnosis: Diagnosis) -> Iterator[str]:
     gain = diagnosis.gain
     if gain is None or gain.log_score <= 0:
         return
-    names = [f"{one.effect.name} everywhere" for one in diagnosis.scatters]
-    names += [str(one.effect.alternative) for one in diagnosis.findings if one.confirmed]
+    names = [
+        str(one.effect.alternative) if isinstance(one, Finding) else f"{one.effect.name} everywhere"
+        for one in diagnosis.identified
+        if one.gain.log_score > 0
+    ]
     share = 1 - (gain.after / gain.before) ** 2 if gain.before else 0.0
     explained = f"{share:.0%}" if share > LEAST_REDUCTION else "little"
     verb, remains = "explain" if len(names) > 1 else "explains", ""

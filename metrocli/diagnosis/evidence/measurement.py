@@ -240,7 +240,7 @@ def measurement_of(
     families, not_tested = families_of(job, system)
     every = [*families, *families_throughout(job, system)]
     families += unknown_families(job, system)
-    places = _places(system, job.single_components)
+    places = _places(system, job)
     readings = int((1 - system.basis.squares(places[:, 0]) > _REDUNDANT).sum())
     same = like is not None and [one.form for one in like.families] == [one.form for one in families]
     prices = like.prices if same and like else counted(system, families, readings, np.random.default_rng(SEED))
@@ -257,9 +257,9 @@ def measurement_of(
     )
 
 
-def _places(system: System, apart: bool) -> Index:
-    """Return the rows of each reading of the measured groups; with `apart`, those of each component by itself."""
-    groups = system.model.readings
+def _places(system: System, job: AdjustedJob) -> Index:
+    """Return the rows of each reading that may be wrong; of single components, those of each by itself."""
+    groups = [group for group in system.model.readings if group.name not in job.certified]
     most = max(len(group.observations.readings) for group in groups)
     parts = []
     for group in groups:
@@ -268,7 +268,7 @@ def _places(system: System, apart: bool) -> Index:
         rows[:, :d] = system.first[group.name] + d * np.arange(n)[:, None] + np.arange(d)
         parts.append(rows)
     found = np.concatenate(parts)
-    return found[found >= 0][:, None] if apart else found
+    return found[found >= 0][:, None] if job.single_components else found
 
 
 def _scatters(job: AdjustedJob, system: System, families: Sequence[Family]) -> list[tuple[Family, ...]]:

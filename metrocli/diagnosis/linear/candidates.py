@@ -18,7 +18,7 @@ from metrocli.diagnosis.linear.column_parts import Course, Own, Step
 from metrocli.diagnosis.linear.columns import Columns, gathered, joined
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 from metrocli.diagnosis.linear.scans import any_apart, is_filled, scanned_columns, scans, sketch_vectors
-from metrocli.diagnosis.linear.signatures import of_places, scan
+from metrocli.diagnosis.linear.signatures import BEYOND, beyond_plausible, of_places, scan
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import can_act, lacking, names_for, places_of
 from metrocli.effects.links.own import NoValueAtReadingError
@@ -191,12 +191,15 @@ def _places(model: Model, effect: Effect) -> list[tuple[str, ...]]:
 def _of_effect(job: AdjustedJob, system: System, effect: Effect, missing: list[NotTested]) -> Iterator[Family]:
     """Yield the families of an effect; add to `missing` where it has no value at a reading."""
     places = _absent(job.model, effect)
-    together = bool(effect.keys) and all(job.model.places[key].index for key in effect.keys)
+    together = bool(effect.keys) and not effect.selects and all(job.model.places[key].index for key in effect.keys)
     for chosen in [places] if together else [[place] for place in places]:
         by_size: dict[int, list[_Columns]] = {}
         try:
             for item in _columns(job, system, effect, chosen) if chosen else ():
-                by_size.setdefault(item.own.values.shape[1], []).append(item)
+                if effect.limited and beyond_plausible(system, item.own, effect, item.alternative.parameters):
+                    missing.append(NotTested(effect, BEYOND, item.alternative.where))
+                else:
+                    by_size.setdefault(item.own.values.shape[1], []).append(item)
         except NoValueAtReadingError as error:
             at = {} if together else dict(zip(effect.keys, chosen[0], strict=True))
             missing.append(NotTested(effect, str(error), at))
@@ -270,7 +273,9 @@ def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[
         for place, names, own in of_places(job.model, block, chosen, places):
             changed = Own.of(full, own, system.same_rows)
             if len(changed.rows) >= job.fewest:
-                named = _scanned_places(job.model, effect, scanned)
+                named = tuple(
+                    (p.name, job.model.places[p.place].names[int(scanned[p.name])]) for p in effect.scanned if p.place
+                )
                 yield _Columns(Alternative(effect, place, tuple(scanned.items()), names, named), changed)
 
 
@@ -293,8 +298,3 @@ def _steps(job: AdjustedJob, system: System, effect: Effect, places: Sequence[tu
             begin = int(np.searchsorted(ordered, scanned[name]))
             if len(course.rows) - begin >= job.fewest:
                 yield _Columns(Alternative(effect, place, tuple(scanned.items()), names), Step(course, begin))
-
-
-def _scanned_places(model: Model, effect: Effect, scanned: Mapping[str, float]) -> tuple[tuple[str, str], ...]:
-    places = {parameter.name: parameter.place for parameter in effect.scanned if parameter.place}
-    return tuple((key, model.places[place].names[int(scanned[key])]) for key, place in places.items())

@@ -10,11 +10,13 @@ import numpy as np
 from metrocli.adjust.model.chain import Local, Step, through
 from metrocli.adjust.model.quantities import AtQuantity, OfBlock, Quantity
 from metrocli.arrays import Array
-from metrocli.effects.acting import components
+from metrocli.effects.acting import Variable, components
 from metrocli.effects.effect import ELAPSED
 from metrocli.effects.links.own import OwnTerms
 from metrocli.expressions.expression import parse
 from metrocli.frozen import dataclass
+from metrocli.geometry.rotations import rotation_from_vector
+from metrocli.instruments.tracker import POLAR, cartesian, face, polar
 
 
 @dataclass(frozen=True)
@@ -103,67 +105,102 @@ class BaseTilt(AtQuantity):
         return Step(seen, by_beam, {self.block: np.stack([by_tx, by_ty], axis=1)})
 
 
-POLAR = ("distance", "azimuth", "elevation")
-"""What a tracker reads, in its own frame; the azimuth is `atan2(y, x)`, the elevation `atan2(z, sqrt(x^2 + y^2))`"""
-_VARIABLES = components(POLAR, ("mm", "rad", "rad"))
+_FACE = Variable("face", "1", lambda value, local: Step(face(local)[None]))
+_VARIABLES = (*components(POLAR, ("rad", "rad", "mm")), _FACE)
+
+
+def polar_terms(block: str, name: str, parameters: tuple[str, ...], adds: Mapping[str, str]) -> OwnTerms:
+    """Return the link of an effect that adds terms to some of azimuth, elevation and distance.
+
+    The terms are in the parameters, in these three, and in `face`, which is 1 in face 1 and -1 in face 2.
+    """
+    return _terms(block, name, parameters, tuple(adds.items()))
+
+
+@lru_cache(maxsize=256)
+def _terms(block: str, name: str, parameters: tuple[str, ...], adds: tuple[tuple[str, str], ...]) -> OwnTerms:
+    """Return the terms of a link, parsed once."""
+    parsed = tuple((POLAR.index(which), parse(text)) for which, text in adds)
+    return OwnTerms(block, Quantity.POLAR, name, parsed, parameters, (), _VARIABLES)
 
 
 @dataclass(frozen=True)
-class TrackerReadings(OfBlock):
-    """A tracker's distance, azimuth and elevation (mm, rad) are off by sums of terms in parameters and these three.
+class OnPoint:
+    """A link on azimuth, elevation and distance, as it moves the point of an instrument that reads coordinates.
 
-    The point seen in them moves by as much. Derivatives are exact: those of the terms, between those of the change to
-    distance and angles and back. Points on the tracker's vertical axis have no azimuth.
+    Points on the vertical axis of the instrument have no azimuth.
     """
 
-    name: str
-    """Name of the effect, for messages"""
-    adds: tuple[tuple[str, str], ...]
-    """Which of the three, and what is added to it, such as `angle*tan(elevation)`"""
-    parameters: tuple[str, ...]
+    link: OwnTerms
+    takes = gives = Quantity.POINT_IN_TRACKER
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The blocks of the link."""
+        return self.link.blocks
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n)."""
+        seen, to_polar = polar(value)
+        moved = self.link.step(seen, local)
+        before, _ = cartesian(seen)
+        after, back = cartesian(moved.value)
+        by_input = through(through(back, np.asarray(moved.by_input)), to_polar)
+        by_block = {name: through(back, one) for name, one in moved.by_block.items()}
+        # as a difference the effect adds exactly nothing where its parameters are 0
+        return Step(value + (after - before), by_input, by_block)
+
+
+@dataclass(frozen=True)
+class Tilted(OfBlock):
+    """The axes of an instrument turn from a time on: `v <- R(rx, ry, 0)' v`; columns rx, ry [rad], at [s]."""
+
     takes = gives = Quantity.POINT_IN_TRACKER
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point (3, n)."""
-        polar, to_polar = _polar(value)
-        moved = _terms(self).step(polar, local)
-        before, _ = _cartesian(polar)
-        after, back = _cartesian(moved.value)
-        by_input = through(through(back, np.asarray(moved.by_input)), to_polar)
-        # as a difference the effect adds exactly nothing where its parameters are 0
-        return Step(value + (after - before), by_input, {self.block: through(back, moved.by_block[self.block])})
+        later = later_than(local, self.block)
+        rx, ry = local.rows(self.block)[:2] * later
+        first = _turned_back(1, ry)
+        second = _turned_back(0, rx)
+        x, _, z = level = _seen_through(first, value)
+        moved = _seen_through(second, level)
+        by_block = np.zeros((3, 3, len(later)))
+        by_block[:, 0] = np.stack([np.zeros_like(x), moved[2], -moved[1]]) * later
+        by_block[:, 1] = _seen_through(second, np.stack([-z, np.zeros_like(x), x])) * later
+        return Step(moved, through(second, first), {self.block: by_block})
 
 
-@lru_cache(maxsize=64)
-def _terms(link: TrackerReadings) -> OwnTerms:
-    """Return the terms of a link, parsed once."""
-    adds = tuple((POLAR.index(which), parse(text)) for which, text in link.adds)
-    return OwnTerms(link.block, link.gives, link.name, adds, link.parameters, (), _VARIABLES)
+@dataclass(frozen=True)
+class Turned(OfBlock):
+    """An instrument turns about its standing axis from a time on: `v <- Rz(rz)' v`; columns rz [rad], at [s]."""
+
+    takes = gives = Quantity.POINT_IN_TRACKER
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n)."""
+        later = later_than(local, self.block)
+        back = _turned_back(2, local.rows(self.block)[0] * later)
+        moved = _seen_through(back, value)
+        by_block = np.zeros((3, 2, len(later)))
+        by_block[:2, 0] = np.stack([moved[1], -moved[0]]) * later
+        return Step(moved, back, {self.block: by_block})
 
 
-def tracker_readings(block: str, name: str, parameters: tuple[str, ...], adds: Mapping[str, str]) -> TrackerReadings:
-    """Return the link of an effect that adds terms to some of distance, azimuth and elevation."""
-    return TrackerReadings(block, name, tuple(adds.items()), parameters)
+def _turned_back(axis: int, angle: Array) -> Array:
+    """Return `R'` of turns about an axis, (3, 3, n)."""
+    vector = np.zeros((len(angle), 3))
+    vector[:, axis] = angle
+    return np.ascontiguousarray(np.transpose(rotation_from_vector(vector), (2, 1, 0)))
 
 
-def _polar(point: Array) -> tuple[Array, Array]:
-    """Return distance, azimuth and elevation (3, n) of points (3, n), and their derivatives (3, 3, n)."""
-    x, y, z = point
-    level, distance = np.hypot(x, y), np.linalg.norm(point, axis=0)
-    by_point = np.zeros((3, 3, len(x)))
-    by_point[0] = point / distance
-    by_point[1, 0], by_point[1, 1] = -y / level**2, x / level**2
-    by_point[2] = np.stack([-x * z / level, -y * z / level, level]) / distance**2
-    return np.stack([distance, np.arctan2(y, x), np.arctan2(z, level)]), by_point
+def _seen_through(back: Array, value: Array) -> Array:
+    return np.stack([(row * value).sum(axis=0) for row in back])
 
 
-def _cartesian(polar: Array) -> tuple[Array, Array]:
-    """Return points (3, n) of distance, azimuth and elevation (3, n), and their derivatives (3, 3, n)."""
-    distance, azimuth, elevation = polar
-    ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
-    zero = np.zeros_like(distance)
-    beam, left, up = np.stack([ce * ca, ce * sa, se]), np.stack([-sa, ca, zero]), np.stack([-se * ca, -se * sa, ce])
-    return distance * beam, np.stack([beam, distance * ce * left, distance * up], axis=1)
+def later_than(local: Local, block: str) -> Array:
+    """Return 1 for readings from the time `at` on, the last column of the block, else 0, (n,)."""
+    return np.asarray(local.observations.conditions["t"] >= local.rows(block)[-1], dtype=float)
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,18 @@ _EYE = np.eye(3)[:, :, None]
 
 @dataclass(frozen=True)
 class PointStep(OfBlock):
-    """A point is displaced: `x += d` from the time `at` on; columns dx, dy, dz [mm], at [s]."""
+    """A point is displaced: `x += s d` from the time `at` on; columns dx, dy, dz [mm], at [s].
 
+    s = -1 if the instrument moves and not the point.
+    """
+
+    sign: float = 1.0
     takes = gives = Quantity.POINT_IN_MACHINE
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point (3, n)."""
         rows = local.rows(self.block)
-        later = (local.observations.conditions["t"] >= rows[3]).astype(float)
+        later = self.sign * (local.observations.conditions["t"] >= rows[3])
         by_block = np.zeros((3, 4, len(later)))
         by_block[:, :3] = _EYE * later
         return Step(value + rows[:3] * later, _EYE, {self.block: by_block})

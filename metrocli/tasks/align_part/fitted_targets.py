@@ -1,4 +1,4 @@
-"""Targets of a fit-part result: their coordinates in the part frame, with the joint covariance of all of them.
+"""Targets from another result: their coordinates in the part frame, with the joint covariance of all of them.
 
 The targets of a fitted part share the error of its pose, and errors of the network that measured them. So their
 coordinates enter the adjustment as one correlated observation.
@@ -6,6 +6,7 @@ coordinates enter the adjustment as one correlated observation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -62,12 +63,14 @@ class TargetList:
 
 
 def target_list(targets: Table | Result, part: Part | None = None) -> TargetList:
-    """Return the targets of a list or of a fit-part result.
+    """Return the targets of a list, of a fit-part result, or of a network whose frame is the part's.
 
     Raises InputError if the result has fewer than three, or if they are not at 20 degC for a part of known temperature.
     """
     if isinstance(targets, Table):
         return TargetList(targets)
+    if "targets" not in targets.tables:
+        return _of_network(targets)
     cold = bool(growth_of(targets))
     if part is not None and not cold:
         raise InputError(
@@ -82,18 +85,39 @@ def target_list(targets: Table | Result, part: Part | None = None) -> TargetList
             "e.g. `targets: [T*]`, or by the surface `target` in its points"
         )
     covariance = _joint(targets.arrays["targets_own"], targets.arrays["targets_common"])
+    table = _listed(found.texts("target"), found.stacked("xyz"), covariance, "the targets of the fit-part result")
+    return TargetList(table, covariance if covariance.any() else None, warnings)
+
+
+def _of_network(points: Result) -> TargetList:
+    """Return the points of a network as targets."""
+    found = points.tables["points"]
+    joint = points.arrays.get("points_joint_covariance")
+    if joint is None:
+        raise InputError("the network has too many points to be targets: their joint covariance is not in its result")
+    n = len(found)
+    covariance = _regular(np.asarray(joint).reshape(n, 3, n, 3).copy())
+    return TargetList(
+        _listed(found.texts("point"), found.stacked("xyz"), covariance, "the points of the network"), covariance
+    )
+
+
+def _listed(names: Sequence[str], places: Array, covariance: Array, file: str) -> Table:
     std = np.sqrt(np.einsum("nknk->nk", covariance))
-    columns = {"target": found.columns["target"], "x y z [mm]": found.stacked("xyz")}
-    table = Table.of(columns | {"sigma_x sigma_y sigma_z [mm]": std})
-    named = replace(table, file="the targets of the fit-part result")
-    return TargetList(named, covariance if std.any() else None, warnings)
+    return replace(Table.of({"target": names, "x y z [mm]": places, "sigma_x sigma_y sigma_z [mm]": std}), file=file)
 
 
 def _joint(own: Array, common: Array) -> Array:
     """Return the covariance `own_i [i = j] + common_i common_j'` of own (m, 3, 3) and common (m, 3, k)."""
-    m = len(own)
     joint: Array = np.einsum("iak,jbk->iajb", common, common, optimize=True)
-    rows = np.arange(m)
-    mean = float(np.einsum("nkk->", own) + np.einsum("iaia->", joint)) / (3 * m)
-    joint[rows, :, rows, :] += own + _NO_ERROR**2 * mean * np.eye(3)
+    rows = np.arange(len(own))
+    joint[rows, :, rows, :] += own
+    return _regular(joint)
+
+
+def _regular(joint: Array) -> Array:
+    """Return a joint covariance (m, 3, m, 3) that has an inverse."""
+    rows = np.arange(len(joint))
+    mean = float(np.einsum("iaia->", joint)) / (3 * len(joint))
+    joint[rows, :, rows, :] += _NO_ERROR**2 * mean * np.eye(3)
     return joint

@@ -53,8 +53,8 @@ class Files:
     )
     poses: Table = content(TableFile(POSES), "commanded pose of the spindle for each image")
     targets: Table | Result = content(
-        Either(TableFile(TARGETS), FileOf(("fit-part",))),
-        "coordinates of targets in the part (CSV), or the result of fit-part that has them",
+        Either(TableFile(TARGETS), FileOf(("fit-part", "adjust-network"))),
+        "coordinates of targets in the part (CSV), or the result of fit-part or adjust-network that has them",
     )
     machine: Result | None = content(
         FileOf(("calibrate-machine",)),

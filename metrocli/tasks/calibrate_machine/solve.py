@@ -133,5 +133,5 @@ def refitted(problem: Problem) -> Solution:
     if problem.noise is None:
         return adjust(blocks, problem.groups)
     aspects = problem.model.aspects if problem.effects else {}
-    noise = (problem.readings.name, problem.noise)
+    noise = {problem.readings.name: problem.noise}
     return adjust_with_iterated_weights(blocks, problem.groups, noise, None, aspects)

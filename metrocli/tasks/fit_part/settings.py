@@ -110,7 +110,7 @@ class Files:
         Either(FileOf(section=NominalFile), MeshFile()), "ideal part: surfaces (.yaml) or a mesh (.stl, .ply, .obj)"
     )
     points: Table | Result = content(
-        Either(TableFile(POINTS), FileOf(("calibrate-camera", "multilaterate"))),
+        Either(TableFile(POINTS), FileOf(("calibrate-camera", "multilaterate", "adjust-network"))),
         "points on the raw part (CSV), or the result that measured them",
         default=ABSENT,
     )

@@ -195,7 +195,7 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
 
 def _weighted(network: Network) -> Solution:
     """Return the adjustment from the present values, with weights from the adjusted paths."""
-    groups, noise = [network.lengths, *network.others], (LENGTHS, network.noise)
+    groups, noise = [network.lengths, *network.others], {LENGTHS: network.noise}
     return adjust_with_iterated_weights(network.blocks.values(), groups, noise, network.datum, network.aspects)
 
 

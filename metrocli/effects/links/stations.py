@@ -1,0 +1,124 @@
+"""Effects on the stations and targets of a network, and on its height differences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.model.chain import IDENTITY, Chain, Local, Step
+from metrocli.adjust.model.groups import ReadBlock, ReadEntries
+from metrocli.adjust.model.quantities import OfBlock, Quantity
+from metrocli.arrays import Array
+from metrocli.frozen import dataclass
+from metrocli.instruments.stations import OVER, SETUP, heights_of, station_vertical, target_vertical
+from metrocli.instruments.tracer import POINT
+
+BEGUN = "first time of the station"
+"""Condition: the earliest time at which the station of a reading read [s]"""
+
+
+@dataclass(frozen=True)
+class StationDrift(OfBlock):
+    """A station moves by `v (t - t0)`, as its points by the opposite; columns vx, vy, vz [mm/s].
+
+    t0 is the first time at which it read.
+    """
+
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n)."""
+        given = local.observations.conditions
+        later = given["t"] - given[BEGUN]
+        return Step(value - local.rows(self.block) * later, IDENTITY, {self.block: -IDENTITY * later})
+
+
+@dataclass(frozen=True)
+class TargetRaised(OfBlock):
+    """The target stands higher above its point: `X += dh u`, u the vertical there; column dh [mm]."""
+
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of set-ups, which only sightings of raised targets have, and its own block."""
+        return (SETUP, self.block)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n)."""
+        up = target_vertical(local)
+        return Step(value + up * local.rows(self.block)[0], IDENTITY, {self.block: up[:, None]})
+
+
+@dataclass(frozen=True)
+class StationRaised(OfBlock):
+    """A station stands higher over its point than listed: `X -= dh u`, u the vertical there; column dh [mm]."""
+
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of stations over points, and its own block."""
+        return (OVER, self.block)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point relative to the true station, (3, n)."""
+        up = station_vertical(local)
+        return Step(value - up * local.rows(self.block)[0], IDENTITY, {self.block: -up[:, None]})
+
+
+@dataclass(frozen=True)
+class ListedWrongly(OfBlock):
+    """The listed coordinates X0 of a point are off by d, so that they read `X - X0 + d`; columns dx, dy, dz [mm]."""
+
+    point: str
+    reader: ReadBlock | ReadEntries | None = None
+    takes = gives = Quantity.PARAMETERS
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of points, and its own block."""
+        return (POINT, self.block)
+
+    def within(self, before: Chain) -> ListedWrongly:
+        """Return the effect for what reads the coordinates before it."""
+        last = before.links[-1]
+        return replace(self, reader=last if isinstance(last, ReadBlock | ReadEntries) else None)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the coordinates less their list, (c, n)."""
+        if self.reader is None:
+            raise ValueError("ListedWrongly acts behind what reads coordinates")
+        number, index = local.blocks[POINT].members.index(self.point), local.index(POINT)
+        c, n = len(self.reader.columns), local.observations.count
+        by_block = np.zeros((c, 3, n))
+        here = (
+            index == number if isinstance(self.reader, ReadBlock) else (index[self.reader.slots, 0] == number)[:, None]
+        )
+        by_block[np.arange(c), np.asarray(self.reader.columns)] = here
+        shift = (by_block * local.rows(self.block)).sum(axis=1)
+        same = np.eye(c)[:, :, None]
+        return Step(value + shift, same, {self.block: by_block})
+
+
+@dataclass(frozen=True)
+class HeightStep(OfBlock):
+    """A mark stands higher in some height differences: `dh += s h`; columns h [mm], and a time or a method.
+
+    s is 1 for differences to the mark, -1 from it, and 0 for others, and for those of other methods or before the time.
+    """
+
+    mark: str
+    by: str
+    """Condition: t or method"""
+    takes = gives = Quantity.HEIGHT_DIFFERENCE
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the height difference (1, n)."""
+        given, (height, at) = local.observations.conditions, local.rows(self.block)
+        sign = given[heights_of(self.mark)]
+        sign = sign * (given[self.by] >= at if self.by == "t" else given[self.by] == at)
+        by_block = np.zeros((1, 2, len(sign)))
+        by_block[0, 0] = sign
+        return Step(value + height * sign, np.ones((1, 1, 1)), {self.block: by_block})

@@ -1,0 +1,117 @@
+"""An adjusted network in the form that diagnosis needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.clusters.robust import Clusters
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index, Mask
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
+from metrocli.effects.effect import ELAPSED, WARMING
+from metrocli.effects.estimates import free_blocks
+from metrocli.effects.extension import with_conditions
+from metrocli.effects.model import Model
+from metrocli.instruments import stations as s
+from metrocli.instruments import tracer as t
+from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, FACE, Seen
+from metrocli.tasks.adjust_network import KIND
+from metrocli.tasks.adjust_network.effects import EFFECTS, NO_MIRROR, STEERING
+from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, is_sighting
+from metrocli.tasks.adjust_network.solve import Solved, refitted
+from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, in_blocks, noise_found
+
+FOLDS = 10
+
+
+def adjusted_job(solved: Solved) -> AdjustedJob:
+    """Return an adjusted network in the form that diagnosis needs."""
+    network = solved.network
+    model = with_conditions(replace(network.model, blocks=solved.solution.blocks, groups=solved.solution.groups))
+
+    def refit(changed: Model, keep: Mapping[str, Mask]) -> Solution:
+        return refitted(network.with_model(changed), keep)
+
+    free = model.blocks[t.POINT].free.any()
+    stations = next((name for name in (s.STATION, s.LEVELLED, t.TRACER) if name in model.blocks), t.POINT)
+    delivered = ("point coordinates", t.POINT) if free else ("places of the stations", stations)
+    return AdjustedJob(
+        KIND.name,
+        model,
+        EFFECTS,
+        tuple(_covariates(model)),
+        ("station",),
+        {group.name: _folds(group) for group in model.readings},
+        Delivered(*delivered, (0, 1, 2), "um", "length"),
+        refit,
+        astray=solved.astray,
+        fewest=1,
+        certified=frozenset(one.name for one in model.readings if one.name.startswith((BARS, GIVEN_POINTS))),
+        not_sought={STEERING: NO_MIRROR},
+        variations=_variations,
+    )
+
+
+def _covariates(model: Model) -> Iterator[Covariate]:
+    """Yield the quantities with which an unknown effect on sightings could vary."""
+    groups = [group for group in model.readings if is_sighting(group)]
+    timed = [group for group in groups if ELAPSED in group.observations.conditions]
+    if groups and len(timed) == len(groups):
+        yield Covariate("t_s", {group.name: group.observations.conditions[ELAPSED] for group in groups}, 6)
+    if groups and all(WARMING in group.observations.conditions for group in groups):
+        yield Covariate("temp_degC", {group.name: group.observations.conditions[WARMING] for group in groups}, 6)
+    seen = {group.name: _ideal(model, group) for group in groups}
+    if seen:
+        yield Covariate("azimuth", {name: one[AZIMUTH] for name, one in seen.items()}, 4, angle=True)
+        yield Covariate("elevation", {name: one[ELEVATION] for name, one in seen.items()}, 4)
+        yield Covariate("distance_mm", {name: one[DISTANCE] for name, one in seen.items()}, 5)
+
+
+def _ideal(model: Model, group: Group) -> Array:
+    """Return azimuth, elevation and distance of sightings, (3, n)."""
+    links = group.chain.links
+    ideal = Chain(links[: next(i for i, link in enumerate(links) if isinstance(link, Seen)) + 1])
+    return ideal.predict(model.blocks, group.observations)
+
+
+def _folds(group: Group) -> Index:
+    """Return the part of each reading, (n,): ten parts by points, so that all readings of a point are in one.
+
+    Given coordinates are in none: without them the others may not determine the frame.
+    """
+    if group.name.startswith(GIVEN_POINTS):
+        return np.full(group.observations.count, -1, dtype=np.intp)
+    index = group.observations.index[t.POINT]
+    own = index if index.ndim == 1 else index[0]
+    return np.asarray(own if is_sighting(group) else np.arange(len(own)), dtype=np.intp) % FOLDS
+
+
+def _variations(model: Model, readings: Observations) -> Iterator[tuple[str, Observations]]:
+    """Yield sightings as they would be in the other face."""
+    face = readings.conditions.get(FACE)
+    if face is not None and (face > 0).all():
+        yield "in face 2", replace(readings, conditions={**readings.conditions, FACE: -face})
+
+
+def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
+    """Return the noise of a solved network; raises UndeterminedError for fewer than ten points if it is structured."""
+    blocks = solved.solution.blocks
+    stations = [one for one in (s.STATION, s.LEVELLED, s.OVER, t.TRACER) if one in blocks and blocks[one].free.any()]
+    estimates = (*stations, *free_blocks(solved.network.effects))
+
+    def clusters() -> Clusters:
+        of = {group.name: _blocks_of(group) for group in solved.groups}
+        return Clusters(of, POINTS_IN_TIME, grows=False, free=solved.network.datum is not None)
+
+    return noise_found((solved.solution, factor), model, clusters, estimates, (t.POINT,))
+
+
+def _blocks_of(group: Group) -> Index:
+    when = group.observations.conditions.get("t", np.arange(group.observations.count, dtype=float))
+    return in_blocks(when)

@@ -1,0 +1,205 @@
+"""Effects on the readings of a network (docs/effects)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.effects.acting import Acting, components, point, seen_from
+from metrocli.effects.effect import Effect, Parameter, change_points, sizes
+from metrocli.effects.links.angles import Tilted, Turned
+from metrocli.effects.links.lengths import LengthOffset
+from metrocli.effects.links.points import PointStep
+from metrocli.effects.links.stations import HeightStep, ListedWrongly, StationDrift, StationRaised, TargetRaised
+from metrocli.instruments.tracker import POLAR
+from metrocli.tasks.shared.length_effects import LENGTH_EFFECTS, length
+from metrocli.tasks.shared.tracker_effects import TRACKER_EFFECTS
+
+_SOURCE = "Baarda 1968, A testing procedure for use in geodetic networks; deformation analysis"
+_AT = (Parameter("at", "time", grid=change_points),)
+_ACROSS_INSTRUMENTS = ("tracker-air-gradient",)
+_OF_TRACERS = {"tracer-scale": "instrument", "dead-path-jump": "tracer", "dead-path-drift": "tracer"}
+STEERING = "tracker-steering-mirror"
+NO_MIRROR = (
+    "an instrument with its laser in the head has no steering mirror; the tilt of one looks like that of mirror and "
+    "transit together: name it in `effects:` to estimate it"
+)
+
+_OF_PLACES: tuple[Effect, ...] = (
+    Effect(
+        "point-moved",
+        "a point was knocked or its nest touched: from a time on it stands elsewhere",
+        sizes("dx dy dz", "length", "1 mm"),
+        lambda block, where: PointStep(block),
+        where=("point",),
+        scanned=_AT,
+        needs=("t",),
+        confused_with=("station-moved",),
+        usual="10 um to 1 mm",
+        reveal="the point again from the first station",
+        source=_SOURCE,
+    ),
+    Effect(
+        "station-moved",
+        "a station was pushed during its measurement",
+        sizes("dx dy dz", "length", "1 mm"),
+        lambda block, where: PointStep(block, -1.0),
+        where=("station",),
+        scanned=_AT,
+        needs=("t",),
+        confused_with=("station-tilted", "station-turned", "station-drift", "point-moved"),
+        usual="10 um to 1 mm",
+        reveal="the first points again at the end of the station",
+        source=_SOURCE,
+    ),
+    Effect(
+        "station-tilted",
+        "the stand of a station settled during its measurement: its standing axis leans otherwise",
+        sizes("rx ry", "angle", "60 arcsec"),
+        lambda block, where: Tilted(block),
+        where=("station",),
+        scanned=_AT,
+        needs=("t",),
+        confused_with=("station-moved",),
+        usual="1 to 60 arcsec",
+        reveal="the first points again at the end of the station; the level of the instrument",
+        source=_SOURCE,
+    ),
+    Effect(
+        "station-turned",
+        "a station turned about its standing axis during its measurement",
+        sizes("rz", "angle", "60 arcsec"),
+        lambda block, where: Turned(block),
+        where=("station",),
+        scanned=_AT,
+        needs=("t",),
+        confused_with=("station-moved",),
+        usual="1 to 60 arcsec",
+        reveal="the first points again at the end of the station",
+        source=_SOURCE,
+    ),
+    Effect(
+        "station-drift",
+        "a station moves slowly on its stand while it measures",
+        sizes("vx vy vz", "speed", "1 um/min"),
+        lambda block, where: StationDrift(block),
+        where=("station",),
+        needs=("t",),
+        confused_with=("station-moved",),
+        usual="1 to 60 um/h",
+        reveal="the first points again at the end of the station, in three directions",
+        source="Schwenke et al. 2008, CIRP Annals 57",
+    ),
+    Effect(
+        "target-height",
+        "the height of a target's set-up is wrong",
+        sizes("dh", "length", "100 mm"),
+        lambda block, where: TargetRaised(block),
+        where=("setup",),
+        not_first=("setup",),
+        confused_with=("point-moved",),
+        usual="0.2 to 100 mm",
+        reveal="the height measured again, or a second sighting of the target with another height",
+        source=_SOURCE,
+    ),
+    Effect(
+        "target-height",
+        "the height of a target over one point is wrong at one station",
+        sizes("dh", "length", "100 mm"),
+        lambda block, where: TargetRaised(block),
+        where=("point", "station"),
+        confused_with=("point-moved",),
+        usual="0.2 to 100 mm",
+        reveal="the height measured again, or a second sighting of the target with another height",
+        source=_SOURCE,
+    ),
+    Effect(
+        "station-height",
+        "the height of an instrument over its mark is wrong",
+        sizes("dh", "length", "100 mm"),
+        lambda block, where: StationRaised(block),
+        where=("station",),
+        confused_with=("station-moved",),
+        usual="0.2 to 100 mm",
+        reveal="the height measured again, or a level line to the mark",
+        source=_SOURCE,
+    ),
+    Effect(
+        "bar-error",
+        "the certificate of a bar, or the way it lies, is wrong",
+        sizes("step", "length", "10 mm"),
+        lambda block, where: LengthOffset(block),
+        where=("bar",),
+        confused_with=("point-moved",),
+        usual="2 um to 10 mm",
+        reveal="the bar in a second place, or another bar between the same points",
+        source=_SOURCE,
+    ),
+    Effect(
+        "given-point",
+        "the listed coordinates of a given point are wrong, or its mark has moved since",
+        sizes("dx dy dz", "length", "100 mm"),
+        lambda block, where: ListedWrongly(block, where["point"]),
+        where=("point",),
+        needs=("list of {point}",),
+        confused_with=("point-moved",),
+        usual="10 um to 100 mm",
+        reveal="a further given point near to it",
+        source=_SOURCE,
+        selects=True,
+    ),
+    Effect(
+        "height-epoch",
+        "a mark stands higher in a later levelling than before: it moved, or its height was taken from another surface",
+        sizes("dh", "length", "10 mm"),
+        lambda block, where: HeightStep(block, where["point"], "t"),
+        by="t",
+        where=("point",),
+        scanned=_AT,
+        needs=("t", "heights of {point}"),
+        usual="0.1 to 10 mm",
+        reveal="the lines of the first levelling again",
+        source=_SOURCE,
+        selects=True,
+    ),
+    Effect(
+        "height-epoch",
+        "a mark stands higher in one levelling than in others: it moved, or its height was taken from another surface",
+        sizes("dh", "length", "10 mm"),
+        lambda block, where: HeightStep(block, where["point"], "method"),
+        where=("point",),
+        scanned=(Parameter("method", place="method"),),
+        not_first=("method",),
+        needs=("method", "heights of {point}"),
+        usual="0.1 to 10 mm",
+        reveal="the lines of the first levelling again",
+        source=_SOURCE,
+        selects=True,
+    ),
+)
+"""Effects on points, stations, targets and what is listed"""
+
+_ALL: tuple[Effect, ...] = (
+    *(one if one.name in _ACROSS_INSTRUMENTS else replace(one, where=("instrument",)) for one in TRACKER_EFFECTS),
+    *(replace(one, where=(_OF_TRACERS[one.name],)) for one in LENGTH_EFFECTS if one.name in _OF_TRACERS),
+    *(replace(one, limited=not one.is_step) for one in _OF_PLACES),
+)
+_NAMES = {one.name for one in _ALL}
+EFFECTS = tuple(replace(one, confused_with=tuple(name for name in one.confused_with if name in _NAMES)) for one in _ALL)
+"""The table of effects, in the order of docs/effects"""
+
+_WHERE = ("instrument", "station", "point")
+PLACES: tuple[Acting, ...] = (
+    Acting(
+        "sighting",
+        Quantity.POLAR,
+        ("rad", "rad", "mm"),
+        POLAR,
+        (*components(POLAR, ("rad", "rad", "mm")),),
+        _WHERE,
+    ),
+    point("point-in-tracker", Quantity.POINT_IN_TRACKER, _WHERE, *seen_from()),
+    point("point-in-machine", Quantity.POINT_IN_MACHINE, _WHERE),
+    length(),
+)
+"""Quantities on which effects of one's own can act"""

@@ -1,0 +1,240 @@
+"""The readings of a network as groups: sightings by what was read, lengths, bars, height differences, given points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group, prior, prior_of_entries, priors
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array, Index
+from metrocli.effects.links.stations import BEGUN
+from metrocli.instruments import stations as s
+from metrocli.instruments import tracer as t
+from metrocli.instruments.frames import DistanceBetween
+from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, FACE
+from metrocli.tasks.adjust_network import noise as n
+from metrocli.tasks.adjust_network.readings import Lengths, Readings
+from metrocli.tasks.adjust_network.settings import Settings
+from metrocli.tasks.adjust_network.sightings import QUANTITIES
+from metrocli.tasks.adjust_network.unknowns import kind_of_stations, rows_of_kind
+from metrocli.tasks.shared.lists import told_apart
+
+LENGTHS, BARS, HEIGHTS = "lengths", "bars", "heights"
+"""Names of the groups of readings beside those of sightings"""
+GIVEN_POINTS = "given points"
+"""Names of the groups of given coordinates begin so"""
+_MOST_LISTED = 500
+"""Most given points whose coordinates are tested one by one"""
+OF_POINT, OF_STATION, OF_INSTRUMENT, OF_TRACER, OF_BAR, OF_SETUP, OF_LINE = (
+    f"number of {name}" for name in ("point", "station", "instrument", "tracer", "bar", "setup", "line")
+)
+"""Indices of the readings: their places"""
+ROW = "row"
+"""Index of the readings: their row in the file"""
+
+
+def is_sighting(group: Group) -> bool:
+    """Return whether a group has sightings of trackers or total stations."""
+    return ROW in group.observations.index
+
+
+def sightings(readings: Readings, blocks: Mapping[str, Block], bend: float) -> Iterator[Group]:
+    """Yield the groups of sightings: distances, azimuths and elevations, by kind of station and of target."""
+    seen = readings.sightings
+    if not len(seen.point):
+        return
+    kinds = kind_of_stations(readings)
+    numbers = {name: i for i, name in enumerate((s.STATION, s.LEVELLED, s.OVER))}
+    member = np.zeros(len(kinds), dtype=np.intp)
+    for name in numbers:
+        rows = rows_of_kind(kinds, name)
+        member[rows] = np.arange(len(rows))
+    code = 2 * np.array([numbers.get(one, 0) for one in kinds])[seen.station] + seen.raised
+    codes = np.unique(code).tolist()
+    whole = _observations(readings)
+    for component in (DISTANCE, AZIMUTH, ELEVATION):
+        read = np.isfinite(seen.values[component])
+        for one in codes:
+            rows = np.flatnonzero(read & (code == one))
+            if not rows.size:
+                continue
+            block, raised = list(numbers)[one // 2], bool(one % 2)
+            chosen = whole.selected(rows)
+            index = {block: member[seen.station[rows]], **_of_points(readings, block, rows)}
+            if block != s.STATION:
+                index[s.ORIENTATION] = seen.orientation[rows]
+            if raised:
+                index[s.SETUP] = seen.setup[rows]
+            name = QUANTITIES[component] + (_variant(block, raised) if len(codes) > 1 else "")
+            observations = replace(
+                chosen,
+                readings=chosen.readings[[component]],
+                sigma=np.ones((1, len(rows))),
+                index={**chosen.index, **index},
+                keys={**chosen.keys, "quantity": (QUANTITIES[component],) * len(rows)},
+                components=(QUANTITIES[component],),
+                unit="mm" if component == DISTANCE else "rad",
+            )
+            yield Group(name, s.sighting(block, raised, component, bend), observations)
+
+
+def _variant(block: str, raised: bool) -> str:
+    """Return the end of the name of a group of sightings, where there are several kinds of station or target."""
+    return f" from {block}" + " to raised targets" * raised
+
+
+def _of_points(readings: Readings, block: str, rows: Index) -> dict[str, Index]:
+    seen = readings.sightings
+    if block != s.OVER:
+        return {t.POINT: seen.point[rows]}
+    return {t.POINT: np.stack([seen.point[rows], readings.stations.over[seen.station[rows]]])}
+
+
+def _observations(readings: Readings) -> Observations:
+    """Return all sightings with their keys, places and conditions, (3, n)."""
+    seen, stations = readings.sightings, readings.stations
+    instrument = stations.instrument[seen.station]
+    index = {OF_POINT: seen.point, OF_STATION: seen.station, OF_INSTRUMENT: instrument, OF_SETUP: seen.setup}
+    index[ROW] = np.arange(len(seen.point))
+    keys = {
+        "station": tuple(stations.names[i] for i in seen.station),
+        "point": tuple(readings.points.names[i] for i in seen.point),
+    }
+    if (seen.face < 0).any():
+        keys["face"] = tuple("1" if one > 0 else "2" for one in seen.face.tolist())
+    if any(name for _, name in seen.rounds):
+        keys["round"] = tuple(seen.rounds[i][1] for i in seen.orientation)
+    conditions = seen.table.conditions("t", "temp") | n.parts_of(readings.instruments, instrument)
+    conditions |= {FACE: seen.face} | dict(zip(n.GIVEN, seen.sigma, strict=True))
+    conditions |= _begun(conditions, seen.station)
+    if seen.raised.any():
+        conditions[s.TARGET_HEIGHT] = seen.height
+    pair = seen.point * len(stations.names) + seen.station
+    pair = pair * 2 + (seen.face < 0)
+    keys = told_apart(keys, pair * len(seen.rounds) + seen.orientation, conditions.get("t"))
+    return Observations(seen.values, np.ones(1), index, keys=keys, conditions=conditions)
+
+
+def _begun(conditions: Mapping[str, Array], station: Index) -> dict[str, Array]:
+    """Return the first time at which the station of each reading read, where there are times."""
+    if "t" not in conditions:
+        return {}
+    first = np.full(int(station.max()) + 1, np.inf)
+    np.minimum.at(first, station, conditions["t"])
+    return {BEGUN: first[station]}
+
+
+def lengths(readings: Readings) -> Iterator[Group]:
+    found = readings.lengths
+    if found is None:
+        return
+    rows, stations = np.unique(found.first), readings.stations
+    tracer = np.searchsorted(rows, found.first)
+    instrument = stations.instrument[found.first]
+    index = {
+        t.POINT: found.second, t.TRACER: tracer, OF_POINT: found.second, OF_STATION: found.first,
+        OF_INSTRUMENT: instrument, OF_TRACER: tracer,
+    }  # fmt: skip
+    keys = {
+        "station": tuple(stations.names[i] for i in found.first),
+        "point": tuple(readings.points.names[i] for i in found.second),
+    }
+    conditions = found.table.conditions("t", "temp") | n.parts_of(readings.instruments, instrument)
+    conditions |= _begun(conditions, found.first)
+    keys = told_apart(keys, found.second * len(stations.names) + found.first, conditions.get("t"))
+    observations = Observations(
+        found.values[None], np.ones(1), index, keys=keys, conditions=conditions, components=("length",), unit="mm"
+    )
+    yield Group(LENGTHS, t.chain(), observations)
+
+
+def bars(readings: Readings) -> Iterator[Group]:
+    found = readings.bars
+    if found is not None:
+        index = {t.POINT: np.stack([found.first, found.second]), OF_BAR: np.arange(len(found.first))}
+        keys = {"bar": tuple(found.table.texts("bar"))}
+        yield _pairs(BARS, Chain((DistanceBetween(t.POINT),)), found, index, keys, "length")
+
+
+def heights(readings: Readings, settings: Settings) -> Iterator[Group]:
+    found = readings.heights
+    if found is not None:
+        curved = settings.vertical is not None
+        keys = {end: tuple(found.table.texts(end)) for end in ("from", "to")}
+        pair = np.minimum(found.first, found.second) * readings.points.count + np.maximum(found.first, found.second)
+        if len(np.unique(pair)) < len(pair):
+            keys["line"] = tuple(str(line) for line in found.table.lines) or tuple(map(str, range(len(pair))))
+        index = {t.POINT: np.stack([found.first, found.second]), OF_LINE: np.arange(len(found.first))}
+        group = _pairs(HEIGHTS, Chain((s.HeightBetween(t.POINT, curved),)), found, index, keys, "dh")
+        conditions = dict(group.observations.conditions)
+        for number in np.unique(np.concatenate([found.first, found.second])).tolist():
+            sign = (found.second == number).astype(float) - (found.first == number)
+            conditions[s.heights_of(readings.points.names[number])] = sign
+        if "method" in found.table:
+            known = methods(readings)
+            conditions["method"] = np.array([known.index(one) for one in found.table.texts("method")], dtype=float)
+        yield replace(group, observations=replace(group.observations, conditions=conditions))
+
+
+def methods(readings: Readings) -> tuple[str, ...]:
+    """Return the methods of height differences, in the order of the file."""
+    found = readings.heights
+    return () if found is None or "method" not in found.table else tuple(dict.fromkeys(found.table.texts("method")))
+
+
+def _pairs(
+    name: str, chain: Chain, found: Lengths, index: Mapping[str, Index], keys: Mapping[str, tuple[str, ...]], what: str
+) -> Group:
+    conditions = found.table.conditions("t", "temp")
+    observations = Observations(
+        found.values[None], found.sigma[None], index, keys=keys, conditions=conditions, components=(what,), unit="mm"
+    )
+    return Group(name, chain, observations)
+
+
+def given(readings: Readings, blocks: Mapping[str, Block]) -> Iterator[Group]:
+    """Yield what is known of points: coordinates with a joint covariance, and others axis by axis."""
+    points, block = readings.points, blocks[t.POINT]
+    listed = block.with_values(np.where(np.isfinite(points.listed), points.listed, block.values))
+    sigma = points.sigma.copy()
+    if points.covariance is not None:
+        member, column = points.given
+        free = block.free[member, column]
+        if free.any():
+            joint = points.covariance[np.ix_(free, free)]
+            group = prior_of_entries(listed, member[free], column[free], joint)
+            yield _of_list(replace(group, name=GIVEN_POINTS), np.unique(member[free]), block)
+        sigma[member, column] = np.nan
+    for axis in range(3):
+        rows = np.flatnonzero(block.free[:, axis] & (sigma[:, axis] > 0))
+        if rows.size:
+            group = prior(listed, rows, sigma[rows, axis][:, None], columns=(axis,))
+            yield _of_list(replace(group, name=f"{GIVEN_POINTS} {'xyz'[axis]}"), rows, block)
+
+
+def _of_list(group: Group, members: Index, block: Block) -> Group:
+    """Return a group of given coordinates, with a condition for each of its points."""
+    observations = group.observations
+    named = {s.listed(block.members[i]): np.ones(observations.count) for i in members[:_MOST_LISTED]}
+    keys = {"point": observations.keys["member"]} if "member" in observations.keys else {}
+    return replace(group, observations=replace(observations, conditions=named, keys=keys, unit="mm"))
+
+
+def known(readings: Readings, blocks: Mapping[str, Block]) -> Iterator[Group]:
+    """Yield what is known of heights of instruments and targets, and of their centring."""
+    if s.OVER in blocks:
+        rows = rows_of_kind(kind_of_stations(readings), s.OVER)
+        stations, over = readings.stations, blocks[s.OVER]
+        known = np.stack([*[stations.centring[rows]] * 2, stations.sigma_height[rows]], axis=1)
+        for number, group in enumerate(priors(over, known, over.free)):
+            yield replace(group, name=f"heights of instruments {number + 1}")
+    if s.SETUP in blocks:
+        heights = blocks[s.SETUP]
+        rows = np.flatnonzero(heights.free[:, 0] & (readings.setups[2] > 0))
+        if rows.size:
+            yield prior(heights, rows, readings.setups[2][rows, None])

@@ -1,0 +1,171 @@
+"""What may be wrong in the files of a network beside units and axes: angles of other sorts, names and signs exchanged.
+
+Exchanged names and signs are found at the rough places of the start, which single wrong rows do not spoil.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from metrocli.arrays import Array, Index
+from metrocli.diagnosis.corrections import Mistake
+from metrocli.errors import MetrocliError
+from metrocli.geometry import poses
+from metrocli.instruments.tracker import cartesian
+from metrocli.table import Table
+from metrocli.tasks.adjust_network.readings import Readings, read
+from metrocli.tasks.adjust_network.settings import Files, Settings
+from metrocli.tasks.adjust_network.starts.search import Start, start
+from metrocli.tasks.job import Job
+
+_GON = 0.9
+"""Degrees in a gon"""
+_NEAR, _FAR = 0.1, 0.5
+"""Shares of the distance of two points: exchanged ones are so near to each other's place, and so far from their own"""
+_MOST = 20
+"""Most corrections of one sort that are tried"""
+_CLOSE = 0.05
+"""Share of a height difference to which one of the other sign agrees with the rough places"""
+_ANGLES = ("az", "hz", "el", "zd")
+_Other = tuple[Mistake, Job[Settings, Files]]
+
+
+def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[_Other]:
+    """Yield what may be wrong in the files, each with the job that is right then; nothing for readings that fit."""
+    if fits:
+        return
+    try:
+        readings = read(job.settings, job.files)
+        rough = start(readings)
+    except MetrocliError:
+        rough = None
+    if rough is not None:
+        yield from _exchanged(job, readings, rough)
+        yield from _heights(job, readings, rough)
+    yield from _angles(job)
+
+
+def _angles(job: Job[Settings, Files]) -> Iterator[_Other]:
+    """Yield angles in gon, clockwise azimuths, and zenith distances for elevations."""
+    table = job.files.sightings
+    angles = [name for name in _ANGLES if name in table]
+    for symbol, factor in (("gon", _GON), ("deg", 1 / _GON)):
+        if all(table.headings.get(name, f"{name}_deg").endswith("gon") == (symbol == "deg") for name in angles):
+            words = f"{' and '.join(angles)} are in {symbol}"
+            write = f"{' and '.join(f'{name}_{symbol}' for name in angles)} in the heading"
+            changed = {name: table.numbers(name) * factor for name in angles}
+            yield _with(job, Mistake("readings", words, write, file=table.file, sort="angles", columns=0), changed)
+    for name, other, words in (("az", "hz", "clockwise"), ("hz", "az", "counter-clockwise")):
+        if name in table:
+            mistake = Mistake(
+                "readings", f"{name} counts {words}", f"{other} in the heading", file=table.file, columns=0
+            )
+            yield _with(job, mistake, {name: -table.numbers(name)})
+    for name, other, words in (("el", "zd", "a zenith distance"), ("zd", "el", "an elevation")):
+        if name in table:
+            mistake = Mistake("readings", f"{name} is {words}", f"{other} in the heading", file=table.file, columns=0)
+            yield _with(job, mistake, {name: np.pi / 2 - table.numbers(name)})
+
+
+def _with(job: Job[Settings, Files], mistake: Mistake, changed: dict[str, Array]) -> _Other:
+    table = job.files.sightings
+    return mistake, replace(
+        job, files=replace(job.files, readings=replace(table, columns={**table.columns, **changed}))
+    )
+
+
+def _exchanged(job: Job[Settings, Files], readings: Readings, rough: Start) -> Iterator[_Other]:
+    """Yield points whose names are exchanged at a station, or in the list."""
+    seen = readings.sightings
+    rows, places = _placed(readings, rough)
+    middle = _medians(places, seen.point[rows], readings.points.count)
+    for station in np.unique(seen.station[rows]).tolist():
+        here = seen.station[rows] == station
+        own = _medians(places[here], seen.point[rows][here], readings.points.count)
+        for first, second in _pairs(own, middle):
+            names = readings.points.names[first], readings.points.names[second]
+            where = readings.stations.names[station]
+            words = f"{names[0]} and {names[1]} are exchanged at station {where}"
+            write = f"{names[1]} for {names[0]} and {names[0]} for {names[1]} in the rows of {where}"
+            mistake = Mistake("readings", words, write, file=seen.table.file, columns=0)
+            yield mistake, replace(job, files=replace(job.files, readings=_swapped(seen.table, names, where)))
+    table = job.files.points
+    if not isinstance(table, Table):
+        return
+    for first, second in _pairs(readings.points.listed, middle):
+        names = readings.points.names[first], readings.points.names[second]
+        words = f"{names[0]} and {names[1]} are exchanged"
+        mistake = Mistake("points", words, f"{names[1]} for {names[0]}, and the reverse", file=table.file, columns=0)
+        yield mistake, replace(job, files=replace(job.files, points=_swapped(table, names)))
+
+
+def _placed(readings: Readings, rough: Start) -> tuple[Index, Array]:
+    """Return the whole sightings, and where each puts its point."""
+    seen = readings.sightings
+    rows = np.flatnonzero(np.isfinite(seen.values).all(axis=0) & np.isfinite(rough.poses[seen.station, 0]))
+    local = cartesian(seen.values[:, rows])[0].T
+    pose = rough.poses[seen.station[rows]].copy()
+    level = np.array([readings.of(i).is_levelled for i in range(len(readings.stations.names))])[seen.station[rows]]
+    pose[level, 5] = rough.gamma[seen.orientation[rows][level]]
+    return rows, poses.apply(pose, local)
+
+
+def _medians(places: Array, point: Index, count: int) -> Array:
+    """Return the median place of each point, nan where it has none, (count, 3)."""
+    found = np.full((count, 3), np.nan)
+    for number in np.unique(point).tolist():
+        found[number] = np.median(places[point == number], axis=0)
+    return found
+
+
+def _pairs(own: Array, middle: Array) -> Iterator[tuple[int, int]]:
+    """Yield pairs of points of which each stands near the place of the other, and far from its own."""
+    off = np.linalg.norm(own - middle, axis=1)
+    worst = np.argsort(-np.nan_to_num(off))[:_MOST].tolist()
+    for first, second in combinations(worst, 2):
+        apart = float(np.linalg.norm(middle[first] - middle[second]))
+        crossed = [np.linalg.norm(own[a] - middle[b]) for a, b in ((first, second), (second, first))]
+        if min(off[first], off[second]) > _FAR * apart and max(crossed) < _NEAR * apart:
+            yield first, second
+
+
+def _swapped(table: Table, names: tuple[str, str], station: str = "") -> Table:
+    """Return a table with two names of points exchanged, at one station if it is named."""
+    texts = np.array(table.texts("point"), dtype=object)
+    here = np.array(table.texts("station")) == station if station else np.ones(len(table), dtype=bool)
+    changed = texts.copy()
+    changed[here & (texts == names[0])] = names[1]
+    changed[here & (texts == names[1])] = names[0]
+    return replace(table, columns={**table.columns, "point": changed.astype(str)})
+
+
+def _heights(job: Job[Settings, Files], readings: Readings, rough: Start) -> Iterator[_Other]:
+    """Yield height differences of the other sign: all of them, or single lines."""
+    found, table = readings.heights, job.files.heights
+    if found is None or table is None:
+        return
+    rise = rough.points[found.second, 2] - rough.points[found.first, 2]
+    size = np.abs(found.values)
+    wrong = np.flatnonzero((np.abs(found.values + rise) < _CLOSE * size) & (np.abs(found.values - rise) > size))
+    if len(wrong) == len(rise):
+        mistake = Mistake("heights", "dh has the wrong sign", "to for from and from for to in the heading", columns=0)
+        yield mistake, _turned(job, table, wrong)
+        return
+    for row in wrong[:_MOST].tolist():
+        names = f"{table.texts('from')[row]} to {table.texts('to')[row]}"
+        line = f", line {table.lines[row]}" if table.lines else ""
+        mistake = Mistake(
+            "heights", f"the height difference from {names} has the wrong sign{line}", "it with the other sign",
+            file=table.file,
+        )  # fmt: skip
+        yield mistake, _turned(job, table, np.array([row]))
+
+
+def _turned(job: Job[Settings, Files], table: Table, rows: Index) -> Job[Settings, Files]:
+    values = table.numbers("dh").copy()
+    values[rows] *= -1
+    return replace(job, files=replace(job.files, heights=replace(table, columns={**table.columns, "dh": values})))

@@ -1,0 +1,200 @@
+"""Stations of an adjusted network: their places, angles and heights with uncertainties, as estimates and as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array, Index
+from metrocli.frozen import dataclass
+from metrocli.geometry import poses
+from metrocli.instruments import stations as s
+from metrocli.instruments import tracer as t
+from metrocli.result import Estimate
+from metrocli.table import Table
+from metrocli.tasks.adjust_network.problem import Network
+
+_ANGLES = ("alpha", "beta", "gamma")
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One estimate: its value, and its derivatives by entries of blocks."""
+
+    name: str
+    value: float
+    unit: str
+    by: tuple[tuple[str, int, float], ...]
+    """Block, flat entry, derivative"""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Estimates of the stations, and what they are made of."""
+
+    rows: tuple[_Row, ...]
+    estimates: tuple[Estimate, ...]
+    table: Table
+    covariance: Array
+
+    def joint(self, solution: Solution, more: Sequence[str]) -> Array:
+        """Return the covariance of the estimates, followed by the free entries of some blocks."""
+        if not more:
+            return self.covariance
+        free = [(name, int(entry), 1.0) for name in more for entry in np.flatnonzero(solution.blocks[name].free)]
+        scale = [solution.by_step(name).ravel()[entry] for name, entry, _ in free]
+        rows = [
+            *(row.by for row in self.rows),
+            *(((name, entry, by),) for (name, entry, _), by in zip(free, scale, strict=True)),
+        ]
+        return _covariance(solution, rows)
+
+
+def placed_stations(network: Network, solution: Solution) -> Placed:
+    """Return the stations of a solved network."""
+    rows = [*_rows(network, solution)]
+    covariance = _covariance(solution, [row.by for row in rows])
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    found = tuple(Estimate(row.name, row.value, float(spread), row.unit) for row, spread in zip(rows, std, strict=True))
+    free = [i for i, row in enumerate(rows) if row.by]
+    kept = tuple(found[i] for i in free)
+    table = _table(network, dict(zip((row.name for row in rows), found, strict=True)))
+    return Placed(tuple(rows[i] for i in free), kept, table, covariance[np.ix_(free, free)])
+
+
+def _rows(network: Network, solution: Solution) -> list[_Row]:
+    """Return the estimates of all stations and set-ups, in the order of the list."""
+    blocks = solution.blocks
+    rows: list[_Row] = []
+    for number, name in enumerate(network.readings.stations.names):
+        if s.STATION in blocks and name in blocks[s.STATION].members:
+            rows += _pose(solution, name)
+        elif s.LEVELLED in blocks and name in blocks[s.LEVELLED].members:
+            rows += _coordinates(solution, s.LEVELLED, name)
+        elif s.OVER in blocks and name in blocks[s.OVER].members:
+            rows += _over(network, solution, number, name)
+        elif t.TRACER in blocks and name in blocks[t.TRACER].members:
+            rows += _coordinates(solution, t.TRACER, name)
+            rows += _entry(solution, t.TRACER, name, 3, f"{name}.dead_path", "mm")
+        rows += _rounds(network, solution, number, name)
+    for name in blocks[s.SETUP].members[1:] if s.SETUP in blocks else ():
+        rows += _entry(solution, s.SETUP, name, 0, f"{name}.height", "mm")
+    return rows
+
+
+def _entry(solution: Solution, block: str, member: str, column: int, name: str, unit: str) -> list[_Row]:
+    one = solution.blocks[block]
+    row = one.members.index(member)
+    entry = row * one.size + column
+    by = ((block, entry, 1.0),) if one.free[row, column] else ()
+    return [_Row(name, float(one.values[row, column]), unit, by)]
+
+
+def _coordinates(solution: Solution, block: str, name: str) -> list[_Row]:
+    return [row for k, axis in enumerate("xyz") for row in _entry(solution, block, name, k, f"{name}.{axis}", "mm")]
+
+
+def _pose(solution: Solution, name: str) -> list[_Row]:
+    block = solution.blocks[s.STATION]
+    row = block.members.index(name)
+    values, by_step = poses.euler_form(block.values[row]), poses.euler_form_by_step(block.values[row])
+    return [
+        _Row(
+            f"{name}.{column}",
+            float(values[k]),
+            "mm" if k < 3 else "rad",
+            tuple((s.STATION, row * 6 + i, float(by_step[k, i])) for i in np.flatnonzero(by_step[k]).tolist()),
+        )
+        for k, column in enumerate(poses.EULER)
+    ]
+
+
+def _over(network: Network, solution: Solution, number: int, name: str) -> list[_Row]:
+    """Return the place of a station over a point, `P + L o`, and its height."""
+    offsets, points = solution.blocks[s.OVER], solution.blocks[t.POINT]
+    row, point = offsets.members.index(name), int(network.readings.stations.over[number])
+    lean = _lean(network, points.values[point])
+    place = points.values[point] + lean @ offsets.values[row]
+    rows = []
+    for k, axis in enumerate("xyz"):
+        by = [(t.POINT, 3 * point + k, 1.0)] if points.free[point, k] else []
+        by += [(s.OVER, 3 * row + i, float(lean[k, i])) for i in range(3) if offsets.free[row, i] and lean[k, i]]
+        rows.append(_Row(f"{name}.{axis}", float(place[k]), "mm", tuple(by)))
+    return [*rows, *_entry(solution, s.OVER, name, 2, f"{name}.height", "mm")]
+
+
+def _lean(network: Network, place: Array) -> Array:
+    """Return the rotation from the levelled frame at a place to the network."""
+    from metrocli.geometry.rotations import rotation_from_vector
+
+    vertical = network.settings.vertical
+    if vertical is None:
+        return np.eye(3)
+    return rotation_from_vector(np.array([-place[1], place[0], 0.0]) / vertical.radius)
+
+
+def _rounds(network: Network, solution: Solution, number: int, name: str) -> list[_Row]:
+    block = solution.blocks.get(s.ORIENTATION)
+    if block is None:
+        return []
+    own = [
+        i for i, (station, _) in enumerate(network.readings.sightings.rounds) if station == number and block.free[i, 0]
+    ]
+    several = len(own) > 1
+    return [
+        _Row(
+            f"{name}.gamma.{network.readings.sightings.rounds[i][1]}" if several else f"{name}.gamma",
+            float(np.remainder(block.values[i, 0] + np.pi, 2 * np.pi) - np.pi),
+            "rad",
+            ((s.ORIENTATION, i, 1.0),),
+        )
+        for i in own
+    ]
+
+
+def _covariance(solution: Solution, rows: Sequence[tuple[tuple[str, int, float], ...]]) -> Array:
+    """Return the covariance of linear combinations of unknowns."""
+    known = solution.covariance_or_raise()
+    names = list(dict.fromkeys(block for row in rows for block, _, _ in row))
+    found = np.zeros((len(rows), len(rows)))
+    matrices: dict[str, tuple[Index, Array]] = {}
+    for name in names:
+        entries = np.unique([entry for row in rows for block, entry, _ in row if block == name])
+        place = {int(entry): i for i, entry in enumerate(entries)}
+        by = np.zeros((len(rows), len(entries)))
+        for i, row in enumerate(rows):
+            for block, entry, derivative in row:
+                if block == name:
+                    by[i, place[entry]] += derivative
+        matrices[name] = entries.astype(np.intp), by
+    for a in names:
+        for b in names:
+            (first, by_a), (second, by_b) = matrices[a], matrices[b]
+            found += by_a @ known.between(a, b)[np.ix_(first, second)] @ by_b.T
+    return (found + found.T) / 2
+
+
+def _table(network: Network, found: dict[str, Estimate]) -> Table:
+    """Return /stations: instrument, pose with standard uncertainties, and number of shots."""
+    readings = network.readings
+    names, instruments = readings.stations.names, list(readings.instruments)
+    columns = ("x", "y", "z", *_ANGLES, "height", "dead_path")
+    shots = np.bincount(readings.sightings.station, minlength=len(names))
+    if readings.lengths is not None:
+        shots = shots + np.bincount(readings.lengths.first, minlength=len(names))
+    rows = []
+    for number, name in enumerate(names):
+        one = [found.get(f"{name}.{column}") for column in columns]
+        values = [float("nan") if e is None else e.value for e in one]
+        std = [float("nan") if e is None else e.std for e in one]
+        pairs = [both for pair in zip(values, std, strict=True) for both in pair]
+        rows.append((name, instruments[readings.stations.instrument[number]], *pairs, int(shots[number])))
+    units = ("mm",) * 3 + ("rad",) * 3 + ("mm",) * 2
+    headings = [
+        text
+        for column, unit in zip(columns, units, strict=True)
+        for text in (f"{column} [{unit}]", f"s_{column} [{unit}]")
+    ]
+    return Table.of_rows(("station [text]", "instrument [text]", *headings, "shots"), rows)

@@ -1,0 +1,209 @@
+"""What a planned network will determine, what it cannot see, and where further stations would stand best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from metrocli.adjust.adjustment import covariance_at
+from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.arrays import Array
+from metrocli.effects.effect import Effect
+from metrocli.effects.extension import can_act, with_conditions, with_effect
+from metrocli.effects.wanted import Wanted
+from metrocli.errors import UndeterminedError
+from metrocli.instruments import tracer as t
+from metrocli.plan import Plan
+from metrocli.result import Estimate, ShownTable
+from metrocli.table import Table
+from metrocli.tasks.adjust_network import KIND
+from metrocli.tasks.adjust_network.effects import STEERING
+from metrocli.tasks.adjust_network.problem import Network
+from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkSimulation, Settings
+from metrocli.tasks.adjust_network.simulation import designed, true_network
+from metrocli.tasks.shared.tracker_effects import TRACKER_EFFECTS
+from metrocli.units import roughly
+
+_GRID = 4
+"""Places along each side of the region that are tried"""
+_SEED = 1
+_MARGIN = 0.1
+_BLIND = 100.0
+"""Standard deviations of an effect, in its largest usual size, from which the network cannot see it"""
+
+
+def planned(settings: Settings, files: Files, effects: tuple[Wanted, ...]) -> Plan:
+    """Return what the stations of the list will determine, and where further ones would stand best.
+
+    Raises InputError without points or places of stations, UndeterminedError if the network is not determined.
+    """
+    wish = settings.plan
+    truth = NetworkSimulation(faces=1 if wish is None else wish.faces)
+    network = _network(settings, files, truth, effects)
+    solution = _solution(network)
+    seen = tuple(_seen(network, solution))
+    tables = {"points": _points(solution), "effects": Table.of_rows(_HEAD, seen)}
+    notes = [*_quality(solution), *_blind(seen)]
+    if wish is not None and wish.region is not None:
+        chosen, table = _further(settings, files, truth, effects)
+        tables["candidates"] = table
+        notes += chosen
+    return Plan(KIND.name, tuple(notes), tuple(_figures(solution)), tables, shown=(ShownTable("effects"),))
+
+
+_HEAD = ("effect [text]", "instrument [text]", "std", "unit [text]", "usual [text]", "seen")
+
+
+def _network(settings: Settings, files: Files, truth: NetworkSimulation, effects: tuple[Wanted, ...]) -> Network:
+    network = true_network(settings, designed(settings, files, truth), np.random.default_rng(_SEED))
+    return network.with_effects(effects)
+
+
+def _solution(network: Network) -> Solution:
+    model = network.model
+    solution = covariance_at(model.blocks.values(), list(model.groups), model.datum)
+    if not solution.outcome.good:
+        lines = [f"  {one}" for one in solution.undetermined[:8]]
+        raise UndeterminedError("\n".join([solution.outcome.value, *lines]))
+    return solution
+
+
+def _points(solution: Solution) -> Table:
+    block = solution.blocks[t.POINT]
+    return Table.of(
+        {"point": np.array(block.members), "x y z [mm]": block.values, "sx sy sz [mm]": solution.std(t.POINT)}
+    )
+
+
+def _worth(solution: Solution, aim: str) -> float:
+    """Return the root mean square standard uncertainty that a plan makes small: of coordinates, or of distances."""
+    if aim == "pairs":
+        return _of_pairs(solution)
+    std = solution.std(t.POINT)
+    return float(np.sqrt((std**2).mean()))
+
+
+def _of_pairs(solution: Solution) -> float:
+    """Return the root mean square standard uncertainty of the distances of all pairs of points."""
+    block = solution.blocks[t.POINT]
+    n = len(block.members)
+    joint = solution.covariance_or_raise().of(t.POINT).reshape(n, 3, n, 3)
+    first, second = np.triu_indices(n, 1)
+    away = block.values[first] - block.values[second]
+    unit = away / np.linalg.norm(away, axis=1)[:, None]
+    own = joint[np.arange(n), :, np.arange(n)]
+    between = joint[first, :, second]
+    whole = own[first] + own[second] - between - np.swapaxes(between, 1, 2)
+    return float(np.sqrt(np.einsum("na,nab,nb->n", unit, whole, unit).mean()))
+
+
+def _quality(solution: Solution) -> Iterator[str]:
+    std = solution.std(t.POINT)
+    worst = int(np.argmax(std.max(axis=1)))
+    name = solution.blocks[t.POINT].members[worst]
+    typical = roughly(_worth(solution, "points"), "um")
+    yield f"points: {typical} (standard uncertainty of a coordinate, root mean square)"
+    yield f"  the least certain is {name}: {roughly(float(std[worst].max()), 'um')}"
+    least = min(
+        float(residuals_of(solution, one).redundancy.min()) for one in solution.groups if one.observations.count
+    )
+    yield f"  least redundancy of a reading: {least:.2f}"
+
+
+def _seen(network: Network, solution: Solution) -> Iterator[tuple[object, ...]]:
+    """Yield how well the network determines each error of each instrument, beside all its unknowns."""
+    model = with_conditions(network.model)
+    for effect in TRACKER_EFFECTS:
+        if effect.name == STEERING:
+            continue
+        for name in (n for n, one in network.readings.instruments.items() if one.type != INTERFEROMETER):
+            at = replace(effect, where=("instrument",))
+            if can_act(model, at, {"instrument": name}):
+                yield from _of_effect(network, at, name)
+
+
+def _of_effect(network: Network, effect: Effect, name: str) -> Iterator[tuple[object, ...]]:
+    model = with_effect(with_conditions(network.model), effect, [(name,)], {})
+    solution = covariance_at(model.blocks.values(), list(model.groups), model.datum)
+    block = model.added[-1].block
+    for k, parameter in enumerate(effect.parameters):
+        std = float(solution.std(block)[-1, k]) if solution.outcome.good else float("inf")
+        seen = std < effect.plausible
+        label = f"{effect.name}.{parameter.name}"
+        yield label, name, std, parameter.unit, effect.usual, seen
+
+
+def _blind(seen: tuple[tuple[object, ...], ...]) -> Iterator[str]:
+    names = list(dict.fromkeys(str(row[0]).partition(".")[0] for row in seen if not row[5]))
+    if names:
+        yield f"the network cannot see: {', '.join(names)} (table effects)"
+    if "tracker-scale" in names:
+        yield "  the scale of a single instrument needs a bar, given points or an interferometer"
+
+
+def _figures(solution: Solution) -> Iterator[Estimate]:
+    yield Estimate("points", 0.0, _worth(solution, "points"), "mm")
+    yield (
+        Estimate("pairs", 0.0, _of_pairs(solution), "mm")
+        if len(solution.blocks[t.POINT].members) < 500
+        else Estimate("pairs", 0.0, float("nan"), "mm")
+    )
+
+
+def _further(
+    settings: Settings, files: Files, truth: NetworkSimulation, effects: tuple[Wanted, ...]
+) -> tuple[list[str], Table]:
+    """Return where further stations stand best: each is the best of a grid beside those before it."""
+    wish = settings.plan
+    assert wish is not None and wish.region is not None
+    low, high = np.array(wish.region.low), np.array(wish.region.high)
+    margin = _MARGIN * (high - low)
+    sides = [np.linspace(a + m, b - m, _GRID) for a, b, m in zip(low, high, margin, strict=True)]
+    instrument = next(name for name, one in settings.instruments.items() if one.type != INTERFEROMETER)
+    lines, rows = [], []
+    for number in range(wish.stations):
+        best: tuple[float, Array, Files] | None = None
+        for place in map(np.array, product(*sides)):
+            more = _with_station(files, f"NEW{number + 1}", instrument, place)
+            try:
+                worth = _value(_network(settings, more, truth, effects), wish.aim)
+            except UndeterminedError:
+                continue
+            rows.append((f"NEW{number + 1}", *place.tolist(), worth))
+            if best is None or worth < best[0]:
+                best = worth, place, more
+        if best is None:
+            break
+        files = best[2]
+        at = ", ".join(f"{one:.0f}" for one in best[1])
+        lines.append(f"a further station at ({at}) mm: {wish.aim} {roughly(best[0], 'um')}")
+    return lines, Table.of_rows(("station [text]", "x [mm]", "y [mm]", "z [mm]", "worth"), rows)
+
+
+def _value(network: Network, aim: str) -> float:
+    """Return what a plan makes small; for the instrument the mean square of its errors in their usual sizes."""
+    solution = _solution(network)
+    if aim != "instrument":
+        return _worth(solution, aim)
+    found = [_relative(row) for row in _seen(network, solution)]
+    return float(np.sqrt(np.mean(np.minimum(found, _BLIND) ** 2))) if found else float("inf")
+
+
+def _relative(row: tuple[object, ...]) -> float:
+    """Return the standard deviation of a row of the effects, in the largest usual size of its effect."""
+    effect = next(one for one in TRACKER_EFFECTS if one.name == str(row[0]).partition(".")[0])
+    return float(str(row[2])) / effect.plausible
+
+
+def _with_station(files: Files, name: str, instrument: str, place: Array) -> Files:
+    """Return the files with one more station; its sightings are planned with the others."""
+    old = files.stations
+    empty = {key: (np.array([""]) if one.dtype.kind == "U" else np.array([np.nan])) for key, one in old.columns.items()}
+    new = {"station": np.array([name]), "instrument": np.array([instrument])}
+    new |= {axis: np.array([value]) for axis, value in zip("xyz", place, strict=True)}
+    columns = {key: np.concatenate([one, new.get(key, empty[key])]) for key, one in old.columns.items()}
+    stations = replace(old, columns=columns, lines=())
+    return replace(files, stations=stations)

@@ -1,0 +1,154 @@
+"""The adjustment of a network: its blocks, groups and datum, built from readings and starting values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.rounds import Aspect, Noise, with_aspects
+from metrocli.arrays import Array
+from metrocli.effects.model import Model, Place
+from metrocli.effects.modelled import Modelled
+from metrocli.effects.wanted import Wanted
+from metrocli.frozen import dataclass
+from metrocli.instruments import stations as s
+from metrocli.instruments import tracer as t
+from metrocli.tasks.adjust_network import groups as g
+from metrocli.tasks.adjust_network import noise as n
+from metrocli.tasks.adjust_network.datum import datum_of
+from metrocli.tasks.adjust_network.readings import Readings
+from metrocli.tasks.adjust_network.settings import Settings
+from metrocli.tasks.adjust_network.starts.search import Start
+from metrocli.tasks.adjust_network.unknowns import blocks_of, kind_of_stations, rows_of_kind
+
+
+@dataclass(frozen=True)
+class Network(Modelled):
+    """A network, ready to be adjusted."""
+
+    readings: Readings
+    noise: Mapping[str, Noise]
+    """Standard deviations of the groups whose noise depends on the geometry"""
+    settings: Settings
+    start: Start
+    wanted: tuple[Wanted, ...] = ()
+    """Effects that the job adds"""
+    first: int = -1
+    """Station that stands at the origin, where nothing else gives the frame; -1 if it is given"""
+    factor: float = 1.0
+    """How many times the declared noise its readings have"""
+
+    @property
+    def aspects(self) -> Mapping[str, Aspect]:
+        """Conditions that follow from the geometry."""
+        return self.model.aspects
+
+    def with_noise_times(self, factor: float) -> Network:
+        """Return the network with a factor on the declared noise of its readings."""
+        groups = []
+        for group in self.model.groups:
+            if group.name in self.model.measured:
+                given = group.observations.conditions
+                whole = {**given, n.FACTOR: given.get(n.FACTOR, np.ones(group.observations.count)) * factor}
+                group = group.with_noise_times(factor)
+                group = replace(group, observations=replace(group.observations, conditions=whole))
+            groups.append(group)
+        return replace(self, model=replace(self.model, groups=tuple(groups)), factor=self.factor * factor)
+
+    def of(self, readings: Readings, blocks: Mapping[str, Block]) -> Network:
+        """Return the network of other readings, at the values of blocks."""
+        other = build(self.settings, readings, self.start, self.wanted).with_noise_times(self.factor)
+        alike = {name: one for name, one in blocks.items() if other.blocks[name].members == one.members}
+        return other.with_blocks(
+            {name: one.with_values(alike.get(name, one).values) for name, one in other.blocks.items()}
+        )
+
+
+def build(settings: Settings, readings: Readings, start: Start, wanted: Sequence[Wanted] = ()) -> Network:
+    """Return the adjustment of readings with starting values, and with the effects that a job adds."""
+    extent = float(np.nanmax(np.ptp(start.points[np.isfinite(start.points).all(axis=1)], axis=0), initial=0.0)) or 1.0
+    blocks = {block.name: block for block in blocks_of(readings, start, extent)}
+    bend = 0.0 if settings.vertical is None else settings.vertical.refraction / (2 * settings.vertical.radius)
+    groups = [
+        *g.sightings(readings, blocks, bend),
+        *g.lengths(readings),
+        *g.bars(readings),
+        *g.heights(readings, settings),
+    ]
+    groups += g.given(readings, blocks)
+    noise: dict[str, Noise] = {group.name: n.of_sightings for group in groups if g.is_sighting(group)}
+    if any(group.name == g.LENGTHS for group in groups):
+        noise[g.LENGTHS] = n.of_lengths
+    measured = tuple(group.name for group in groups)
+    first, datum = datum_of(settings, readings, blocks)
+    places = _places(readings)
+    aspects = {} if settings.vertical is None else _verticals(1 / settings.vertical.radius)
+    if readings.lengths is not None:
+        aspects |= {name: partial(_of_lengths, aspect) for name, aspect in t.aspects(t.reach()).items()}
+    nominal = {t.POINT: blocks[t.POINT].values.copy()}
+    ready = [_weighed(with_aspects(group, aspects, blocks)[0], noise, blocks) for group in groups]
+    model = Model(blocks, (*ready, *g.known(readings, blocks)), datum, measured, places, aspects, nominal=nominal)
+    found = Network(model, readings, noise, settings, start, tuple(wanted), first)
+    return found.with_effects(wanted)
+
+
+def _weighed(group: Group, noise: Mapping[str, Noise], blocks: Mapping[str, Block]) -> Group:
+    """Return a group with its standard deviations at the values of the blocks."""
+    if group.name not in noise:
+        return group
+    return group.with_observations(replace(group.observations, sigma=noise[group.name](group, blocks)))
+
+
+def _places(readings: Readings) -> dict[str, Place]:
+    """Return the places at which effects can act."""
+    kinds = kind_of_stations(readings)
+    tracers = tuple(readings.stations.names[i] for i in rows_of_kind(kinds, t.TRACER))
+    bars = () if readings.bars is None else tuple(readings.bars.table.texts("bar"))
+    return {
+        "instrument": Place(tuple(readings.instruments), g.OF_INSTRUMENT),
+        "station": Place(readings.stations.names, g.OF_STATION),
+        "point": Place(readings.points.names, g.OF_POINT),
+        "tracer": Place(tracers, g.OF_TRACER),
+        "bar": Place(bars, g.OF_BAR),
+        "setup": Place(readings.setups[0], g.OF_SETUP),
+        "method": Place(g.methods(readings)),
+    }
+
+
+def _of_lengths(aspect: Aspect, blocks: Mapping[str, Block], observations: Observations) -> Array:
+    """Return a condition of the beams of interferometers, 0 for other readings."""
+    return aspect(blocks, observations) if t.TRACER in observations.index else np.zeros(observations.count)
+
+
+def _verticals(curvature: float) -> dict[str, Aspect]:
+    """Return the leans of the verticals at stations and targets, and the curvature in height differences."""
+
+    def lean(column: int, target: bool, blocks: Mapping[str, Block], observations: Observations) -> Array:
+        place = _place_of(target, blocks, observations)
+        return np.zeros(observations.count) if place is None else place[:, column] * curvature
+
+    def curved(blocks: Mapping[str, Block], observations: Observations) -> Array:
+        if g.OF_LINE not in observations.index:
+            return np.zeros(observations.count)
+        ends = blocks[t.POINT].values[observations.index[t.POINT], :2]
+        square = (ends**2).sum(axis=2) * curvature / 2
+        return np.asarray(square[1] - square[0])
+
+    names = zip((*s.LEAN, *s.TARGET_LEAN), (0, 1, 0, 1), (False, False, True, True), strict=True)
+    return {name: partial(lean, column, target) for name, column, target in names} | {s.CURVATURE: curved}
+
+
+def _place_of(target: bool, blocks: Mapping[str, Block], observations: Observations) -> Array | None:
+    """Return the places of targets or stations of sightings, (n, 2 or more); None for other readings."""
+    index = observations.index
+    if target:
+        return blocks[t.POINT].values[index[g.OF_POINT]] if g.OF_POINT in index else None
+    if s.LEVELLED in index:
+        return blocks[s.LEVELLED].values[index[s.LEVELLED]]
+    return blocks[t.POINT].values[index[t.POINT][1]] if s.OVER in index else None

@@ -1,0 +1,267 @@
+"""The result of a solved network."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.robust import minimal_detectable
+from metrocli.adjust.solution import Residuals, Solution
+from metrocli.arrays import Array, Mask
+from metrocli.effects.estimates import estimates, free_blocks
+from metrocli.effects.estimates import tables as effect_results
+from metrocli.instruments import tracer as t
+from metrocli.result import Result, ShownTable
+from metrocli.table import Table
+from metrocli.tasks.adjust_network import KIND
+from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, HEIGHTS, OF_INSTRUMENT, is_sighting
+from metrocli.tasks.adjust_network.placed import Placed, placed_stations
+from metrocli.tasks.adjust_network.solve import Solved, Suspect
+from metrocli.tasks.shared.joint_covariance import factors
+from metrocli.tasks.shared.noise import NoiseFound
+from metrocli.tasks.shared.statistics import (
+    Statistics,
+    basic_statistics,
+    beyond_bound,
+    condition_columns,
+    found_notes,
+    noise_notes,
+    noise_warnings,
+    with_found,
+)
+from metrocli.words import listed
+
+_REMOVE = "`outliers: remove`"
+_LARGEST_JOINT = 2000
+"""Most points whose joint covariance the result holds as one matrix"""
+_ONCE = 5
+
+
+def report(solved: Solved, noise: NoiseFound) -> Result:
+    """Return the result of a solved network."""
+    solution, added = noise.solution, solved.network.effects
+    placed = placed_stations(solved.network, solution)
+    found = (*placed.estimates, *estimates(added, solution))
+    blocks = free_blocks(added)
+    points, arrays = _points(solved, solution)
+    effect_tables, effect_arrays = effect_results(added, solution)
+    tables = {
+        "points": points,
+        "stations": placed.table,
+        "residuals": _residuals(solved),
+        "groups": _groups(solved),
+        "two_face": _two_face(solved),
+        "suspects": _listed(solved.suspects),
+        "rejected": _listed(solved.rejected),
+        **effect_tables,
+    }
+    return Result(
+        kind=KIND.name,
+        title="",
+        estimates=found,
+        covariance=placed.joint(solution, blocks),
+        statistics=with_found(_statistics(solved, solution), noise),
+        tables=tables,
+        arrays=arrays | effect_arrays,
+        warnings=tuple(_warnings(solved, solution)),
+        shown=tuple(_shown(solved)),
+        notes=(*found_notes(noise), *noise_notes(solution, cures=(_REMOVE,)), *_datum_note(solved, placed)),
+        details=noise.details([one.name for one in found]),
+        plain=("dof",),
+        astray=solved.astray,
+    )
+
+
+def _points(solved: Solved, solution: Solution) -> tuple[Table, dict[str, Array]]:
+    block, known = solution.blocks[t.POINT], solution.covariance_or_raise()
+    seen: Mask = np.asarray(np.isfinite(block.values).all(axis=1))
+    each = known.members(t.POINT)[seen]
+    std = np.sqrt(np.maximum(np.einsum("mii->mi", each), 0.0))
+    table = Table.of({"point": np.array(block.members)[seen], "x y z [mm]": block.values[seen], "sx sy sz [mm]": std})
+    table = table.joined({"shots": _shots(solved)[seen]})
+    arrays = {"points_covariance": each, **factors(known, t.POINT, seen)}
+    if seen.sum() <= _LARGEST_JOINT:
+        rows = np.repeat(seen, 3)
+        arrays["points_joint_covariance"] = known.of(t.POINT)[np.ix_(rows, rows)]
+    return table, arrays
+
+
+def _shots(solved: Solved) -> Array:
+    """Return how many readings concern each point."""
+    count = np.zeros(len(solved.solution.blocks[t.POINT].members), dtype=int)
+    for group in solved.groups:
+        index = np.atleast_2d(group.observations.index[t.POINT])
+        index = index[:1] if is_sighting(group) else index
+        np.add.at(count, index.ravel(), 1)
+    return count
+
+
+def _keys(group: Group, names: Sequence[str]) -> dict[str, Array]:
+    keys = group.observations.keys
+    return {f"{name} [text]": np.array(keys.get(name, ("",) * group.observations.count)) for name in names}
+
+
+def _residuals(solved: Solved) -> Table:
+    """Return /residuals: a row for each component of each reading, with its reliability."""
+    names = [
+        n
+        for n in ("station", "point", "face", "round", "bar", "from", "to", "line")
+        if any(n in g.observations.keys for g in solved.groups)
+    ]
+    parts = [_rows(solved, group, solved.residuals[group.name], names) for group in solved.groups]
+    return Table.stack(parts) if parts else Table({})
+
+
+def _rows(solved: Solved, group: Group, found: Residuals, names: Sequence[str]) -> Table:
+    observations = group.observations
+    noise = max(1.0, float(np.nan_to_num(solved.solution.sigma0, nan=1.0)))
+    d, n = observations.readings.shape
+    numbers = {
+        "reading": observations.readings,
+        "residual": found.values,
+        "sigma": observations.deviations,
+        "normalised": found.normalised,
+        "redundancy": found.redundancy,
+        "detectable": minimal_detectable(found, solved.critical, noise),
+    }
+    when, none = condition_columns(observations), np.full(n, np.nan)
+    times = {name: np.repeat(when.get(name, none), d) for name in ("t [s]", "temp [degC]") if _timed(solved, name)}
+    keys = {name: np.repeat(one, d) for name, one in _keys(group, names).items()}
+    quantity = np.tile(np.array(observations.components), n)
+    if d > 1:  # given coordinates with a joint covariance: components are named by point and axis
+        named = [text.rpartition(" ") for text in observations.components]
+        keys["point [text]"], quantity = np.array([one[0] for one in named]), np.array([one[2] for one in named])
+    what = {"quantity [text]": quantity, "unit [text]": (observations.unit,) * (d * n)}
+    return Table.of({**keys, **what, **{name: one.T.ravel() for name, one in numbers.items()}, **times})
+
+
+def _timed(solved: Solved, name: str) -> bool:
+    return any(name in condition_columns(group.observations) for group in solved.groups)
+
+
+def _groups(solved: Solved) -> Table:
+    """Return RMS, redundancy and variance factor of each instrument and quantity."""
+    names = list(solved.network.readings.instruments)
+    rows: dict[tuple[str, str, str], list[tuple[Array, ...]]] = {}
+    for group in solved.groups:
+        found, observations = solved.residuals[group.name], group.observations
+        whole = (found.values.ravel(), found.redundancy.ravel(), found.normalised.ravel())
+        instrument = observations.index.get(OF_INSTRUMENT)
+        what = observations.components[0] if len(observations.components) == 1 else "x y z", observations.unit
+        for number in (-1,) if instrument is None else np.unique(instrument).tolist():
+            here = slice(None) if instrument is None else instrument == number
+            name = group.name if instrument is None else names[number]
+            rows.setdefault((name, *what), []).append(tuple(one[here] for one in whole))
+    return Table.of_rows(
+        ("instrument [text]", "quantity [text]", "unit [text]", "readings", "rms", "redundancy", "variance_factor"),
+        [(*key, *_figures(parts)) for key, parts in rows.items()],
+    )
+
+
+def _figures(parts: Sequence[tuple[Array, ...]]) -> tuple[object, ...]:
+    """Return the figures of readings; the variance factor is `v'Pv / sum r` (Förstner 1979)."""
+    values, redundancy, w = (np.concatenate(one) for one in zip(*parts, strict=True))
+    total = float(redundancy.sum())
+    factor = float((redundancy * w**2).sum() / total) if total > 1e-6 else float("nan")
+    return len(values), float(np.sqrt((values**2).mean())), total, factor
+
+
+def _two_face(solved: Solved) -> Table:
+    """Return half the differences of face 1 less face 2 of each point at each station, across and along the beam [mm].
+
+    The azimuth is times `d cos e`, the elevation times d, with the mean distance and elevation.
+    """
+    seen, readings = solved.network.readings.sightings, solved.network.readings
+    pairs, number = np.unique(np.stack([seen.station, seen.point]), axis=1, return_inverse=True)
+    number, count = number.ravel(), pairs.shape[1]
+    near = np.zeros((3, count))
+    near[:, number[::-1]] = seen.values[:, ::-1]
+    away = seen.values - near[:, number]
+    away[0] = np.remainder(away[0] + np.pi, 2 * np.pi) - np.pi
+    both = np.full((2, 3, count), np.nan)
+    with np.errstate(invalid="ignore"):
+        for k, here in enumerate((seen.face > 0, seen.face < 0)):
+            for q in range(3):
+                kept = here & np.isfinite(away[q])
+                both[k, q] = np.bincount(number[kept], away[q, kept], count) / np.bincount(
+                    number[kept], minlength=count
+                )
+    half = (both[0] - both[1]) / 2
+    half[0] *= near[2] * np.cos(near[1])
+    half[1] *= near[2]
+    rows = np.flatnonzero(np.isfinite(half).any(axis=0))
+    names = (readings.stations.names, readings.points.names)
+    station, point = ([one[i] for i in index[rows]] for one, index in zip(names, pairs, strict=True))
+    return Table.of(
+        {"station [text]": station, "point [text]": point, "azimuth elevation distance [mm]": half[:, rows].T}
+    )
+
+
+def _listed(chosen: Sequence[Suspect]) -> Table:
+    """Return a table of readings: their keys, quantity and test."""
+    names = list(dict.fromkeys(name for one in chosen for name in one.keys))
+    rows = [(*(one.keys.get(name, "") for name in names), one.test) for one in chosen]
+    return Table.of_rows((*(f"{name} [text]" for name in names), "w"), rows)
+
+
+def _named(chosen: Sequence[Suspect]) -> list[str]:
+    return [f"{'/'.join(text for text in one.keys.values() if text)} (w = {one.test:.1f})" for one in chosen]
+
+
+def _statistics(solved: Solved, solution: Solution) -> Statistics:
+    rms = {}
+    for unit in ("rad", "mm"):
+        values = [solved.residuals[one.name].values for one in solved.groups if one.observations.unit == unit]
+        if values:
+            rms[unit] = float(np.sqrt(np.mean(np.concatenate([one.ravel() for one in values]) ** 2)))
+    return basic_statistics(solution, rms) | {"rejected": len(solved.rejected), "critical_w": solved.critical}
+
+
+def _shown(solved: Solved) -> Iterator[ShownTable]:
+    yield ShownTable("points", ("point", "x", "y", "z", "sx", "sy", "sz"))
+    yield ShownTable("groups")
+    if solved.suspects:
+        yield ShownTable("suspects")
+
+
+def _datum_note(solved: Solved, placed: Placed) -> Iterator[str]:
+    network, solution = solved.network, solved.solution
+    if network.datum is None or not solution.conditions:
+        return
+    where = "on their listed places" if network.first < 0 else "on their adjusted places"
+    count = int(network.datum.members.sum())
+    yield f"datum: inner constraints on {count} points {where}; {solution.conditions} motions are open"
+    if network.first >= 0:
+        name = network.readings.stations.names[network.first]
+        yield f"without a list of points station {name} stands at the origin"
+
+
+def _warnings(solved: Solved, solution: Solution) -> Iterator[str]:
+    yield from solved.network.readings.warnings
+    yield from noise_warnings(solution, (_REMOVE,))
+    if solved.rejected:
+        named = listed(_named(solved.rejected))
+        yield f"{len(solved.rejected)} readings are left out as wrong: {named} (table rejected)"
+    if solved.suspects:
+        yield beyond_bound(_named(solved.suspects), solved.critical, f"{_REMOVE} leaves them out")
+    once = _seen_once(solved)
+    if once:
+        named = listed(once, _ONCE)
+        yield f"{len(once)} points are determined, but nothing checks them: {named}; sight them from a second station"
+
+
+def _seen_once(solved: Solved) -> list[str]:
+    """Return the points whose readings have no redundancy together."""
+    block = solved.solution.blocks[t.POINT]
+    total, count = np.zeros(len(block.members)), np.zeros(len(block.members))
+    for group in solved.groups:
+        if group.name in (BARS, HEIGHTS) or group.name.startswith(GIVEN_POINTS):
+            continue
+        index = group.observations.index[t.POINT]
+        index = index[0] if index.ndim > 1 else index
+        np.add.at(total, index, solved.residuals[group.name].redundancy.max(axis=0))
+        np.add.at(count, index, 1)
+    weak = (count > 0) & (total < 1e-6) & block.free.any(axis=1)
+    return [block.members[i] for i in np.flatnonzero(weak)]

@@ -1,0 +1,267 @@
+"""Solution of a network: start, adjustment with weights from its geometry, outliers, and what is undetermined."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.robust import Fit, critical_value, robust_start, suspects
+from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds
+from metrocli.adjust.solution import Residuals, Solution, residuals_of
+from metrocli.arrays import Array, Mask
+from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.frozen import dataclass
+from metrocli.geometry import poses
+from metrocli.instruments import stations as s
+from metrocli.instruments import tracer as t
+from metrocli.tasks.adjust_network.datum import FREEDOMS, open_by_given
+from metrocli.tasks.adjust_network.groups import GIVEN_POINTS, ROW, is_sighting
+from metrocli.tasks.adjust_network.noise import component
+from metrocli.tasks.adjust_network.problem import Network
+from metrocli.tasks.adjust_network.settings import GIVEN, Settings
+from metrocli.words import in_a_row
+
+_POINTS_NEAR = 0.02
+"""Plausible deviation of points from their list, as a share of the extent of the network"""
+_MOST_NAMED = 8
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A reading whose residual is too large to be due to chance."""
+
+    group: str
+    row: int
+    """Among the readings of the group that were in use"""
+    test: float
+    keys: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Solved:
+    """An adjusted network, with the readings that were left out."""
+
+    network: Network
+    """The network of the readings used"""
+    solution: Solution
+    residuals: Mapping[str, Residuals]
+    """By group of readings"""
+    suspects: tuple[Suspect, ...]
+    rejected: tuple[Suspect, ...]
+    """Readings left out"""
+    critical: float
+
+    @property
+    def read(self) -> tuple[Residuals, ...]:
+        """The residuals of all readings."""
+        return tuple(self.residuals.values())
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """The groups of readings with their final weights."""
+        return tuple(group for group in self.solution.groups if group.name in self.network.model.measured)
+
+    @property
+    def astray(self) -> float:
+        """How far points lie from their lists, relative to the plausible deviation."""
+        listed = self.network.readings.points.listed
+        known = np.isfinite(listed).all(axis=1) & self.solution.blocks[t.POINT].free.any(axis=1)
+        if known.sum() < 2:
+            return 0.0
+        off = np.linalg.norm(self.solution.blocks[t.POINT].values[known] - listed[known], axis=1)
+        extent = float(np.ptp(listed[known], axis=0).max()) or 1.0
+        return float(np.median(off)) / (_POINTS_NEAR * extent)
+
+
+def solve(settings: Settings, network: Network, remove: bool) -> Solved:
+    """Adjust a network; with `remove`, leave outliers out.
+
+    Raises UndeterminedError or NotConvergedError, in words.
+    """
+    if settings.datum == GIVEN:
+        _must_be_given(network)
+    _must_be_checked(network)
+    begun = _Used(network.with_blocks(_robust(network)))
+
+    def renewed(used: _Used, solved: Solved) -> tuple[_Used, bool]:
+        if not remove or not solved.suspects:
+            return used, False
+        most = max(one.test for one in solved.suspects)
+        worst = tuple(one for one in solved.suspects if one.test >= most / 2)
+        return _Used(_without(solved.network, solved.solution, worst), (*used.out, *worst)), True
+
+    return in_rounds(begun, lambda used: _adjusted(used), renewed)[1]
+
+
+@dataclass(frozen=True)
+class _Used:
+    """The network of the readings in use, and those that were left out."""
+
+    network: Network
+    out: tuple[Suspect, ...] = ()
+
+
+def refitted(network: Network, keep: Mapping[str, Mask]) -> Solution:
+    """Adjust a network to some of its readings, from the present values."""
+    groups = [one.selected(keep[one.name]) if one.name in keep else one for one in network.model.groups]
+    return _weighted(network.with_model(replace(network.model, groups=tuple(groups))))
+
+
+def _weighted(network: Network) -> Solution:
+    model = network.model
+    return adjust_with_iterated_weights(
+        model.blocks.values(), list(model.groups), network.noise, model.datum, network.aspects
+    )
+
+
+def _robust(network: Network) -> dict[str, Block]:
+    """Return values that gross errors do not spoil."""
+    state = dict(network.blocks)
+    for name in network.model.measured:
+        if is_sighting(network.model.group(name)):
+            state = robust_start(state.values(), list(network.model.groups), name, network.datum)
+    return state
+
+
+def _adjusted(used: _Used) -> Solved:
+    network, solution = _anchored(used.network, _weighted(used.network))
+    _must_be_determined(network, solution)
+    found = {
+        group.name: residuals_of(solution, group) for group in solution.groups if group.name in network.model.measured
+    }
+    count = sum(one.values.size for one in found.values())
+    return Solved(network, solution, found, tuple(_suspects(found, solution)), used.out, critical_value(count))
+
+
+def _suspects(found: Mapping[str, Residuals], solution: Solution) -> Iterator[Suspect]:
+    """Yield the wrong readings, the worst first; all groups are tested together."""
+    found = {name: one for name, one in found.items() if not name.startswith(GIVEN_POINTS)}
+    names = [name for name, one in found.items() for _ in range(one.values.shape[1])]
+    rows = np.concatenate([np.arange(one.values.shape[1]) for one in found.values()])
+    parts = ([getattr(one, key) for one in found.values()] for key in ("values", "sigma", "redundancy", "normalised"))
+    tested = suspects(
+        Residuals(*(np.concatenate(one, axis=1) for one in parts)), Fit(solution.cost, solution.dof, True)
+    )
+    groups = {group.name: group.observations.keys for group in solution.groups}
+    for i in np.argsort(-tested.tests, kind="stable").tolist():
+        name, row = names[int(tested.rows[i])], int(rows[tested.rows[i]])
+        yield Suspect(name, row, float(tested.tests[i]), {key: texts[row] for key, texts in groups[name].items()})
+
+
+def _without(network: Network, solution: Solution, out: tuple[Suspect, ...]) -> Network:
+    """Return the network without some readings."""
+    groups = {group.name: group for group in solution.groups}
+    components, rows = [], []
+    others: dict[str, list[int]] = {}
+    for one in out:
+        if is_sighting(groups[one.group]):
+            components.append(component(groups[one.group]))
+            rows.append(int(groups[one.group].observations.index[ROW][one.row]))
+        else:
+            others.setdefault(one.group, []).append(one.row)
+    seen = np.array(components, dtype=np.intp), np.array(rows, dtype=np.intp)
+    fewer = {name: np.array(at, dtype=np.intp) for name, at in others.items()}
+    return network.of(network.readings.without(seen, fewer), solution.blocks)
+
+
+def _anchored(network: Network, solution: Solution) -> tuple[Network, Solution]:
+    """Return the solution with the first station at the origin, where no list of points gives the frame."""
+    if network.first < 0 or not solution.outcome.good or network.datum is None:
+        return network, solution
+    move = _to_origin(network, solution)
+    blocks = {name: _moved(block, move) for name, block in solution.blocks.items()}
+    datum = replace(network.datum, reference=blocks[t.POINT].values)
+    there = network.with_model(replace(network.model, blocks=blocks, groups=solution.groups, datum=datum))
+    return there, _weighted(there)
+
+
+def _to_origin(network: Network, solution: Solution) -> Array:
+    """Return the pose that brings the first station to the origin."""
+    name = network.readings.stations.names[network.first]
+    blocks = solution.blocks
+    if s.STATION in blocks and name in blocks[s.STATION].members:
+        level = any(kind in blocks for kind in (s.LEVELLED, s.OVER))
+        pose = blocks[s.STATION].row(name)
+        if not level:
+            return poses.inverse(pose)
+        return np.concatenate([-pose[:3], np.zeros(3)])
+    if t.TRACER in blocks and name in blocks[t.TRACER].members:
+        return np.concatenate([-blocks[t.TRACER].row(name)[:3], np.zeros(3)])
+    if s.LEVELLED in blocks and name in blocks[s.LEVELLED].members:
+        place = blocks[s.LEVELLED].row(name)
+    else:
+        place = blocks[t.POINT].values[network.readings.stations.over[network.first]]
+    round_ = next(i for i, (station, _) in enumerate(network.readings.sightings.rounds) if station == network.first)
+    gamma = float(blocks[s.ORIENTATION].values[round_, 0])
+    return poses.inverse(np.array([*place, 0.0, 0.0, gamma]))
+
+
+def _moved(block: Block, move: Array) -> Block:
+    """Return a block after a rigid motion of the network."""
+    values = block.values.copy()
+    if block.name in (t.POINT, s.LEVELLED, t.TRACER):
+        values[:, :3] = poses.apply(move, values[:, :3])
+    elif block.name == s.STATION:
+        values = poses.compose(move, values)
+    elif block.name == s.ORIENTATION:
+        values = values + move[5] * block.free
+    return block.with_values(values)
+
+
+def _must_be_given(network: Network) -> None:
+    loose = open_by_given(network.readings)
+    if loose:
+        raise UndeterminedError(
+            f"`datum: given`, but the given points leave open: {in_a_row(loose)}.\n"
+            "  Give a sigma_mm to more points (three that are not on a line fix every motion), "
+            "or write `datum: inner-constraints`"
+        )
+
+
+def _must_be_checked(network: Network) -> None:
+    """Raise UndeterminedError for interferometers with too few lengths, or points in one plane with them."""
+    found = network.readings.lengths
+    if found is None:
+        return
+    lines = []
+    for number in np.unique(found.first):
+        own = np.unique(found.second[found.first == number])
+        absolute = network.readings.of(int(number)).measures == "absolute"
+        need, name = (4 if absolute else 5), network.readings.stations.names[number]
+        if len(own) < need:
+            lines.append(f"  {name} reads {len(own)} points; an interferometer needs {need}")
+            continue
+        places = network.blocks[t.POINT].values[own]
+        member = network.blocks[t.TRACER].members.index(name)
+        places = np.concatenate([places, network.blocks[t.TRACER].values[None, member, :3]])
+        spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+        if np.isfinite(places).all() and spread[2] < 1e-4 * spread[0]:
+            lines.append(
+                f"  {name} stands in one plane with all points that it reads; a point outside the plane closes it"
+            )
+    if lines:
+        raise UndeterminedError("lengths do not determine where interferometers stand:\n" + "\n".join(lines))
+
+
+def _must_be_determined(network: Network, solution: Solution) -> None:
+    if solution.outcome in (Outcome.UNDETERMINED, Outcome.TOO_FEW):
+        lines = [f"  {combination}" for combination in solution.undetermined[:_MOST_NAMED]]
+        raise UndeterminedError("\n".join([solution.outcome.value, *lines, *_cures(solution)]), solution.misfit)
+    if not solution.outcome.good:
+        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit)
+
+
+def _cures(solution: Solution) -> Iterator[str]:
+    """Yield what would determine what is open."""
+    open_blocks = {part[0] for combination in solution.undetermined for part in combination.parts[:3]}
+    if open_blocks & {s.OVER, s.SETUP}:
+        yield "  A height of an instrument or target needs a tie: a level line, or another instrument at the mark"
+    elif t.POINT in open_blocks:
+        yield "  Distances, a second station, or given coordinates of these points determine them"
+    elif open_blocks:
+        yield f"  More shared points, not on a line, determine a station ({FREEDOMS[0]} to {FREEDOMS[5]})"

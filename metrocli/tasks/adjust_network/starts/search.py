@@ -1,0 +1,271 @@
+"""Starting values of a network without any coordinates: set-ups are joined one after the other over common points.
+
+The sightings of a set-up (a round of a levelled station) give points in its own frame. A set-up is placed where it
+fits the points that are known: levelled ones by a shift and a turn about z, others by a pose. New points then follow.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.arrays import Array, Index, Mask
+from metrocli.errors import UndeterminedError
+from metrocli.frozen import dataclass
+from metrocli.geometry import poses
+from metrocli.instruments.tracker import cartesian
+from metrocli.tasks.adjust_network.readings import Readings
+from metrocli.tasks.adjust_network.starts.rough_poses import fitted
+from metrocli.words import listed
+
+_LINE = 1e-3
+"""Thickness of shared points, relative to their extent, below which they are on a line"""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Rough values of all unknowns."""
+
+    points: Array
+    """(points, 3), nan where nothing is known"""
+    poses: Array
+    """(stations, 6), nan where nothing is known"""
+    gamma: Array
+    """Azimuth of each round of a levelled station, (rounds,)"""
+
+
+def _whole(places: Array) -> Mask:
+    """Return which places (n, 3) are known."""
+    return np.asarray(np.isfinite(places).all(axis=1))
+
+
+class _Search:
+    """Points and set-ups that are placed so far."""
+
+    def __init__(self, readings: Readings, begin: Array, levelled: Mask) -> None:
+        """`begin` (points, 3) are the points that are known at the beginning, nan for others."""
+        self.readings, self.levelled = readings, levelled
+        seen = readings.sightings
+        self.points = begin.copy()
+        self.poses = np.full((len(readings.stations.names), 6), np.nan)
+        self.gamma = np.full(len(seen.rounds), np.nan)
+        self.whole: Mask = np.asarray(~np.isnan(seen.values).any(axis=0))
+        self.local = np.full((len(seen.point), 3), np.nan)
+        self.local[self.whole] = cartesian(seen.values[:, self.whole])[0].T
+        self.local[:, 2] -= seen.height + readings.setups[1][seen.setup]
+        order = np.argsort(seen.orientation, kind="stable")
+        counts = np.bincount(seen.orientation, minlength=len(seen.rounds))
+        self.rows = np.split(order, np.cumsum(counts)[:-1]) if len(counts) else []
+        self._place_over()
+
+    def _place_over(self) -> None:
+        stations = self.readings.stations
+        for number in np.flatnonzero((stations.over >= 0) & np.isnan(self.poses[:, 0])):
+            mark = self.points[stations.over[number]]
+            if np.isfinite(mark).all():
+                self.poses[number] = [*(mark + [0.0, 0.0, stations.height[number]]), 0.0, 0.0, 0.0]
+
+    def _mark_below(self, station: int) -> None:
+        """Place the mark under a station that is placed."""
+        mark = self.readings.stations.over[station]
+        if mark >= 0 and np.isnan(self.points[mark]).any():
+            self.points[mark] = self.poses[station, :3] - [0.0, 0.0, self.readings.stations.height[station]]
+
+    def run(self) -> None:
+        """Place set-ups until no further one can be placed."""
+        while True:
+            best = max(self._open(), key=lambda one: one[0], default=(0, -1))
+            if best[0] <= 0:
+                return
+            self.place(best[1])
+
+    def _open(self) -> list[tuple[int, int]]:
+        """Return how many known points each set-up that can be placed shares, and its number."""
+        known = self._known()
+        found = []
+        for number, rows in enumerate(self.rows):
+            if np.isfinite(self.gamma[number]):
+                continue
+            usable = self._usable(number, rows, known)
+            if self._enough(number, usable):
+                found.append((len(usable), number))
+        return found
+
+    def _known(self) -> Mask:
+        return _whole(self.points)
+
+    def _usable(self, number: int, rows: Index, known: Mask) -> Index:
+        seen, station = self.readings.sightings, self.readings.sightings.rounds[number][0]
+        if self.levelled[station] and np.isfinite(self.poses[station, 0]):
+            return np.asarray(rows[known[seen.point[rows]] & np.isfinite(seen.values[0, rows])])
+        return np.asarray(rows[known[seen.point[rows]] & self.whole[rows]])
+
+    def _enough(self, number: int, rows: Index) -> bool:
+        station = self.readings.sightings.rounds[number][0]
+        if self.levelled[station] and np.isfinite(self.poses[station, 0]):
+            return len(rows) > 0
+        chosen = self.points[np.unique(self.readings.sightings.point[rows])]
+        if len(chosen) < (2 if self.levelled[station] else 3):
+            return False
+        spread = np.linalg.svd(chosen - chosen.mean(axis=0), compute_uv=False)
+        if self.levelled[station]:
+            return bool(np.ptp(chosen[:, :2], axis=0).max() > 1e-6 * max(spread[0], 1e-300))
+        return bool(spread[1] > _LINE * spread[0])
+
+    def place(self, number: int) -> None:
+        """Place one set-up by the points that it shares, and the new points that it sees."""
+        seen, station = self.readings.sightings, self.readings.sightings.rounds[number][0]
+        known = self._known()
+        rows = self._usable(number, self.rows[number], known)
+        if self.levelled[station] and np.isfinite(self.poses[station, 0]):
+            away = self.points[seen.point[rows]] - self.poses[station, :3]
+            turns = np.arctan2(away[:, 1], away[:, 0]) - seen.values[0, rows]
+            self.gamma[number] = np.angle(np.exp(1j * turns).sum())
+        else:
+            pose = fitted(self.local[rows], self.points[seen.point[rows]], bool(self.levelled[station]))
+            self._set(number, station, pose)
+        self._see(number)
+
+    def _set(self, number: int, station: int, pose: Array) -> None:
+        if self.levelled[station]:
+            self.gamma[number] = pose[5]
+            self.poses[station] = [*pose[:3], 0.0, 0.0, 0.0]
+            self._mark_below(station)
+        else:
+            self.poses[station], self.gamma[number] = pose, 0.0
+            others = [i for i, (of, _) in enumerate(self.readings.sightings.rounds) if of == station]
+            self.gamma[others] = 0.0
+            for other in others:
+                self._see(other)
+
+    def _see(self, number: int) -> None:
+        """Place the new points that a placed set-up sees."""
+        seen, station = self.readings.sightings, self.readings.sightings.rounds[number][0]
+        rows = self.rows[number]
+        rows = rows[self.whole[rows] & np.isnan(self.points[seen.point[rows]]).any(axis=1)]
+        if rows.size:
+            turned = self.poses[station].copy()
+            if self.levelled[station]:
+                turned[5] = self.gamma[number]
+            self.points[seen.point[rows]] = poses.apply(turned, self.local[rows])
+        self._place_over()
+
+    def begin_with(self, number: int) -> None:
+        """Place a set-up at the origin."""
+        self._set(number, self.readings.sightings.rounds[number][0], np.zeros(6))
+        self._see(number)
+
+    def intersect(self) -> None:
+        """Place points that only angles of two or more set-ups show: where their beams come nearest to each other."""
+        seen = self.readings.sightings
+        angles = np.isfinite(seen.values[:2]).all(axis=0) & np.isnan(self.points[seen.point]).any(axis=1)
+        angles &= np.isfinite(self.gamma[seen.orientation])
+        for point in np.unique(seen.point[angles]):
+            rows = np.flatnonzero(angles & (seen.point == point))
+            turned = self.poses[seen.station[rows]].copy()
+            level = self.levelled[seen.station[rows]]
+            turned[level, 5] = self.gamma[seen.orientation[rows][level]]
+            beam = cartesian(np.stack([*seen.values[:2, rows], np.ones(len(rows))]))[0].T
+            beam = poses.apply(np.column_stack([np.zeros((len(rows), 3)), turned[:, 3:]]), beam)
+            across = np.eye(3) - beam[:, :, None] * beam[:, None]
+            matrix = across.sum(axis=0)
+            if np.linalg.eigvalsh(matrix)[0] > 1e-6:
+                right = np.einsum("nab,nb->a", across, turned[:, :3])
+                self.points[point] = np.linalg.solve(matrix, right)
+
+
+def start(readings: Readings) -> Start:
+    """Return rough values of points and stations; raises UndeterminedError that names set-ups that cannot be joined."""
+    levelled = np.array([readings.of(i).is_levelled for i in range(len(readings.stations.names))])
+    given = readings.points.listed
+    search = _Search(readings, given, levelled)
+    search.run()
+    if not np.isfinite(search.gamma).any() and len(search.gamma):
+        search = _alone(readings, levelled)
+        _onto_list(search, given)
+    search.intersect()
+    _must_be_joined(search)
+    return Start(search.points, search.poses, np.nan_to_num(search.gamma))
+
+
+def _alone(readings: Readings, levelled: Mask) -> _Search:
+    """Return the points in the frame of a set-up: a levelled one if there is one, that which sees most points."""
+    search = _Search(readings, np.full_like(readings.points.listed, np.nan), levelled)
+    shots = [int(search.whole[rows].sum()) for rows in search.rows]
+    level = [bool(levelled[station]) for station, _ in readings.sightings.rounds]
+    begin = max(range(len(shots)), key=lambda i: (level[i] and shots[i] > 0, shots[i]))
+    search.begin_with(begin)
+    search.run()
+    if not any(level):
+        _level(search)
+    return search
+
+
+def _level(search: _Search) -> None:
+    """Turn the frame so that height differences are along z, if there are some."""
+    heights = search.readings.heights
+    if heights is None:
+        return
+    away = search.points[heights.second] - search.points[heights.first]
+    good = np.isfinite(away).all(axis=1)
+    if good.sum() < 3 or np.linalg.matrix_rank(away[good], tol=1e-3 * np.abs(away[good]).max()) < 3:
+        return
+    up = np.linalg.lstsq(away[good], heights.values[good], rcond=None)[0]
+    up = up / np.linalg.norm(up)
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    angle = np.arctan2(np.linalg.norm(axis), up[2])
+    size = np.linalg.norm(axis)
+    turn = np.zeros(6)
+    turn[3:] = axis / size * angle if size > 1e-12 else [np.pi if up[2] < 0 else 0.0, 0.0, 0.0]
+    _moved(search, turn)
+
+
+def _onto_list(search: _Search, given: Array) -> None:
+    """Move the frame onto the listed points, as far as they determine it."""
+    both = np.isfinite(given).all(axis=1) & np.isfinite(search.points).all(axis=1)
+    if not both.any():
+        return
+    upright = bool(search.levelled.any()) or both.sum() < 3
+    _moved(search, fitted(search.points[both], given[both], upright))
+    search.points = np.where(np.isfinite(search.points), search.points, given)
+
+
+def _moved(search: _Search, move: Array) -> None:
+    """Move all that is placed by a pose; levelled stations turn about z only."""
+    search.points = poses.apply(move, search.points)
+    level = search.levelled
+    search.poses[:, :3] = poses.apply(move, search.poses[:, :3])
+    placed = np.isfinite(search.poses[:, 0]) & ~level
+    search.poses[placed] = poses.compose(move * [0, 0, 0, 1, 1, 1], search.poses[placed])
+    of = np.array([station for station, _ in search.readings.sightings.rounds], dtype=np.intp)
+    search.gamma = np.where(level[of], search.gamma + move[5], search.gamma)
+
+
+def _must_be_joined(search: _Search) -> None:
+    readings = search.readings
+    seen = readings.sightings
+    placed = np.isfinite(search.poses[:, 0])
+    lost = [i for i in np.unique(seen.station) if not placed[i]]
+    if lost:
+        lines = [f"  {readings.stations.names[i]}: {_reason(search, i)}" for i in lost]
+        raise UndeterminedError("set-ups cannot be joined to the network:\n" + "\n".join(lines))
+    open_points = np.unique(seen.point[np.isnan(search.points[seen.point]).any(axis=1)])
+    if open_points.size:
+        names = [readings.points.names[i] for i in open_points]
+        raise UndeterminedError(
+            f"points are seen by angles of one station only: {listed(names)}.\n"
+            "  A distance, or the angles of a second station, determines them"
+        )
+
+
+def _reason(search: _Search, station: int) -> str:
+    seen = search.readings.sightings
+    rows = np.flatnonzero(seen.station == station)
+    known = _whole(search.points)
+    shared = np.unique(seen.point[rows[known[seen.point[rows]] & search.whole[rows]]])
+    need = 2 if search.levelled[station] else 3
+    if len(shared) >= need:
+        return f"the {len(shared)} points that it shares with the rest lie on a line; a point beside the line closes it"
+    word = "two points" if need == 2 else "three points that are not on a line"
+    names = [search.readings.points.names[i] for i in shared]
+    what = f"shares {listed(names)} with the rest" if names else "shares no point with the rest"
+    return f"it {what}; it needs {word} with azimuth, elevation and distance"

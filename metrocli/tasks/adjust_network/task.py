@@ -1,0 +1,67 @@
+"""The functions of adjust-network."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.errors import all_faults
+from metrocli.plan import Plan
+from metrocli.result import Result
+from metrocli.simulation import Simulation, SimulationOptions
+from metrocli.tasks.adjust_network.diagnosis import adjusted_job, noise_of
+from metrocli.tasks.adjust_network.effects import EFFECTS, PLACES
+from metrocli.tasks.adjust_network.other_settings import other_settings
+from metrocli.tasks.adjust_network.plan import planned
+from metrocli.tasks.adjust_network.problem import Network, build
+from metrocli.tasks.adjust_network.readings import read
+from metrocli.tasks.adjust_network.report import report
+from metrocli.tasks.adjust_network.settings import Files, NetworkSimulation, Settings
+from metrocli.tasks.adjust_network.simulation import simulated
+from metrocli.tasks.adjust_network.solve import Solved, solve
+from metrocli.tasks.adjust_network.starts.search import Start, start
+from metrocli.tasks.job import Job, Task
+from metrocli.tasks.shared.noise import weighed
+
+
+def _network(job: Job[Settings, Files]) -> Network:
+    readings = read(job.settings, job.files)
+    return build(job.settings, readings, start(readings), job.effects)
+
+
+def _solved(job: Job[Settings, Files], remove: bool) -> tuple[Solved, float]:
+    return weighed(job.settings.noise, _network(job), lambda network: solve(job.settings, network, remove))
+
+
+def run(job: Job[Settings, Files]) -> Result:
+    """Return points and stations; raises InputError, UndeterminedError or NotConvergedError."""
+    solved, factor = _solved(job, job.settings.outliers == "remove")
+    return report(solved, noise_of(solved, job.settings.noise, factor))
+
+
+def check(job: Job[Settings, Files]) -> None:
+    """Raise InputError that lists the faults in the combination of files and in the effects, without computing."""
+    readings = read(job.settings, job.files)
+    points = np.where(np.isfinite(readings.points.listed), readings.points.listed, 1.0)
+    rough = Start(points, np.zeros((len(readings.stations.names), 6)), np.zeros(len(readings.sightings.rounds)))
+    with all_faults() as each, each():
+        build(job.settings, readings, rough, job.effects)
+
+
+def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
+    """Return the adjusted job in the form that diagnosis needs, with all readings; raises as `run` does."""
+    return adjusted_job(_solved(job, remove=False)[0])
+
+
+def plan(job: Job[Settings, Files]) -> Plan:
+    """Return what the network of the listed stations and points will determine; raises as `planned` does."""
+    return planned(job.settings, job.files, tuple(job.effects))
+
+
+def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
+    """Return simulated readings for the points and stations of the files, which are then the truth."""
+    truth = job.settings.simulation or NetworkSimulation()
+    return simulated(job.settings, job.files, truth, job.effects, np.random.default_rng(options.seed))
+
+
+TASK = Task(Files, run, check, plan, simulate, diagnosed, EFFECTS, PLACES, other_settings=other_settings)

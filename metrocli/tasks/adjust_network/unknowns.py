@@ -1,0 +1,109 @@
+"""The unknowns of a network: points, stations, rounds and set-ups, as blocks with starting values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Block
+from metrocli.arrays import Index, Mask
+from metrocli.instruments import stations as s
+from metrocli.instruments import tracer as t
+from metrocli.instruments.tracer_start import start as place_of
+from metrocli.tasks.adjust_network.readings import Readings
+from metrocli.tasks.adjust_network.starts.search import Start
+
+
+def kind_of_stations(readings: Readings) -> list[str]:
+    """Return the block to which each station belongs; empty for one without a reading."""
+    used = np.zeros(len(readings.stations.names), dtype=bool)
+    used[readings.sightings.station] = True
+    found = []
+    for number, over in enumerate(readings.stations.over.tolist()):
+        levelled = readings.of(number).is_levelled
+        kind = (s.OVER if over >= 0 else s.LEVELLED) if levelled else s.STATION
+        found.append(kind if used[number] else "")
+    if readings.lengths is not None:
+        for number in np.unique(readings.lengths.first):
+            found[number] = t.TRACER
+    return found
+
+
+def rows_of_kind(kinds: Sequence[str], kind: str) -> Index:
+    return np.array([i for i, one in enumerate(kinds) if one == kind], dtype=np.intp)
+
+
+def blocks_of(readings: Readings, start: Start, extent: float) -> Iterator[Block]:
+    stations, points = readings.stations, readings.points
+    free = points.sigma != 0
+    yield t.point_block(start.points, points.names, free & seen_points(readings)[:, None], extent)
+    kinds = kind_of_stations(readings)
+    for kind in (s.STATION, s.LEVELLED, s.OVER, t.TRACER):
+        rows = rows_of_kind(kinds, kind)
+        own = [stations.names[i] for i in rows]
+        if not own:
+            continue
+        if kind == s.STATION:
+            yield s.station_block(start.poses[rows], own, extent)
+        elif kind == s.LEVELLED:
+            yield s.place_block(kind, start.poses[rows, :3], own, np.array(True), extent)
+        elif kind == s.OVER:
+            offset = np.zeros((len(rows), 3))
+            offset[:, 2] = stations.height[rows]
+            open_ones = np.stack([*[stations.centring[rows] > 0] * 2, stations.sigma_height[rows] != 0], axis=1)
+            yield s.place_block(kind, offset, own, open_ones, extent)
+        else:
+            yield _interferometers(readings, rows, start, extent)
+    if any(kind in (s.LEVELLED, s.OVER) for kind in kinds):
+        yield _orientations(readings, start)
+    if readings.sightings.raised.any():
+        names, height, sigma = readings.setups
+        seen = np.bincount(readings.sightings.setup, minlength=len(names)) > 0
+        yield s.setup_block(height, names, (sigma != 0) & seen)
+
+
+def seen_points(readings: Readings) -> Mask:
+    """Return which points some reading concerns, (points,)."""
+    seen = np.zeros(readings.points.count, dtype=bool)
+    seen[readings.sightings.point] = True
+    below = readings.stations.over[np.unique(readings.sightings.station)]
+    seen[below[below >= 0]] = True
+    for pairs, with_first in ((readings.lengths, False), (readings.bars, True), (readings.heights, True)):
+        if pairs is not None:
+            seen[pairs.second] = True
+            if with_first:
+                seen[pairs.first] = True
+    return seen
+
+
+def _interferometers(readings: Readings, rows: Index, start: Start, extent: float) -> Block:
+    values = np.zeros((len(rows), 5))
+    values[:, 4] = 1.0
+    free = np.zeros((len(rows), 5), dtype=bool)
+    free[:, :3] = True
+    lengths = readings.lengths
+    for at, number in enumerate(rows.tolist()):
+        absolute = readings.of(number).measures == "absolute"
+        free[at, 3] = not absolute
+        if lengths is not None:
+            own = lengths.first == number
+            near = readings.stations.listed[number]
+            told = near if np.isfinite(near).all() else None
+            values[at, :4] = place_of(start.points[lengths.second[own]], lengths.values[own], absolute, told)
+    return t.tracer_block(values, [readings.stations.names[i] for i in rows], free, extent)
+
+
+def _orientations(readings: Readings, start: Start) -> Block:
+    """Return the azimuths of the rounds; a round in which no azimuth was read has none."""
+    seen = readings.sightings
+    read = np.bincount(seen.orientation, np.isfinite(seen.values[0]), len(seen.rounds)) > 0
+    level = np.array([readings.of(station).is_levelled for station, _ in seen.rounds])
+    several = np.bincount([station for station, _ in seen.rounds], minlength=len(readings.stations.names)) > 1
+    names = [
+        f"{readings.stations.names[station]} {name}" if several[station] else readings.stations.names[station]
+        for station, name in seen.rounds
+    ]
+    block = s.orientation_block(np.where(level, start.gamma, 0.0), names)
+    return replace(block, free=(read & level)[:, None])

@@ -1,0 +1,93 @@
+"""Spatial networks of GNU Gama become the same network, whatever their axes and angles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from simulated.network import Array, marks
+
+from metrocli.formats import hdf5
+
+Metrocli = Callable[..., Any]
+JOB = """\
+metrocli: 1
+job: adjust-network
+inputs: {readings: readings.csv, stations: stations.csv, points: points.csv, heights: heights.csv}
+instruments: {TS1: {type: total-station}}
+output: result.h5
+"""
+
+
+def dms(degrees: float) -> str:
+    whole, rest = divmod(degrees, 1.0)
+    minutes, seconds = divmod(rest * 60, 1.0)
+    return f"{int(whole)}-{int(minutes)}-{seconds * 60:.9f}"
+
+
+def xml(axes: str, clockwise: bool, sexagesimal: bool) -> tuple[str, Array]:
+    """A network in m, with fixed points 0 to 2, and its true points."""
+    x, height, target, seen = marks(np.random.default_rng(41), 9)
+    sign = {"e": (0, 1), "w": (0, -1), "n": (1, 1), "s": (1, -1)}
+    place = {
+        name: [sign[letter][1] * row[sign[letter][0]] for row in x] for name, letter in zip("xy", axes, strict=True)
+    }
+    lines = []
+    for i in range(3):
+        at = f'x="{place["x"][i] / 1000:.12g}" y="{place["y"][i] / 1000:.12g}" z="{x[i, 2] / 1000:.12g}"'
+        lines.append(f'<point id="{i}" {at} fix="xyz"/>')
+    lines += [f'<point id="{i}" adj="xyz"/>' for i in range(3, 9)]
+    for s in range(4):
+        lines.append(f'<obs from="{4 + s}" from_dh="{height[s] / 1000:.12g}">')
+        for k in np.flatnonzero(np.isfinite(seen[s, :, 0])):
+            a, e, d = seen[s, k]
+            turn = np.remainder(-a if clockwise else a, 2 * np.pi)
+            for tag, angle in (("direction", turn), ("z-angle", np.pi / 2 - e)):
+                value = dms(np.degrees(angle)) if sexagesimal else f"{angle * 200 / np.pi:.11f}"
+                spread = 'stdev="3.24"' if sexagesimal else 'stdev="10"'
+                lines.append(f'<{tag} to="{k}" val="{value}" {spread} to_dh="{target[k] / 1000:.12g}"/>')
+            lines.append(f'<s-distance to="{k}" val="{d / 1000:.12g}" stdev="2" to_dh="{target[k] / 1000:.12g}"/>')
+        lines.append("</obs>")
+    rise = (x[8, 2] - x[0, 2]) / 1000
+    lines.append(f'<height-differences><dh from="0" to="8" val="{rise:.12g}" stdev="0.5"/></height-differences>')
+    angles = "left-handed" if clockwise else "right-handed"
+    body = "\n".join(lines)
+    name = "http://www.gnu.org/software/gama/gama-local"
+    head = f'<gama-local xmlns="{name}"><network axes-xy="{axes}" angles="{angles}"><points-observations>'
+    return f"{head}\n{body}\n</points-observations></network></gama-local>", x
+
+
+@pytest.mark.parametrize(
+    ("axes", "clockwise", "sexagesimal"), [("ne", True, False), ("en", False, True), ("sw", True, True)]
+)
+def test_a_network_is_the_same(
+    axes: str, clockwise: bool, sexagesimal: bool, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    text, x = xml(axes, clockwise, sexagesimal)
+    (tmp_path / "net.gkf").write_text(text)
+    assert metrocli("import", tmp_path / "net.gkf", "--from", "gama-xml", "--out", tmp_path).code == 0
+    (tmp_path / "job.yaml").write_text(JOB)
+    ran = metrocli("adjust-network", tmp_path / "job.yaml")
+    assert ran.code == 0, ran.err
+    result = hdf5.read(tmp_path / "result.h5")[0]
+    points = result.tables["points"]
+    order = [int(name) for name in points.texts("point")]
+    assert np.abs(points.stacked("xyz") - x[order]).max() < 1e-3
+    assert result.statistics["chi2"] < 1e-3
+    sigma = result.tables["residuals"]
+    az = [s for s, q in zip(sigma.numbers("sigma"), sigma.texts("quantity"), strict=True) if q == "az"]
+    assert az == pytest.approx([np.pi / 200 / 1000] * len(az))
+
+
+def test_what_is_not_read_is_named(tmp_path: Path, metrocli: Metrocli) -> None:
+    text, _ = xml("ne", True, False)
+    (tmp_path / "net.gkf").write_text(text.replace("s-distance", "distance").replace('stdev="10"', "", 1))
+    ran = metrocli("import", tmp_path / "net.gkf", "--from", "gama-xml", "--out", tmp_path)
+    assert ran.code == 3
+    assert "<distance> in the set from 4 is not read" in ran.err
+    assert "has no stdev" in ran.err
+    (tmp_path / "bad.gkf").write_text("<network>")
+    assert metrocli("import", tmp_path / "bad.gkf", "--from", "gama-xml", "--out", tmp_path).code == 3

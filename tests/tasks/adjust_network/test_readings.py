@@ -1,0 +1,162 @@
+"""Networks are the same however they are written, found without a start, and rid of wrong readings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from simulated.network import Array, Network, marks, network
+
+from metrocli.formats import hdf5
+from metrocli.result import Result
+
+Metrocli = Callable[..., Any]
+
+
+def solved(job: Path, metrocli: Metrocli, *more: object) -> Result:
+    ran = metrocli("adjust-network", job, *more)
+    assert ran.code == 0, ran.err
+    return hdf5.read(job.parent / "result.h5")[0]
+
+
+def places(result: Result, names: list[str]) -> Array:
+    table = result.tables["points"]
+    rows = [table.texts("point").index(name) for name in names]
+    return table.stacked("xyz")[rows]
+
+
+def as_total_station(net: Network) -> Network:
+    """The readings as a total station writes them: gon, clockwise, zenith distances, face 2 raw."""
+    gon = 200 / np.pi
+    hz, zd = -net.seen[:, 0] * gon, (np.pi / 2 - net.seen[:, 1]) * gon
+    raw = net.face == 2
+    hz, zd = np.where(raw, hz + 200, hz), np.where(raw, 400 - zd, zd)
+    return replace(net, seen=np.stack([hz % 400, zd, net.seen[:, 2]], axis=1))
+
+
+def test_gon_clockwise_zenith_and_raw_faces_are_the_same_network(tmp_path: Path, metrocli: Metrocli) -> None:
+    net = network(np.random.default_rng(31), faces=2, levelled=True)
+    plain = solved(net.write(tmp_path), metrocli)
+    job = as_total_station(net).write(tmp_path, header="hz_gon,zd_gon,d_mm")
+    text = (tmp_path / "readings.csv").read_text().splitlines()
+    (tmp_path / "readings.csv").write_text("\n".join(line.replace(",2,", ",,", 1) for line in text))
+    other = solved(job, metrocli)
+    assert np.abs(places(plain, net.names) - places(other, net.names)).max() < 1e-6
+    assert other.statistics["chi2"] == pytest.approx(plain.statistics["chi2"], rel=1e-5)
+    assert len(other.tables["two_face"]) == len(plain.tables["two_face"]) == len(net.station) // 2
+
+
+def test_points_are_written_for_spatial_analyzer(tmp_path: Path, metrocli: Metrocli) -> None:
+    net = network(np.random.default_rng(37))
+    result = solved(net.write(tmp_path), metrocli)
+    assert metrocli("export", tmp_path / "result.h5", "--to", "sa-ascii", "--out", tmp_path).code == 0
+    back = tmp_path / "back"
+    assert metrocli("import", tmp_path / "points.txt", "--from", "sa-ascii", "--unit", "mm", "--out", back).code == 0
+    found = np.loadtxt(back / "points.csv", delimiter=",", skiprows=2, usecols=(1, 2, 3))
+    assert np.abs(found - result.tables["points"].stacked("xyz")).max() < 1e-6
+
+
+def test_missing_cells_are_not_readings(tmp_path: Path, metrocli: Metrocli) -> None:
+    net = network(np.random.default_rng(32))
+    seen = net.seen.copy()
+    seen[3, 2] = seen[7, 0] = seen[11, 1] = np.nan
+    whole = solved(net.write(tmp_path), metrocli).statistics
+    fewer = solved(replace(net, seen=seen).write(tmp_path), metrocli).statistics
+    assert fewer["observations"] == int(str(whole["observations"])) - 3
+
+
+@pytest.mark.parametrize("levelled", [False, True])
+def test_it_is_found_without_coordinates_beside_gross_errors(
+    levelled: bool, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    net = network(np.random.default_rng(33), 4, 20, levelled=levelled, listed=False)
+    seen = net.seen.copy()
+    wrong = [(5, 2, 40.0), (30, 0, 0.02), (61, 1, -0.01)]
+    for row, quantity, error in wrong:
+        seen[row, quantity] += error
+    result = solved(replace(net, seen=seen).write(tmp_path, "outliers: remove\n"), metrocli)
+    found = result.tables["rejected"]
+    rows = {(f"S{net.station[i] + 1}", net.names[net.point[i]], ("az", "el", "d")[q]) for i, q, _ in wrong}
+    assert set(zip(found.texts("station"), found.texts("point"), found.texts("quantity"), strict=True)) == rows
+    x = places(result, net.names)
+    between = [np.linalg.norm(one[:, None] - one, axis=2) for one in (x, net.points)]
+    assert np.abs(between[0] - between[1]).max() < 0.1
+
+
+def test_set_ups_over_marks_find_unknown_heights(tmp_path: Path, metrocli: Metrocli) -> None:
+    x, height, target, seen = marks(np.random.default_rng(34))
+    names = [f"P{i}" for i in range(len(x))]
+    i, k = np.nonzero(np.isfinite(seen[:, :, 0]))
+    rows = [f"S{a},{names[b]},T{b},{','.join(f'{v:.14g}' for v in seen[a, b])}" for a, b in zip(i, k, strict=True)]
+    (tmp_path / "readings.csv").write_text("\n".join(["station,point,setup,az_rad,el_rad,d_mm", *rows]))
+    listed = [f"S{a},A,{names[4 + a]},{height[a] + 3 * (a == 0)},{'' if a == 0 else 0}" for a in range(4)]
+    (tmp_path / "stations.csv").write_text("\n".join(["station,instrument,over,height_mm,sigma_height_mm", *listed]))
+    setups = [f"T{b},{target[b] + 5 * (b == 9)},{'' if b == 9 else 0}" for b in range(len(x))]
+    (tmp_path / "setups.csv").write_text("\n".join(["setup,height_mm,sigma_mm", *setups]))
+    near = x + np.random.default_rng(1).normal(0, 3, x.shape)
+    points = [
+        f"{n},{','.join(map(str, p))},{'' if b < 4 else 1}" for b, (n, p) in enumerate(zip(names, near, strict=True))
+    ]
+    heights = [f"P{b},P9,{x[9, 2] - x[b, 2]:.9f},0.1" for b in (0, 1)]
+    (tmp_path / "heights.csv").write_text("\n".join(["from,to,dh_mm,sigma_mm", *heights]))
+    (tmp_path / "points.csv").write_text("\n".join(["point,x_mm,y_mm,z_mm,sigma_mm", *points]))
+    (tmp_path / "job.yaml").write_text(
+        "metrocli: 1\njob: adjust-network\ninputs: {readings: readings.csv, stations: stations.csv, setups: setups.csv, "
+        "points: points.csv, heights: heights.csv}\ninstruments:\n  A: {type: total-station, noise: {azimuth: 2 urad, "
+        "elevation: 2 urad, distance: {constant: 0.1 mm}}}\noutput: result.h5\n"
+    )
+    found = {one.name: one for one in solved(tmp_path / "job.yaml", metrocli).estimates}
+    assert found["S0.height"].value == pytest.approx(height[0], abs=0.01)
+    assert found["T9.height"].value == pytest.approx(target[9], abs=0.01)
+
+
+def test_lengths_alone_are_those_of_multilaterate(tmp_path: Path, metrocli: Metrocli) -> None:
+    rng = np.random.default_rng(35)
+    x, tracers = rng.uniform(0, 1000, (12, 3)), rng.uniform(-500, 1500, (5, 3))
+    near = x + rng.normal(0, 0.02, x.shape)
+    dead = rng.uniform(200, 500, 5)
+    lengths = np.linalg.norm(x[:, None] - tracers, axis=2) - dead + rng.normal(0, 3e-4, (12, 5))
+    rows = [f"T{j},P{i},{lengths[i, j]:.12g}" for i in range(12) for j in range(5)]
+    (tmp_path / "lengths.csv").write_text("\n".join(["station,point,length_mm", *rows]))
+    (tmp_path / "other.csv").write_text("\n".join(["tracer,point,length_mm", *rows]))
+    listed = [f"P{i},{','.join(map(repr, row))}" for i, row in enumerate(near.tolist())]
+    (tmp_path / "points.csv").write_text("\n".join(["point,x_mm,y_mm,z_mm", *listed]))
+    (tmp_path / "stations.csv").write_text("\n".join(["station,instrument", *(f"T{j},I" for j in range(5))]))
+    (tmp_path / "job.yaml").write_text(
+        "metrocli: 1\njob: adjust-network\ninputs: {lengths: lengths.csv, stations: stations.csv, points: points.csv}\n"
+        "instruments: {I: {type: interferometer, noise: {distance: {constant: 0.3 um, proportional: 0.1 um/m}}}}\n"
+        "output: result.h5\n"
+    )
+    (tmp_path / "same.yaml").write_text(
+        "metrocli: 1\njob: multilaterate\ninputs: {lengths: other.csv, points: points.csv}\n"
+        "noise: {constant: 0.3 um, proportional: 0.1 um/m}\noutput: same.h5\n"
+    )
+    result = solved(tmp_path / "job.yaml", metrocli)
+    assert metrocli("multilaterate", tmp_path / "same.yaml").code == 0
+    same = hdf5.read(tmp_path / "same.h5")[0]
+    names = [f"P{i}" for i in range(12)]
+    assert np.abs(places(result, names) - places(same, names)).max() < 1e-11
+    own, other = (one.arrays["points_covariance"] for one in (result, same))
+    assert np.abs(own - other).max() < 1e-11 * np.abs(other).max()
+
+
+def test_simulated_readings_give_their_truth_and_a_plan_its_uncertainty(tmp_path: Path, metrocli: Metrocli) -> None:
+    net = network(np.random.default_rng(36), 3, 10)
+    job = net.write(tmp_path, "simulation: {faces: 2, interval: 5 s, point_error: 0.2 mm}\n")
+    lines = [f"S{i + 1},A,{','.join(map(str, p))}" for i, p in enumerate(net.places.tolist())]
+    (tmp_path / "stations.csv").write_text("\n".join(["station,instrument,x_mm,y_mm,z_mm", *lines]))
+    (tmp_path / "readings.csv").unlink()
+    assert metrocli("simulate", job, "--seed", 5, "--out", tmp_path / "new").code == 0
+    for name in ("readings.csv", "points.csv"):
+        (tmp_path / "new" / name).replace(tmp_path / name)
+    result = solved(job, metrocli)
+    x, spread = places(result, net.names), result.tables["points"].stacked(("sx", "sy", "sz"))
+    between = [np.linalg.norm(one[:, None] - one, axis=2) for one in (x, net.near)]
+    assert np.abs(between[0] - between[1]).max() < 12 * spread.max()
+    assert metrocli("plan", job, "--out", tmp_path / "plan").code == 0
+    planned = np.loadtxt(tmp_path / "plan" / "points.csv", delimiter=",", skiprows=1, usecols=(4, 5, 6))
+    assert np.abs(planned / spread - 1).max() < 0.02
