@@ -20,8 +20,8 @@ def doubts_of(result: Result, verdicts: Sequence[Verdict], strict: bool = False)
 
     The reasons are those of the kind's own checks (`Result.doubts`), and residuals that contradict the declared noise:
     sigma0 above 2, or above what the job requires, and above the 99.9 % bound `sqrt(chi2(0.999; dof) / dof)`. So is a
-    measurement of which more than a third was left out as outliers. So is a camera whose projection into a corner of
-    the image is uncertain by more than 5 % of its longer side (`corner_std`), where the job requires no other. With
+    measurement of which more than a third was left out as outliers. A camera is doubtful whose projection into a corner
+    of the image is uncertain by more than 5 % of its longer side (`corner_std`), where the job requires no other. With
     `strict` every warning is a reason too.
     """
     figures = result.statistics

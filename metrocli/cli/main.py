@@ -34,6 +34,7 @@ def _main() -> int:
             return 0
         # Threads within one matrix product wait for each other where other programs run. numpy reads this on import.
         os.environ.setdefault("OMP_NUM_THREADS", "1")
+        os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # its warnings name its own source lines
         from metrocli.cli.commands import run
 
         code = run(arguments)

@@ -99,7 +99,8 @@ def _estimate_row(estimate: Estimate, size: float, unit: str) -> list[str]:
     number, spread = units.rounded(value, std)
     if number == units.NOT_DETERMINED:
         return [estimate.name, number]
-    row = [estimate.name, number, f"± {spread}", "" if scale or unit == "1" else unit]
+    shown = f"{value:.6g}" if std == 0 else number
+    row = [estimate.name, shown, f"± {spread}" if std else "", "" if scale or unit == "1" else unit]
     if scale:
         row.append(f"({units.format_quantity((value - 1) / size, unit, std / size)} from 1)")
     if estimate.unit == "rad":

@@ -25,6 +25,8 @@ class Format:
     summary: str
     recorded: bool = False
     """Whether the files also state what the record of the result holds: job, inputs, certificate"""
+    function: str = "files"
+    """Name of its function, where a module has several formats"""
 
 
 FORMATS: dict[str, Format] = {
@@ -36,6 +38,16 @@ FORMATS: dict[str, Format] = {
     "linuxcnc": Format("metrocli.exports.linuxcnc", "COMP_FILE of each joint"),
     "isg-csv": Format("metrocli.exports.isg_csv", "volumetric compensation of ISG and Beckhoff"),
     "etalon": Format("metrocli.exports.volumetric", "Etalon exchange format"),
+    **{
+        name: Format("metrocli.exports.camera_models", f"camera of {program}", function=name)
+        for name, program in (
+            ("opencv", "OpenCV (YAML)"),
+            ("ros", "ROS (camera_info)"),
+            ("colmap", "COLMAP (cameras.txt)"),
+            ("kalibr", "Kalibr (camchain)"),
+            ("mrcal", "mrcal (cameramodel)"),
+        )
+    },
     "sa-ascii": Format("metrocli.exports.sa_ascii", "points for SpatialAnalyzer"),
     "dcc": Format("metrocli.exports.dcc", "Digital Calibration Certificate of PTB (XML)", recorded=True),
 }
@@ -46,6 +58,6 @@ def export(name: str, result: Result, record: Record | None = None) -> Exported:
 
     Beside the files of a result with doubts, a text states them.
     """
-    files: Callable[..., Exported] = import_module(FORMATS[name].module).files
+    files: Callable[..., Exported] = getattr(import_module(FORMATS[name].module), FORMATS[name].function)
     doubts = {"doubtful.txt": "\n".join([*result.doubts, ""])} if result.doubts else {}
     return {**(files(result, record) if FORMATS[name].recorded else files(result)), **doubts}

@@ -25,6 +25,8 @@ from metrocli.words import nearest
 
 LONGEST_TEXT = 200
 _WHOLE_LIMIT = 1 << 62
+_FORMULA = ("=", "+", "@")
+"""Texts that spreadsheets take for formulas, and run; behind a space, which readers of CSV drop, they do not"""
 
 
 def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None = None) -> Table:
@@ -288,4 +290,4 @@ def _header(name: str, unit: str) -> str:
 def _cells(values: Values) -> list[str]:
     if values.dtype.kind == "f":
         return ["" if value != value else repr(value) for value in values.tolist()]
-    return [str(value) for value in values.tolist()]
+    return [f" {text}" if text.startswith(_FORMULA) else text for text in map(str, values.tolist())]

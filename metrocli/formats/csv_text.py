@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import re
+import unicodedata
 from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -80,6 +81,8 @@ def read_text(path: Path, shown: str, held: FileBytes | None = None) -> str:
         raise InputError([Fault("this is not a text file", shown, line, 1, hint="expected CSV in UTF-8")])
     try:
         text = data.decode("utf-8").lstrip(MARKS)
+        if not text.isascii():  # the same name typed on another system may have its accents as letters of their own
+            text = unicodedata.normalize("NFC", text)
         return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1

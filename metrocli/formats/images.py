@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field
 from itertools import pairwise
@@ -151,13 +152,16 @@ def _same_content(path: Path, first: Path) -> list[Fault]:
 def _different_sizes(sizes: dict[Path, Size]) -> list[Fault]:
     if len(set(sizes.values())) < 2:
         return []
-    (first, (width, height)), *others = sizes.items()
-    odd, (w, h) = next((path, size) for path, size in others if size != (width, height))
+    (usual, count), *_ = Counter(sizes.values()).most_common(1)
+    of_most = next(path for path, size in sizes.items() if size == usual)
     return [
         _fault(
-            odd,
-            f"this image is {w} x {h} pixels, but {first} is {width} x {height}; the images must have one size",
+            path,
+            f"this image is {size[0]} x {size[1]} pixels, but {of_most} is {usual[0]} x {usual[1]}, as {count} of "
+            f"{len(sizes)} are; the images must have one size",
         )
+        for path, size in sizes.items()
+        if size != usual
     ]
 
 

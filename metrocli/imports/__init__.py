@@ -46,6 +46,14 @@ FORMATS: dict[str, Format] = {
         "docs/imports.md",
         "mapping",
     ),
+    **dict.fromkeys(
+        ("opencv", "ros", "colmap"),
+        Format(
+            "metrocli.imports.cameras",
+            "camera of another program, as the camera file of align-part",
+            "OpenCV, camera_calibration; sensor_msgs/CameraInfo; COLMAP, Camera Models",
+        ),
+    ),
     "gama-xml": Format(
         "metrocli.imports.gama_xml",
         "spatial networks of GNU Gama (gama-local)",

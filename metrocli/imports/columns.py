@@ -9,6 +9,7 @@ from pathlib import Path
 
 from metrocli import units
 from metrocli.errors import Fault, InputError, UsageError
+from metrocli.formats.csv_header import later_header
 from metrocli.formats.csv_text import shortened
 from metrocli.frozen import dataclass
 from metrocli.imports import Imported, Wishes
@@ -32,6 +33,9 @@ from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns
 from metrocli.tasks import KINDS
 from metrocli.words import suggestion
 
+_THOUSANDS = {"point": ".", "comma": ",", "space": " \u00a0\u202f", "apostrophe": "'\u2019"}
+"""Signs that group digits, each with its spellings"""
+ENCODINGS = ("utf-8", "latin-1", "cp1252", "utf-16")
 _SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 
 
@@ -62,13 +66,19 @@ class Mapping:
     file: str | None = setting(Text(), "name of the CSV (default: that of the input)", default=None)
     separator: str | None = setting(Choice(*_SEPARATORS), "between cells (default: as the first row has)", default=None)
     decimal: str = setting(Choice("point", "comma"), "decimal sign of the numbers", default="point")
+    thousands: str | None = setting(
+        Choice(*_THOUSANDS), "what groups the digits of large numbers (default: nothing)", default=None
+    )
+    encoding: str = setting(Choice(*ENCODINGS), "encoding of the file", default=ENCODINGS[0])
     comment: str = setting(Text(), "text with which comment lines begin", default="#")
     header: int | str = setting(
         Either(Whole(1), Choice("none")), "line with the names of the columns, or none (default: the first)", default=0
     )
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield a fault if the CSV would not be in the folder of --out."""
+        """Yield a fault if the CSV would not be in the folder of --out, or one sign has two meanings."""
+        if self.thousands is not None and self.thousands == self.decimal:
+            yield "thousands", f"{self.decimal} is the decimal sign too: one of the two is another"
         if self.file is not None and Path(self.file).name != self.file:
             yield "file", "a name without folders is expected: --out names the folder"
 
@@ -98,6 +108,8 @@ def files(lines: Lines, wishes: Wishes) -> Imported:
             cells.append([with_sign(str(source.value), int(source.sign))] * len(rows))
         else:
             found = [(number, row[place]) for number, row in rows]
+            if columns[name].dimension != TEXT and mapping.thousands:
+                found = [(number, _ungrouped(text, mapping.thousands)) for number, text in found]
             texts, wrong = _read(lines, found, columns[name], mapping.decimal == "comma")
             cells.append([with_sign(text, int(source.sign)) for text in texts])
             faults += wrong
@@ -220,6 +232,43 @@ def _heading(column: Column, source: Source) -> str:
         return column.name
     ending = next(ending for ending, unit in units.suffixes(column.dimension).items() if unit.symbol == source.unit)
     return f"{column.name}_{ending}"
+
+
+def _ungrouped(text: str, thousands: str) -> str:
+    """Return a number without the signs that group its digits by three; other texts stay as they are."""
+    signs = _THOUSANDS[thousands]
+    whole = re.fullmatch(rf"[-+]?[0-9]{{1,3}}([{re.escape(signs)}][0-9]{{3}})+([.,][0-9]*)?", text)
+    return re.sub(f"[{re.escape(signs)}]", "", text) if whole else text
+
+
+def proposed(lines: Lines) -> str:
+    """Return a mapping file that names what a table looks like, for a person to complete."""
+    rows = list(lines.without("#"))
+    if not rows:
+        raise InputError([lines.fault("the file has no rows")])
+    header = later_header(rows) or rows[0][0]
+    names_line = next(line for number, line in rows if number == header)
+    separator = max(",;\t", key=names_line.count)
+    sample = next((line for number, line in rows if number > header), "")
+    comma = separator != "," and re.search(r"[0-9],[0-9]", sample) is not None
+    word = next(name for name, sign in _SEPARATORS.items() if sign == separator)
+    names, cells = _cells(names_line, separator), _cells(sample, separator)
+    pairs = enumerate(zip(names, cells, strict=False), 1)
+    listed = [f"  QUANTITY{i}: {{column: {i}, unit: mm}}  # {name}, e.g. {cell}" for i, (name, cell) in pairs]
+    return "\n".join(
+        [
+            f"# mapping for {lines.file}: name job and input; name each QUANTITY, delete those that no job reads",
+            "# a quantity without unit, such as point, is `point: {column: 1}`",
+            f"# then: metrocli import {lines.file} --from columns --map map.yaml",
+            "job: multilaterate",
+            "input: lengths",
+            f"separator: {word}",
+            f"decimal: {'comma' if comma else 'point'}",
+            f"header: {header}",
+            "columns:",
+            *listed,
+        ]
+    )
 
 
 def _read(lines: Lines, cells: Sequence[tuple[int, str]], column: Column, comma: bool) -> tuple[list[str], list[Fault]]:

@@ -12,8 +12,10 @@ from metrocli.plots.style import Canvas
 from metrocli.table import Table
 from metrocli.words import listed
 
-LEAST = 8
-"""Fewest parts for which limits mean anything"""
+LEAST, FEWEST = 8, 2
+"""Fewest parts for which limits mean anything, and fewest that are drawn"""
+_LABELLED = 30
+"""Parts up to which the axis has their names"""
 _MOST = 6
 """Estimates that are drawn; the caption states how many there are"""
 _NAMED = 5
@@ -33,6 +35,13 @@ class Series:
     values: Array
     stds: Array
     parts: tuple[str, ...]
+    tolerance: tuple[float, float] = (float("nan"), float("nan"))
+    """Lower and upper limit, nan without one"""
+
+    @property
+    def limited(self) -> bool:
+        """Whether there are enough parts for limits."""
+        return len(self.values) >= LEAST
 
     @property
     def mean(self) -> float:
@@ -46,15 +55,17 @@ class Series:
 
     @property
     def outside(self) -> Index:
-        """Numbers of the parts beyond the limits, (n,)."""
+        """Numbers of the parts beyond the limits, (n,); none of few parts."""
+        if not self.limited:
+            return np.zeros(0, dtype=np.intp)
         low, high = self.limits
         rounding = _ROUNDING * float(np.abs(self.values).max())
         return np.flatnonzero((self.values < low - rounding) | (self.values > high + rounding))
 
 
 def series_of(table: Table) -> tuple[Series, ...]:
-    """Return the estimates of a gathered table that at least LEAST parts have."""
-    return tuple(one for one in _series(table) if len(one.values) >= LEAST)
+    """Return the estimates of a gathered table that at least FEWEST parts have."""
+    return tuple(one for one in _series(table) if len(one.values) >= FEWEST)
 
 
 def _series(table: Table) -> Iterator[Series]:
@@ -64,7 +75,9 @@ def _series(table: Table) -> Iterator[Series]:
             kept = np.isfinite(values)
             parts = tuple(job.partition("[")[2].rstrip("]") or job for job in table.texts("job"))
             known = tuple(part for part, is_kept in zip(parts, kept, strict=True) if is_kept)
-            yield Series(name, table.units.get(name, ""), values[kept], stds[kept], known)
+            ends = [np.unique(table.numbers(f"{name}.{end}", np.nan)[kept]) for end in ("low", "high")]
+            low, high = (float(end[0]) if end.size == 1 else float("nan") for end in ends)
+            yield Series(name, table.units.get(name, ""), values[kept], stds[kept], known, (low, high))
 
 
 def height(found: tuple[Series, ...]) -> float:
@@ -79,19 +92,27 @@ def draw(canvas: Canvas, found: tuple[Series, ...]) -> str:
     all_axes = canvas.axes(len(shown), 1, sharex=True)
     for axes, one in zip(all_axes, shown, strict=True):
         number, low, high = np.arange(1, len(one.values) + 1), *one.limits
-        axes.axhspan(low, high, color=theme.band, lw=0)
+        if one.limited:
+            axes.axhspan(low, high, color=theme.band, lw=0)
+        for end in filter(np.isfinite, one.tolerance):
+            axes.axhline(end, color=theme.second, lw=1.0, ls="--")
         axes.axhline(one.mean, color=theme.ink, lw=0.8)
         known = np.where(np.isfinite(one.stds), one.stds, 0.0)
         axes.errorbar(number, one.values, yerr=2 * known, fmt="o", ms=2.5, lw=0.7, color=theme.first)
         out = one.outside
         axes.plot(number[out], one.values[out], "D", ms=4.5, color=theme.second)
         axes.set_title(f"{one.name}" + (f" ({one.unit})" if one.unit not in ("", "1") else ""))
+    parts = max((one.parts for one in shown), key=len)
+    if len(parts) <= _LABELLED:
+        all_axes[-1].set_xticks(np.arange(1, len(parts) + 1), parts, rotation=90 if len(parts) > 8 else 0)
     all_axes[-1].set_xlabel("part, in the order of the list")
     left = f" The first {_MOST} of {len(found)} estimates are shown." if len(found) > _MOST else ""
-    return (
-        "Points: estimates with two standard uncertainties. Line: mean. Band: the mean plus and minus 2.66 mean moving "
-        f"ranges (ISO 7870-2); {_count(found)}{left}"
-    )
+    dashed = " Dashed: limits of the tolerance." if any(np.isfinite(one.tolerance).any() for one in shown) else ""
+    points = "Points: estimates with two standard uncertainties. Line: mean."
+    if not any(one.limited for one in found):
+        return f"{points} Control limits need {LEAST} parts.{dashed}{left}"
+    band = f"Band: the mean plus and minus 2.66 mean moving ranges (ISO 7870-2); {_count(found)}"
+    return f"{points} {band}{dashed}{left}"
 
 
 def _count(found: tuple[Series, ...]) -> str:

@@ -81,6 +81,8 @@ def carry_out(
     held = counting(read_inputs(job), progress)
     adjusted, mistaken = without_mistakes(held, adjust, _others(job, held, adjust))
     diagnosis = diagnose(adjusted, progress, limit, attended, counted(ordered, progress))
+    if mistaken is not None and mistaken.after >= mistaken.before and diagnosis.findings:
+        mistaken = None  # a wrong list that no correction mends explains less than an effect does
     return replace(diagnosis, mistaken=mistaken)
 
 

@@ -103,6 +103,10 @@ def _names_files(spec: Any) -> bool:
     return of_a_file or (isinstance(spec, MapOf) and _names_files(spec.value))
 
 
+_OF_ROS = "camera_matrix"
+"""Key of a camera file of other programs"""
+
+
 def _with_content(item: Input, faults: list[Fault]) -> Input:
     """Read the YAML file of an input into its dataclass."""
     path, section = item.value, getattr(item.spec, "section", None)
@@ -113,6 +117,10 @@ def _with_content(item: Input, faults: list[Fault]) -> Input:
         root = yaml_text.parse(yaml_text.text_of(bytes_read, str(path)), str(path), path.parent)
     except InputError as error:
         faults.extend(error.faults)
+        return item
+    if (node := root.get(_OF_ROS)) is not None:
+        hint = f"`metrocli import {path} --from ros` writes it as camera.yaml, which this job reads"
+        faults.append(Fault("this is a camera as ROS or OpenCV write it", str(path), node.line, hint=hint))
         return item
     return replace(item, held=Section(section).read(root, faults), bytes=bytes_read)
 

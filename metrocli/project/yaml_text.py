@@ -30,6 +30,8 @@ _NOT_PLAIN = re.compile(
 )
 """Text that YAML reads as itself only in quotes"""
 _PLAIN_WORDS = (
+    ("unexpected non-alphabetical character", "the file does not begin as YAML does",
+     "a camera of OpenCV (%YAML:1.0) is read by `metrocli import FILE --from opencv`"),
     ("tab character", "the line is indented with a tab", "indent with spaces"),
     ("cannot start any token", "text cannot begin with this character", "put the text in quotes"),
     ("mapping values are not allowed", "a second ': ' in one value, or a line is indented too far",

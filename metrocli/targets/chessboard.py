@@ -18,6 +18,10 @@ from metrocli.targets.saddles import fit_grid
 
 LEAST_SIDE = 32
 """Images with a shorter side are not searched: OpenCV's search fails on them."""
+REDUCED = 2000
+"""Longest side of the image in which a board is sought first [px]"""
+MOST_PIXELS, QUICK_PIXELS = 40_000_000, 300_000
+"""Largest image that is also searched as it is, and largest in which OpenCV's fast search is always quick"""
 _CONTINUES = 0.5
 """The board continues if squares farther out alternate with more than this share of its contrast."""
 _FEWEST_SQUARES = 4
@@ -52,12 +56,33 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
 
 
 def _coarse(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
-    """Return the corners (n, 2) to about a pixel, by OpenCV's fast search or, if it fails, its sector-based one."""
+    """Return the corners (n, 2) to about a pixel, from a reduced image or, if that fails, from the image as it is.
+
+    Images beyond MOST_PIXELS are searched reduced only: a search of them takes minutes.
+    """
+    factor = -(-max(grey.shape) // REDUCED)
+    if factor > 1:
+        size = (grey.shape[1] // factor, grey.shape[0] // factor)
+        smaller = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+        found = _searched(pattern, np.asarray(smaller, dtype=np.uint8))
+        if found is not None:
+            return np.asarray((found + 0.5) * np.divide(grey.shape[::-1], size) - 0.5)
+    return _searched(pattern, grey) if factor == 1 or grey.size <= MOST_PIXELS else None
+
+
+def _searched(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
+    """Return the corners (n, 2) by OpenCV's fast search or, if it fails, its sector-based one.
+
+    The fast search takes a minute for an image full of noise or of fine squares, so a look comes first at whether the
+    image may show a board.
+    """
     rows, columns = pattern.shape
     if min(grey.shape) < LEAST_SIDE:
         return None
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    found, corners = cv2.findChessboardCorners(grey, (columns, rows), flags=flags)
+    found, corners = False, None
+    if grey.size <= QUICK_PIXELS or cv2.checkChessboard(grey, (columns, rows)):
+        found, corners = cv2.findChessboardCorners(grey, (columns, rows), flags=flags)
     if not found:
         found, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     return np.asarray(corners, dtype=float).reshape(-1, 2) if found else None

@@ -87,11 +87,12 @@ def likely_size(pattern: Pattern, pictures: Iterable[Picture]) -> tuple[int, int
     rows, columns = pattern.shape
     reduced = [_reduced(pattern, picture) for picture in pictures]
     sizes = [(columns + c, rows + r) for c, r in product((-1, 0, 1), repeat=2) if (c, r) != (0, 0)]
-    found = {
-        size: sum(len(find(replace(pattern, columns=size[0], rows=size[1]), picture)) > 0 for picture in reduced)
-        for size in sizes
-        if min(size) >= 2
-    }
+    found: dict[tuple[int, int], int] = {}
+    for size in sorted((one for one in sizes if min(one) >= 2), key=lambda one: -one[0] * one[1]):
+        other = replace(pattern, columns=size[0], rows=size[1])
+        found[size] = sum(len(find(other, picture)) > 0 for picture in reduced)
+        if found[size] == len(reduced):  # no smaller board can be more likely
+            break
     best = max(found, key=lambda size: (found[size], size[0] * size[1]))
     return best if reduced and found[best] > _SHARE * len(reduced) else None
 

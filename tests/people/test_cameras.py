@@ -38,3 +38,21 @@ def test_the_older_layout_of_charuco_boards(case: Case, metrocli: Metrocli) -> N
     found = json.loads(metrocli("show", "r.h5", "--json").out)["estimates"]
     for name, value in (("f", 1100.0), ("cx", 634.9), ("cy", 487.0)):
         assert abs(found[name]["value"] - value) < max(4 * found[name]["std"], 0.5)
+
+
+def test_cameras_of_opencv_and_ros(case: Case, metrocli: Metrocli) -> None:
+    """The job names the import that reads them, once; what it writes is the camera."""
+    folder = case("19-camera-of-others")
+    ran = metrocli("check", "job.yaml")
+    assert ran.code == 3 and "--from opencv" in ran.err and ran.err.count("error:") == 1
+    ran = metrocli("check", "job.yaml", "--set", "inputs.camera=ros.yaml")
+    assert ran.code == 3 and "--from ros" in ran.err and ran.err.count("error:") == 1
+    for form, file in (("opencv", "ocv.yml"), ("ros", "ros.yaml")):
+        assert metrocli("import", file, "--from", form, "--out", form).code == 0
+        text = (folder / form / "camera.yaml").read_text()
+        assert "image_size: [2592, 1944]" in text and "cx: 1286.77 px" in text and "k2: -0.1213" in text
+    assert metrocli("calibrate-camera", "five-views/job.yaml").code == 0
+    assert metrocli("export", "five-views/r.h5", "--to", "opencv", "--out", "out").code == 0
+    assert "camera_matrix: !!opencv-matrix" in (folder / "out/opencv.yml").read_text()
+    ran = metrocli("export", "five-views/r.h5", "--to", "colmap", "--out", "out")
+    assert ran.code == 3 and "no skew" in ran.err

@@ -66,3 +66,12 @@ def test_lists_are_not_blamed_for_a_delay(case: Case, metrocli: Metrocli) -> Non
     figures = json.loads(metrocli("show", "r.h5", "--json").out)
     (offset,) = [one for name, one in figures["estimates"].items() if "offset" in name]
     assert abs(offset["value"] + 150) < 5
+
+
+def test_the_delay_is_named_and_no_file(case: Case, metrocli: Metrocli) -> None:
+    case("05-offset-blamed-on-list")
+    ran = metrocli("diagnose", "job.yaml", "--json")
+    found = json.loads(ran.out)
+    assert (found["verdict"], found["mistake"]) == ("explained", None)
+    (offset,) = [one for one in found["effects"] if one["name"] == "length-offset"]
+    assert abs(next(iter(offset["parameters"].values()))["value"] + 150) < 5

@@ -50,7 +50,9 @@ def test_equal_values_are_inside() -> None:
 def test_a_part_without_an_estimate_is_left_out_and_few_parts_have_no_chart() -> None:
     (found,) = series_of(table([*VALUES, float("nan")]))
     assert len(found.values) == len(VALUES)
-    assert series_of(table(VALUES[:7])) == ()
+    (few,) = series_of(table(VALUES[:7]))
+    assert not few.limited and not len(few.outside)
+    assert series_of(table(VALUES[:1])) == ()
 
 
 def test_the_page_of_a_project_has_the_chart(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,13 +15,21 @@ from metrocli.imports.lines import NOTE, Lines
 
 SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items())
 
+if TYPE_CHECKING:
+    from metrocli.nodes import Node
+
 _FIRST = 10
 """Lines of a file that may be notes"""
 
 
 @click.command("import", help="Write a file of an instrument as CSV that jobs read, and print the paths of the files.")
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE")
-@click.option("--from", "form", required=True, type=click.Choice(list(FORMATS)), help=f"Its format: {SUMMARIES}.")
+@click.option(
+    "--from",
+    "form",
+    type=click.Choice(list(FORMATS)),
+    help=f"Its format: {SUMMARIES}. Without it a mapping for the file is printed.",
+)
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder to write to (default: beside the file)."
 )
@@ -36,7 +45,14 @@ _FIRST = 10
 @options.JSON
 @options.QUIET
 def command(
-    file: Path, form: str, out: Path | None, mapping: Path | None, unit: str, force: bool, as_json: bool, quiet: bool
+    file: Path,
+    form: str | None,
+    out: Path | None,
+    mapping: Path | None,
+    unit: str,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
 ) -> int:
     """Write the CSV files of a file into a folder.
 
@@ -44,14 +60,18 @@ def command(
     unless forced.
     """
     from metrocli.cli.summary import as_json as json_text
-    from metrocli.formats.csv_text import read_text
     from metrocli.formats.own_files import inside, write_all
     from metrocli.project import yaml_text
 
     root = None
     if mapping is not None:
         root = yaml_text.parse(yaml_text.read_text(mapping, str(mapping)), str(mapping), mapping.parent)
-    lines = Lines(str(file), read_text(file, str(file)).split("\n"))
+    lines = Lines(str(file), _text(file, root).split("\n"))
+    if form is None:
+        from metrocli.imports.columns import proposed
+
+        echo(proposed(lines))
+        return 0
     found = imported(form, lines, Wishes(root, unit))
     folder = file.parent if out is None else out
     for name in found:
@@ -71,3 +91,19 @@ def command(
     for path in written:
         console.print(str(path))
     return 0
+
+
+def _text(file: Path, root: Node | None) -> str:
+    """Return the text of a file in the encoding that its mapping names; UTF-8 without one."""
+    from metrocli.formats.csv_text import read_text
+
+    node = root.get("encoding") if root is not None else None
+    if node is None or node.text in ("", "utf-8"):
+        return read_text(file, str(file))
+    from metrocli.formats.file_bytes import read_bytes
+
+    try:
+        text = read_bytes(file, "a file of an instrument", str(file)).data.decode(node.text)
+    except (UnicodeDecodeError, LookupError) as error:
+        raise InputError([node.fault(f"the file cannot be read in the encoding '{node.text}'", str(error))]) from error
+    return text.lstrip("\ufeff").replace("\r\n", "\n").replace("\r", "\n")

@@ -71,9 +71,14 @@ def _mermaid(origin: Origin) -> Iterator[str]:
 
     nodes = _nodes(origin)
     yield "graph LR"
-    yield from (f'  {short}["{_caption(one)}"]' for short, one in nodes.values())
+    yield from (f'  {short}["{_plain(_caption(one))}"]' for short, one in nodes.values())
     for below, result in links_of(origin):
-        yield f'  {nodes[below.path][0]} -->|"{_name(result.job)}"| {nodes[result.path][0]}'
+        yield f'  {nodes[below.path][0]} -->|"{_plain(_name(result.job))}"| {nodes[result.path][0]}'
+
+
+def _plain(text: str) -> str:
+    """Return a label of mermaid, which is set as HTML, without tags."""
+    return text.replace("<", "#lt;").replace(">", "#gt;").replace('"', "'")
 
 
 def _dot(origin: Origin) -> Iterator[str]:

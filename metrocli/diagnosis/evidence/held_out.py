@@ -192,7 +192,8 @@ class Train:
             both = np.where(self.fold.mask[:, None], 0.0, both)
         along = columns.products(both)
         count, q, p = along.shape
-        half = solve_triangular(self.fit.lower, along[:, :, :-1].reshape(-1, p - 1).T, lower=True, check_finite=False)
+        flat = along[:, :, :-1].reshape(count * q, p - 1)  # no shared unknowns where all tracers are known
+        half = solve_triangular(self.fit.lower, flat.T, lower=True, check_finite=False)
         turned = half.T.reshape(count, q, p - 1)
         gram = gram - turned @ np.swapaxes(turned, 1, 2)
         # what only the held-out rows show is zero, not the rounding of a difference

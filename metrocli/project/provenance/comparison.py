@@ -130,8 +130,9 @@ def table_of(states: Iterable[State]) -> Table:
     """Return a row for each job that has a result which can be believed.
 
     Columns: job, the columns of its list of parts, status, conformity of jobs with tolerances, up_to_date (yes or no),
-    sigma0, and for each estimate NAME, NAME.std and NAME.U; empty where a result has no such estimate. Where names
-    meet, columns of the list are called for.NAME, estimates estimates.NAME. Raises InputError if there is no result.
+    sigma0. For each estimate follow NAME, NAME.std and NAME.U, and the limits NAME.low and NAME.high of its tolerance.
+    A cell is empty where a result has no such estimate. Where names meet, columns of the list are called for.NAME,
+    estimates estimates.NAME. Raises InputError if there is no result.
     """
     rows: list[dict[str, str | float]] = []
     parts: list[Mapping[str, str]] = []
@@ -151,6 +152,9 @@ def table_of(states: Iterable[State]) -> Table:
             named = _named(one)
             row |= {named: one.value, f"{named}.std": one.std, f"{named}.U": result.expanded(one)[0]}
             known |= dict.fromkeys((named, f"{named}.std", f"{named}.U"), one.unit)
+            limits = result.details.get(one.name, {}).get("tolerance", {}).get("limits", ())
+            for end, limit in zip(("low", "high"), limits, strict=False):
+                row[f"{named}.{end}"], known[f"{named}.{end}"] = float(limit), one.unit
         rows.append(row)
     if not rows:
         raise InputError("the project has no results yet; run it first")

@@ -148,12 +148,9 @@ def model_of(
 
 def machine_of(settings: Settings) -> Machine:
     """Return the machine with equally spaced knots that the settings describe."""
-    given = settings.machine.axes.given
-    rest = AxisSettings((0.0, 100.0), 2)  # an axis that stands still, where only another one is measured
-    axes = tuple(
-        Axis(letter, np.linspace(*axis.range, axis.knots))
-        for letter, axis in ((letter, given.get(letter, rest)) for letter in AXES)
-    )
+    given, rest = settings.machine.axes.given, AxisSettings((0.0, 100.0), 2)  # an axis not given stands still
+    each = [(letter, given.get(letter, rest)) for letter in AXES]
+    axes = tuple(Axis(letter, np.linspace(*axis.range, axis.knots)) for letter, axis in each)
     return Machine(axis_order(settings.machine.chain), (axes[0], axes[1], axes[2]))
 
 

@@ -8,9 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.solution import Solution
+from metrocli.adjust.solution import Residuals, Solution
+from metrocli.arrays import Array
 from metrocli.tasks.multilaterate.problem import LENGTHS, Network
 from metrocli.tasks.shared.mirror import Mirrored, mirrored, of_points, of_tracers
+
+EQUAL = 1e-4
+"""Tests of a point that differ by less than this share are equal"""
 
 
 def second_places(network: Network, solution: Solution, noise: float) -> list[Mirrored]:
@@ -35,3 +39,13 @@ def at_others(blocks: Mapping[str, Block], found: Sequence[Mirrored]) -> dict[st
 def noise_of_tests(solution: Solution) -> float:
     """Return the noise to which tests of single lengths refer, in units of the declared one: sigma0, but at least 1."""
     return max(1.0, float(np.nan_to_num(solution.sigma0, nan=1.0)))
+
+
+def units_of_tests(solution: Solution, found: Residuals) -> Array:
+    """Return the divisor of each |w|, (n,): the noise of the tests; for the largest |w|, that without this length."""
+    w = np.abs(found.normalised[0])
+    units = np.full(len(w), noise_of_tests(solution))
+    if solution.dof > 1 and len(w):
+        worst = w >= (1 - EQUAL) * w.max()
+        units[worst] = max(1.0, np.sqrt(max(solution.cost - w.max() ** 2, 0.0) / (solution.dof - 1)))
+    return units

@@ -33,13 +33,11 @@ from metrocli.tasks.multilaterate.blunders import (
 )
 from metrocli.tasks.multilaterate.layout_faults import carries, explained
 from metrocli.tasks.multilaterate.problem import LENGTHS, Network
-from metrocli.tasks.multilaterate.second_places import at_others, noise_of_tests, second_places
+from metrocli.tasks.multilaterate.second_places import EQUAL, at_others, noise_of_tests, second_places, units_of_tests
 from metrocli.tasks.shared.lengths import with_repeatability
 from metrocli.tasks.shared.lists import name_of
 from metrocli.tasks.shared.mirror import Mirrored, must_be_decided
 
-_EQUAL = 1e-4
-"""Tests of a point that differ by less than this share are equal"""
 _TOSS = 0.5
 """Difference of squared tests of two lengths below which the odds are under e^(1/4) = 1.3 to 1"""
 _INNOCENT = 3.0
@@ -152,8 +150,8 @@ def solve(network: Network, remove: bool) -> Solved:
         return _Using(state, used.out | more, used.back), bool(more)
 
     used, solved = in_rounds(begun, lambda used: _adjusted(network, used.state, used.out), fewer)
-    if better := [one for one in solved.second if one.better and not one.decided]:
-        solved = _adjusted(network, at_others(solved.solution.blocks, better), used.out)
+    better = [one for one in solved.second if one.better and not one.decided]
+    solved = _adjusted(network, at_others(solved.solution.blocks, better), used.out) if better else solved
     must_be_decided(solved.second)
     return solved
 
@@ -187,7 +185,7 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     rejected = [*out.values(), *(Rejected(int(row), float("nan"), Reason.UNCHECKED) for row in np.flatnonzero(lost))]
     group = next(group for group in solution.groups if group.name == LENGTHS)
     residuals, critical = residuals_of(solution, group), critical_value(group.observations.count)
-    suspects = _suspects(group, np.abs(residuals.normalised[0]), _units(solution, residuals), critical)
+    suspects = _suspects(group, np.abs(residuals.normalised[0]), units_of_tests(solution, residuals), critical)
     rows = np.flatnonzero(keep)
     suspects = tuple(replace(one, rows=tuple(rows[list(one.rows)].tolist())) for one in suspects)
     return Solved(used, network, solution, residuals, tuple(rejected), suspects, critical)
@@ -251,16 +249,6 @@ def _doubtful(solved: Solved) -> dict[int, Rejected]:
     return {int(row): Rejected(int(row), float("nan"), Reason.CONTRADICTED) for row in used[bad[point]]}
 
 
-def _units(solution: Solution, found: Residuals) -> Array:
-    """Return the divisor of each |w|, (n,): the noise of the tests; for the largest |w|, that without this length."""
-    w = np.abs(found.normalised[0])
-    units = np.full(len(w), noise_of_tests(solution))
-    if solution.dof > 1 and len(w):
-        worst = w >= (1 - _EQUAL) * w.max()
-        units[worst] = max(1.0, np.sqrt(max(solution.cost - w.max() ** 2, 0.0) / (solution.dof - 1)))
-    return units
-
-
 def _suspects(group: Group, w: Array, units: Array, bound: float) -> tuple[Suspect, ...]:
     """Return the worst length of each point that has a test beyond the bound, the largest first."""
     point = group.observations.index[t.POINT]
@@ -270,7 +258,7 @@ def _suspects(group: Group, w: Array, units: Array, bound: float) -> tuple[Suspe
         rows = np.flatnonzero(point == i)
         tests = w[rows] / units[rows].min()
         worst = int(rows[np.argmax(tests)])
-        alike = (tests >= (1 - _EQUAL) * tests.max()) | (tests**2 > tests.max() ** 2 - _TOSS)
+        alike = (tests >= (1 - EQUAL) * tests.max()) | (tests**2 > tests.max() ** 2 - _TOSS)
         told = alike.sum() == 1
         suspects.append(
             Suspect(

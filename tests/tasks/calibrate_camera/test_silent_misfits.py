@@ -86,6 +86,6 @@ def test_a_lens_beyond_its_readings_is_doubtful_unless_the_job_allows_it(tmp_pat
     job = board(tmp_path, pinhole, 2500.0)
     rational = ("--set", "camera.estimate=[fx, fy, cx, cy, k1, k2, k3, k4]", "--force")
     ran = metrocli("calibrate-camera", job, *rational)
-    assert ran.code == 6 and "in a corner the lens is uncertain by" in ran.out
+    assert ran.code == 6 and "In a corner the lens is uncertain by" in ran.out
     job.write_text(JOB + 'require: {corner_std: "< 1e9"}\n')
     assert metrocli("calibrate-camera", job, *rational).code == 0

@@ -1,0 +1,41 @@
+"""A ChArUco board that is not the one of the job is named, with what to write."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from metrocli.targets.charuco import _board
+from metrocli.targets.find import find
+from metrocli.targets.pattern import Pattern
+
+BOARD = Pattern("charuco", columns=7, rows=5, pitch=35.0, marker_size=24.0, dictionary="4x4_50")
+
+
+def picture(pattern: Pattern) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:
+    rows, columns = pattern.shape
+    image = _board(pattern).generateImage(((columns + 1) * 60, (rows + 1) * 60), marginSize=40)
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), 1.0), dtype=np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("changed", "write"),
+    [
+        ({"columns": 5, "rows": 7}, "columns: 7, rows: 5"),
+        ({"columns": 8, "rows": 6}, "columns: 7, rows: 5"),
+        ({"legacy": True}, "legacy: false"),
+        ({"dictionary": "5x5_50"}, "dictionary: 4x4_250"),
+    ],
+)
+def test_what_to_write(changed: dict[str, object], write: str) -> None:
+    assert len(find(BOARD, picture(BOARD))) == 35
+    found = find(replace(BOARD, **changed), picture(BOARD))  # type: ignore[arg-type]
+    assert not len(found) and f"with `{write}`" in found.reason
+
+
+def test_an_image_without_markers_is_not_a_matter_of_layout() -> None:
+    found = find(BOARD, np.full((480, 640), 128, np.uint8))
+    assert "0 markers of 4x4_50 are found" in found.reason and "legacy" not in found.reason
