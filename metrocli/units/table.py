@@ -145,6 +145,7 @@ _PRESSURES = (
 _ALL = (
     Dimension("length", "a length", "0.1 mm", _LENGTHS, "mm"),
     Dimension("wavelength", "a wavelength", "633 nm", (Unit("mm"), *_LENGTHS[2:4]), "mm"),
+    Dimension("radius", "a radius of curvature", "6371 km", _LENGTHS, "mm"),
     Dimension("angle", "an angle", "20 arcsec", _ANGLES),
     Dimension("slope", "a slope", "0.1 mm/m", _SLOPES[1:]),
     Dimension("ratio", "a ratio of lengths", "0.1 um/m", (*_SLOPES[1:], *_SCALES)),

@@ -162,7 +162,7 @@ class Instrument:
 class Vertical:
     """How verticals lean and beams bend over the network."""
 
-    radius: float = setting(Quantity("length", positive=True), "radius of the earth")
+    radius: float = setting(Quantity("radius", positive=True), "radius of the earth")
     refraction: float = setting(
         Number(), "coefficient of refraction k: radius of the earth over that of the beam", default=0.0
     )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated.network import Array, Network, marks, network
+from simulated.network import Array, Network, marks, network, polar
 
 from metrocli.formats import hdf5
 from metrocli.result import Result
@@ -71,6 +71,32 @@ def test_a_detectable_error_moves_its_point_as_stated(tmp_path: Path, metrocli: 
     after = solved(replace(net, seen=seen).write(tmp_path), metrocli)
     moved = np.linalg.norm(places(after, [point]) - places(before, [point]))
     assert moved == pytest.approx(table.numbers("moves_point")[row], rel=1e-2)
+
+
+def test_verticals_lean_and_beams_bend_over_the_earth(tmp_path: Path, metrocli: Metrocli) -> None:
+    """A level network far from its origin: the plumb lines lean by 10 mm/6371 m, the beams bend by k d/2R."""
+    net = network(np.random.default_rng(39), 3, 12, levelled=True, noise=0.0)
+    radius, refraction = 6.371e9, 0.13
+    lean = net.places[:, :2] / radius
+    local = np.einsum(
+        "nab,na->nb", leaning(lean, net.rotations)[net.station], net.points[net.point] - net.places[net.station]
+    )
+    seen = polar(local)
+    seen[:, 1] += refraction * seen[:, 2] * np.cos(seen[:, 1]) / (2 * radius)
+    net = replace(net, seen=seen, near=net.points)
+    result = solved(net.write(tmp_path, "vertical: {radius: 6371 km, refraction: 0.13}\n"), metrocli)
+    assert np.abs(places(result, net.names) - net.points).max() < 1e-6
+    flat = solved(net.write(tmp_path), metrocli)
+    assert flat.statistics["chi2"] > 1e3 * result.statistics["chi2"]
+
+
+def leaning(lean: Array, rotations: Array) -> Array:
+    """Rotations of levelled stations whose vertical (x, y, 1) leans from z."""
+    turned = []
+    for (x, y), rotation in zip(lean, rotations, strict=True):
+        small = np.eye(3) + np.array([[0, 0, x], [0, 0, y], [-x, -y, 0]])
+        turned.append(small @ rotation)
+    return np.array(turned)
 
 
 def test_missing_cells_are_not_readings(tmp_path: Path, metrocli: Metrocli) -> None:
