@@ -22,7 +22,7 @@ from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
 from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, FACE, Seen
 from metrocli.tasks.adjust_network import KIND
-from metrocli.tasks.adjust_network.effects import EFFECTS, NO_MIRROR, STEERING
+from metrocli.tasks.adjust_network.effects import EFFECTS, MOVED, NO_MIRROR, NO_TIMES, STEERING
 from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, is_sighting
 from metrocli.tasks.adjust_network.solve import Solved, refitted
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, in_blocks, noise_found
@@ -53,9 +53,14 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         astray=solved.astray,
         fewest=1,
         certified=frozenset(one.name for one in model.readings if one.name.startswith((BARS, GIVEN_POINTS))),
-        not_sought={STEERING: NO_MIRROR},
+        not_sought={STEERING: NO_MIRROR} | ({} if _timed(model) else {MOVED: NO_TIMES}),
         variations=_variations,
     )
+
+
+def _timed(model: Model) -> bool:
+    """Return whether some readings have times."""
+    return any("t" in group.observations.conditions for group in model.readings)
 
 
 def _covariates(model: Model) -> Iterator[Covariate]:

@@ -27,6 +27,8 @@ _AT = (Parameter("at", "time", grid=change_points),)
 _ACROSS_INSTRUMENTS = ("tracker-air-gradient",)
 _OF_TRACERS = {"tracer-scale": "instrument", "dead-path-jump": "tracer", "dead-path-drift": "tracer"}
 STEERING = "tracker-steering-mirror"
+MOVED = "point-moved"
+NO_TIMES = "the readings have no times (column t_s); name it with its `from_station` in `effects:` to estimate it"
 NO_MIRROR = (
     "an instrument with its laser in the head has no steering mirror; the tilt of one looks like that of mirror and "
     "transit together: name it in `effects:` to estimate it"
