@@ -265,9 +265,8 @@ def _places(system: System, job: AdjustedJob) -> Index:
     parts = []
     for group in groups:
         d, n = group.observations.readings.shape
-        rows = np.full((n, most), -1, dtype=np.intp)
-        rows[:, :d] = system.first[group.name] + d * np.arange(n)[:, None] + np.arange(d)
-        parts.append(rows)
+        rows = system.first[group.name] + d * np.arange(n)[:, None] + np.arange(d)
+        parts.append(np.pad(rows, ((0, 0), (0, most - d)), constant_values=-1))
     found = np.concatenate(parts)
     return found[found >= 0][:, None] if job.single_components else found
 
