@@ -30,7 +30,13 @@ class Places:
 
 def places_of(result: Result) -> tuple[Places, ...]:
     """Return the points of a result with deviations and covariances, then its instruments."""
-    found = [_points(result), *_grids(result), _volume(result), _instruments(result, "tracers", "tracer")]
+    found = [
+        _points(result),
+        *_grids(result),
+        _volume(result),
+        _instruments(result, "tracers", "tracer"),
+        _instruments(result, "stations", "station"),
+    ]
     cameras = _instruments(result, "views", "image") if result.statistics.get("rig") == "network" else None
     return tuple(
         one for one in (*found, cameras, *_about_board(result), *_launch(result)) if one is not None and len(one.at)
@@ -102,7 +108,9 @@ def _instruments(result: Result, name: str, key: str) -> Places | None:
     table = result.tables.get(name)
     if table is None or key not in table or not all(axis in table for axis in _XYZ):
         return None
-    return Places({"views": "cameras"}.get(name, name), tuple(table.texts(key)), table.stacked(_XYZ))
+    kept = np.isfinite(table.stacked(_XYZ)).all(axis=1)
+    names = tuple(np.array(table.texts(key))[kept].tolist())
+    return Places({"views": "cameras"}.get(name, name), names, table.stacked(_XYZ)[kept])
 
 
 def _about_board(result: Result) -> list[Places]:

@@ -24,6 +24,7 @@ from metrocli.effects.effect import Effect
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.geometry.poses import pose_from_euler
+from metrocli.instruments.tracker import FACE
 from metrocli.table import Table
 from metrocli.tasks.adjust_network import problem as network_problem
 from metrocli.tasks.adjust_network import readings as network_readings
@@ -115,6 +116,7 @@ def calibrate_machine(effect: Effect) -> Model:
     machine = simulated_machine.random_machine(rng)
     table = simulated_machine.points(machine, rng, 120, tools, noise=0.0)
     more = {f"from_{axis}": rng.choice([-1.0, 1.0], 120) for axis in "xyz"} | {"t": rng.uniform(100.0, 2000.0, 120)}
+    more |= {"face": rng.choice([1.0, 2.0], 120)} if effect.needs == (FACE,) else {}
     table = replace(table, columns={**table.columns, **more})
     settings = simulated_machine.settings(tools=tools, tool_uncertainty=0.001)
     problem = standstill(settings, table)
@@ -168,12 +170,19 @@ def adjust_network(effect: Effect) -> Model:
     """Two trackers at four stations, two interferometers, bars, heights and given points, or stations over marks."""
     over = effect.name in ("target-height", "station-height")
     files = marks_as_files() if over else network_as_files()
+    if any(one.name == "from_station" for one in effect.scanned):
+        files |= {name: untimed(files[name]) for name in ("readings", "lengths")}
     settings = network_settings(over, ("I", "J", "A", "B") if effect.name == "tracer-scale" else ("A", "B", "I", "J"))
     found = network_readings.read(settings, NetworkFiles(**files))
     network = network_problem.build(settings, found, network_start.start(found))
     solved = adjust(network.blocks.values(), network.model.groups, network.datum)
     assert solved.outcome.good, solved.undetermined
     return with_conditions(network.model.with_blocks(solved.blocks))
+
+
+def untimed(table: Table) -> Table:
+    """A table without its times."""
+    return replace(table, columns={name: one for name, one in table.columns.items() if name != "t"})
 
 
 def network_settings(over: bool, order: tuple[str, ...]) -> NetworkSettings:
@@ -268,7 +277,7 @@ MEASURED: dict[str, Measured] = {
     "calibrate-machine": Measured(calibrate_machine, {"period": 37.0, "length": 30.0, "at": 900.0}),
     "multilaterate": Measured(multilaterate, {"at": 900.0}),
     "locate-launch-unit": Measured(locate_launch_unit, {}),
-    "adjust-network": Measured(adjust_network, {"at": 900.0, "method": 1.0}),
+    "adjust-network": Measured(adjust_network, {"at": 900.0, "method": 1.0, "from_station": 2.0}),
     "selfcal-grid": Measured(selfcal_grid, {"at": 1600.0, "from_view": 2.0}),
 }
 

@@ -105,8 +105,9 @@ class Measurement:
         member, there = self.system.basis.member, knots.component >= 0
         if not knots.functions.by or self.system.basis.members < 2 or (member[there] < 0).any():
             return False
-        pairs = np.unique(np.stack([knots.unit[there], member[there]]), axis=1)
-        return bool(len(np.unique(pairs[0])) == pairs.shape[1])
+        first = np.zeros(knots.functions.count, dtype=np.intp)
+        first[knots.unit[there]] = member[there]
+        return bool((first[knots.unit[there]] == member[there]).all())
 
     @cached_property
     def local(self) -> tuple[bool, ...]:

@@ -165,6 +165,15 @@ class State(Scored):
 
         Without a part if its directions `taken` are given (`taken_by`).
         """
+        if taken is None:
+            return self._of_readings
+        return self._without(taken)
+
+    @cached_property
+    def _of_readings(self) -> tuple[Array, Array, Array]:
+        return self._without(None)
+
+    def _without(self, taken: Array | None) -> tuple[Array, Array, Array]:
         m = self.measurement
         rows = m.places
         there = rows >= 0

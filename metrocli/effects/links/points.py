@@ -16,16 +16,17 @@ _EYE = np.eye(3)[:, :, None]
 class PointStep(OfBlock):
     """A point is displaced: `x += s d` from the time `at` on; columns dx, dy, dz [mm], at [s].
 
-    s = -1 if the instrument moves and not the point.
+    s = -1 if the instrument moves and not the point. Another condition may stand for the time.
     """
 
     sign: float = 1.0
+    condition: str = "t"
     takes = gives = Quantity.POINT_IN_MACHINE
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point (3, n)."""
         rows = local.rows(self.block)
-        later = self.sign * (local.observations.conditions["t"] >= rows[3])
+        later = self.sign * (local.observations.conditions[self.condition] >= rows[3])
         by_block = np.zeros((3, 4, len(later)))
         by_block[:, :3] = _EYE * later
         return Step(value + rows[:3] * later, _EYE, {self.block: by_block})

@@ -14,6 +14,8 @@ from metrocli.frozen import dataclass
 from metrocli.instruments.stations import OVER, SETUP, heights_of, station_vertical, target_vertical
 from metrocli.instruments.tracer import POINT
 
+IN_ORDER = "station in order"
+"""Condition of readings without times: the number of their station"""
 BEGUN = "first time of the station"
 """Condition: the earliest time at which the station of a reading read [s]"""
 

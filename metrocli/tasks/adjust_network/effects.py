@@ -10,7 +10,14 @@ from metrocli.effects.effect import Effect, Parameter, change_points, sizes
 from metrocli.effects.links.angles import Tilted, Turned
 from metrocli.effects.links.lengths import LengthOffset
 from metrocli.effects.links.points import PointStep
-from metrocli.effects.links.stations import HeightStep, ListedWrongly, StationDrift, StationRaised, TargetRaised
+from metrocli.effects.links.stations import (
+    IN_ORDER,
+    HeightStep,
+    ListedWrongly,
+    StationDrift,
+    StationRaised,
+    TargetRaised,
+)
 from metrocli.instruments.tracker import POLAR
 from metrocli.tasks.shared.length_effects import LENGTH_EFFECTS, length
 from metrocli.tasks.shared.tracker_effects import TRACKER_EFFECTS
@@ -32,8 +39,22 @@ _OF_PLACES: tuple[Effect, ...] = (
         sizes("dx dy dz", "length", "1 mm"),
         lambda block, where: PointStep(block),
         where=("point",),
+        by="t",
         scanned=_AT,
         needs=("t",),
+        confused_with=("station-moved",),
+        usual="10 um to 1 mm",
+        reveal="the point again from the first station",
+        source=_SOURCE,
+    ),
+    Effect(
+        "point-moved",
+        "a point was knocked or its nest touched: from one station on it stands elsewhere",
+        sizes("dx dy dz", "length", "1 mm"),
+        lambda block, where: PointStep(block, condition=IN_ORDER),
+        where=("point",),
+        scanned=(Parameter("from_station", place="station"),),
+        needs=(IN_ORDER,),
         confused_with=("station-moved",),
         usual="10 um to 1 mm",
         reveal="the point again from the first station",

@@ -12,7 +12,7 @@ from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, prior, prior_of_entries, priors
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array, Index
-from metrocli.effects.links.stations import BEGUN
+from metrocli.effects.links.stations import BEGUN, IN_ORDER
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
@@ -121,9 +121,9 @@ def _observations(readings: Readings) -> Observations:
 
 
 def _begun(conditions: Mapping[str, Array], station: Index) -> dict[str, Array]:
-    """Return the first time at which the station of each reading read, where there are times."""
+    """Return the first time at which the station of each reading read; without times its number."""
     if "t" not in conditions:
-        return {}
+        return {IN_ORDER: station.astype(float)}
     first = np.full(int(station.max()) + 1, np.inf)
     np.minimum.at(first, station, conditions["t"])
     return {BEGUN: first[station]}

@@ -31,6 +31,13 @@ _MOST = 20
 _CLOSE = 0.05
 """Share of a height difference to which one of the other sign agrees with the rough places"""
 _ANGLES = ("az", "hz", "el", "zd")
+_PAIRS = (
+    ("az", "hz", "counts clockwise"),
+    ("hz", "az", "counts counter-clockwise"),
+    ("el", "zd", "is a zenith distance"),
+    ("zd", "el", "is an elevation"),
+)
+"""Columns of angles, what they may be instead, and in words"""
 _Other = tuple[Mistake, Job[Settings, Files]]
 
 
@@ -59,16 +66,17 @@ def _angles(job: Job[Settings, Files]) -> Iterator[_Other]:
             write = f"{' and '.join(f'{name}_{symbol}' for name in angles)} in the heading"
             changed = {name: table.numbers(name) * factor for name in angles}
             yield _with(job, Mistake("readings", words, write, file=table.file, sort="angles", columns=0), changed)
-    for name, other, words in (("az", "hz", "clockwise"), ("hz", "az", "counter-clockwise")):
+    for name, other, words in _PAIRS:
         if name in table:
-            mistake = Mistake(
-                "readings", f"{name} counts {words}", f"{other} in the heading", file=table.file, columns=0
-            )
-            yield _with(job, mistake, {name: -table.numbers(name)})
-    for name, other, words in (("el", "zd", "a zenith distance"), ("zd", "el", "an elevation")):
-        if name in table:
-            mistake = Mistake("readings", f"{name} is {words}", f"{other} in the heading", file=table.file, columns=0)
-            yield _with(job, mistake, {name: np.pi / 2 - table.numbers(name)})
+            mistake = Mistake("readings", f"{name} {words}", f"{other} in the heading", file=table.file, columns=0)
+            yield mistake, replace(job, files=replace(job.files, readings=_renamed(table, name, other)))
+
+
+def _renamed(table: Table, name: str, other: str) -> Table:
+    """Return a table with another name of a column of angles, and of their standard deviations."""
+    names = {name: other, f"sigma_{name}": f"sigma_{other}"}
+    columns = {names.get(key, key): one for key, one in table.columns.items()}
+    return replace(table, columns=columns, units={names.get(key, key): one for key, one in table.units.items()})
 
 
 def _with(job: Job[Settings, Files], mistake: Mistake, changed: dict[str, Array]) -> _Other:

@@ -89,7 +89,7 @@ def build(settings: Settings, readings: Readings, start: Start, wanted: Sequence
     first, datum = datum_of(settings, readings, blocks)
     places = _places(readings)
     aspects = {} if settings.vertical is None else _verticals(1 / settings.vertical.radius)
-    if readings.lengths is not None:
+    if readings.lengths is not None or readings.bars is not None:
         aspects |= {name: partial(_of_lengths, aspect) for name, aspect in t.aspects(t.reach()).items()}
     nominal = {t.POINT: blocks[t.POINT].values.copy()}
     ready = [_weighed(with_aspects(group, aspects, blocks)[0], noise, blocks) for group in groups]

@@ -21,6 +21,7 @@ from metrocli.tasks.adjust_network.placed import Placed, placed_stations
 from metrocli.tasks.adjust_network.solve import Solved, Suspect
 from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.noise import NoiseFound
+from metrocli.tasks.shared.reliability import point_shift
 from metrocli.tasks.shared.statistics import (
     Statistics,
     basic_statistics,
@@ -94,7 +95,7 @@ def _shots(solved: Solved) -> Array:
     for group in solved.groups:
         index = np.atleast_2d(group.observations.index[t.POINT])
         index = index[:1] if is_sighting(group) else index
-        np.add.at(count, index.ravel(), 1)
+        count += np.bincount(index.ravel(), minlength=len(count))
     return count
 
 
@@ -126,6 +127,7 @@ def _rows(solved: Solved, group: Group, found: Residuals, names: Sequence[str]) 
         "redundancy": found.redundancy,
         "detectable": minimal_detectable(found, solved.critical, noise),
     }
+    numbers["moves_point [mm]"] = _moves(solved, group, numbers["detectable"])
     when, none = condition_columns(observations), np.full(n, np.nan)
     times = {name: np.repeat(when.get(name, none), d) for name in ("t [s]", "temp [degC]") if _timed(solved, name)}
     keys = {name: np.repeat(one, d) for name, one in _keys(group, names).items()}
@@ -135,6 +137,13 @@ def _rows(solved: Solved, group: Group, found: Residuals, names: Sequence[str]) 
         keys["point [text]"], quantity = np.array([one[0] for one in named]), np.array([one[2] for one in named])
     what = {"quantity [text]": quantity, "unit [text]": (observations.unit,) * (d * n)}
     return Table.of({**keys, **what, **{name: one.T.ravel() for name, one in numbers.items()}, **times})
+
+
+def _moves(solved: Solved, group: Group, least: Array) -> Array:
+    """Return how far the minimal detectable errors (d, n) move the point of a reading [mm]; nan for given points."""
+    if len(least) > 1:
+        return np.full(least.shape, np.nan)
+    return point_shift(solved.solution, group) * least
 
 
 def _timed(solved: Solved, name: str) -> bool:
@@ -261,7 +270,7 @@ def _seen_once(solved: Solved) -> list[str]:
             continue
         index = group.observations.index[t.POINT]
         index = index[0] if index.ndim > 1 else index
-        np.add.at(total, index, solved.residuals[group.name].redundancy.max(axis=0))
-        np.add.at(count, index, 1)
+        total += np.bincount(index, solved.residuals[group.name].redundancy.max(axis=0), len(total))
+        count += np.bincount(index, minlength=len(count))
     weak = (count > 0) & (total < 1e-6) & block.free.any(axis=1)
     return [block.members[i] for i in np.flatnonzero(weak)]

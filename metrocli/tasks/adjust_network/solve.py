@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.robust import Fit, critical_value, robust_start, suspects
+from metrocli.adjust.robust import Fit, critical_value, gross, robust_start, suspects
 from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array, Mask
@@ -121,10 +121,11 @@ def _weighted(network: Network) -> Solution:
 
 def _robust(network: Network) -> dict[str, Block]:
     """Return values that gross errors do not spoil."""
-    state = dict(network.blocks)
-    for name in network.model.measured:
-        if is_sighting(network.model.group(name)):
-            state = robust_start(state.values(), list(network.model.groups), name, network.datum)
+    state, groups = dict(network.blocks), list(network.model.groups)
+    names = [name for name in network.model.measured if is_sighting(network.model.group(name))]
+    for number, name in enumerate(names):
+        if number == 0 or gross(network.model.group(name), state).any():
+            state = robust_start(state.values(), groups, name, network.datum)
     return state
 
 

@@ -11,8 +11,8 @@ from metrocli.tasks.shared.lists import SIGMAS
 
 _SIDES = "from_x? from_y? from_z?"
 POINTS = Columns(
-    columns("point [text]", "x y z mx my mz [length]", "t? [time]", "tool? [text]", _SIDES),
-    ("point",),
+    columns("point [text]", "x y z mx my mz [length]", "t? [time]", "tool? [text]", "face? [number]", _SIDES),
+    ("point", "face"),
     "commanded points, and where the tracker measured them",
     measured=("mx", "my", "mz"),
     alike=("x", "y", "z"),

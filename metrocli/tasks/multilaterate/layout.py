@@ -16,10 +16,10 @@ from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
+from metrocli.tasks.multilaterate.distance import between_two
 from metrocli.tasks.multilaterate.layout_faults import carries
 from metrocli.tasks.multilaterate.problem import Network, network_of
 from metrocli.tasks.multilaterate.readings import read as read_lengths
-from metrocli.tasks.multilaterate.reliability import between_two
 from metrocli.tasks.multilaterate.settings import Files, LengthSimulation, Settings
 from metrocli.tasks.shared.environment import air_of
 from metrocli.tasks.shared.joint_covariance import factors

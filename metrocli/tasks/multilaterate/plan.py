@@ -23,8 +23,8 @@ from metrocli.result import Estimate
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
 from metrocli.tasks.multilaterate.layout import Layout, Ranking, ranked, root_mean_square, worst_direction
-from metrocli.tasks.multilaterate.reliability import reliability
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
+from metrocli.tasks.shared.reliability import reliability
 from metrocli.tasks.shared.statistics import estimates_of_block
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.units import roughly

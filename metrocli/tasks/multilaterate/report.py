@@ -19,7 +19,6 @@ from metrocli.tasks.multilaterate.blunders import Reason
 from metrocli.tasks.multilaterate.correction import Probing, astray, corrected, distant, wrong_entries
 from metrocli.tasks.multilaterate.features.report import FEATURES, SHOWN, exchanging, fitted
 from metrocli.tasks.multilaterate.features.wanted import Wanted
-from metrocli.tasks.multilaterate.reliability import reliability
 from metrocli.tasks.multilaterate.second_places import noise_of_tests
 from metrocli.tasks.multilaterate.solve import Solved
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
@@ -28,6 +27,7 @@ from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.lists import name_of
 from metrocli.tasks.shared.noise import NoiseFound
 from metrocli.tasks.shared.part import Part
+from metrocli.tasks.shared.reliability import reliability
 from metrocli.tasks.shared.statistics import (
     REMOVE,
     REPEATS,

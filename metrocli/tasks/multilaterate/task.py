@@ -14,13 +14,13 @@ from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.multilaterate.correction import astray, probing_of, refuse_lost
 from metrocli.tasks.multilaterate.diagnosis import adjusted_job, noise_of
+from metrocli.tasks.multilaterate.distance import distance
 from metrocli.tasks.multilaterate.effects import EFFECTS, PLACES
 from metrocli.tasks.multilaterate.features.wanted import wanted_features
 from metrocli.tasks.multilaterate.layout import Layout, Planned
 from metrocli.tasks.multilaterate.plan import planned
 from metrocli.tasks.multilaterate.problem import build, network_of
 from metrocli.tasks.multilaterate.readings import read
-from metrocli.tasks.multilaterate.reliability import distance
 from metrocli.tasks.multilaterate.report import report
 from metrocli.tasks.multilaterate.settings import Files, Settings
 from metrocli.tasks.multilaterate.simulation import simulated

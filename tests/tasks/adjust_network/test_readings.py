@@ -60,6 +60,19 @@ def test_points_are_written_for_spatial_analyzer(tmp_path: Path, metrocli: Metro
     assert np.abs(found - result.tables["points"].stacked("xyz")).max() < 1e-6
 
 
+def test_a_detectable_error_moves_its_point_as_stated(tmp_path: Path, metrocli: Metrocli) -> None:
+    net = network(np.random.default_rng(38))
+    before = solved(net.write(tmp_path), metrocli)
+    table = before.tables["residuals"]
+    row = next(i for i, name in enumerate(table.texts("quantity")) if name == "d" and table.texts("station")[i] == "S2")
+    point, error = table.texts("point")[row], table.numbers("detectable")[row]
+    seen = net.seen.copy()
+    seen[(net.station == 1) & (net.point == net.names.index(point)), 2] += error
+    after = solved(replace(net, seen=seen).write(tmp_path), metrocli)
+    moved = np.linalg.norm(places(after, [point]) - places(before, [point]))
+    assert moved == pytest.approx(table.numbers("moves_point")[row], rel=1e-2)
+
+
 def test_missing_cells_are_not_readings(tmp_path: Path, metrocli: Metrocli) -> None:
     net = network(np.random.default_rng(32))
     seen = net.seen.copy()

@@ -17,6 +17,8 @@ from metrocli.tasks.adjust_network.readings import Readings
 from metrocli.tasks.adjust_network.starts.rough_poses import fitted
 from metrocli.words import listed
 
+_ENOUGH = 200
+"""Shared points that show whether they are on a line"""
 _LINE = 1e-3
 """Thickness of shared points, relative to their extent, below which they are on a line"""
 
@@ -103,7 +105,8 @@ class _Search:
         station = self.readings.sightings.rounds[number][0]
         if self.levelled[station] and np.isfinite(self.poses[station, 0]):
             return len(rows) > 0
-        chosen = self.points[np.unique(self.readings.sightings.point[rows])]
+        some = rows[:: max(len(rows) // _ENOUGH, 1)]
+        chosen = self.points[np.unique(self.readings.sightings.point[some])]
         if len(chosen) < (2 if self.levelled[station] else 3):
             return False
         spread = np.linalg.svd(chosen - chosen.mean(axis=0), compute_uv=False)

@@ -8,11 +8,14 @@ from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, sizes
 from metrocli.effects.links.angles import OnPoint, TrackerMoves
 from metrocli.effects.links.motions import LineTerm
 from metrocli.instruments.six_dof import FROM_START
+from metrocli.instruments.tracker import FACE
 from metrocli.tasks.calibrate_machine.effects.machine import SCHWENKE, VELOCITY
 from metrocli.tasks.shared.tracker_effects import TRACKER_EFFECTS
 
-_IN_ONE_FACE = {"tracker-transit-offset": "tracker-range-zero", "tracker-steering-mirror": "tracker-mirror-tilt"}
-"""Effects that look like others where all readings are in face 1, as a machine is measured"""
+_NEEDS = {"tracker-transit-offset": (FACE,)}
+"""What effects need that look like others where all readings are in face 1"""
+_NOT_SOUGHT = ("tracker-steering-mirror",)
+"""An effect that looks like two others together"""
 
 
 def _on_points(effect: Effect) -> Effect:
@@ -20,11 +23,12 @@ def _on_points(effect: Effect) -> Effect:
     link = effect.link
     if link is None:
         raise ValueError(f"{effect.name} has no link")
-    return replace(effect, link=lambda block, where: OnPoint(link(block, where)))  # type: ignore[arg-type]
+    needs = _NEEDS.get(effect.name, ())
+    return replace(effect, needs=needs, link=lambda block, where: OnPoint(link(block, where)))  # type: ignore[arg-type]
 
 
 OF_THE_TRACKER: tuple[Effect, ...] = (
-    *(_on_points(effect) for effect in TRACKER_EFFECTS if effect.name not in _IN_ONE_FACE),
+    *(_on_points(effect) for effect in TRACKER_EFFECTS if effect.name not in _NOT_SOUGHT),
     Effect(
         "tracker-drift",
         "the tracker moves on its stand while the machine is measured",

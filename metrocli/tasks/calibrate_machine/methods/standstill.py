@@ -6,9 +6,10 @@ import numpy as np
 
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array
 from metrocli.errors import Fault, InputError
 from metrocli.instruments.machine import TOOL
-from metrocli.instruments.tracker import TrackerNoise, point_chain, tracker_block
+from metrocli.instruments.tracker import FACE, TrackerNoise, point_chain, tracker_block
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.methods.track import tracker_pose
 from metrocli.tasks.calibrate_machine.problem import (
@@ -23,6 +24,7 @@ from metrocli.tasks.calibrate_machine.problem import (
     tools_of,
 )
 from metrocli.tasks.calibrate_machine.settings import Settings
+from metrocli.tasks.shared.lists import refuse
 
 READINGS = "points"
 
@@ -31,6 +33,15 @@ def tracker_noise(settings: Settings) -> TrackerNoise:
     """Return the noise of the tracker."""
     noise = settings.noise
     return TrackerNoise(noise.beam or 0.0, noise.square.constant, noise.square.proportional)
+
+
+def faces(points: Table) -> dict[str, Array]:
+    """Return the face of each point, 1 or -1, if the file has it; raises InputError for others than 1 and 2."""
+    if "face" not in points:
+        return {}
+    given = points.numbers("face")
+    refuse(points, {"the face is 1 or 2": ~np.isin(given, (1.0, 2.0))})
+    return {FACE: np.where(given == 1.0, 1.0, -1.0)}
 
 
 def standstill(settings: Settings, points: Table) -> Problem:
@@ -52,7 +63,7 @@ def standstill(settings: Settings, points: Table) -> Problem:
         machine.index(position) | {TOOL: tool},
         covariance=tracker_noise(settings).covariance(measured),
         keys={"point": tuple(points.texts("point"))},
-        conditions=conditions(position, points),
+        conditions=conditions(position, points) | faces(points),
         components=("x", "y", "z"),
         unit="mm",
     )
