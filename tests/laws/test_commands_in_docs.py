@@ -24,6 +24,7 @@ SAMPLE = {
     "calibrate-machine": ("otf-tracker", "feed-2500", "feed-2500"),
     "adjust-network": ("hall-trackers", "hall", "hall"),
     "fit-part": ("raw-part", "fit", "fit"),
+    "fit-points": ("best-fit", "fit", "fit"),
     "report-uncertainty": ("gauge-block", "gum", "gum"),
 }
 """The sample, its job and its result that stand for JOB.yaml and RESULT.h5 on the pages of a kind; else the gear's"""

@@ -24,6 +24,7 @@ ONE_OF_EACH = {
     "locate-launch-unit": ("xm60-launch-unit", "jobs/errors.yaml", "gamma", "rad"),
     "calibrate-machine": ("machine-lengths", "jobs/lengths.yaml", "C0Y", "rad"),
     "fit-part": ("raw-part", "jobs/fit.yaml", "x", "mm"),
+    "fit-points": ("best-fit", "jobs/fit.yaml", "x", "mm"),
     "report-uncertainty": ("gauge-block", "jobs/gum.yaml", "l", "nm"),
 }
 """Sample, job, and one of its estimates with its unit"""

@@ -6,15 +6,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import Fit, Suspects, suspects
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
-from metrocli.arrays import Array
+from metrocli.arrays import Array, Index
 from metrocli.geometry import poses
 from metrocli.result import SCALE as ABOUT_ONE
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.fit_points import KIND
-from metrocli.tasks.fit_points.problem import POSE, SCALE, Problem
+from metrocli.tasks.fit_points.problem import POINT, POSE, SCALE, Problem
 from metrocli.tasks.shared.statistics import basic_statistics, noise_notes, noise_warnings, residual_table, with_noise
 from metrocli.words import listed
 
@@ -31,8 +32,12 @@ def report(problem: Problem, solution: Solution, mirrored: float) -> Result:
     covariance = solution.joint(names) * factor**2
     groups = solution.groups[: sum(group.name in "xyz" for group in solution.groups)]
     read = [residuals_of(solution, group) for group in groups]
-    found = _merged(read)
-    tested = suspects(found, Fit(solution.cost, solution.dof, not estimated))
+    everything = [residuals_of(solution, group) for group in solution.groups]
+    members = np.concatenate(
+        [np.tile(_points_of(group), len(group.observations.readings)) for group in solution.groups]
+    )
+    tested = suspects(_merged(everything), Fit(solution.cost, solution.dof, not estimated))
+    worst = _by_point(problem, tested, members)
     moved, std = _moved(problem, pose, scale, covariance, factor)
     off = moved - problem.nominal
     change = np.eye(len(covariance))
@@ -55,7 +60,6 @@ def report(problem: Problem, solution: Solution, mirrored: float) -> Result:
         "dx dy dz [mm]": off,
         "d [mm]": distance,
     }
-    keys = [f"{point}.{group.name}" for group in groups for point in group.observations.keys["point"]]
     return Result(
         kind=KIND.name,
         title="",
@@ -65,19 +69,37 @@ def report(problem: Problem, solution: Solution, mirrored: float) -> Result:
         tables={
             "points": Table.of(points),
             "residuals": Table.stack([residual_table(one, group) for one, group in zip(read, groups, strict=True)]),
-            "suspects": _suspects(tested, keys),
+            "suspects": Table.of({"point [text]": list(worst), "w": list(worst.values())}),
         },
         arrays={"rotation": poses.rotation_of(pose)},
-        warnings=tuple(_warnings(problem, solution, tested, keys)),
+        warnings=tuple(_warnings(problem, solution, tested.critical, worst)),
         shown=(ShownTable("points"),),
         notes=tuple(_notes(problem, solution, size, mirrored)),
     )
 
 
 def _merged(read: list[Residuals]) -> Residuals:
-    """Return the residuals of all coordinates as readings of one component."""
+    """Return the residuals of all coordinates, group by group and axis by axis, as readings of one component."""
     parts = ("values", "sigma", "redundancy", "normalised")
-    return Residuals(*(np.concatenate([getattr(one, part) for one in read], axis=1) for part in parts))
+    return Residuals(*(np.concatenate([_flat(getattr(one, part), one) for one in read])[None] for part in parts))
+
+
+def _flat(values: Array, one: Residuals) -> Array:
+    return np.broadcast_to(values, one.values.shape).ravel()
+
+
+def _points_of(group: Group) -> Index:
+    """Return the point of each coordinate of a group: a nominal one, or what the list of measured points observes."""
+    return np.tile(np.asarray(group.observations.index[POINT]).ravel(), len(group.observations.readings))
+
+
+def _by_point(problem: Problem, found: Suspects, members: Index) -> dict[str, float]:
+    """Return the largest test of each point that has one beyond the bound, the largest first."""
+    order = np.argsort(-found.tests)
+    worst: dict[str, float] = {}
+    for row, test in zip(members[found.rows[order]].tolist(), found.tests[order].tolist(), strict=True):
+        worst.setdefault(problem.names[row], test)
+    return worst
 
 
 def _moved(problem: Problem, pose: Array, scale: float, covariance: Array, factor: float) -> tuple[Array, Array]:
@@ -98,18 +120,13 @@ def _moved(problem: Problem, pose: Array, scale: float, covariance: Array, facto
     return turned + pose[:3], np.sqrt(variance + (scale * factor) ** 2 * own)
 
 
-def _suspects(found: Suspects, keys: list[str]) -> Table:
-    order = np.argsort(-found.tests)
-    return Table.of({"coordinate [text]": [keys[i] for i in found.rows[order]], "w": found.tests[order]})
-
-
-def _warnings(problem: Problem, solution: Solution, found: Suspects, keys: list[str]) -> Iterator[str]:
+def _warnings(problem: Problem, solution: Solution, critical: float, worst: dict[str, float]) -> Iterator[str]:
     yield from problem.warnings
     if not problem.estimated:
         yield from noise_warnings(solution, ())
-    if len(found.rows):
-        named = [f"{keys[i]} (w = {test:.1f})" for i, test in zip(found.rows, found.tests, strict=True)]
-        yield f"coordinates that do not fit the others, beyond |w| = {found.critical:.2f}: {listed(named, 5)}"
+    if worst:
+        named = [f"{point} (w = {test:.1f})" for point, test in worst.items()]
+        yield f"points that do not fit the others, beyond |w| = {critical:.2f}: {listed(named, 5)}"
 
 
 def _notes(problem: Problem, solution: Solution, size: float, mirrored: float) -> Iterator[str]:

@@ -125,8 +125,13 @@ def test_exchanged_names_are_named() -> None:
 def test_a_moved_point_is_a_suspect() -> None:
     x, goal = drawn(10, 4, (0.0, 0.01))
     x[3] += [0.3, -0.2, 0.4]
-    result = fitted(table(x), table(goal), noise=0.01)
-    assert result.tables["suspects"].texts("coordinate")[0].startswith("P3.")
+    for measured, nominal in (
+        (table(x), table(goal)),
+        (table(x, sigma=np.full(10, 0.01)), table(goal, sigma=np.zeros(10))),
+        (table(x, sigma=np.full(10, 0.01)), table(goal, sigma=np.full(10, 0.01))),
+    ):
+        result = fitted(measured, nominal, noise=0.01)
+        assert result.tables["suspects"].texts("point")[0] == "P3"
 
 
 def test_points_on_a_line_are_undetermined() -> None:
