@@ -158,7 +158,7 @@ def test_the_report_says_what_to_do(folder: Path, metrocli: Metrocli) -> None:
     first, second, _, head, row, *_ = ran.out.split("\n")
     text = " ".join(ran.out.split())
     assert first == "verdict: explained"
-    assert re.fullmatch(r"  tracer-scale T\d explains \d\d% of the misfit \(squares of held-out errors\)", second)
+    assert re.fullmatch(r"  tracer-scale T\d explains \d\d % of the misfit \(squares of held-out errors\)", second)
     assert head.startswith("effect") and row.startswith("tracer-scale T")
     for words in (
         "the wavelength or the air correction of one tracer is wrong",

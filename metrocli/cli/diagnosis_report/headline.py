@@ -44,7 +44,7 @@ def summary(diagnosis: Diagnosis) -> Iterator[str]:
         if one.gain.log_score > 0
     ]
     share = 1 - (gain.after / gain.before) ** 2 if gain.before else 0.0
-    explained = f"{share:.0%}" if share > LEAST_REDUCTION else "little"
+    explained = f"{100 * share:.0f} %" if share > LEAST_REDUCTION else "little"
     verb, remains = "explain" if len(names) > 1 else "explains", ""
     rest = [one for one in diagnosis.processes if one.unit == diagnosis.job.reading[0]]
     if rest:
