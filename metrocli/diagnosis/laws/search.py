@@ -114,11 +114,17 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> Found:
     found = [_law(lawful.first(count), base, gain, state) for count, gain in enumerate(gains, 1)]
     chosen = max(found, key=lambda one: one.gain.log_score)
     surely = best[0].state.score > state.score + _SURELY and chosen.gain.log_score > 0
-    if not (chosen.gain.shown or surely):
+    if not (chosen.gain.shown or surely) or _is_named(chosen, state):
         return Found(state)
     laws = tuple(replace(one, chosen=one is chosen) for one in found)
     terms = [one for _, one in lawful.steps[: len(chosen.terms)]]
     return Found(State.of(base.measurement, (*base.fixed, *terms), base.random, base.logs, 0), laws)
+
+
+def _is_named(law: Law, state: State) -> bool:
+    """Return whether a law is nearly an identified effect: a part of its parameters that needs fewer of them."""
+    spots = {state.measurement.alternative(one.key).spot for one in state.named}
+    return any(effect.spot in spots for effect, _ in law.near)
 
 
 def _bases(plain: State) -> Iterator[State]:
