@@ -5,6 +5,7 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -108,8 +109,12 @@ def _correlated(state: State, number: int) -> CorrelatedError:
     gain = state.score + one.price - less.score
     without = (found for found in effects(less) if found.net > 0)
     functions = m.knots[one.key[0]].functions
-    unit = next(iter(functions.sigmas))
+    unit, shown = _showing(state, less, list(functions.sigmas))
+    visible = _visible(state, one)
     std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * functions.sigmas[unit]
+    if len(functions.sigmas) > 1:
+        # one variance is for all, in units of their noise; what readings of one unit show is theirs
+        std = shown / visible
     count = m.tried * (functions.count if one.key[2] >= 0 else 1)
     level = min(log_level_of(gain) + float(np.log(count)), 0.0)
     place = m.job.model.places[functions.by].names[one.key[2]] if one.key[2] >= 0 else ""
@@ -119,13 +124,24 @@ def _correlated(state: State, number: int) -> CorrelatedError:
         LENGTHS[one.key[1]],
         std,
         std * relative_spread(state, number),
-        _visible(state, one),
+        visible,
         unit,
         level,
         gain,
         place,
         tuple(m.alternative(part.key) for found in without for part in found.fixed if part.sort == EFFECT),
     )
+
+
+def _showing(state: State, less: State, units: Sequence[str]) -> tuple[str, float]:
+    """Return the unit of the readings that show most of what `less` is without, and its root mean square there."""
+    system = state.measurement.system
+    rows = {unit: np.zeros(system.rows, dtype=bool) for unit in units}
+    for group in system.model.readings:
+        rows[group.observations.unit] |= system.rows_of(group)
+    change = less.residual - state.residual
+    unit = max(units, key=lambda one: float((change[rows[one]] ** 2).sum()))
+    return unit, float(np.sqrt(((change * system.scale)[rows[unit]] ** 2).mean()))
 
 
 def _visible(state: State, one: Random) -> float:

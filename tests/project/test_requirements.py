@@ -23,6 +23,7 @@ ONE_OF_EACH = {
     "selfcal-grid": ("ball-cube", "jobs/views.yaml", "1.alpha", "rad"),
     "locate-launch-unit": ("xm60-launch-unit", "jobs/errors.yaml", "gamma", "rad"),
     "calibrate-machine": ("machine-lengths", "jobs/lengths.yaml", "C0Y", "rad"),
+    "adjust-network": ("hall-trackers", "jobs/hall.yaml", "S1.alpha", "rad"),
     "fit-part": ("raw-part", "jobs/fit.yaml", "x", "mm"),
     "fit-points": ("best-fit", "jobs/fit.yaml", "x", "mm"),
     "report-uncertainty": ("gauge-block", "jobs/gum.yaml", "l", "nm"),

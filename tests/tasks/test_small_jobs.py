@@ -129,6 +129,23 @@ def fit_part(folder: Path, metrocli: Metrocli) -> None:
     assert one.overstock_at(pose).min() > 0.5 - 1e-6
 
 
+def fit_points(folder: Path, metrocli: Metrocli) -> None:
+    """Points turned by 0.5 rad about z and shifted."""
+    rng = np.random.default_rng(8)
+    nominal, turn = rng.uniform(-500, 500, (8, 3)), np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    turn = np.cos(0.5) * np.eye(3) + np.sin(0.5) * turn + (1 - np.cos(0.5)) * np.diag([0.0, 0.0, 1.0])
+    measured = (nominal - [10.0, 20.0, 30.0]) @ turn + rng.normal(0, 0.01, nominal.shape)
+    for name, points in (("nominal", nominal), ("measured", measured)):
+        rows = [f"P{i},{x!r},{y!r},{z!r}" for i, (x, y, z) in enumerate(points.tolist())]
+        (folder / f"{name}.csv").write_text("\n".join(["point,x_mm,y_mm,z_mm", *rows]) + "\n")
+    job = folder / "job.yaml"
+    job.write_text(
+        "metrocli: 1\njob: fit-points\ninputs: {points: measured.csv, nominal: nominal.csv}\n"
+        "noise: 0.01 mm\noutput: fit.h5\n"
+    )
+    assert_true(carried_out(job, "fit-points", metrocli), {"x": 10.0, "y": 20.0, "z": 30.0, "gamma": 0.5})
+
+
 def report_uncertainty(folder: Path, metrocli: Metrocli) -> None:
     job = folder / "job.yaml"
     job.write_text(
@@ -150,6 +167,7 @@ JOBS = (
     calibrate_machine,
     adjust_network,
     fit_part,
+    fit_points,
     report_uncertainty,
 )
 

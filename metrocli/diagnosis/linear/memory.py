@@ -28,9 +28,9 @@ _MOST = 4e9
 """Most memory that a diagnosis takes, wherever it runs [bytes]"""
 _FIXED = 0.3e9
 """What it takes for few readings: noise that is drawn, samples, modules [bytes]"""
-_COPIES = 4
+_COPIES = 14
 """Times that the derivatives by the shared unknowns are held at once, and candidates beside their own making"""
-_HELD = 2.5
+_HELD = 8.75
 _FEWEST = 200
 """Fewest members of a part: of fewer, what they show would depend on which were drawn"""
 _SEED = 22

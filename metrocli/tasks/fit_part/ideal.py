@@ -16,6 +16,8 @@ from metrocli.words import listed
 
 _NEAR = 1.6
 """Ratio of the sizes of points and mesh up to which they are taken as alike"""
+_NEARBY, _COVERED = 20.0, 0.95
+"""Largest ratio of two units that is near 1, and the part of an ideal part that its points then span at least"""
 _LOCAL = 0.01
 """Ratio of the sizes of points and mesh down to which the points may be those of a small part of the mesh"""
 _LARGER = 3.0
@@ -83,7 +85,10 @@ def must_be_of_one_size(mesh: Triangles, points: Array, unit: str) -> None:
     extents = np.sort(reach) / np.maximum(np.sort(span), 1e-300)
 
     def alike(ratio: float) -> bool:
-        found = (extents if _LOCAL < ratio < 1 else np.array([of_points / of_mesh])) / ratio
+        found = (extents if _LOCAL < ratio <= _NEARBY else np.array([of_points / of_mesh])) / ratio
+        # a mesh that is ten times too small is smaller than the raw part in each extent
+        if 1 < ratio <= _NEARBY and found.min() < _COVERED:
+            return False
         return bool((np.abs(np.log(np.maximum(found, 1e-300))) < np.log(_NEAR)).all())
 
     causes = [
