@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 _MOST_ALLOWED = 40
 """Words of a list of what is allowed: more than any key has, fewer than the points of a file"""
+
+
+def composed(text: str) -> str:
+    """Return text in Unicode's form NFC: on some systems (macOS) an accent is a letter of its own."""
+    return text if text.isascii() else unicodedata.normalize("NFC", text)
 
 
 def listed(names: Sequence[str], most: int = 8) -> str:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from metrocli import tasks
+
+# The outcome of the suite depends on the change alone. New draws: HYPOTHESIS_PROFILE=default, and `make fuzz`.
+settings.register_profile("repeatable", derandomize=True)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 LONGEST = 8.0
 """CPU seconds of a test from which it is to be marked slow"""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import math
 import re
-import unicodedata
 from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -21,6 +20,7 @@ from metrocli.formats.csv_plain import PlainCells
 from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.frozen import dataclass
 from metrocli.table import Columns, Table
+from metrocli.words import composed
 
 MOST_FAULTS = 20
 MOST_COLUMNS = 5000
@@ -80,9 +80,7 @@ def read_text(path: Path, shown: str, held: FileBytes | None = None) -> str:
         line = data[: data.index(b"\0")].count(b"\n") + 1
         raise InputError([Fault("this is not a text file", shown, line, 1, hint="expected CSV in UTF-8")])
     try:
-        text = data.decode("utf-8").lstrip(MARKS)
-        if not text.isascii():  # the same name typed on another system may have its accents as letters of their own
-            text = unicodedata.normalize("NFC", text)
+        text = composed(data.decode("utf-8").lstrip(MARKS))
         return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1

@@ -11,6 +11,7 @@ from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings.sections import Section, setting
 from metrocli.settings.values import BAD, Limits, Number, Quantity, Schema, Spec, Whole, described, refuse
+from metrocli.words import composed
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class MapOf:
     def read(self, node: Node, faults: list[Fault]) -> Any:
         if not self.fits(node):
             return refuse(self, node, faults)
-        values = {key.text: self.value.read(value, faults) for key, value in node.entries}
+        values = {composed(key.text): self.value.read(value, faults) for key, value in node.entries}
         return BAD if BAD in values.values() else values
 
     def schema(self) -> Schema:

@@ -15,7 +15,7 @@ from metrocli import units
 from metrocli.errors import Fault
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
-from metrocli.words import suggestion
+from metrocli.words import composed, suggestion
 
 Schema = dict[str, Any]
 
@@ -68,12 +68,12 @@ class OfText:
 
 @dataclass(frozen=True)
 class Text(OfText):
-    """Any text, exactly as in the file."""
+    """Any text as in the file, with composed accents."""
 
     expects = "text"
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
-        return node.text if self.fits(node) else refuse(self, node, faults)
+        return composed(node.text) if self.fits(node) else refuse(self, node, faults)
 
     def schema(self) -> Schema:
         return {"type": ["string", "number", "boolean"]}
