@@ -45,7 +45,7 @@ def faults(table: Table, columns: Columns) -> list[Fault]:
     if not measured or len(table) < 2 * _ROWS:
         return []
     readings = row_hashes(table, measured)
-    rows = row_hashes(table, (*columns.alike, *measured))
+    rows = row_hashes(table, [name for name in (*columns.alike, *measured) if name in table])
     alike = _share_alike(readings)
     if alike > _MOST_ALIKE:
         return []

@@ -1,24 +1,18 @@
-"""Geometric errors of a machine with three linear axes, in the names and signs of ISO 230-1 (actual minus commanded).
-
-The lever L_a of axis a is the sum of the positions of the axes nearer to the tool, plus the tool vector T. To first
-order, the tool is displaced against the workpiece by `d = sum_a [E_a(x_a) + theta_a(x_a) x L_a] + q`, with
-`q = (-C0Y y + B0Z z, -A0Z z, 0)`. The formula holds for all six orders of axes; the place of the bed in the chain makes
-no difference to first order.
-"""
+"""The axes of a machine and their error tables, in the names and signs of ISO 230-1 (actual minus commanded)."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import field
 from functools import cached_property
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.chain import Local, Step
-from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
+from metrocli.instruments.joints import Motion, slide
 
 AXES = ("X", "Y", "Z")
 POSITION = ("x", "y", "z")
@@ -27,6 +21,10 @@ SQUARENESS, TOOL = "squareness", "tool"
 """Names of the blocks besides those of the axes"""
 SQUARENESS_NAMES = ("A0Z", "B0Z", "C0Y")
 ANGLES = ("A", "B", "C")
+_MARKED = "such as wCAbXYZt (two tables), wCbXYZBt (head and table) or wbXYZCAt (two heads)"
+_EACH_ONCE = f"each of X, Y, Z and at most two of A, B, C once, and b for the bed, {_MARKED}"
+ROWS = 9
+"""Rows of an axis among the errors of all axes: six of its tables, then a shift of its line along X, Y, Z"""
 _MOST_LENGTH, _MOST_ANGLE = 1.0, 1e-3
 """Largest plausible entries of a table [mm, rad]; an error with a larger standard uncertainty is not determined"""
 
@@ -50,17 +48,26 @@ def canonical(name: str) -> str:
     return name.replace("O", "0") if name in ("COY", "BOZ", "AOZ") else name
 
 
-def axis_order(chain: str) -> tuple[int, ...]:
-    """Return the order of the axes (0 for X) from the workpiece to the tool, from a text such as `wXbYZt` or `XYZ`.
+def chain_of(text: str) -> tuple[str, ...]:
+    """Return the letters of the axes from the workpiece to the tool, and `b` for the bed, from a text like `wCAbXYZt`.
 
-    Raises ValueError if the text is not a chain of the three axes.
+    A machine without rotary axes has three linear ones, and its bed need not be marked: what it splits makes no
+    difference to first order. Raises ValueError if the text is not such a chain.
     """
-    letters = re.sub(r"[\s\[\]]", "", chain)
-    match = re.fullmatch(r"w?((?:[XYZ]|b(?=[XYZbt]|$))+)t?", letters)
-    order = tuple(AXES.index(letter) for letter in (match[1] if match else "").replace("b", ""))
-    if len(order) != 3 or len(set(order)) != 3 or letters.count("b") > 1:
-        raise ValueError(f"'{chain}' is not a chain of the axes X, Y and Z from workpiece to tool, such as wXbYZt")
-    return order
+    letters = tuple(re.sub(r"^w|t$", "", re.sub(r"[\s\[\]]", "", text)))
+    linear, turning = ([one for one in letters if one in kind] for kind in (AXES, ANGLES))
+    if set(letters) - {*AXES, *ANGLES, "b"} or len(set(letters)) < len(letters) or len(turning) > 2:
+        raise ValueError(f"'{text}' is not a chain of axes from workpiece to tool: {_EACH_ONCE}")
+    if turning and "b" not in letters:
+        raise ValueError(f"'{text}' does not mark the bed with b: it decides which axes turn the workpiece; {_MARKED}")
+    if not turning and len(linear) != 3:
+        raise ValueError(f"'{text}' is not a chain of the axes X, Y and Z from workpiece to tool, such as wXbYZt")
+    return letters
+
+
+def axis_order(chain: str) -> tuple[int, ...]:
+    """Return the order of the linear axes (0 for X) from the workpiece to the tool; ValueError as in `chain_of`."""
+    return tuple(AXES.index(letter) for letter in chain_of(chain) if letter in AXES)
 
 
 @dataclass(frozen=True)
@@ -82,8 +89,23 @@ class Axis:
 
     @property
     def number(self) -> int:
-        """Number of the axis: 0, 1, 2 for X, Y, Z."""
+        """Number of its direction: 0, 1, 2 for X, Y, Z; it is also that of its positioning error among the six."""
         return AXES.index(self.letter)
+
+    @property
+    def coordinate(self) -> str:
+        """Name of the condition that holds its commanded position."""
+        return self.letter.lower()
+
+    @property
+    def location(self) -> str:
+        """Name of the block that says how its line lies: squareness, which all linear axes share."""
+        return SQUARENESS
+
+    @property
+    def members(self) -> Array:
+        """The knots that have raw values of their own."""
+        return self.knots
 
     @property
     def reference(self) -> float:
@@ -142,12 +164,19 @@ class Axis:
             self.block, values, errors_of(self.letter), members, self.free(estimated), reach=reach, noun="position"
         )
 
+    def motion(self, position: Array, errors: Array, location: Array) -> Motion:
+        """Return the motion of the tool's side of the axis against its workpiece side at positions (n,).
+
+        errors (9, n) are the six of the tables and a shift of the axis' line, location the values of its block.
+        """
+        return slide(self.number, position, errors, location)
+
     @cached_property
     def from_raw(self) -> Array:
-        """Matrices that convert raw values to tables, (6, knots, knots)."""
+        """Matrices that convert raw values to tables, (6, knots, members)."""
         index, weight = self.places(self.knots)
         n = len(self.knots)
-        matrices = np.zeros((6, n, n))
+        matrices = np.zeros((6, n, len(self.members)))
         for knots, weights in zip(index, weight, strict=True):
             for column in range(6):
                 np.add.at(matrices[column], (np.arange(n), knots), np.broadcast_to(weights, (6, n))[column])
@@ -162,11 +191,33 @@ def bracket(knots: Array, position: Array) -> tuple[Index, Array]:
 
 @dataclass(frozen=True)
 class Machine:
-    """Three linear axes in their order from workpiece to tool."""
+    """Axes in their order from workpiece to tool, linear and rotary."""
 
     order: tuple[int, ...]
-    axes: tuple[Axis, Axis, Axis]
-    """The axes X, Y and Z, in this order"""
+    """Numbers of the axes among `axes`"""
+    axes: tuple[Axis, ...]
+    """Those of X, Y, Z, A, B, C that the machine has, in this order"""
+    bed: int = 0
+    """How many of them are on the workpiece's side of the bed"""
+    tools: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """Listed tool vectors, (tools, 3): errors of a machine with rotary axes are against the place of these"""
+
+    @property
+    def turns(self) -> bool:
+        """Whether it has rotary axes, so that its motion is no sum of displacements."""
+        return any(axis.location != SQUARENESS for axis in self.axes)
+
+    @property
+    def at_bed(self) -> int:
+        """Number of the axis next to the bed, on the side of the tool if there is one."""
+        return self.order[min(self.bed, len(self.order) - 1)]
+
+    def row(self, letter: str, error: int) -> int:
+        """Return the number of an error among those of all axes (`Undisturbed`), by the letter of its axis.
+
+        error is 0 to 5 for the six of the tables, 6 to 8 for a shift of the axis' line along X, Y, Z.
+        """
+        return ROWS * [axis.letter for axis in self.axes].index(letter.upper()) + error
 
     def carried(self, axis: int) -> tuple[int, ...]:
         """Return the numbers of the axes that are nearer to the tool than a given axis."""
@@ -180,22 +231,31 @@ class Machine:
         return lever
 
     def index(self, position: Array) -> dict[str, Index]:
-        """Return for each block the knots on which readings at commanded positions (3, n) depend."""
-        return {axis.block: axis.places(position[axis.number])[0] for axis in self.axes}
+        """Return for each block the knots on which readings at commanded positions (axes, n) depend."""
+        return {axis.block: axis.places(own)[0] for axis, own in zip(self.axes, position, strict=True)}
+
+    def conditions(self, position: Array) -> dict[str, Array]:
+        """Return commanded positions (axes, n) as the conditions of readings."""
+        return {axis.coordinate: own for axis, own in zip(self.axes, position, strict=True)}
 
     @property
     def low(self) -> Array:
-        """Lowest positions (3,)."""
+        """Lowest positions (axes,)."""
         return np.array([axis.knots[0] for axis in self.axes])
 
     @property
     def high(self) -> Array:
-        """Highest positions (3,)."""
+        """Highest positions (axes,)."""
         return np.array([axis.knots[-1] for axis in self.axes])
 
     @property
+    def diagonal(self) -> float:
+        """Length of the diagonal of the linear travels [mm]."""
+        return float(np.linalg.norm([np.ptp(axis.knots) for axis in self.axes if axis.location == SQUARENESS]))
+
+    @property
     def home(self) -> Array:
-        """Positions of axes whose position is not given: their references (3,)."""
+        """Positions of axes whose position is not given: their references (axes,)."""
         return np.array([axis.reference for axis in self.axes])
 
 
@@ -208,85 +268,5 @@ def squareness_block(values: Mapping[str, float], estimated: Collection[str]) ->
 
 def tool_block(vectors: Array, names: Sequence[str], uncertainty: float) -> Block:
     """Return the block of tool vectors, (tools, 3); they are unknowns if their uncertainty is not zero."""
-    reach = np.array(10 * max(uncertainty, _MOST_LENGTH))
+    reach = np.array(10 * max(uncertainty if np.isfinite(uncertainty) else 0.0, _MOST_LENGTH))
     return Block(TOOL, vectors, ("x", "y", "z"), tuple(names), free=np.array(uncertainty > 0), reach=reach, noun="tool")
-
-
-@dataclass(frozen=True)
-class ErrorMotion:
-    """Start of a chain: displacement d and rotation theta of the tool at the commanded position, (6, n)."""
-
-    machine: Machine
-    takes = None
-    gives = Quantity.ERROR_MOTION
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        """Names of the blocks of the axes, of squareness, and of the tool vectors, which are part of the levers."""
-        return (*(axis.block for axis in self.machine.axes), SQUARENESS, TOOL)
-
-    def step(self, value: Array, local: Local) -> Step:
-        """Return d and theta, with derivatives by the two (or four) knots of each axis on which a reading depends."""
-        position = np.stack([local.observations.conditions[name] for name in POSITION])
-        tool = local.rows(TOOL)
-        motion, by_block = by_squareness(position, local.members(SQUARENESS)[0])
-        by_tool = np.zeros((6, 3, position.shape[1]))
-        for axis in self.machine.axes:
-            index, weight = axis.places(position[axis.number])
-            values = local.members(axis.block)
-            error = sum(w * values[i].T for i, w in zip(index, weight, strict=True))
-            lever = self.machine.lever(axis.number, position, tool)
-            motion[:3] += error[:3] + _crossed(error[3:], lever)
-            motion[3:] += error[3:]
-            if TOOL in local.wanted:
-                by_tool[:3] += _turning(error[3:])
-            if axis.block in local.wanted:
-                by_block[axis.block] = weight[:, None] * by_errors(lever)
-        return Step(motion, by_block={**by_block, TOOL: by_tool})
-
-
-def by_squareness(position: Array, values: Array) -> tuple[Array, dict[str, Array]]:
-    """Return the motion (6, n) that squareness (3,) gives at positions (3, n), and its derivatives, (6, 3, n)."""
-    _, y, z = position
-    by_value = np.zeros((6, 3, position.shape[1]))
-    by_value[0, 1], by_value[0, 2], by_value[1, 0] = z, -y, -z
-    return np.einsum("abn,b->an", by_value, values), {SQUARENESS: by_value}
-
-
-def by_errors(lever: Array) -> Array:
-    """Return the derivatives of (d, theta) by the six errors of an axis, (6, 6, n), for levers (3, n).
-
-    `d = E + theta x L`.
-    """
-    change = np.zeros((6, 6, lever.shape[1]))
-    change[np.arange(6), np.arange(6)] = 1.0
-    change[:3, 3:] = -_turning(lever)
-    return change
-
-
-def _turning(vectors: Array) -> Array:
-    """Return the matrices (3, 3, n) of the cross products with vectors (3, n)."""
-    x, y, z = vectors
-    none = np.zeros(len(x))
-    return np.array([[none, -z, y], [z, none, -x], [-y, x, none]])
-
-
-def _crossed(first: Array, second: Array) -> Array:
-    """Return the cross products of vectors (3, n); `numpy.cross` takes longer to arrange its axes than for these."""
-    (a, b, c), (x, y, z) = first, second
-    return np.array([b * z - c * y, c * x - a * z, a * y - b * x])
-
-
-@dataclass(frozen=True)
-class ReachedPoint:
-    """Link to the place of the reflector: commanded position, plus tool vector, plus displacement."""
-
-    takes = Quantity.ERROR_MOTION
-    gives = Quantity.POINT_IN_MACHINE
-    blocks = (TOOL,)
-
-    def step(self, value: Array, local: Local) -> Step:
-        """Return the point, (3, n), with its derivatives by the motion, (3, 6, 1), and by the tool, (3, 3, 1)."""
-        position = np.stack([local.observations.conditions[name] for name in POSITION])
-        by_motion = np.eye(6)[:3, :, None]
-        return Step(position + local.rows(TOOL) + value[:3], by_motion, {TOOL: np.eye(3)[:, :, None]})

@@ -11,7 +11,8 @@ from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
-from metrocli.instruments.machine import ErrorMotion, Machine
+from metrocli.instruments.kinematics import motion
+from metrocli.instruments.machine import Machine
 
 LINE = "line"
 """Block: offsets of the six channels of each line, and the slope of its beam in two directions across the line"""
@@ -92,4 +93,4 @@ class Displacement:
 
 def line_chain(machine: Machine, displacement: bool = False) -> Chain:
     """Return the forward model of a reading on a line, or of its displacement only."""
-    return Chain((ErrorMotion(machine), Misaligned(), *([Displacement()] if displacement else [])))
+    return Chain((*motion(machine), Misaligned(), *([Displacement()] if displacement else [])))

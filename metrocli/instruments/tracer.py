@@ -16,7 +16,6 @@ from metrocli.adjust.rounds import Aspect
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments.frames import PointOf
-from metrocli.instruments.machine import ErrorMotion, Machine, ReachedPoint
 
 POINT, TRACER, STOP, AIR = "point", "tracer", "stop", "air"
 """Blocks: reflector positions; x0, y0, z0, dead path and scale of each tracer; deviations of the carrier's stops; the
@@ -96,11 +95,6 @@ class Returned:
 def reach() -> Chain:
     """Return the chain to a reflector whose place is an unknown."""
     return Chain((PointOf(POINT, Quantity.POINT_IN_MACHINE),))
-
-
-def reach_of_machine(machine: Machine) -> Chain:
-    """Return the chain to a reflector at the tool of a machine."""
-    return Chain((ErrorMotion(machine), ReachedPoint()))
 
 
 def chain(to: Chain | None = None, stops: bool = False, in_air: bool = False) -> Chain:

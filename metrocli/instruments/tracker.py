@@ -11,7 +11,6 @@ from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.frames import Into
-from metrocli.instruments.machine import ErrorMotion, Machine, ReachedPoint
 
 TRACKER, LEG = "tracker", "leg"
 """Blocks: pose of the tracker in the machine; two unit vectors across each leg of a path"""
@@ -82,15 +81,14 @@ class AcrossLeg:
         return Step(np.einsum("abn,bn->an", across, value), across)
 
 
-def point_chain(machine: Machine) -> Chain:
-    """Return the forward model of a point measured by the tracker at a commanded position."""
-    into = Into(TRACKER, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_TRACKER)
-    return Chain((ErrorMotion(machine), ReachedPoint(), into))
+def point_chain(to: Chain) -> Chain:
+    """Return the forward model of the end of a chain as measured by the tracker."""
+    return Chain((*to.links, Into(TRACKER, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_TRACKER)))
 
 
-def path_chain(machine: Machine) -> Chain:
+def path_chain(to: Chain) -> Chain:
     """Return the forward model of the coordinates of a point across its leg."""
-    return Chain((*point_chain(machine).links, AcrossLeg()))
+    return Chain((*point_chain(to).links, AcrossLeg()))
 
 
 POLAR = ("azimuth", "elevation", "distance")

@@ -8,14 +8,13 @@ import numpy as np
 
 from metrocli.arrays import Array, Index
 from metrocli.errors import Fault
+from metrocli.instruments.error_motion import by_errors, by_squareness
 from metrocli.instruments.machine import (
     AXES,
     SQUARENESS_NAMES,
     Axis,
     Machine,
     bracket,
-    by_errors,
-    by_squareness,
     errors_of,
 )
 from metrocli.result import Result

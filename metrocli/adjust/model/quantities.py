@@ -25,6 +25,7 @@ class Quantity(Enum):
     IMAGE_POINT = "image point in pixels"
     MACHINE_READING = "point as the machine reads it"
     LENGTH = "length"
+    AXIS_ERRORS = "errors of the axes of a machine besides their tables"
     ERROR_MOTION = "displacement and rotation of a machine's tool against its workpiece"
     DISPLACEMENT = "displacement of a machine's tool along a line"
     POINT_IN_TRACKER = "point in the frame of the laser tracker"

@@ -5,6 +5,6 @@ from metrocli.tasks.kind import Kind
 KIND = Kind(
     "calibrate-machine",
     "geometric errors of a 3-axis machine from a tracker, lengths or 6-DoF data",
-    measured=("points", "track", "lines", "lengths"),
-    planned=("points", "path", "track", "lines", "lengths"),
+    measured=("points", "track", "lines", "lengths", "probing"),
+    planned=("points", "path", "track", "lines", "lengths", "probing"),
 )

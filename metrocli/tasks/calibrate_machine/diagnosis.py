@@ -9,23 +9,27 @@ import numpy as np
 
 from metrocli.adjust.clusters.robust import Clusters
 from metrocli.adjust.model.blocks import Space
+from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
+from metrocli.effects.acting import NOMINAL
 from metrocli.effects.effect import ELAPSED, WARMING, Effect
 from metrocli.effects.estimates import free_blocks
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.geometry import poses
-from metrocli.instruments.machine import POSITION, SQUARENESS, TOOL, Machine
+from metrocli.instruments.kinematics import LINKS
+from metrocli.instruments.machine import TOOL, Machine
+from metrocli.instruments.rotary import RotaryAxis
 from metrocli.instruments.six_dof import LINE
-from metrocli.instruments.tracer import TRACER, beams, reach_of_machine
+from metrocli.instruments.tracer import TRACER, beams
 from metrocli.instruments.tracker import LEG, TRACKER
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.effects import OF_LENGTHS, OF_LINES, OF_MACHINES
-from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS
+from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, PLACES_OF_AXES, SIDES
 from metrocli.tasks.calibrate_machine.solve import Solved, refitted
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, count, in_blocks, noise_found
 
@@ -83,7 +87,7 @@ def _condensed(group: Group) -> bool:
 
 def _variations(model: Model, readings: Observations) -> Iterator[tuple[str, Observations]]:
     """Yield readings as they would be from the other side in each axis, and with each other tool."""
-    for axis in POSITION:
+    for axis in (one.removeprefix("from_") for one in SIDES):
         came = readings.conditions.get(f"from_{axis}")
         if came is not None:
             yield (
@@ -106,12 +110,15 @@ def _covariates(model: Model, group: Group, machine: Machine) -> Iterator[Covari
     else:
         order = np.arange(group.observations.count, dtype=float)
         yield Covariate("order of the readings", {name: order}, 6, periodic=True)
-    position = np.stack([conditions[axis] for axis in POSITION])
+    position = np.stack([conditions[axis] for axis in NOMINAL])
     yield Covariate("place in the machine", {name: position}, 3)
+    for axis in (one for one in machine.axes if isinstance(one, RotaryAxis)):
+        yield Covariate(f"{axis.letter.lower()}_deg", {name: conditions[axis.coordinate]}, 6, angle=axis.periodic)
     if WARMING in conditions:
         yield Covariate("temp_degC", {name: conditions[WARMING]}, 6)
     if TRACER in model.blocks:
-        beam = beams(reach_of_machine(machine), model.blocks, group.observations)
+        to = Chain(tuple(link for link in group.chain.links if isinstance(link, LINKS)))
+        beam = beams(to, model.blocks, group.observations)
         length = np.linalg.norm(beam, axis=0)
         yield Covariate("length_mm", {name: length}, 5)
         yield Covariate("beam azimuth", {name: np.arctan2(beam[1], beam[0])}, 4, angle=True)
@@ -140,8 +147,9 @@ def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
     """
     blocks = solved.solution.blocks
     tools = (TOOL,) if blocks[TOOL].free.any() else ()
-    delivered = tuple(name for name in ERROR_BLOCKS if blocks[name].free.any())
-    estimates = (SQUARENESS, *tools, *free_blocks(solved.problem.effects))
+    delivered = tuple(name for name in ERROR_BLOCKS if name in blocks and blocks[name].free.any())
+    places = (name for name in PLACES_OF_AXES if name in blocks)
+    estimates = (*places, *tools, *free_blocks(solved.problem.effects))
     return noise_found((solved.solution, factor), model, lambda: clusters_of(solved), estimates, delivered)
 
 

@@ -9,9 +9,20 @@ from metrocli.table import Columns, Table, columns
 from metrocli.tasks.shared.environment import WEATHER
 from metrocli.tasks.shared.lists import SIGMAS
 
-_SIDES = "from_x? from_y? from_z?"
+AXES = ("x? y? z? [length]", "a? b? c? [angle]")
+"""Commanded positions; the chain of the machine decides which of them a file needs"""
+_SIDES = "from_x? from_y? from_z? from_a? from_b? from_c?"
 POINTS = Columns(
-    columns("point [text]", "x y z mx my mz [length]", "t? [time]", "tool? [text]", "face? [number]", _SIDES),
+    columns(
+        "point [text]",
+        *AXES,
+        "mx? my? mz? distance? [length]",
+        "azimuth? elevation? [angle]",
+        "t? [time]",
+        "tool? [text]",
+        "face? [number]",
+        _SIDES,
+    ),
     ("point", "face"),
     "commanded points, and where the tracker measured them",
     measured=("mx", "my", "mz"),
@@ -44,7 +55,7 @@ LINES = Columns(
 
 LENGTHS = Columns(
     (
-        *columns("point station [text]", "x y z length [length]", "tool? [text]", "t? [time]", "temp? [temperature]"),
+        *columns("point station [text]", *AXES, "length [length]", "tool? [text]", "t? [time]", "temp? [temperature]"),
         *WEATHER,
         *columns(_SIDES),
     ),
@@ -58,6 +69,22 @@ STATIONS = Columns(
     ("station",),
     "approximate places of the stations",
 )
+PROBING = Columns(
+    columns("ball [text]", *AXES, "dx? dy? dz? [length]", "tool? [text]", "t? [time]", "temp? [temperature]", _SIDES),
+    (),
+    "commanded poses, and the displacement of a ball against the probe there",
+    measured=("dx", "dy", "dz"),
+    alike=("ball",),
+)
+BALLS = Columns((*columns("ball [text]", "x y z [length]"), *SIGMAS), ("ball",), "approximate places of the balls")
+REFLECTORS = Columns(
+    (*columns("reflector on [text]", "x y z [length]"), *SIGMAS),
+    ("reflector",),
+    "approximate places of reflectors, on the workpiece or at the tool",
+)
+DISTANCES = Columns(
+    columns("from to [text]", "length sigma [length]"), ("from", "to"), "calibrated distances of balls or reflectors"
+)
 
 
 @dataclass(frozen=True)
@@ -70,6 +97,10 @@ class Files:
     lines: Table | None = content(TableFile(LINES), "six-dof: lines along axes and diagonals", needed=False)
     lengths: Table | None = content(TableFile(LENGTHS), "lengths: commanded points and lengths", needed=False)
     stations: Table | None = content(TableFile(STATIONS), "lengths: approximate places of the stations", needed=False)
+    probing: Table | None = content(TableFile(PROBING), "probing: poses, and what the probe found", needed=False)
+    balls: Table | None = content(TableFile(BALLS), "probing: approximate places of the balls", needed=False)
+    distances: Table | None = content(TableFile(DISTANCES), "calibrated distances of balls", needed=False)
+    reflectors: Table | None = content(TableFile(REFLECTORS), "reflectors, on workpiece or tool", needed=False)
 
 
 Inputs = inputs_of(Files)

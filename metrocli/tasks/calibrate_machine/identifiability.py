@@ -17,11 +17,14 @@ import numpy as np
 from metrocli.adjust.decompositions import pivoted_qr, thin_svd
 from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, unit_noise, unknowns_of
 from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array, Index
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
-from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, TOOL, Machine, errors_of
+from metrocli.instruments.machine import ANGLES, TOOL, Machine, errors_of
+from metrocli.instruments.rotary import RotaryAxis, gauge
 from metrocli.instruments.tracer import AIR, STOP, TRACER
+from metrocli.tasks.calibrate_machine.described import error_names
 from metrocli.tasks.calibrate_machine.layout import cure_of
 from metrocli.tasks.calibrate_machine.problem import Problem
 from metrocli.tasks.calibrate_machine.tables import Determination
@@ -46,6 +49,16 @@ class Identifiability:
     """Names of the errors with entries held at zero, as they were chosen"""
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all errors of the machine."""
+        return error_names(self.problem.machine)
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """Names of the errors that have tables."""
+        return tuple(name for axis in self.problem.machine.axes for name in errors_of(axis.letter))
+
+    @property
     def unknowns(self) -> int:
         """Number of unknowns."""
         return self.opened.unknowns.size
@@ -59,13 +72,13 @@ class Identifiability:
     def status(self) -> Mapping[str, Determination]:
         """Whether an error is determined, by its name."""
         shares = self.opened.shares(self.opened.directions)
-        return {name: _status(name, shares, self.held, self.opened.blocks) for name in ALL_NAMES}
+        return {name: _status(name, shares, self.held, self.opened.blocks) for name in self.names}
 
     @cached_property
     def partners(self) -> Mapping[str, tuple[str, ...]]:
         """For each error that is not determined on its own, the errors with which it is combined."""
         combined = (Determination.TOGETHER, Determination.UNDETERMINED)
-        return {name: _partners(name, self.opened) for name in ALL_NAMES if self.status[name] in combined}
+        return {name: _partners(name, self.opened) for name in self.names if self.status[name] in combined}
 
     @cached_property
     def ratio(self) -> float:
@@ -101,12 +114,14 @@ class _Open:
     """Largest plausible size of each unknown, (unknowns,)"""
     unknowns: Unknowns
     blocks: Mapping[str, Block]
+    names: tuple[str, ...]
+    """Of all errors of the machine"""
 
     @cached_property
     def rows_of(self) -> Mapping[str, Index]:
         """Indices of the unknowns of each error, by its name."""
         columns = [column for _, _, column in self.unknowns.names(self.blocks)]
-        return {name: np.array([i for i, one in enumerate(columns) if one == name], int) for name in ALL_NAMES}
+        return {name: np.array([i for i, one in enumerate(columns) if one == name], int) for name in self.names}
 
     def moved(self, group_rows: Array) -> Array:
         """Return the displacement that each direction causes at its full plausible size, (d*n, k)."""
@@ -127,12 +142,30 @@ def identify(problem: Problem) -> Identifiability:
     names = [name for name, block in blocks.items() if block.free.any() and name != STOP]
     unknowns = unknowns_of(blocks, names)
     reach = unknowns.reach(blocks)
-    matrix = normal_matrix(problem.groups, blocks, unknowns)
+    matrix = normal_matrix(at_knots(problem), blocks, unknowns)
     values, vectors = np.linalg.eigh(matrix * reach[:, None] * reach)
-    opened = _Open(vectors[:, values < 1.0], reach, unknowns, blocks)
+    opened = _Open(vectors[:, values < 1.0], reach, unknowns, blocks, error_names(problem.machine))
     _refuse_harmful(problem, opened)
     held, undetermined = _hold(opened, problem.machine)
     return Identifiability(problem, opened, held, undetermined)
+
+
+def at_knots(problem: Problem) -> tuple[Group, ...]:
+    """Return the groups of a problem as if every rotary axis had stood at its nearest knot.
+
+    Tables are straight between knots, but levers turn. So readings between knots seem to determine, by hundreds of
+    micrometres, what no such readings at knots determine, and the error of the interpolation is magnified as much.
+    """
+    turning = [axis for axis in problem.machine.axes if isinstance(axis, RotaryAxis)]
+    if not turning:
+        return problem.groups
+    readings = problem.readings
+    given, index = dict(readings.observations.conditions), dict(readings.observations.index)
+    for axis in turning:
+        given[axis.coordinate] = axis.nearest(given[axis.coordinate])
+        index[axis.block] = axis.places(given[axis.coordinate])[0]
+    there = replace(readings.observations, conditions=given, index=index)
+    return tuple(replace(one, observations=there) if one.name == readings.name else one for one in problem.groups)
 
 
 def _moved(problem: Problem, opened: _Open, tool: str) -> Array:
@@ -190,7 +223,8 @@ def _knots(opened: _Open, name: str, direction: Array) -> str:
     moving = [member for member, part in zip(members, size, strict=True) if part > _NAMED * size.max()]
     if len(moving) == len(members) or members == [""]:
         return ""
-    return f" at {', '.join(moving[:4])}{' ...' if len(moving) > 4 else ''} mm"
+    unit = "deg" if name[-1] in ANGLES else "mm"
+    return f" at {', '.join(moving[:4])}{' ...' if len(moving) > 4 else ''} {unit}"
 
 
 def _hold(opened: _Open, machine: Machine) -> tuple[dict[str, Block], tuple[str, ...]]:
@@ -215,10 +249,14 @@ def _hold(opened: _Open, machine: Machine) -> tuple[dict[str, Block], tuple[str,
 
 
 def _preference(machine: Machine) -> list[str]:
-    near_first = [AXES[i] for i in reversed(machine.order)]
+    near_first = [machine.axes[i].letter for i in reversed(machine.order)]
     angles = [name for axis in near_first for name in errors_of(axis) if name[1] in ANGLES]
     rest = [name for axis in near_first for name in errors_of(axis) if name[1] not in ANGLES]
-    return [*angles, *(name for name in ALL_NAMES if name[1] == "0" or name[2] == "0"), *rest, "A0Z", "B0Z", "C0Y"]
+    known = {*angles, *rest}
+    places = [name for name in error_names(machine) if name not in known]
+    if not machine.turns:
+        return [*angles, *rest, *places]
+    return [*angles, *sorted(places, key=lambda name: name[-1] != "S"), *rest]
 
 
 def _taken(directions: Array, at: Index) -> tuple[Index, Array]:
@@ -266,7 +304,7 @@ def worst_ratio(problem: Problem) -> float:
         return 0.0
     weight = problem.per_reading / problem.per_reading.sum()
     unit = _angles_as_lengths(problem)[:, None] / np.sqrt(weight)
-    path = normal_matrix([unit_noise(problem.readings, unit)], blocks, unknowns)
+    path = normal_matrix([unit_noise(problem.readings, unit), *gauge(problem.machine, blocks)], blocks, unknowns)
     volume = volume_matrix(problem, unknowns)
     scale = 1 / np.sqrt(np.maximum(np.diag(path), 1e-300))
     try:
@@ -278,7 +316,7 @@ def worst_ratio(problem: Problem) -> float:
 
 def _angles_as_lengths(problem: Problem) -> Array:
     """Return the size of each component that counts as 1 mm; for angles the lever is half the volume's diagonal."""
-    lever = float(np.linalg.norm(problem.machine.high - problem.machine.low)) / 2
+    lever = problem.machine.diagonal / 2
     return np.array(
         [1 / lever if name in ("ea", "eb", "ec") else 1.0 for name in problem.readings.observations.components]
     )

@@ -14,7 +14,8 @@ from itertools import permutations
 from metrocli.diagnosis.corrections import Mistake
 from metrocli.instruments.machine import AXES, axis_order
 from metrocli.tasks.calibrate_machine.files import Files
-from metrocli.tasks.calibrate_machine.settings import MachineSettings, Settings
+from metrocli.tasks.calibrate_machine.machine_settings import MachineSettings
+from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.lengths import ESTIMATED
 from metrocli.tasks.shared.noise import DECLARED
@@ -53,7 +54,7 @@ def _in_order(chain: str, order: Sequence[int]) -> str:
 
 def _other_tools(machine: MachineSettings) -> Iterator[_Other]:
     """Yield tool vectors that the readings determine; they do not control a single one."""
-    if len(machine.tools or {}) > 1 and machine.tool_uncertainty < _VAGUE:
+    if len(machine.tools or {}) > 1 and machine.tool_std < _VAGUE:
         told = format_quantity(_VAGUE, "mm")
         words = f"the readings see other tool vectors than those listed, as `tool_uncertainty: {told}` shows"
         mistake = Mistake("machine.tools", words, "the tool vectors as measured")

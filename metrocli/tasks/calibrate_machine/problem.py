@@ -10,46 +10,32 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain
-from metrocli.adjust.model.groups import Group, prior
+from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array, Index, Mask
 from metrocli.effects.acting import NOMINAL
 from metrocli.effects.extension import extended
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
 from metrocli.effects.wanted import Wanted
-from metrocli.errors import InputError, UndeterminedError
+from metrocli.errors import InputError
 from metrocli.frozen import dataclass
-from metrocli.instruments.machine import (
-    AXES,
-    POSITION,
-    SQUARENESS,
-    TOOL,
-    Axis,
-    ErrorMotion,
-    Machine,
-    ReachedPoint,
-    axis_order,
-    squareness_block,
-    tool_block,
-)
+from metrocli.instruments.kinematics import LINKS, ON_WORKPIECE
+from metrocli.instruments.machine import ANGLES, AXES, POSITION, SQUARENESS, TOOL, Machine
 from metrocli.instruments.machine_path import SINCE, since_turn
+from metrocli.instruments.rotary import SPINDLE
 from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracer import AIR, POINT, STOP, TRACER
 from metrocli.instruments.tracer import aspects as beam_aspects
 from metrocli.instruments.tracker import LEG, TRACKER
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.iso230 import Run
-from metrocli.tasks.calibrate_machine.settings import AxisSettings, Settings
+from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.lengths import PathNoise, with_noise
 from metrocli.words import suggestion
 
-SIDES = ("from_x", "from_y", "from_z")
+SIDES = ("from_x", "from_y", "from_z", "from_a", "from_b", "from_c")
 """Conditions: 1 where an axis last moved in its positive direction, -1 in its negative, 0 where it has not moved"""
 _SIDE = "expected 1 after a move in the positive direction of the axis, -1 after one in the negative"
-_OUTSIDE = 1e-3
-"""Positions may be outside the range by this [mm]: rounding of the control"""
-_SUPPORT = 0.02
-"""A knot is supported if some reading gives it at least this interpolation weight"""
 
 
 @dataclass(frozen=True)
@@ -132,52 +118,22 @@ def model_of(
     `points` and `stops` are the names of those of lengths; the first stop stands for all that have one length.
     """
     tracers = blocks[TRACER].members if TRACER in blocks else ()
+    letters = [letter.lower() for letter in (*AXES, *ANGLES) if f"axis {letter}" in blocks]
+    balls = blocks[ON_WORKPIECE].members if ON_WORKPIECE in blocks else ()
+    pairs = [pair for pair in (*PAIRS, *TILTED) if set(pair) <= set(letters)]
     places = {
-        "axis": Place(POSITION),
-        "pair": Place(PAIRS),
+        "axis": Place(tuple(letters)),
+        "pair": Place(tuple(pairs)),
+        "ball": Place(balls, ON_WORKPIECE),
         "reversal": Place(REVERSALS),
         "tracer": Place(tracers, TRACER),
         "line": Place(blocks[LINE].members if LINE in blocks else (), LINE),
         "point": Place(tuple(points), POINT),
         "stop": Place(tuple(stops), STOP),
     }
-    to = [link for link in readings.chain.links if isinstance(link, (ErrorMotion, ReachedPoint))]
+    to = [link for link in readings.chain.links if isinstance(link, LINKS)]
     aspects = beam_aspects(Chain(tuple(to))) if tracers else {}
     return Model(blocks, (readings, *others), None, (readings.name,), places, aspects)
-
-
-def machine_of(settings: Settings) -> Machine:
-    """Return the machine with equally spaced knots that the settings describe."""
-    given, rest = settings.machine.axes.given, AxisSettings((0.0, 100.0), 2)  # an axis not given stands still
-    each = [(letter, given.get(letter, rest)) for letter in AXES]
-    axes = tuple(Axis(letter, np.linspace(*axis.range, axis.knots)) for letter, axis in each)
-    return Machine(axis_order(settings.machine.chain), (axes[0], axes[1], axes[2]))
-
-
-def error_blocks(machine: Machine, settings: Settings) -> dict[str, Block]:
-    """Return the blocks of error tables and squareness, all zero, and of the tool vectors.
-
-    Raises InputError if no error is free: a straightness table of two knots is zero at both ends by definition.
-    """
-    blocks = [axis.block_of({}, settings.estimated) for axis in machine.axes]
-    blocks.append(squareness_block({}, settings.estimated))
-    if not any(block.free.any() for block in blocks):
-        names = " ".join(settings.estimated)
-        raise InputError(
-            f"there is nothing to estimate: {names} with two knots is zero by definition; give the axis more knots"
-        )
-    tools = settings.tools
-    blocks.append(tool_block(np.array(list(tools.values())), list(tools), settings.machine.tool_uncertainty))
-    return {block.name: block for block in blocks}
-
-
-def tool_prior(blocks: Mapping[str, Block], settings: Settings) -> tuple[Group, ...]:
-    """Return the prior of the tool vectors with `tool_uncertainty`; empty if the vectors are exact."""
-    block = blocks[TOOL]
-    if not block.free.any():
-        return ()
-    sigma = np.full(block.values.shape, settings.machine.tool_uncertainty)
-    return (prior(block, np.arange(len(sigma)), sigma),)
 
 
 def tools_of(table: Table, settings: Settings) -> Index:
@@ -211,52 +167,15 @@ def tools_of(table: Table, settings: Settings) -> Index:
     return np.asarray(order[np.searchsorted(np.array(names)[order], column)], dtype=np.intp)
 
 
-def commanded(machine: Machine, table: Table) -> Array:
-    """Return commanded positions (3, n); raises InputError if one is outside the range of its axis."""
-    position = table.stacked(POSITION).T
-    low, high = machine.low[:, None] - _OUTSIDE, machine.high[:, None] + _OUTSIDE
-    outside = (position < low) | (position > high)
-    faults = [
-        table.fault_at(
-            int(row),
-            f"{POSITION[axis]} = {position[axis, row]:g} mm is outside the range of the axis, "
-            f"{machine.low[axis]:g} to {machine.high[axis]:g} mm",
-            "the columns x, y, z hold the commanded positions",
-        )
-        for axis, row in zip(*np.nonzero(outside), strict=True)
-    ]
-    if faults:
-        more = [table.fault(f"and {len(faults) - 5} more such rows")] if len(faults) > 5 else []
-        raise InputError(faults[:5] + more)
-    return position
-
-
-def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block]) -> None:
-    """Raise UndeterminedError if a free knot has no reading in the intervals next to it."""
-    told = []
-    for axis in machine.axes:
-        free: Mask = np.asarray(blocks[axis.block].free.any(axis=1))
-        index, weight = axis.places(position[axis.number])
-        seen = np.zeros(len(axis.knots))
-        for knots, weights in zip(index[:2], weight[:2, 0], strict=True):
-            np.maximum.at(seen, knots, weights)
-        bare = np.flatnonzero(free & (seen < _SUPPORT))
-        if bare.size:
-            where = ", ".join(f"{axis.knots[i]:g}" for i in bare[:5]) + (" ..." if bare.size > 5 else "")
-            told.append(
-                f"no reading is near {bare.size} of the {len(axis.knots)} knots of {axis.letter} (at {where} mm): "
-                f"give {axis.letter.lower()} fewer knots, or measure there"
-            )
-    if told:
-        raise UndeterminedError("\n".join(told))
-
-
-def conditions(position: Array, table: Table | None = None) -> dict[str, Array]:
+def conditions(
+    machine: Machine, position: Array, table: Table | None = None, place: Array | None = None
+) -> dict[str, Array]:
     """Return the conditions of readings: commanded position, and time, temperature and directions of approach if given.
 
-    Raises InputError if a direction of approach is not -1, 0 or 1.
+    `place` (3, n) is the nominal place of the point that is read, unless it is the commanded position. Raises
+    InputError if a direction of approach is not -1, 0 or 1.
     """
-    found = dict(zip((*POSITION, *NOMINAL), (*position, *position), strict=True))
+    found = machine.conditions(position) | dict(zip(NOMINAL, position[:3] if place is None else place, strict=True))
     if table is not None:
         _refuse_sides(table)
         found |= table.conditions("t", "temp", *SIDES)
@@ -272,7 +191,7 @@ def since_turns(position: Array, given: Mapping[str, Array]) -> dict[str, Array]
     """
     n = position.shape[1]
     order, found = np.argsort(given.get("t", np.arange(n)), kind="stable"), {}
-    for axis, places in zip(POSITION, position[:, order], strict=True):
+    for axis, places in zip(POSITION, position[:, order], strict=False):
         side = given.get(f"from_{axis}")
         way = None if side is None else since_turn(np.diff(places, prepend=places[:1]), side[order])
         if way is not None:
@@ -291,10 +210,18 @@ def _refuse_sides(table: Table) -> None:
         raise InputError(faults[:5])
 
 
-ERROR_BLOCKS = ("axis X", "axis Y", "axis Z", SQUARENESS, TOOL)
+PLACES_OF_AXES = (SQUARENESS, *(f"place of {letter}" for letter in ANGLES), SPINDLE)
+"""Names of the blocks whose entries are estimates of the summary: how the axes lie"""
+ERROR_BLOCKS = (
+    *(f"axis {letter}" for letter in (*AXES, *ANGLES)),
+    *PLACES_OF_AXES,
+    TOOL,
+)
 """Names of the blocks on which the predicted error of a point depends"""
-BLOCKS = (*ERROR_BLOCKS, TRACKER, LEG, LINE, TRACER, STOP, AIR)
+BLOCKS = (*ERROR_BLOCKS, TRACKER, LEG, LINE, TRACER, STOP, AIR, ON_WORKPIECE)
 """Names of the blocks of machine and instruments; all other blocks are effects"""
 PAIRS = ("xy", "xz", "yz")
+TILTED = ("ac", "bc", "ab", "ca", "cb", "ba")
+"""Pairs of tables, the one that tilts the other first"""
 REVERSALS = ("xy", "xz", "yx", "yz", "zx", "zy")
 """Places of reversals: the axis that turns, and the axis along which the point is shifted"""

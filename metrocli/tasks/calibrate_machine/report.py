@@ -12,7 +12,9 @@ from metrocli.adjust.solution import Solution
 from metrocli.effects.estimates import estimates as effect_estimates
 from metrocli.effects.estimates import free_blocks
 from metrocli.effects.estimates import tables as effect_results
-from metrocli.instruments.machine import AXES, ERRORS, SQUARENESS, SQUARENESS_NAMES, TOOL
+from metrocli.instruments.kinematics import ON_WORKPIECE
+from metrocli.instruments.machine import ANGLES, SQUARENESS_NAMES, TOOL, Machine
+from metrocli.instruments.rotary import RotaryAxis
 from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracer import TRACER
 from metrocli.instruments.tracker import TRACKER
@@ -22,6 +24,7 @@ from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
+from metrocli.tasks.calibrate_machine.problem import PLACES_OF_AXES
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.solve import Solved
 from metrocli.tasks.calibrate_machine.tables import (
@@ -31,6 +34,7 @@ from metrocli.tasks.calibrate_machine.tables import (
     tables_of,
     tool_names,
     unit_of,
+    unit_of_position,
 )
 from metrocli.tasks.calibrate_machine.volume_report import NOT_CONTAINED, volume_tables
 from metrocli.tasks.calibrate_machine.warnings import cures, identifiability_notes, machine_warnings, uncontrolled
@@ -66,14 +70,16 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
         kind=KIND.name,
         title="",
         estimates=found,
-        covariance=solution.joint((SQUARENESS, *tools, *free_blocks(added))),
+        covariance=solution.joint((*_places(solution), *tools, *free_blocks(added))),
         statistics=with_found(_statistics(solved, settings), noise),
         tables={
-            **{f"tables/{name}": _table(tables, name, identified) for name in ERRORS if _wanted(name, identified)},
+            **{f"tables/{name}": _table(tables, name, identified) for name in _wanted(identified)},
             "errors": _errors(tables, identified),
             "squareness": _squareness(tables, identified),
             "axes": _axes(tables),
+            **_rotary_axes(tables.machine),
             "tools": _tools(solved, solution),
+            **_on_workpiece(solution),
             **_tracker(solution),
             **_lines(solution),
             **_stations(solution),
@@ -82,7 +88,7 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
             "residuals": _residuals(solved),
             "suspects": _suspects(solved),
             "rejected": _named_tests(solved, [name for name, _ in solved.rejected], [w for _, w in solved.rejected]),
-            "tables_entries": Table.of_rows(("error", "position [mm]"), tables.entries),
+            "tables_entries": _entries(tables),
             TABLE: hidden,
             **effect_tables,
         },
@@ -131,14 +137,18 @@ def _at_20_degrees(settings: Settings) -> Iterator[str]:
         yield f"E{letter}{letter} is given for a scale of 20 degC: at the measurement it had grown by {size}"
 
 
-def _wanted(name: str, identified: Identifiability) -> bool:
-    return identified.status[name] != Determination.NOT_ESTIMATED
+def _wanted(identified: Identifiability) -> list[str]:
+    """Return the names of the errors with tables that the job estimates."""
+    return [name for name in identified.tables if identified.status[name] != Determination.NOT_ESTIMATED]
 
 
 def _estimates(solution: Solution) -> tuple[Estimate, ...]:
     """Return the estimated squareness errors, then the estimated tool vectors."""
-    square, tool = solution.blocks[SQUARENESS], solution.blocks[TOOL]
-    found = estimates_of_block(square, solution.std(SQUARENESS), (("rad",),) * 3, lambda _, name: name)
+    tool, found = solution.blocks[TOOL], tuple[Estimate, ...]()
+    for name in _places(solution):
+        block = solution.blocks[name]
+        own = tuple((unit_of(column),) for column in block.columns)
+        found += estimates_of_block(block, solution.std(name), own, lambda _, column: column)
     if not tool.free.any():
         return found
     names = dict(zip(tool.members, tool_names(solution.blocks), strict=True))
@@ -151,12 +161,12 @@ def _table(tables: Tables, name: str, identified: Identifiability) -> Table:
     position, value, std = tables.of(name)
     if identified.status[name] == Determination.UNDETERMINED:
         value, std = np.full_like(value, np.nan), np.full_like(std, np.inf)
-    unit = unit_of(name)
-    return Table.of({"position [mm]": position, f"value [{unit}]": value, f"std [{unit}]": std})
+    unit, axis = unit_of(name), next(axis for axis in tables.machine.axes if axis.letter == name[-1])
+    return Table.of({f"position [{unit_of_position(axis)}]": position, f"value [{unit}]": value, f"std [{unit}]": std})
 
 
 def _errors(tables: Tables, identified: Identifiability) -> Table:
-    names = (*ERRORS, *SQUARENESS_NAMES)
+    names = identified.names
     of = [tables.of(name) for name in names]
     open_ones = np.array([identified.status[name] == Determination.UNDETERMINED for name in names])
     largest = np.array([np.abs(value).max() for _, value, _ in of])
@@ -164,7 +174,7 @@ def _errors(tables: Tables, identified: Identifiability) -> Table:
     return Table.of(
         {
             "error": names,
-            "axis": [name[2] for name in names],
+            "axis": [name[-1] for name in names],
             "unit": [unit_of(name) for name in names],
             "status": [identified.status[name] for name in names],
             "with": [" ".join(identified.partners.get(name, ())) for name in names],
@@ -190,17 +200,62 @@ def _squareness(tables: Tables, identified: Identifiability) -> Table:
 
 
 def _axes(tables: Tables) -> Table:
-    axes = tables.machine.axes
+    machine = tables.machine
+    linear = [(i, axis) for i, axis in enumerate(machine.axes) if not isinstance(axis, RotaryAxis)]
     return Table.of(
         {
-            "axis": AXES,
-            "low [mm]": tables.machine.low,
-            "high [mm]": tables.machine.high,
-            "knots": [len(axis.knots) for axis in axes],
-            "reference [mm]": tables.machine.home,
-            "place": [tables.machine.order.index(i) + 1 for i in range(3)],
+            "axis": [axis.letter for _, axis in linear],
+            "low [mm]": [axis.knots[0] for _, axis in linear],
+            "high [mm]": [axis.knots[-1] for _, axis in linear],
+            "knots": [len(axis.knots) for _, axis in linear],
+            "reference [mm]": [axis.reference for _, axis in linear],
+            "place": [machine.order.index(i) + 1 for i, _ in linear],
         }
     )
+
+
+def _rotary_axes(machine: Machine) -> dict[str, Table]:
+    """Return the rotary axes with a point of their nominal line, if there are any."""
+    turning = [(i, axis) for i, axis in enumerate(machine.axes) if isinstance(axis, RotaryAxis)]
+    if not turning:
+        return {}
+    columns = {
+        "axis": [axis.letter for _, axis in turning],
+        "low high [rad]": np.array([[axis.knots[0], axis.knots[-1]] for _, axis in turning]),
+        "knots": [len(axis.knots) for _, axis in turning],
+        "reference [rad]": [axis.reference for _, axis in turning],
+        "place": [machine.order.index(i) + 1 for i, _ in turning],
+        "x y z [mm]": np.array([axis.at for _, axis in turning]),
+        "sense": [axis.sense for _, axis in turning],
+        "head": [axis.head for _, axis in turning],
+        "periodic": [axis.periodic for _, axis in turning],
+    }
+    return {"rotary_axes": Table.of(columns)}
+
+
+def _entries(tables: Tables) -> Table:
+    """Return the error and the position of each entry of `tables_covariance`."""
+    error, position = [one for one, _ in tables.entries], np.array([one for _, one in tables.entries])
+    if not tables.machine.turns:
+        return Table.of({"error": error, "position [mm]": position})
+    turns = np.array([name[-1] in ANGLES for name in error])
+    linear, turned = np.where(turns, np.nan, position), np.where(turns, position, np.nan)
+    return Table.of({"error": error, "position [mm]": linear, "angle [rad]": turned})
+
+
+def _on_workpiece(solution: Solution) -> dict[str, Table]:
+    """Return the places of balls or reflectors on the workpiece, at position 0 of all axes."""
+    if ON_WORKPIECE not in solution.blocks:
+        return {}
+    block = solution.blocks[ON_WORKPIECE]
+    std = solution.std(ON_WORKPIECE) if block.free.any() else np.zeros(block.values.shape)
+    table = Table.of({block.noun: block.members, "x y z [mm]": block.values, "sx sy sz [mm]": std})
+    return {f"{block.noun}s": table}
+
+
+def _places(solution: Solution) -> tuple[str, ...]:
+    """Return the names of the blocks that say how the axes lie, where they have unknowns."""
+    return tuple(name for name in PLACES_OF_AXES if name in solution.blocks and solution.blocks[name].free.any())
 
 
 def _tools(solved: Solved, solution: Solution) -> Table:
@@ -248,7 +303,10 @@ def _lines(solution: Solution) -> dict[str, Table]:
 
 def _residuals(solved: Solved) -> Table:
     observations, found = solved.problem.readings.observations, solved.residuals
-    places = {f"{axis} [mm]": observations.conditions[axis] for axis in "xyz"}
+    axes = solved.problem.machine.axes
+    places = {
+        f"{axis.letter.lower()} [{unit_of_position(axis)}]": observations.conditions[axis.coordinate] for axis in axes
+    }
     columns: dict[str, Any] = {**observations.keys, **places}
     for i, component in enumerate(observations.components):
         unit = "rad" if component in ("ea", "eb", "ec") else "mm"

@@ -6,20 +6,11 @@ from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
 
 from metrocli.frozen import dataclass
-from metrocli.instruments.machine import ALL_NAMES, SQUARENESS_NAMES, axis_order, canonical
-from metrocli.settings import (
-    Choice,
-    Either,
-    Flag,
-    ListOf,
-    MapOf,
-    Quantity,
-    Section,
-    Text,
-    Whole,
-    setting,
-)
+from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, SQUARENESS_NAMES, canonical, is_angle
+from metrocli.instruments.rotary import LOCATIONS, ROTARY_NAMES, SPINDLE_NAMES, WORDS, errors_by_word
+from metrocli.settings import Choice, Either, Flag, ListOf, Quantity, Section, Whole, setting
 from metrocli.tasks.calibrate_machine.files import Inputs
+from metrocli.tasks.calibrate_machine.machine_settings import VECTOR, MachineSettings
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.shared.environment import Environment
 from metrocli.tasks.shared.figures import adjusted
@@ -27,77 +18,27 @@ from metrocli.tasks.shared.lengths import REPEATABILITY, REPEATABILITY_WORDS, Le
 from metrocli.tasks.shared.noise import model_setting
 from metrocli.tasks.shared.part import Warm
 
-ON_THE_FLY, STANDSTILL, SIX_DOF, LENGTHS = "on-the-fly", "standstill", "six-dof", "lengths"
-_INPUTS = {STANDSTILL: ("points",), ON_THE_FLY: ("path", "track"), SIX_DOF: ("lines",), LENGTHS: ("lengths",)}
+ON_THE_FLY, STANDSTILL, SIX_DOF, LENGTHS, PROBING = "on-the-fly", "standstill", "six-dof", "lengths", "probing"
+TURNING = (STANDSTILL, LENGTHS, PROBING)
+"""Methods that read machines with rotary axes in any pose; the others read them with these axes at rest"""
+_INPUTS = {
+    STANDSTILL: ("points",),
+    ON_THE_FLY: ("path", "track"),
+    SIX_DOF: ("lines",),
+    LENGTHS: ("lengths",),
+    PROBING: ("probing", "balls"),
+}
 """Inputs that each method needs"""
+_OPTIONAL = {"stations": (LENGTHS,), "reflectors": (STANDSTILL, LENGTHS), "distances": TURNING}
+"""Further inputs, and the methods that take them"""
 _NOISE = {
     STANDSTILL: ("beam",),
     ON_THE_FLY: ("beam",),
     SIX_DOF: ("displacement",),
     LENGTHS: ("constant",),
+    PROBING: ("probing",),
 }
 """Standard deviations that each method needs"""
-_VECTOR = ListOf(Quantity("length"), 3)
-_AXES = 3
-
-
-@dataclass(frozen=True)
-class AxisSettings:
-    """The range of an axis and its knots, equally spaced, ends included."""
-
-    range: tuple[float, float] = setting(ListOf(Quantity("length"), 2), "lowest and highest position")
-    knots: int = setting(Whole(2, 2000), "knots of each error table, ends included")
-    scale: Warm | None = setting(
-        Section(Warm), "temperature and expansion of its scale; its positioning is given at 20 degC", default=None
-    )
-
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield a fault if the range does not ascend."""
-        if self.range[0] >= self.range[1]:
-            yield "range", "the range does not ascend: write the lowest position first"
-
-
-@dataclass(frozen=True)
-class AxesSettings:
-    """The linear axes; method six-dof with displacement only needs those that have lines."""
-
-    x: AxisSettings | None = setting(Section(AxisSettings), "the X axis", default=None)
-    y: AxisSettings | None = setting(Section(AxisSettings), "the Y axis", default=None)
-    z: AxisSettings | None = setting(Section(AxisSettings), "the Z axis", default=None)
-
-    @property
-    def given(self) -> dict[str, AxisSettings]:
-        """The axes by letter, X to Z."""
-        named = {"X": self.x, "Y": self.y, "Z": self.z}
-        return {letter: axis for letter, axis in named.items() if axis is not None}
-
-
-@dataclass(frozen=True)
-class MachineSettings:
-    """The kinematic chain, the axes and the tool vectors."""
-
-    chain: str = setting(Text(), "axes from workpiece to tool with the bed marked, such as wXbYZt", default="wXYZt")
-    axes: AxesSettings = setting(Section(AxesSettings), "range and knots of each axis", AxesSettings())
-    tool: tuple[float, ...] | None = setting(
-        _VECTOR, "vector from the spindle's reference point to the reflector (default: 0)", default=None
-    )
-    tools: dict[str, tuple[float, ...]] | None = setting(
-        MapOf(_VECTOR), "several tool vectors, by the names in the column tool", default=None
-    )
-    tool_uncertainty: float = setting(
-        Quantity("length", minimum=0.0), "standard uncertainty of tool vectors; 0: exact", default=0.0
-    )
-
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield a fault for an invalid chain, and for tool vectors given twice or not at all."""
-        try:
-            axis_order(self.chain)
-        except ValueError as error:
-            yield "chain", str(error)
-        if self.tool is not None and self.tools is not None:
-            yield "tools", "both tool and tools are given: keep one of them"
-        if self.tools is not None and not self.tools:
-            yield "tools", "the list of tools is empty"
 
 
 @dataclass(frozen=True)
@@ -129,6 +70,9 @@ class Noise:
     proportional: float = setting(
         Quantity("ratio", minimum=0.0), "lengths: the part proportional to the path", default=0.0
     )
+    probing: float | None = setting(
+        Quantity("length", positive=True), "probing: each coordinate of a ball's centre", default=None
+    )
     repeatability: float | str | None = setting(REPEATABILITY, f"lengths: {REPEATABILITY_WORDS}", default=None)
 
     model: str = model_setting()
@@ -157,10 +101,17 @@ class Noise:
 class Volume:
     """The grid on which the error of the tool is predicted over the volume."""
 
-    grid: tuple[int, ...] = setting(ListOf(Whole(2, 50), 3), "points along x, y and z", default=(7, 6, 6))
+    grid: tuple[int, ...] | None = setting(
+        ListOf(Whole(2, 50)), "points along x, y, z, and each rotary axis (default: 7, 6, 6; 5 with them)", default=None
+    )
     circle: float | None = setting(
         Quantity("length", positive=True), "radius of the circular tests (default: 0.4 of the travel)", default=None
     )
+
+    def counts(self, axes: int = 3) -> tuple[int, ...]:
+        """Return the number of points along each axis."""
+        usual = (7, 6, 6) if axes == len(AXES) else (5,) * axes
+        return usual if self.grid is None or len(self.grid) != axes else self.grid
 
 
 @dataclass(frozen=True)
@@ -181,7 +132,7 @@ class MachineSimulation:
 
     error: float = setting(Quantity("length", minimum=0.0), "mean length of the error in the volume", default=0.1)
     smooth: bool = setting(Flag(), "smooth error curves instead of straight lines between knots", default=False)
-    tracker: tuple[float, ...] = setting(_VECTOR, "place of the tracker in the machine", (-1000.0, -800.0, 300.0))
+    tracker: tuple[float, ...] = setting(VECTOR, "place of the tracker in the machine", (-1000.0, -800.0, 300.0))
     points: int = setting(Whole(1, 1_000_000), "standstill, lengths: number of points", default=226)
     interval: float = setting(Quantity("time", positive=True), "all but on-the-fly: time between readings", default=4.0)
     sampling: float = setting(Quantity("time", positive=True), "on-the-fly: time between points", default=0.002)
@@ -193,21 +144,32 @@ class MachineSimulation:
 
 
 @dataclass(frozen=True)
+class Instrument:
+    """What tracker or stations stand on: where axes turn, it decides which of them they see."""
+
+    on: str = setting(Choice("bed", "workpiece"), "standstill, lengths: what it stands on", default="workpiece")
+
+
+@dataclass(frozen=True)
 class Settings:
-    """Estimate the 21 geometric errors of a machine with three linear axes, and report which the data determine."""
+    """Estimate the geometric errors of a machine, and report which of them the data determine."""
 
     ELSEWHERE: ClassVar[Mapping[str, str]] = {
         "part": "no part is measured here; the scale of an axis has `scale: {temperature: .., expansion: ..}` in `axes`"
     }
 
-    method: str = setting(Choice(ON_THE_FLY, STANDSTILL, SIX_DOF, LENGTHS), "how the machine was measured")
+    method: str = setting(Choice(ON_THE_FLY, STANDSTILL, SIX_DOF, LENGTHS, PROBING), "how the machine was measured")
     machine: MachineSettings = setting(Section(MachineSettings), "axes and tools")
     inputs: Any = setting(Section(Inputs), "the files of the job")
     noise: Noise = setting(Section(Noise), "standard deviations of the readings")
     estimate: str | tuple[str, ...] = setting(
-        Either(Choice("all"), ListOf(Choice(*ALL_NAMES, "COY", "BOZ", "AOZ"), distinct=True)),
+        Either(Choice(*WORDS), ListOf(Choice(*ALL_NAMES, "COY", "BOZ", "AOZ", *ROTARY_NAMES, *WORDS), distinct=True)),
         "errors to estimate; the others are taken as zero",
         default="all",
+    )
+    instrument: Instrument = setting(Section(Instrument), "where the instrument stands", default=Instrument())
+    sensor: str = setting(
+        Choice("bed", "tool", "workpiece"), "probing: in whose axes the displacements are", default="bed"
     )
     scale: Scale | None = setting(
         Section(Scale), "lengths: estimate the scales of the stations; fixed at 1 without it", default=None
@@ -233,10 +195,14 @@ class Settings:
     @property
     def estimated(self) -> tuple[str, ...]:
         """Names of the errors to estimate, in the spelling of this program."""
-        axes = self.machine.axes.given
-        if isinstance(self.estimate, str):
-            return ALL_NAMES if len(axes) == _AXES else tuple(f"E{axis}{axis}" for axis in axes)
-        return tuple(canonical(name) for name in self.estimate)
+        axes, names = self.machine.axes.given, self.estimate if isinstance(self.estimate, tuple) else (self.estimate,)
+        if not self.machine.turns and len(axes) < len(AXES) and names == ("all",):
+            return tuple(f"E{axis}{axis}" for axis in axes)
+        letters = self.machine.letters
+        if self.method not in TURNING:
+            letters = tuple(letter for letter in letters if letter not in ANGLES)
+        words = errors_by_word(letters)
+        return tuple(dict.fromkeys(one for name in names for one in words.get(name, (canonical(name),))))
 
     @property
     def scales(self) -> dict[str, Warm]:
@@ -251,11 +217,18 @@ class Settings:
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield faults for inputs and noise that the method needs and lacks, and for settings it does not use."""
         needed = _INPUTS[self.method]
-        for key in ("points", "path", "track", "lines", "lengths", "stations"):
+        for key in dict.fromkeys(one for keys in _INPUTS.values() for one in keys):
             given = getattr(self.inputs, key) is not None
-            if given != (key in needed) and not (key == "stations" and self.method == LENGTHS):
+            if given != (key in needed):
                 verb = "needs" if key in needed else "does not use"
                 yield "inputs" + (f".{key}" if given else ""), f"method {self.method} {verb} the input '{key}'"
+        for key, methods in _OPTIONAL.items():
+            if getattr(self.inputs, key) is not None and self.method not in methods:
+                yield f"inputs.{key}", f"method {self.method} does not use the input '{key}'"
+            elif getattr(self.inputs, key) is not None and key != "stations" and not self.machine.turns:
+                yield f"inputs.{key}", f"the chain {self.machine.chain} has no rotary axis: leave '{key}' out"
+        if self.method == PROBING and not self.machine.turns:
+            yield "method", "probing calibrates rotary axes: name them in the chain, such as wCAbXYZt"
         if not self.estimated:
             yield "estimate", "the list is empty: leave the key out to estimate all errors, or name some, such as EXX"
         for letter in self.scales:
@@ -267,7 +240,9 @@ class Settings:
         if self.method == ON_THE_FLY and self.outliers == "remove":
             yield "outliers", "method on-the-fly always removes wild points of the track: leave this key out"
         missing = [axis for axis in "XYZ" if axis not in self.machine.axes.given]
-        if missing == ["X", "Y", "Z"]:
+        if self.machine.turns:
+            pass
+        elif missing == ["X", "Y", "Z"]:
             yield "machine.axes", "no axis is given: write e.g. `x: {range: [0 mm, 600 mm], knots: 13}`"
         elif missing and self.method != SIX_DOF:
             yield "machine.axes", f"method {self.method} needs all three axes; {' and '.join(missing)} are missing"
@@ -296,5 +271,6 @@ _TRACK = (
 
 def figures(settings: Settings) -> dict[str, str]:
     """Return the units of the figures: squareness errors, tool vectors and statistics."""
-    square, tool = dict.fromkeys(SQUARENESS_NAMES, "rad"), {f"{{tool}}.{axis}": "mm" for axis in "xyz"}
+    tool = {f"{{tool}}.{axis}": "mm" for axis in "xyz"}
+    square = {name: "rad" if is_angle(name) else "mm" for name in (*SQUARENESS_NAMES, *LOCATIONS, *SPINDLE_NAMES)}
     return adjusted(square | tool, (*_STATISTICS, *_TRACK), ["mm", "rad"])

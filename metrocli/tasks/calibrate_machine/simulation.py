@@ -15,6 +15,7 @@ from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_euler
+from metrocli.instruments.kinematics import reach
 from metrocli.instruments.machine import (
     POSITION,
     SQUARENESS,
@@ -23,11 +24,12 @@ from metrocli.instruments.machine import (
 )
 from metrocli.instruments.machine_path import SINCE, Path, last_sides, travelled
 from metrocli.instruments.six_dof import CHANNELS, LINE, line_block, line_chain
-from metrocli.instruments.tracer import AIR, POINT, STOP, TRACER, beams, reach_of_machine, tracer_block
+from metrocli.instruments.tracer import AIR, POINT, STOP, TRACER, beams, tracer_block
 from metrocli.instruments.tracer import chain as length_chain
 from metrocli.instruments.tracker import TRACKER, point_chain, tracker_block
 from metrocli.simulation import Simulation
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.described import commanded, machine_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.lengths import stop_names, visits
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import path_of
@@ -39,7 +41,7 @@ from metrocli.tasks.calibrate_machine.methods.six_dof import (
     planned_lines,
 )
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
-from metrocli.tasks.calibrate_machine.problem import SIDES, commanded, machine_of, since_turns, tools_of
+from metrocli.tasks.calibrate_machine.problem import SIDES, since_turns, tools_of
 from metrocli.tasks.calibrate_machine.settings import (
     LENGTHS,
     ON_THE_FLY,
@@ -103,7 +105,7 @@ def _seen(job: _Measurement, truth: Truth, flow: Flow, rng: np.random.Generator)
     """Return points measured by a randomly turned tracker, with its noise, (3, n), and the model."""
     turn = rotation_from_euler(rng.normal() * 0.05, rng.normal() * 0.05, rng.uniform(-np.pi, np.pi))
     pose = poses.pose(turn, np.array(job.simulation.tracker))
-    points, model = job.read(truth.model(point_chain(truth.machine), {TRACKER: tracker_block(pose)}, flow))
+    points, model = job.read(truth.model(point_chain(reach(truth.machine)), {TRACKER: tracker_block(pose)}, flow))
     return points + tracker_noise(job.settings).drawn(points, rng), model
 
 
@@ -185,10 +187,10 @@ def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple
     if air is not None:
         flow = replace(flow, conditions={**flow.conditions, AIR: air.ratio})
         blocks[AIR] = air.block.with_values(rng.normal(size=(1, 1)) * air.std)
-    chain = length_chain(reach_of_machine(truth.machine), in_air=air is not None)
+    chain = length_chain(reach(truth.machine), in_air=air is not None)
     read, model = job.read(truth.model(chain, blocks, flow))
     path = read[0]
-    beam = beams(reach_of_machine(truth.machine), model.blocks, model.groups[0].observations) / path
+    beam = beams(reach(truth.machine), model.blocks, model.groups[0].observations) / path
     missed = rng.normal(size=beam.shape) * returns
     missed = shared_at_stops(missed.T, stops, returns, rng).T if returns else missed
     deviation = (beam * missed).sum(axis=0)

@@ -15,8 +15,9 @@ from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.instruments.machine import SQUARENESS, SQUARENESS_NAMES, TOOL, Axis, Machine, errors_of, is_angle
-from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS
+from metrocli.instruments.machine import AXES, SQUARENESS, TOOL, Axis, Machine, errors_of, is_angle
+from metrocli.instruments.rotary import RotaryAxis
+from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, PLACES_OF_AXES
 from metrocli.tasks.shared.part import Warm
 from metrocli.units import internal_unit
 
@@ -41,9 +42,19 @@ def unit_of(name: str) -> str:
     return internal_unit("angle" if is_angle(name) else "length")
 
 
+def unit_of_position(axis: Axis) -> str:
+    """Return the internal unit of the positions of an axis."""
+    return internal_unit("angle" if isinstance(axis, RotaryAxis) else "length")
+
+
+def machine_lacks_axes(machine: Machine) -> bool:
+    """Return whether a machine has fewer than three linear axes."""
+    return sum(not isinstance(axis, RotaryAxis) for axis in machine.axes) < len(AXES)
+
+
 @dataclass(frozen=True)
 class Tables:
-    """Values of all 18 tables at their knots and of the three squareness errors, with their covariance."""
+    """Values of all tables at their knots, of locations and squareness, with their covariance."""
 
     machine: Machine
     blocks: Mapping[str, Block]
@@ -51,7 +62,7 @@ class Tables:
     raw: Array
     """Covariance of the unknowns (raw values), (size, size)"""
     entries: tuple[tuple[str, float], ...]
-    """Error and position of each entry; the position is nan for squareness"""
+    """Error and position of each entry; the position is nan for squareness and locations, which come last"""
     values: Array
     covariance: Array
     """Covariance of the entries, (n, n)"""
@@ -70,7 +81,7 @@ def tables_of(machine: Machine, solution: Solution, scales: Mapping[str, Warm] =
     x_r the reference of the table. This adds `u(g)^2 (x - x_r)(x - x_r)'` to the covariance.
     """
     blocks = dict(solution.blocks)
-    unknowns = unknowns_of(blocks, ERROR_BLOCKS)
+    unknowns = unknowns_of(blocks, [name for name in ERROR_BLOCKS if name in blocks])
     raw = covariance_of(solution, unknowns)
     for axis in machine.axes:
         if axis.letter in scales:
@@ -79,10 +90,12 @@ def tables_of(machine: Machine, solution: Solution, scales: Mapping[str, Warm] =
             by_growth = unknowns.spread(axis.block, np.eye(unknowns.size))[:, axis.number].T @ away
             raw = raw + scale.std**2 * np.outer(by_growth, by_growth)
     parts = [_axis_entries(axis, blocks[axis.block], unknowns) for axis in machine.axes]
-    square = unknowns.spread(SQUARENESS, np.eye(unknowns.size))[0]
-    entries = [entry for part in parts for entry in part[0]] + [(name, float("nan")) for name in SQUARENESS_NAMES]
-    maps = np.concatenate([*(part[2] for part in parts), square])
-    values = np.concatenate([*(part[1] for part in parts), blocks[SQUARENESS].values[0]])
+    places = [name for name in (*PLACES_OF_AXES[1:], SQUARENESS) if name in blocks]
+    square = [unknowns.spread(name, np.eye(unknowns.size))[0] for name in places]
+    names = [column for name in places for column in blocks[name].columns]
+    entries = [entry for part in parts for entry in part[0]] + [(name, float("nan")) for name in names]
+    maps = np.concatenate([*(part[2] for part in parts), *square])
+    values = np.concatenate([*(part[1] for part in parts), *(blocks[name].values[0] for name in places)])
     return Tables(machine, blocks, unknowns, raw, tuple(entries), values, maps @ raw @ maps.T)
 
 
@@ -113,6 +126,8 @@ def least_squares_squareness(tables: Tables) -> tuple[Array, Array]:
     Y towards +X by s, which reduces C0Y by s.
     """
     change = np.zeros((3, len(tables.entries)))
+    if machine_lacks_axes(tables.machine):
+        return tables.values[-3:], tables.covariance[-3:, -3:]
     for row, terms in enumerate(
         ((("EYZ", -1.0), ("EZY", -1.0)), (("EXZ", 1.0), ("EZX", 1.0)), (("EXY", -1.0), ("EYX", -1.0)))
     ):

@@ -17,6 +17,7 @@ from metrocli.tasks.calibrate_machine.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import measurement, on_the_fly
+from metrocli.tasks.calibrate_machine.methods.probing import probing
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.other_settings import other_settings
@@ -66,11 +67,13 @@ def _solved(job: Job[Settings, Files]) -> tuple[Solved, float]:
 def problem_of(job: Job[Settings, Files]) -> Problem:
     """Return the adjustment problem of a job; a track (on-the-fly) needs alignment first."""
     if job.files.points is not None:
-        return standstill(job.settings, job.files.points)
+        return standstill(job.settings, job.files.points, job.files)
     if job.files.lines is not None:
         return six_dof(job.settings, job.files.lines)
     if job.files.lengths is not None:
-        return lengths(job.settings, job.files.lengths, job.files.stations)
+        return lengths(job.settings, job.files.lengths, job.files)
+    if job.files.probing is not None and job.files.balls is not None:
+        return probing(job.settings, job.files.probing, job.files.balls, job.files.distances)
     raise InputError(f"method {job.settings.method} has no readings")
 
 

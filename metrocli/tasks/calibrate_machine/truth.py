@@ -25,7 +25,8 @@ from metrocli.instruments.machine import (
     squareness_block,
 )
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.problem import conditions, error_blocks, machine_of, model_of
+from metrocli.tasks.calibrate_machine.described import error_blocks, machine_of
+from metrocli.tasks.calibrate_machine.problem import conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.tables import grown
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
@@ -56,7 +57,7 @@ class Truth:
         index = self.machine.index(flow.position) | {TOOL: flow.tool} | dict(flow.index)
         sizes = np.zeros((_COMPONENTS.get(chain.quantities[-1], 3), n))
         observations = Observations(
-            sizes, np.ones(1), index, conditions=conditions(flow.position) | dict(flow.conditions)
+            sizes, np.ones(1), index, conditions=conditions(self.machine, flow.position) | dict(flow.conditions)
         )
         return model_of(
             {**self.blocks, **more}, Group("readings", chain, observations), points=flow.points, stops=flow.stops

@@ -14,22 +14,23 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import cross_matrix
-from metrocli.instruments.machine import POSITION, TOOL, ErrorMotion, Machine
+from metrocli.instruments.kinematics import motion, nominal_tip
+from metrocli.instruments.machine import TOOL, Machine
 
 _POINTS = 300
 """Number of points at which the error in the volume is evaluated"""
 
 
 def grid_of(machine: Machine, counts: Sequence[int]) -> Array:
-    """Return a regular grid over the volume, (3, n)."""
+    """Return a regular grid over the ranges of all axes, (axes, n)."""
     lines = [np.linspace(low, high, n) for low, high, n in zip(machine.low, machine.high, counts, strict=True)]
     return np.stack([part.ravel() for part in np.meshgrid(*lines, indexing="ij")])
 
 
 def spread_over(machine: Machine, count: int) -> Array:
-    """Return points spread evenly but irregularly over the volume, (3, n): the Halton sequence (Halton 1960)."""
+    """Return positions spread evenly but irregularly over all ranges, (axes, n): the sequence of Halton (1960)."""
     numbers = np.arange(1, count + 1)
-    unit = np.stack([_radical_inverse(numbers, base) for base in (2, 3, 5)])
+    unit = np.stack([_radical_inverse(numbers, base) for base in (2, 3, 5, 7, 11)[: len(machine.axes)]])
     return np.asarray(machine.low[:, None] + (machine.high - machine.low)[:, None] * unit)
 
 
@@ -43,15 +44,21 @@ def _radical_inverse(numbers: Index, base: int) -> Array:
 
 
 def grid_group(machine: Machine, position: Array, tool: int | Index) -> Group:
-    """Return the observations of the error motion of a tool at commanded positions (3, n).
+    """Return the observations of the error motion of a tool at commanded positions (axes, n).
 
     `tool` is the number of one tool, or one number for each position.
     """
     n = position.shape[1]
     index = machine.index(position) | {TOOL: np.full(n, tool)}
-    conditions = dict(zip(POSITION, position, strict=True))
-    observations = Observations(np.zeros((6, n)), np.ones(1), index, conditions=conditions)
-    return Group("volume", Chain((ErrorMotion(machine),)), observations)
+    observations = Observations(np.zeros((6, n)), np.ones(1), index, conditions=machine.conditions(position))
+    return Group("volume", Chain(motion(machine)), observations)
+
+
+def tips(machine: Machine, position: Array, tool: int | Index) -> Array:
+    """Return where the tool is on the workpiece at commanded positions (axes, n), (3, n), up to a shift."""
+    if not machine.turns:
+        return position
+    return nominal_tip(machine, position, np.broadcast_to(tool, position.shape[1:]))[0]
 
 
 def rigid_motions(position: Array) -> Array:
@@ -97,14 +104,15 @@ def predict(
     """
     unknowns, covariance = known
     group = grid_group(machine, position, tool)
-    motion = group.chain.predict(blocks, group.observations)[:3]
+    error = group.chain.predict(blocks, group.observations)[:3]
     design = rows(group, blocks, unknowns)[:3]
     spread = np.einsum("anp,bnp->abn", design @ covariance, design)
-    return Prediction(motion, spread), design
+    return Prediction(error, spread), design
 
 
 def rows_over_volume(machine: Machine, blocks: Mapping[str, Block], tool: str, unknowns: Unknowns) -> Array:
     """Return the Jacobian of a tool's displacement over the volume, (3, n, unknowns), without rigid motion."""
     position = spread_over(machine, _POINTS)
     group = grid_group(machine, position, blocks[TOOL].members.index(tool))
-    return without_rigid_motion(rows(group, blocks, unknowns), position)
+    number = blocks[TOOL].members.index(tool)
+    return without_rigid_motion(rows(group, blocks, unknowns), tips(machine, position, number))

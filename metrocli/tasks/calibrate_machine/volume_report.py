@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.instruments.machine import TOOL
+from metrocli.instruments.machine import TOOL, Machine
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.acceptance.contours import circular, diagonals, draws
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.settings import Volume
-from metrocli.tasks.calibrate_machine.tables import Tables
-from metrocli.tasks.calibrate_machine.volume import Prediction, grid_of, predict, without_rigid_motion
+from metrocli.tasks.calibrate_machine.tables import Tables, unit_of_position
+from metrocli.tasks.calibrate_machine.volume import Prediction, grid_of, predict, tips, without_rigid_motion
 
 NOT_CONTAINED = (
     "volumetric: errors without shift and rotation of the whole, and the standard uncertainty of their vectors (RMS). "
@@ -27,15 +28,20 @@ def volume_tables(
     tables: Tables, identified: Identifiability, wanted: Volume, measured: Sequence[str]
 ) -> dict[str, Table]:
     """Return the error of each tool on a grid, and the diagonal and circular tests of the first tool."""
-    position = grid_of(tables.machine, wanted.grid)
+    position = grid_of(tables.machine, wanted.counts(len(tables.machine.axes)))
     tools = tables.blocks[TOOL].members
     grids = [_on_grid(tables, position, i, name in identified.open_tools) for i, name in enumerate(tools)]
+    found = {
+        "volumetric": _summary(grids, tools, measured),
+        "volume": Table.stack([grid.table(tools[i], tables.machine) for i, grid in enumerate(grids)]),
+    }
+    if tables.machine.turns:
+        return found
     first = tools.index(measured[0])
     drawn = draws(tables.raw)
     along, figures = diagonals(tables, drawn, first)
     return {
-        "volumetric": _summary(grids, tools, measured),
-        "volume": Table.stack([grid.table(tools[i]) for i, grid in enumerate(grids)]),
+        **found,
         "diagonals": along,
         "diagonal_figures": figures,
         "circular": circular(tables, drawn, first, wanted.circle),
@@ -52,18 +58,21 @@ class _OnGrid:
     """Standard uncertainty of the error vector: root mean square over the grid, after the best shift and turn"""
     is_open: bool
 
-    def table(self, tool: str) -> Table:
+    def table(self, tool: str, machine: Machine) -> Table:
         n = self.position.shape[1]
         std = np.full((3, n), np.inf) if self.is_open else self.prediction.std
         error = np.full((3, n), np.nan) if self.is_open else self.prediction.error
-        grid = {"x y z [mm]": self.position.T, "ex ey ez [mm]": error.T, "s_ex s_ey s_ez [mm]": std.T}
+        places = zip(machine.axes, self.position, strict=True)
+        grid: dict[str, Any] = {f"{axis.letter.lower()} [{unit_of_position(axis)}]": own for axis, own in places}
+        grid |= {"ex ey ez [mm]": error.T, "s_ex s_ey s_ez [mm]": std.T}
         return Table.of({"tool": np.repeat(np.array([tool], dtype=str), n), **grid})
 
 
 def _on_grid(tables: Tables, position: Array, tool: int, is_open: bool) -> _OnGrid:
     prediction, design = predict(tables.machine, tables.blocks, (tables.unknowns, tables.raw), position, tool)
-    shape = np.linalg.norm(without_rigid_motion(prediction.error, position), axis=0)
-    free = without_rigid_motion(design, position).reshape(-1, tables.unknowns.size)
+    at = tips(tables.machine, position, tool)
+    shape = np.linalg.norm(without_rigid_motion(prediction.error, at), axis=0)
+    free = without_rigid_motion(design, at).reshape(-1, tables.unknowns.size)
     left = float(np.sqrt(max(np.einsum("ij,jk,ik->", free, tables.raw, free, optimize=True), 0.0) / position.shape[1]))
     return _OnGrid(position, prediction, shape, left, is_open)
 

@@ -133,7 +133,7 @@ def _senses(tables: Tables, settings: Settings) -> Iterator[Hidden]:
 
 def _hidden(solved: Solved, tables: Tables, scales: Mapping[str, Warm]) -> Iterator[Hidden]:
     machine = tables.machine
-    diagonal = float(np.linalg.norm(np.asarray(machine.high) - np.asarray(machine.low)))
+    diagonal = machine.diagonal
     if not blocks_of(solved.solution):
         yield Hidden(
             "scale of the instrument: wavelength of the laser, refractive index (positioning errors)",

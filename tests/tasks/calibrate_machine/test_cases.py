@@ -12,7 +12,7 @@ from places import SHARED
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import load
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.problem import machine_of
+from metrocli.tasks.calibrate_machine.described import machine_of
 
 CASES = SHARED / "cases" / "calibrate-machine"
 absent = pytest.mark.skipif(not CASES.exists(), reason="../shared/cases is not there")

@@ -58,13 +58,13 @@ def unseen_senses(tables: Tables, settings: Settings) -> dict[str, float]:
     It is `max |S e(S x) - e(x)|` with the mirror S of the axis about its middle, without shift and rotation of the
     whole.
     """
-    if settings.method != LENGTHS or settings.inputs.stations is not None:
+    if settings.method != LENGTHS or settings.inputs.stations is not None or tables.machine.turns:
         return {}
-    counts = settings.volume.grid
+    counts = settings.volume.counts()
     position = grid_of(tables.machine, counts)
     motion = _error(tables, position)
     vectors = tables.blocks[TOOL].values
-    alike = np.ptp(vectors, axis=0) <= settings.machine.tool_uncertainty
+    alike = np.ptp(vectors, axis=0) <= settings.machine.tool_std
     backwards = {axis: _mirrored(motion, counts, axis) for axis in np.flatnonzero(alike).tolist()}
     return {AXES[axis]: _largest(mirrored - motion, position) for axis, mirrored in backwards.items()}
 

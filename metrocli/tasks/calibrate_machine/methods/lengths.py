@@ -13,20 +13,14 @@ import numpy as np
 from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array, Index
 from metrocli.instruments import tracer as t
-from metrocli.instruments.machine import TOOL
+from metrocli.instruments.kinematics import reach
+from metrocli.instruments.rotary import gauge
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support
+from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.backwards import refuse_backwards
-from metrocli.tasks.calibrate_machine.problem import (
-    Problem,
-    commanded,
-    conditions,
-    error_blocks,
-    machine_of,
-    model_of,
-    must_support,
-    tool_prior,
-    tools_of,
-)
+from metrocli.tasks.calibrate_machine.methods.targets import targets, with_distances
+from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.environment import air_of, priors_of, unused
 from metrocli.tasks.shared.lengths import PathNoise, stop_priors, stops_of
@@ -35,7 +29,7 @@ from metrocli.tasks.shared.tracers import Seen, observed, places_of, tracers_of
 READINGS = "lengths"
 
 
-def lengths(settings: Settings, table: Table, stations: Table | None = None) -> Problem:
+def lengths(settings: Settings, table: Table, files: Files) -> Problem:
     """Return the adjustment problem.
 
     Raises InputError if the lengths do not belong to the commanded points, and UndeterminedError if a station reads too
@@ -43,35 +37,44 @@ def lengths(settings: Settings, table: Table, stations: Table | None = None) -> 
     """
     machine = machine_of(settings)
     blocks = error_blocks(machine, settings)
-    tool = tools_of(table, settings)
     position = commanded(machine, table)
-    read_by = tracers_of(table, stations, dict.fromkeys, "station")
+    found = with_distances(targets(settings, blocks, table, files.reflectors), files.distances)
+    on = settings.instrument.on
+    nominal = found.places(machine, position, on)
+    read_by = tracers_of(table, files.stations, dict.fromkeys, "station")
     must_support(machine, position, blocks)
     names = np.array(table.texts("point"), dtype=str)
     points, point = np.unique(names, return_inverse=True)
     air = air_of(settings.environment, table, "station")
-    readings = observed(table, read_by, (points.tolist(), point), conditions(position, table), air)
+    given = conditions(machine, position, table, nominal if machine.turns else None)
+    readings = observed(table, read_by, (points.tolist(), point), given, air)
     time = readings.conditions.get("t")
-    stops = stops_of(visits(position, tool, point), time)
+    stops = stops_of(visits(position, found.tool, point), time)
     observations = replace(
         readings,
-        index={**machine.index(position), TOOL: tool, **readings.index, t.STOP: stops},
-        conditions={**readings.conditions, t.ALONE: (stops == 0).astype(float)},
+        index={**machine.index(position), **found.index, **readings.index, t.STOP: stops},
+        conditions={
+            **readings.conditions,
+            t.ALONE: (stops == 0).astype(float),
+            **(found.conditions if machine.turns else {}),
+        },
     )
-    places = np.ascontiguousarray((position + blocks[TOOL].values[tool].T).T)
+    places = np.ascontiguousarray(nominal.T)
     extent = float(np.ptp(places, axis=0).max()) or 1.0
     seen = Seen(read_by, np.arange(len(table)), places, table.numbers("length"), extent, file=table.file)
     station_block = t.tracer_block(
         places_of(seen), read_by.names, read_by.free(False, settings.scale is not None), extent
     )
-    refuse_backwards(station_block.values[:, :3], seen)
+    if not machine.turns:
+        refuse_backwards(station_block.values[:, :3], seen)
     noise = PathNoise.of(settings.noise.of_lengths)
     stop_block = t.stop_block(stops) if noise.repeatability else None
     more = (station_block, stop_block, None if air is None else air.block)
-    unknowns = {**blocks, **{block.name: block for block in more if block is not None}}
-    chain = t.chain(t.reach_of_machine(machine), stop_block is not None, air is not None)
+    unknowns = {**blocks, **found.blocks, **{block.name: block for block in more if block is not None}}
+    chain = t.chain(reach(machine, on, found.workpiece), stop_block is not None, air is not None)
     others = (
-        *tool_prior(unknowns, settings),
+        *found.others,
+        *gauge(machine, unknowns),
         *read_by.known(station_block, settings.scale),
         *stop_priors(stop_block, noise.repeatability),
         *priors_of(air),
@@ -87,7 +90,7 @@ def lengths(settings: Settings, table: Table, stations: Table | None = None) -> 
         ),
         machine,
         np.ones(len(table)),
-        tuple(tools[i] for i in np.unique(tool)),
+        tuple(tools[i] for i in np.unique(found.tool[~found.on_workpiece]) if i < len(tools)),
         unused(settings.environment, table),
         notes=() if air is None else (air.note,),
         noise=noise,

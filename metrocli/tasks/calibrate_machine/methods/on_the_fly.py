@@ -26,23 +26,15 @@ from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
+from metrocli.instruments.kinematics import reach
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.tracker import LEG, TRACKER, TrackerNoise, leg_block, path_chain, tracker_block
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support, tool_prior
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.methods.track import Track, cut
-from metrocli.tasks.calibrate_machine.problem import (
-    Problem,
-    commanded,
-    conditions,
-    error_blocks,
-    machine_of,
-    model_of,
-    must_support,
-    tool_prior,
-    tools_of,
-)
+from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of, tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.solve import Solved, solve, solved_again
 from metrocli.tasks.calibrate_machine.volume import grid_group
@@ -89,7 +81,7 @@ def measurement(settings: Settings, path: Table, track: Table, effects: Sequence
 def on_the_fly(whole: Measurement) -> Solved:
     """Solve, and relinearise until no point moves along its leg."""
     settings = whole.settings
-    tracker = tracker_block(whole.track.pose, settings.machine.tool_uncertainty)
+    tracker = tracker_block(whole.track.pose, settings.machine.tool_std)
     solved = solve(problem_at(whole, {**error_blocks(whole.machine, settings), TRACKER: tracker}), False)
     cut = _without_wild(whole, solved.solution.blocks)
 
@@ -143,7 +135,7 @@ def problem_at(whole: Measurement, state: Mapping[str, Block]) -> Problem:
     observations = _observations(whole, few, leg, position, blocks)
     names = list(whole.settings.tools)
     facts = {"condensed_points": len(few.x), "noise_in_cells": _noise_in_cells(few, observations)}
-    readings = Group(READINGS, path_chain(whole.machine), observations)
+    readings = Group(READINGS, path_chain(reach(whole.machine)), observations)
     problem = Problem(
         model_of(blocks, readings, tool_prior(blocks, whole.settings)),
         whole.machine,
@@ -224,7 +216,7 @@ def _observations(
     seen = (start[leg] + direction[leg] * (few.x - path.before[leg])[:, None]).T
     across = blocks[LEG].values[leg].reshape(-1, 2, 3)
     covariance = np.einsum("nab,bcn,ndc->adn", across, whole.noise.covariance(seen), across) / few.weight
-    condition = conditions(position) | {
+    condition = conditions(whole.machine, position) | {
         f"from_{axis}": signs[leg] for axis, signs in zip("xyz", path.last_moves(), strict=True)
     }
     condition |= path.since_turns(leg, few.x - path.before[leg])

@@ -27,19 +27,9 @@ from metrocli.instruments.six_dof import (
     line_chain,
 )
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support, tool_prior
 from metrocli.tasks.calibrate_machine.iso230 import Run
-from metrocli.tasks.calibrate_machine.problem import (
-    SIDES,
-    Problem,
-    commanded,
-    conditions,
-    error_blocks,
-    machine_of,
-    model_of,
-    must_support,
-    since_turns,
-    tool_prior,
-)
+from metrocli.tasks.calibrate_machine.problem import SIDES, Problem, conditions, model_of, since_turns
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.words import listed, suggestion
 
@@ -173,7 +163,7 @@ def six_dof(settings: Settings, table: Table) -> Problem:
             "line": tuple(table.texts("line")),
             "at": tuple(f"{distance:g} mm" for distance in lines.distance.tolist()),
         },
-        conditions=conditions(lines.position, table) | line_conditions(lines, along) | approach(lines),
+        conditions=conditions(machine, lines.position, table) | line_conditions(lines, along) | approach(lines),
         components=CHANNELS if displacement is None else ("displacement",),
         unit="mm",
     )

@@ -8,25 +8,23 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array
 from metrocli.errors import Fault, InputError
-from metrocli.instruments.machine import TOOL
-from metrocli.instruments.tracker import FACE, TrackerNoise, point_chain, tracker_block
+from metrocli.instruments.kinematics import reach
+from metrocli.instruments.rotary import gauge
+from metrocli.instruments.tracker import FACE, POLAR, TRACKER, TrackerNoise, cartesian, point_chain, tracker_block
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support
+from metrocli.tasks.calibrate_machine.files import Files
+from metrocli.tasks.calibrate_machine.methods.targets import targets, with_distances
 from metrocli.tasks.calibrate_machine.methods.track import tracker_pose
-from metrocli.tasks.calibrate_machine.problem import (
-    Problem,
-    commanded,
-    conditions,
-    error_blocks,
-    machine_of,
-    model_of,
-    must_support,
-    tool_prior,
-    tools_of,
-)
+from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.lists import refuse
 
 READINGS = "points"
+NO_FILES = Files()
+CARTESIAN = ("mx", "my", "mz")
+_VAGUE = 10.0
+"""Uncertainty of a tool vector of which nothing is known [mm], in the place of the tracker"""
 
 
 def tracker_noise(settings: Settings) -> TrackerNoise:
@@ -44,35 +42,55 @@ def faces(points: Table) -> dict[str, Array]:
     return {FACE: np.where(given == 1.0, 1.0, -1.0)}
 
 
-def standstill(settings: Settings, points: Table) -> Problem:
+def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Problem:
     """Return the adjustment problem; raises InputError if the measured points do not match the commanded ones."""
     machine = machine_of(settings)
     blocks = error_blocks(machine, settings)
-    tool = tools_of(points, settings)
     position = commanded(machine, points)
-    measured = points.stacked(("mx", "my", "mz")).T
+    found = with_distances(targets(settings, blocks, points, files.reflectors), files.distances)
+    measured, covariance = _measured(settings, points)
     if position.shape[1] < 4:
         raise InputError(
             [Fault(f"{position.shape[1]} points are too few to determine the pose of the tracker", points.file)]
         )
     must_support(machine, position, blocks)
-    pose = tracker_pose(measured, position + blocks[TOOL].values[tool].T, points.file)
+    on = settings.instrument.on
+    places = found.places(machine, position, on)
+    pose = tracker_pose(measured, places, points.file)
     observations = Observations(
         measured,
         np.ones(1),
-        machine.index(position) | {TOOL: tool},
-        covariance=tracker_noise(settings).covariance(measured),
+        machine.index(position) | found.index,
+        covariance=covariance,
         keys={"point": tuple(points.texts("point"))},
-        conditions=conditions(position, points) | faces(points),
+        conditions=conditions(machine, position, points, places if machine.turns else None)
+        | faces(points)
+        | (found.conditions if machine.turns else {}),
         components=("x", "y", "z"),
         unit="mm",
     )
-    readings = Group(READINGS, point_chain(machine), observations)
+    readings = Group(READINGS, point_chain(reach(machine, on, found.workpiece)), observations)
     names = list(settings.tools)
-    tracked = {**blocks, "tracker": tracker_block(pose, settings.machine.tool_uncertainty)}
+    unknowns = {**blocks, **found.blocks, TRACKER: tracker_block(pose, min(settings.machine.tool_std, _VAGUE))}
     return Problem(
-        model_of(tracked, readings, tool_prior(blocks, settings)),
+        model_of(unknowns, readings, (*found.others, *gauge(machine, unknowns))),
         machine,
         np.ones(position.shape[1]),
-        tuple(names[i] for i in np.unique(tool)),
+        tuple(names[i] for i in np.unique(found.tool[~found.on_workpiece]) if i < len(names)),
     )
+
+
+def _measured(settings: Settings, points: Table) -> tuple[Array, Array]:
+    """Return measured points (3, n) in the tracker's frame with their covariance, from coordinates or polar readings.
+
+    Raises InputError if the file has neither.
+    """
+    if all(name in points for name in CARTESIAN):
+        measured = points.stacked(CARTESIAN).T
+    elif all(name in points for name in POLAR):
+        measured = cartesian(points.stacked(POLAR).T)[0]
+    else:
+        missing = next(name for name in CARTESIAN if name not in points)
+        hint = "measured places are mx_mm, my_mm, mz_mm, or distance_mm, azimuth_deg, elevation_deg"
+        raise InputError([points.fault(f"the column '{missing}_mm' is missing", hint)])
+    return measured, tracker_noise(settings).covariance(measured)

@@ -14,6 +14,7 @@ from metrocli.arrays import Array, Index
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
+from metrocli.instruments.kinematics import reach
 from metrocli.instruments.machine import ALL_NAMES, TOOL, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.tracker import LEG, TRACKER, leg_block, path_chain, tracker_block
@@ -23,12 +24,13 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
+from metrocli.tasks.calibrate_machine.described import error_blocks, machine_of, tool_prior
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import READINGS, path_of
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.plans.path_search import Found, Wanted, edges_and_diagonals, search
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
-from metrocli.tasks.calibrate_machine.problem import Problem, conditions, error_blocks, machine_of, model_of, tool_prior
+from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.tables import Determination, Tables, tables_of, unit_of
 from metrocli.tasks.calibrate_machine.volume_report import volume_tables
@@ -50,7 +52,7 @@ def planned_problem(settings: Settings, plan: PathPlan, path: Path) -> Problem:
     rotation = poses.rotation_of(pose)
     blocks: dict[str, Block] = {
         **error_blocks(machine, settings),
-        TRACKER: tracker_block(pose, settings.machine.tool_uncertainty),
+        TRACKER: tracker_block(pose, settings.machine.tool_std),
         LEG: leg_block(path.across @ rotation),
     }
     leg, along, length = _nodes(machine, path, settings.corner)
@@ -64,13 +66,13 @@ def planned_problem(settings: Settings, plan: PathPlan, path: Path) -> Problem:
         np.ones(1),
         machine.index(position) | {TOOL: path.tool[leg], LEG: leg},
         covariance=covariance,
-        conditions=conditions(position),
+        conditions=conditions(machine, position),
         components=("a", "b"),
         unit="mm",
     )
     names = list(settings.tools)
     used = tuple(names[i] for i in np.unique(path.tool))
-    group = Group(READINGS, path_chain(machine), observations)
+    group = Group(READINGS, path_chain(reach(machine)), observations)
     return Problem(model_of(blocks, group, tool_prior(blocks, settings)), machine, length, used)
 
 

@@ -23,11 +23,13 @@ from metrocli.nc_program import Stop, program
 from metrocli.plan import Plan
 from metrocli.result import Estimate
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.described import machine_of
+from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, planned, worth_of
 from metrocli.tasks.calibrate_machine.plans.stops import all_over, judged, visits
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
-from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, Problem, machine_of, tools_of
+from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, Problem, tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
@@ -64,7 +66,8 @@ def plan_of_stations(settings: Settings, table: Table | None, listed: Table | No
     wanted, machine = settings.plan or PathPlan(), machine_of(settings)
     own = []
     if table is not None:
-        own = judged(f"the lengths of the job: {len(table)}", settings, lambda: lengths(settings, table, listed))
+        held = Files(stations=listed)
+        own = judged(f"the lengths of the job: {len(table)}", settings, lambda: lengths(settings, table, held))
     candidates = _beside(machine) if listed is None else listed.stacked("xyz")
     names = [f"S{i + 1}" for i in range(_STATIONS)] if listed is None else listed.texts("station")
     choice = _chosen(settings, wanted, candidates)
@@ -154,7 +157,7 @@ def _matrices(settings: Settings, table: Table, candidates: Array) -> tuple[list
 
 def _volume(settings: Settings, problem: Problem, errors: Unknowns) -> Array:
     """Return the mean square error vector over the grid of the volume, without rigid motion, as a quadratic form."""
-    position = grid_of(problem.machine, settings.volume.grid)
+    position = grid_of(problem.machine, settings.volume.counts())
     total = np.zeros((errors.size, errors.size))
     for tool in range(len(settings.tools)):
         moved = rows(grid_group(problem.machine, position, tool), problem.blocks, errors)
@@ -176,7 +179,8 @@ def _problem(settings: Settings, points: Table, places: Array, names: list[str])
     again = np.tile(np.arange(n), len(places))
     every = Table({name: column[again] for name, column in points.columns.items()}, points.units, "lengths.csv")
     table = every.joined({"station": np.repeat(np.array(names), n), "length [mm]": path - path[0]})
-    return lengths(settings, table, replace(listed_places("station", names, places), file="stations.csv"))
+    listed = replace(listed_places("station", names, places), file="stations.csv")
+    return lengths(settings, table, Files(stations=listed))
 
 
 def _program(settings: Settings, points: Table, stations: list[str], wanted: PathPlan) -> str:

@@ -16,11 +16,12 @@ from metrocli.nc_program import Dwell, Feed, Stop, program
 from metrocli.plan import Plan
 from metrocli.result import Estimate
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.methods.six_dof import planned_lines, six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, Worth, planned, tracker_pose, worth_of
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
-from metrocli.tasks.calibrate_machine.problem import Problem, machine_of, tools_of
+from metrocli.tasks.calibrate_machine.problem import Problem, tools_of
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.volume import grid_of, spread_over
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes

@@ -1,0 +1,120 @@
+"""The motion of a machine with three linear axes, to first order in its errors.
+
+The lever L_a of axis a is the sum of the positions of the axes nearer to the tool, plus the tool vector T. To first
+order, the tool is displaced against the workpiece by `d = sum_a [E_a(x_a) + theta_a(x_a) x L_a] + q`, with
+`q = (-C0Y y + B0Z z, -A0Z z, 0)`. The formula holds for all six orders of axes; the place of the bed in the chain makes
+no difference to first order.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array
+from metrocli.frozen import dataclass
+from metrocli.instruments.machine import POSITION, ROWS, SQUARENESS, TOOL, Machine
+
+
+@dataclass(frozen=True)
+class Undisturbed:
+    """Start of a chain: the errors of the axes besides their tables, all zero, (9 axes, 1).
+
+    Effects on axes add to them; `Machine.row` gives the row of an error. Without effects they are
+    the same at all readings.
+    """
+
+    machine: Machine
+    takes = None
+    gives = Quantity.AXIS_ERRORS
+    blocks = ()
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return zeros."""
+        return Step(np.zeros((ROWS * len(self.machine.axes), 1)))
+
+
+@dataclass(frozen=True)
+class ErrorMotion:
+    """Link to displacement d and rotation theta of the tool at the commanded position, (6, n), to first order."""
+
+    machine: Machine
+    takes = Quantity.AXIS_ERRORS
+    gives = Quantity.ERROR_MOTION
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Names of the blocks of the axes, of squareness, and of the tool vectors, which are part of the levers."""
+        return (*(axis.block for axis in self.machine.axes), SQUARENESS, TOOL)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return d and theta, with derivatives by the two (or four) knots of each axis on which a reading depends."""
+        position = np.stack([local.observations.conditions[name] for name in POSITION])
+        tool = local.rows(TOOL)
+        motion, by_block = by_squareness(position, local.members(SQUARENESS)[0])
+        by_tool = np.zeros((6, 3, position.shape[1]))
+        n = position.shape[1]
+        disturbed = np.zeros((6, len(value), n)) if value.shape[1] == n else None
+        for number, axis in enumerate(self.machine.axes):
+            index, weight = axis.places(position[axis.number])
+            values = local.members(axis.block)
+            own = slice(ROWS * number, ROWS * number + 6)
+            error = sum(w * values[i].T for i, w in zip(index, weight, strict=True)) + value[own]
+            lever = self.machine.lever(axis.number, position, tool)
+            motion[:3] += error[:3] + _crossed(error[3:], lever)
+            motion[3:] += error[3:]
+            if TOOL in local.wanted:
+                by_tool[:3] += _turning(error[3:])
+            if disturbed is not None:
+                disturbed[:, own] = by_errors(lever)
+            if axis.block in local.wanted:
+                by_block[axis.block] = weight[:, None] * by_errors(lever)
+        return Step(motion, disturbed, {**by_block, TOOL: by_tool})
+
+
+def by_squareness(position: Array, values: Array) -> tuple[Array, dict[str, Array]]:
+    """Return the motion (6, n) that squareness (3,) gives at positions (3, n), and its derivatives, (6, 3, n)."""
+    _, y, z = position
+    by_value = np.zeros((6, 3, position.shape[1]))
+    by_value[0, 1], by_value[0, 2], by_value[1, 0] = z, -y, -z
+    return np.einsum("abn,b->an", by_value, values), {SQUARENESS: by_value}
+
+
+def by_errors(lever: Array) -> Array:
+    """Return the derivatives of (d, theta) by the six errors of an axis, (6, 6, n), for levers (3, n).
+
+    `d = E + theta x L`.
+    """
+    change = np.zeros((6, 6, lever.shape[1]))
+    change[np.arange(6), np.arange(6)] = 1.0
+    change[:3, 3:] = -_turning(lever)
+    return change
+
+
+def _turning(vectors: Array) -> Array:
+    """Return the matrices (3, 3, n) of the cross products with vectors (3, n)."""
+    x, y, z = vectors
+    none = np.zeros(len(x))
+    return np.array([[none, -z, y], [z, none, -x], [-y, x, none]])
+
+
+def _crossed(first: Array, second: Array) -> Array:
+    """Return the cross products of vectors (3, n); `numpy.cross` takes longer to arrange its axes than for these."""
+    (a, b, c), (x, y, z) = first, second
+    return np.array([b * z - c * y, c * x - a * z, a * y - b * x])
+
+
+@dataclass(frozen=True)
+class ReachedPoint:
+    """Link to the place of the reflector: commanded position, plus tool vector, plus displacement."""
+
+    takes = Quantity.ERROR_MOTION
+    gives = Quantity.POINT_IN_MACHINE
+    blocks = (TOOL,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point, (3, n), with its derivatives by the motion, (3, 6, 1), and by the tool, (3, 3, 1)."""
+        position = np.stack([local.observations.conditions[name] for name in POSITION])
+        by_motion = np.eye(6)[:3, :, None]
+        return Step(position + local.rows(TOOL) + value[:3], by_motion, {TOOL: np.eye(3)[:, :, None]})

@@ -1,0 +1,255 @@
+"""The exact motion of a machine with rotary axes: a product of joints, with derivatives by every one of their errors.
+
+A point is carried through the joints from its own body to that of the instrument, and the change at each joint through
+the rotations of those that follow. So a chain of k joints costs k products, and all its derivatives k more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from metrocli.adjust.model.chain import Chain, Link, Local, Step, through
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array, Index
+from metrocli.frozen import dataclass
+from metrocli.geometry.rotations import vector_from_rotation
+from metrocli.instruments.error_motion import ErrorMotion, ReachedPoint, Undisturbed
+from metrocli.instruments.joints import Motion, crossed, times, turned
+from metrocli.instruments.machine import ROWS, SQUARENESS, TOOL, Machine
+from metrocli.instruments.rotary import SPINDLE
+
+ON_WORKPIECE = "on workpiece"
+"""Block of points fixed to the workpiece: balls that are probed, reflectors on a table"""
+OF_WORKPIECE, OF_TOOL = "of workpiece", "of tool"
+"""Conditions: the shares of a point on the workpiece and of one at the tool in what is read, both as seen from the bed:
+0 and 1, 1 and 0, or 1 and -1 for a ball against a probe"""
+_Path = Sequence[tuple[int, bool]]
+"""Numbers of axes from the instrument to a point, and whether each is passed from its workpiece side to its tool's"""
+
+
+@dataclass(frozen=True)
+class _Carried:
+    """Points carried along a path of joints."""
+
+    point: Array
+    """(3, n)"""
+    changes: Mapping[int, Array]
+    """By number of an axis: derivatives by its nine errors and its location, (3, parameters, n)"""
+    rotation: Array
+    """Derivative by the point at the start, (3, 3, n)"""
+    turns: Mapping[int, Array]
+    """As `changes`, of the rotation: a small turn from the left"""
+
+    def times(self, factor: Array) -> _Carried:
+        """Return the points and their derivatives times factors (n,)."""
+        changes = {axis: factor * change for axis, change in self.changes.items()}
+        return _Carried(factor * self.point, changes, factor * self.rotation, self.turns)
+
+
+def _carried(motions: Sequence[Motion], path: _Path, point: Array) -> _Carried:
+    """Return a point (3, n) at the end of a path carried to its beginning."""
+    passed = []
+    for axis, back in reversed(path):
+        motion = motions[axis]
+        point, change = motion.back(point) if back else motion.of(point)
+        own = np.swapaxes(motion.rotation, 0, 1) if back else motion.rotation
+        passed.append((axis, change, own, -through(own, motion.turns) if back else motion.turns))
+    rotation = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, point.shape[1]))
+    changes, turns = {}, {}
+    for axis, change, own, turning in reversed(passed):
+        changes[axis], turns[axis] = through(rotation, change), through(rotation, turning)
+        rotation = through(rotation, own)
+    return _Carried(point, changes, rotation, turns)
+
+
+def _left(machine: Machine) -> tuple[int, ...]:
+    return machine.order[: machine.bed]
+
+
+def _right(machine: Machine) -> tuple[int, ...]:
+    return machine.order[machine.bed :]
+
+
+@dataclass(frozen=True)
+class _OfMachine:
+    """What the links through the joints of a machine share."""
+
+    machine: Machine
+    takes = Quantity.AXIS_ERRORS
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Blocks of the tables and locations of all axes, of the spindle, and of the tools."""
+        axes = self.machine.axes
+        places = dict.fromkeys(axis.location for axis in axes)
+        return (*(axis.block for axis in axes), *places, SPINDLE, TOOL)
+
+    def motions(self, value: Array, local: Local) -> list[Motion]:
+        """Return the motion of each axis at its errors and its location."""
+        found = []
+        for number, axis in enumerate(self.machine.axes):
+            position = local.observations.conditions[axis.coordinate]
+            errors = np.array(np.broadcast_to(value[ROWS * number : ROWS * (number + 1)], (ROWS, len(position))))
+            values = local.members(axis.block)
+            for index, weight in zip(*axis.places(position), strict=True):
+                errors[:6] += weight * values[index].T
+            found.append(axis.motion(position, errors, local.members(axis.location)[0]))
+        return found
+
+    def tip(self, local: Local) -> tuple[Array, Array, Array]:
+        """Return the tip at the spindle (3, n), and its derivatives by the tool and by the spindle, (3, 3, n)."""
+        n = local.observations.count
+        turn, about = (np.broadcast_to(part, (3, 3, n)) for part in turned(local.members(SPINDLE)[0][:, None]))
+        tip = times(turn, local.rows(TOOL))
+        return tip, turn, crossed(about, tip[:, None])
+
+    def derivatives(self, value: Array, local: Local, changes: Mapping[int, Array]) -> Step:
+        """Return the derivatives of a point by what disturbs the axes, by their tables and by their locations."""
+        n, size = local.observations.count, len(next(iter(changes.values())))
+        disturbed = np.zeros((size, len(value), n)) if value.shape[1] == n else None
+        by_block: dict[str, Array] = {}
+        for number, change in changes.items():
+            axis = self.machine.axes[number]
+            if disturbed is not None:
+                disturbed[:, ROWS * number : ROWS * (number + 1)] = change[:, :ROWS]
+            if axis.block in local.wanted:
+                weight = axis.places(local.observations.conditions[axis.coordinate])[1]
+                by_block[axis.block] = weight[:, None] * change[:, :6]
+            place = change[:, ROWS:]
+            by_block[axis.location] = by_block[axis.location] + place if axis.location in by_block else place
+        return Step(np.zeros(0), disturbed, by_block)
+
+
+@dataclass(frozen=True)
+class FromBed(_OfMachine):
+    """Link to a point as seen from the bed: of the workpiece, of the tool, or a ball against a probe.
+
+    `c_w B_w b + c_t B_t T`, B_t the product of the joints right of the bed with the turn of the spindle, B_w the
+    inverse of that left of it; c_w and c_t are the conditions OF_WORKPIECE and OF_TOOL.
+    """
+
+    workpiece: bool = False
+    """Whether some readings see a point on the workpiece"""
+    gives = Quantity.POINT_IN_MACHINE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Those of the machine, and of the points on the workpiece."""
+        return (*super().blocks, *([ON_WORKPIECE] if self.workpiece else []))
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n) with its derivatives."""
+        given, motions = local.observations.conditions, self.motions(value, local)
+        tip, by_tool, by_spindle = self.tip(local)
+        of_tool = _carried(motions, [(axis, False) for axis in _right(self.machine)], tip).times(given[OF_TOOL])
+        point, changes = of_tool.point, dict(of_tool.changes)
+        by_block = {TOOL: through(of_tool.rotation, by_tool), SPINDLE: through(of_tool.rotation, by_spindle)}
+        if self.workpiece:
+            target = np.broadcast_to(local.rows(ON_WORKPIECE), tip.shape)
+            path = [(axis, True) for axis in reversed(_left(self.machine))]
+            of_workpiece = _carried(motions, path, target).times(given[OF_WORKPIECE])
+            point = point + of_workpiece.point
+            changes |= of_workpiece.changes
+            by_block[ON_WORKPIECE] = of_workpiece.rotation
+        if not changes:
+            return Step(point, by_block=by_block)
+        found = self.derivatives(value, local, changes)
+        return Step(point, found.by_input, {**by_block, **found.by_block})
+
+
+@dataclass(frozen=True)
+class OnWorkpiece(_OfMachine):
+    """Link to the tip as seen from the workpiece: the product of all joints, with the turn of the spindle."""
+
+    gives = Quantity.POINT_IN_MACHINE
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n) with its derivatives."""
+        tip, by_tool, by_spindle = self.tip(local)
+        carried = _carried(self.motions(value, local), [(axis, False) for axis in self.machine.order], tip)
+        found = self.derivatives(value, local, carried.changes)
+        by_block = {TOOL: through(carried.rotation, by_tool), SPINDLE: through(carried.rotation, by_spindle)}
+        return Step(carried.point, found.by_input, {**by_block, **found.by_block})
+
+
+@dataclass(frozen=True)
+class TipMotion(_OfMachine):
+    """Link to the error (6, n) of the tip against the workpiece: displacement, and rotation, in the workpiece's axes.
+
+    The displacement is against the tip of the machine without errors and with the listed tool vectors.
+    """
+
+    gives = Quantity.ERROR_MOTION
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the motion with its derivatives."""
+        tip, by_tool, by_spindle = self.tip(local)
+        carried = _carried(self.motions(value, local), [(axis, False) for axis in self.machine.order], tip)
+        position = np.stack([local.observations.conditions[axis.coordinate] for axis in self.machine.axes])
+        nominal, axes = nominal_tip(self.machine, position, local.index(TOOL))
+        turn = through(through(carried.rotation, by_tool), np.swapaxes(axes, 0, 1))
+        angles = vector_from_rotation(np.moveaxis(turn, -1, 0)).T
+        changes = {axis: np.concatenate([one, carried.turns[axis]]) for axis, one in carried.changes.items()}
+        found = self.derivatives(value, local, changes)
+        n, about = tip.shape[1], turned(local.members(SPINDLE)[0][:, None])[1]
+        by_block = {
+            TOOL: np.concatenate([through(carried.rotation, by_tool), np.zeros((3, 3, n))]),
+            SPINDLE: np.concatenate(
+                [through(carried.rotation, part) for part in (by_spindle, np.broadcast_to(about, (3, 3, n)))]
+            ),
+        }
+        return Step(np.concatenate([carried.point - nominal, angles]), found.by_input, {**by_block, **found.by_block})
+
+
+def nominal_tip(machine: Machine, position: Array, tool: Index) -> tuple[Array, Array]:
+    """Return the listed tips on the workpiece (3, n) at commanded positions (axes, n), and the axes of the tool.
+
+    The axes are the columns of (3, 3, n). `tool` is the number of the tool of each position, in the list.
+    """
+    n = position.shape[1]
+    none = np.zeros((ROWS, n))
+    places = {axis.location: np.zeros(3 if axis.location == SQUARENESS else 5) for axis in machine.axes}
+    motions = [axis.motion(own, none, places[axis.location]) for axis, own in zip(machine.axes, position, strict=True)]
+    carried = _carried(motions, [(axis, False) for axis in machine.order], machine.tools[tool].T)
+    return carried.point, carried.rotation
+
+
+def seen_from_bed(machine: Machine, position: Array, place: Array, tool: bool) -> Array:
+    """Return points (3, n) of the tool, or of the workpiece, as a machine without errors shows them to the bed."""
+    none = np.zeros((ROWS, position.shape[1]))
+    places = {axis.location: np.zeros(3 if axis.location == SQUARENESS else 5) for axis in machine.axes}
+    motions = [axis.motion(own, none, places[axis.location]) for axis, own in zip(machine.axes, position, strict=True)]
+    path = [(i, False) for i in _right(machine)] if tool else [(i, True) for i in reversed(_left(machine))]
+    return _carried(motions, path, place).point
+
+
+def motion(machine: Machine) -> tuple[Link, ...]:
+    """Return the links to the error of the tip against the workpiece."""
+    return (Undisturbed(machine), TipMotion(machine) if machine.turns else ErrorMotion(machine))
+
+
+def reach(machine: Machine, seen_from: str = "workpiece", workpiece: bool = False) -> Chain:
+    """Return the chain to a reflector at the tool of a machine, or with `workpiece` to some on the workpiece too.
+
+    Where axes turn it decides what the instrument stands on, the bed or the workpiece.
+    """
+    if not machine.turns:
+        return Chain((Undisturbed(machine), ErrorMotion(machine), ReachedPoint()))
+    to = FromBed(machine, workpiece) if seen_from == "bed" else OnWorkpiece(machine)
+    return Chain((Undisturbed(machine), to))
+
+
+LINKS = (Undisturbed, ErrorMotion, ReachedPoint, FromBed, OnWorkpiece)
+"""The links of a machine on the way to a point"""
+
+
+def axes_of(machine: Machine, position: Array, body: str) -> Array:
+    """Return the axes of the bed, the tool or the workpiece in those of the bed, (3, 3, n), without errors."""
+    n = position.shape[1]
+    if body == "bed":
+        return np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n))
+    directions = [np.repeat(np.eye(3)[:, k : k + 1], n, axis=1) for k in range(3)]
+    origin = seen_from_bed(machine, position, np.zeros((3, n)), body == "tool")
+    return np.stack([seen_from_bed(machine, position, one, body == "tool") - origin for one in directions], axis=1)

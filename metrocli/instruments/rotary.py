@@ -1,0 +1,208 @@
+"""Rotary axes: their error tables, where their lines lie, and the conditions that separate the two.
+
+Six tables of a rotary axis hold ten directions that are no errors of its motion: constants, and what turns once with
+the turning part, belong to the place of the axis and of what rides on it. So the tables are orthogonal to them
+(`gauge`), and the location errors are those of the axis average line (ISO 230-1, ISO 230-7).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.model.quantities import OfBlock, Quantity
+from metrocli.arrays import Array, Index, Mask
+from metrocli.frozen import dataclass
+from metrocli.instruments.joints import Motion, turn
+from metrocli.instruments.machine import ANGLES, AXES, SQUARENESS_NAMES, Axis, Machine, bracket, errors_of
+
+SPINDLE = "spindle"
+SPINDLE_NAMES = ("EA0S", "EB0S", "EC0S")
+ANGLE = "angle_{axis}"
+"""Condition: commanded position of a rotary axis [rad]"""
+_TURN = 2 * np.pi
+_HELD = 1e-6
+"""Standard deviation of the conditions [mm]; nothing pulls at them, so its size only has to be far below the noise"""
+_MOST_OFF, _MOST_TURNED = 10.0, 1e-2
+"""Largest plausible location errors [mm, rad]"""
+
+
+def location_names(letter: str) -> tuple[str, ...]:
+    """Return the location errors of a rotary axis and its zero position: EX0C, EY0C, EA0C, EB0C, EC0C for C."""
+    across = [i for i in range(3) if ANGLES[i] != letter]
+    directions = [kind[i] for kind in (AXES, ANGLES) for i in across]
+    return tuple(f"E{direction}0{letter}" for direction in (*directions, letter))
+
+
+LOCATIONS = tuple(name for letter in ANGLES for name in location_names(letter))
+ROTARY_ERRORS = tuple(name for letter in ANGLES for name in errors_of(letter))
+ROTARY_NAMES = (*ROTARY_ERRORS, *LOCATIONS, *SPINDLE_NAMES)
+WORDS = ("all", "rotary", "locations", "linear", "squareness")
+"""Words for several errors in `estimate:`"""
+
+
+def errors_by_word(chain: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return the errors of a machine that each word stands for; chain holds its axes from workpiece to tool, and b.
+
+    The zero position of a rotary axis is 0 by definition, except of a head that carries the tool, where it is the tilt
+    of the spindle in that plane; then two angles of the spindle are unknown too. All other tools have the machine's
+    axes.
+    """
+    linear, turning = ([one for one in kind if one in chain] for kind in (AXES, ANGLES))
+    carries = chain[-1] if chain[-1] in ANGLES else ""
+    places = [one for letter in turning for one in location_names(letter)[: 5 if letter == carries else 4]]
+    places += [one for one in SPINDLE_NAMES if carries and one[1] != carries]
+    tables = {letter: errors_of(letter) for letter in (*linear, *turning)}
+    words = {
+        "linear": tuple(one for letter in linear for one in tables[letter]),
+        "squareness": tuple(
+            one for one, pair in zip(SQUARENESS_NAMES, ("YZ", "XZ", "XY"), strict=True) if set(pair) <= set(linear)
+        ),
+        "locations": tuple(places),
+        "rotary": (*(one for letter in turning for one in tables[letter]), *places),
+    }
+    return {"all": (*words["linear"], *words["squareness"], *words["rotary"]), **words}
+
+
+@dataclass(frozen=True)
+class RotaryAxis(Axis):
+    """The six error tables of a rotary axis, linear between knots, and a point of its nominal line.
+
+    Knots are in rad. A periodic axis takes any turn; its first and its last knot are one.
+    """
+
+    at: tuple[float, ...] = (0.0, 0.0, 0.0)
+    sense: int = 1
+    """-1 if it counts against the right-handed turn of the tool against the workpiece"""
+    periodic: bool = False
+    head: bool = False
+    """Whether it is on the tool's side of the bed"""
+
+    @property
+    def number(self) -> int:
+        """Number of its direction: 0, 1, 2 for A, B, C."""
+        return ANGLES.index(self.letter)
+
+    @property
+    def coordinate(self) -> str:
+        """Name of the condition that holds its commanded position."""
+        return ANGLE.format(axis=self.letter.lower())
+
+    @property
+    def location(self) -> str:
+        """Name of the block of its location errors."""
+        return f"place of {self.letter}"
+
+    @property
+    def members(self) -> Array:
+        """The knots that have values of their own."""
+        return self.knots[:-1] if self.periodic else self.knots
+
+    @property
+    def straightness(self) -> Mask:
+        """No table is zero at both ends."""
+        return np.zeros(6, dtype=bool)
+
+    def wrapped(self, position: Array) -> Array:
+        """Return positions of a periodic axis within its range; those of others as they are."""
+        low = self.knots[0]
+        return np.asarray(low + np.mod(position - low, _TURN) if self.periodic else position)
+
+    def places(self, position: Array) -> tuple[Index, Array]:
+        """Return the two knots on which errors depend at each position, (2, n), and their weights, (2, 1, n)."""
+        lower, share = bracket(self.knots, self.wrapped(position))
+        return np.stack([lower, lower + 1]) % len(self.members), np.stack([1 - share, share])[:, None, :]
+
+    def nearest(self, position: Array) -> Array:
+        """Return the knot nearest to each position, (n,)."""
+        index, weight = self.places(position)
+        return np.asarray(self.members[np.where(weight[0, 0] >= weight[1, 0], index[0], index[1])])
+
+    def free(self, estimated: Collection[str]) -> Mask:
+        """Return the mask of values that are unknown, (members, 6)."""
+        named = np.array([name in estimated for name in errors_of(self.letter)])
+        return np.broadcast_to(named, (len(self.members), 6))
+
+    def block_of(self, tables: Mapping[str, Array], estimated: Collection[str]) -> Block:
+        """Return the block of the tables, by name, given at the knots; tables that are not given are zero."""
+        n = len(self.members)
+        values = np.stack([tables.get(name, np.zeros(n))[:n] for name in errors_of(self.letter)], axis=1)
+        reach, members = np.array([1.0] * 3 + [1e-3] * 3), tuple(f"{np.degrees(knot):g}" for knot in self.members)
+        return Block(
+            self.block, values, errors_of(self.letter), members, self.free(estimated), reach=reach, noun="position"
+        )
+
+    def motion(self, position: Array, errors: Array, location: Array) -> Motion:
+        """Return the motion of the tool's side of the axis against its workpiece side at positions (n,)."""
+        return turn(self.number, self.sense * position, errors, location, (np.array(self.at), self.head))
+
+    def location_block(self, values: Mapping[str, float], estimated: Collection[str]) -> Block:
+        """Return the block of the location errors and the zero position; those not given are zero."""
+        names = location_names(self.letter)
+        row, free = np.array([[values.get(one, 0.0) for one in names]]), np.array([[one in estimated for one in names]])
+        reach = np.array([_MOST_OFF] * 2 + [_MOST_TURNED] * 3)
+        return Block(self.location, row, names, free=free, reach=reach)
+
+    def conditions(self, free: Mask) -> Array:
+        """Return the ten directions of the tables that are no errors of the motion, each of length 1, (10, members, 6).
+
+        Across the axis and in the two tilts: constants, and `(cos s, -+sin s), (+-sin s, cos s)`, upper sign for a
+        table. The axial table has the mean 0, and the angle is 0 at the reference. Directions that need a table that is
+        not free are left out.
+        """
+        i, n = self.number, len(self.members)
+        j, k = (i + 1) % 3, (i + 2) % 3
+        cos, sin = np.cos(self.sense * self.members), np.sin(self.sense * self.members) * (-1.0 if self.head else 1.0)
+        one, none, found = np.ones(n), np.zeros(n), []
+        for shift in (0, 3):
+            for first, second in ((one, none), (none, one), (cos, -sin), (sin, cos)):
+                found.append(np.zeros((n, 6)))
+                found[-1][:, j + shift], found[-1][:, k + shift] = first, second
+        found += [np.zeros((n, 6)), np.zeros((n, 6))]
+        found[-2][:, i] = 1.0
+        index, weight = self.places(np.array([self.reference]))
+        found[-1][index[:, 0], i + 3] = weight[:, 0, 0]
+        held = [one / np.linalg.norm(one) for one in found if free[np.abs(one) > 0].all()]
+        return np.array(held).reshape(-1, n, 6)
+
+
+@dataclass(frozen=True)
+class Combinations(OfBlock):
+    """The forward model of conditions: linear combinations of all entries of a block."""
+
+    weights: Array
+    """(conditions, members, columns)"""
+    takes = None
+    gives = Quantity.PARAMETERS
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the combinations (conditions, 1) and their derivatives by each member."""
+        found = np.einsum("cmk,mk->c", self.weights, local.members(self.block))
+        return Step(found[:, None], by_block={self.block: np.swapaxes(self.weights, 0, 1)[..., None]})
+
+
+def gauge(machine: Machine, blocks: Mapping[str, Block]) -> tuple[Group, ...]:
+    """Return the conditions that hold the tables of the rotary axes apart from their locations, one group an axis."""
+    groups = []
+    for axis in machine.axes:
+        if isinstance(axis, RotaryAxis):
+            block = blocks[axis.block]
+            weights = axis.conditions(block.free)
+            if len(weights):
+                scale = np.where((np.abs(weights[:, :, 3:]) > 0).any(axis=(1, 2)), 1e-3 * _HELD, _HELD)
+                index = {axis.block: np.arange(len(block.members))[:, None]}
+                held = Observations(np.zeros((len(weights), 1)), scale[:, None], index)
+                groups.append(Group(f"gauge of {axis.letter}", Chain((Combinations(axis.block, weights),)), held))
+    return tuple(groups)
+
+
+def spindle_block(values: Mapping[str, float], estimated: Collection[str]) -> Block:
+    """Return the block of the angles by which the axes of the tool vectors stand off; those not given are zero."""
+    free = np.array([[name in estimated for name in SPINDLE_NAMES]])
+    row = np.array([[values.get(name, 0.0) for name in SPINDLE_NAMES]])
+    return Block(SPINDLE, row, SPINDLE_NAMES, free=free, reach=np.array(_MOST_TURNED))

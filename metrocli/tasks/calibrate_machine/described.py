@@ -1,0 +1,194 @@
+"""The machine that a job describes, with its unknowns, and the commanded positions of its readings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.groups import Group, priors
+from metrocli.arrays import Array, Mask
+from metrocli.errors import Fault, InputError, UndeterminedError
+from metrocli.instruments.machine import (
+    ANGLES,
+    AXES,
+    SQUARENESS_NAMES,
+    TOOL,
+    Axis,
+    Machine,
+    axis_order,
+    errors_of,
+    squareness_block,
+    tool_block,
+)
+from metrocli.instruments.rotary import (
+    SPINDLE_NAMES,
+    RotaryAxis,
+    location_names,
+    spindle_block,
+)
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.machine_settings import AxisSettings, RotarySettings
+from metrocli.tasks.calibrate_machine.settings import TURNING, Settings
+
+_OUTSIDE = 1e-3
+"""Positions may be outside the range by this [mm, deg]: rounding of the control"""
+_SUPPORT = 0.02
+"""A knot is supported if some reading gives it at least this interpolation weight"""
+
+
+def machine_of(settings: Settings) -> Machine:
+    """Return the machine with equally spaced knots that the settings describe.
+
+    Methods that read linear axes alone have it without its rotary axes, which are at rest.
+    """
+    machine = settings.machine
+    if not machine.turns or settings.method not in TURNING:
+        given, rest = machine.axes.given, AxisSettings((0.0, 100.0), 2)  # an axis not given stands still
+        axes = tuple(_linear(letter, given.get(letter, rest)) for letter in AXES)
+        return Machine(axis_order(machine.chain), axes, tools=np.array(list(settings.tools.values())))
+    letters = machine.letters
+    bed = letters.index("b")
+    linear = [_linear(letter, machine.axes.given[letter]) for letter in AXES if letter in letters]
+    turning = [
+        _turning(letter, machine.axes.turning[letter], letter in letters[bed:])
+        for letter in ANGLES
+        if letter in letters
+    ]
+    axes = (*linear, *turning)
+    order = tuple([axis.letter for axis in axes].index(letter) for letter in letters if letter != "b")
+    return Machine(order, axes, bed, np.array(list(settings.tools.values())))
+
+
+def _linear(letter: str, axis: AxisSettings) -> Axis:
+    return Axis(letter, np.linspace(*axis.range, axis.knots))
+
+
+def _turning(letter: str, axis: RotarySettings, head: bool) -> RotaryAxis:
+    knots = np.linspace(*axis.range, axis.knots)
+    return RotaryAxis(letter, knots, axis.at, axis.sense, axis.any_turn, head)
+
+
+def error_names(machine: Machine) -> tuple[str, ...]:
+    """Return the names of all errors of a machine: tables, squareness, locations with zero positions, spindle."""
+    turning = [axis.letter for axis in machine.axes if isinstance(axis, RotaryAxis)]
+    tables = (name for axis in machine.axes for name in errors_of(axis.letter))
+    places = (name for letter in turning for name in location_names(letter))
+    return (*tables, *SQUARENESS_NAMES, *places, *(SPINDLE_NAMES if turning else ()))
+
+
+def error_blocks(machine: Machine, settings: Settings) -> dict[str, Block]:
+    """Return the blocks of error tables, squareness and locations, all zero, and of the tool vectors.
+
+    Raises InputError if no error is free: a straightness table of two knots is zero at both ends by definition.
+    """
+    estimated = settings.estimated
+    blocks = [axis.block_of({}, estimated) for axis in machine.axes]
+    blocks.append(squareness_block({}, estimated))
+    turning = [axis for axis in machine.axes if isinstance(axis, RotaryAxis)]
+    blocks += [axis.location_block({}, estimated) for axis in turning]
+    if turning:
+        blocks.append(spindle_block({}, estimated))
+    if not any(block.free.any() for block in blocks):
+        names = " ".join(estimated)
+        raise InputError(
+            f"there is nothing to estimate: {names} with two knots is zero by definition; give the axis more knots"
+        )
+    tools = settings.tools
+    blocks.append(tool_block(np.array(list(tools.values())), list(tools), settings.machine.tool_std))
+    return {block.name: block for block in blocks}
+
+
+def commanded(machine: Machine, table: Table) -> Array:
+    """Return commanded positions (axes, n), those of periodic axes within their range.
+
+    Raises InputError if an axis has no column, a column no axis, or if a position is outside the range of its axis.
+    """
+    must_have_axes(machine, table)
+    position = table.stacked([axis.letter.lower() for axis in machine.axes]).T
+    position = np.array([_wrapped(axis, own) for axis, own in zip(machine.axes, position, strict=True)])
+    margin = np.array([np.radians(_OUTSIDE) if isinstance(axis, RotaryAxis) else _OUTSIDE for axis in machine.axes])
+    low, high = (machine.low - margin)[:, None], (machine.high + margin)[:, None]
+    outside = (position < low) | (position > high)
+    faults = [
+        table.fault_at(
+            int(row),
+            f"{axis.letter.lower()} = {placed(axis, position[number, row])} is outside the range of the axis, "
+            f"{placed(axis, axis.knots[0], '')} to {placed(axis, axis.knots[-1])}",
+            "the columns x, y, z hold the commanded positions"
+            if not isinstance(axis, RotaryAxis)
+            else f"is it in degrees? or give {axis.letter.lower()} a wider range",
+        )
+        for number, row in zip(*np.nonzero(outside), strict=True)
+        for axis in [machine.axes[number]]
+    ]
+    if faults:
+        more = [table.fault(f"and {len(faults) - 5} more such rows")] if len(faults) > 5 else []
+        raise InputError(faults[:5] + more)
+    return position
+
+
+def must_have_axes(machine: Machine, table: Table) -> None:
+    """Raise InputError if a file lacks the column of an axis, or has that of an axis that the machine lacks."""
+    raise_if(_columns(machine, table))
+
+
+def raise_if(faults: Iterator[Fault]) -> None:
+    """Raise InputError with the faults, if there are any."""
+    found = list(faults)
+    if found:
+        raise InputError(found)
+
+
+def _columns(machine: Machine, table: Table) -> Iterator[Fault]:
+    letters = [axis.letter for axis in machine.axes]
+    for letter in (*AXES, *ANGLES):
+        unit = "mm" if letter in AXES else "deg"
+        name = f"{letter.lower()}_{unit}"
+        if letter in letters and letter.lower() not in table:
+            yield table.fault(f"the column '{name}' is missing", "it holds the commanded position of the axis")
+        elif letter not in letters and letter.lower() in table:
+            text = f"the file has a column '{name}', but the chain of the machine has no {letter}"
+            yield table.fault(text, f"add {letter} to `chain` and `axes`, or leave the column out")
+
+
+def _wrapped(axis: Axis, position: Array) -> Array:
+    return axis.wrapped(position) if isinstance(axis, RotaryAxis) else position
+
+
+def placed(axis: Axis, position: float, unit: str | None = None) -> str:
+    """Return a position of an axis as people write it: `12 mm`, `-90 deg`."""
+    turns = isinstance(axis, RotaryAxis)
+    own = ("deg" if turns else "mm") if unit is None else unit
+    return f"{float(np.degrees(position)) if turns else float(position):g} {own}".strip()
+
+
+def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block]) -> None:
+    """Raise UndeterminedError if a free knot has no reading in the intervals next to it."""
+    told = []
+    for axis, own in zip(machine.axes, position, strict=True):
+        free: Mask = np.asarray(blocks[axis.block].free.any(axis=1))
+        index, weight = axis.places(own)
+        seen = np.zeros(len(axis.members))
+        for knots, weights in zip(index[:2], weight[:2, 0], strict=True):
+            np.maximum.at(seen, knots, weights)
+        bare = np.flatnonzero(free & (seen < _SUPPORT))
+        if bare.size:
+            where = ", ".join(placed(axis, axis.members[i], "") for i in bare[:5]) + (" ..." if bare.size > 5 else "")
+            knots = f"{len(axis.members)} knots of {axis.letter} (at {where} {placed(axis, 0.0)[2:]})"
+            told.append(
+                f"no reading is near {bare.size} of the {knots}: "
+                f"give {axis.letter.lower()} fewer knots, or measure there"
+            )
+    if told:
+        raise UndeterminedError("\n".join(told))
+
+
+def tool_prior(blocks: Mapping[str, Block], settings: Settings) -> tuple[Group, ...]:
+    """Return the prior of the tool vectors with `tool_uncertainty`; empty if they are exact, or nothing is known."""
+    block, std = blocks[TOOL], settings.machine.tool_std
+    if not block.free.any() or not np.isfinite(std):
+        return ()
+    sigma = np.where(block.free, std, np.nan)
+    return tuple(priors(block, sigma, block.free))

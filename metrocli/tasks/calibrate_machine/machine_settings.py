@@ -1,0 +1,148 @@
+"""Settings of a machine: its chain, its axes and its tools."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from metrocli.frozen import dataclass
+from metrocli.instruments.machine import ANGLES, AXES, chain_of
+from metrocli.settings import Choice, Either, Flag, ListOf, MapOf, Quantity, Section, Text, Whole, setting
+from metrocli.tasks.shared.part import Warm
+
+VECTOR = ListOf(Quantity("length"), 3)
+_TURN = 2 * np.pi
+UNKNOWN = "unknown"
+_ROUNDING = 1e-9
+_EXAMPLE = "{range: [0 deg, 360 deg], knots: 13, at: [0 mm, 0 mm, -560 mm]}"
+
+
+@dataclass(frozen=True)
+class AxisSettings:
+    """The range of an axis and its knots, equally spaced, ends included."""
+
+    range: tuple[float, float] = setting(ListOf(Quantity("length"), 2), "lowest and highest position")
+    knots: int = setting(Whole(2, 2000), "knots of each error table, ends included")
+    scale: Warm | None = setting(
+        Section(Warm), "temperature and expansion of its scale; its positioning is given at 20 degC", default=None
+    )
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a fault if the range does not ascend."""
+        if self.range[0] >= self.range[1]:
+            yield "range", "the range does not ascend: write the lowest position first"
+
+
+@dataclass(frozen=True)
+class RotarySettings:
+    """The range of a rotary axis, its knots, and a point of its nominal line."""
+
+    range: tuple[float, float] = setting(ListOf(Quantity("angle"), 2), "lowest and highest position")
+    knots: int = setting(Whole(2, 2000), "knots of each error table, ends included")
+    at: tuple[float, ...] = setting(VECTOR, "a point of its nominal line, in the machine with all axes at 0")
+    sense: int = setting(
+        Whole(-1, 1), "-1 where it counts against the right-handed turn of the tool against the workpiece", default=1
+    )
+    periodic: bool | None = setting(
+        Flag(), "whether it takes any turn (default: if its range is 0 to 360 deg)", default=None
+    )
+
+    @property
+    def any_turn(self) -> bool:
+        """Whether it is periodic, so that its first and last knot are one."""
+        own = self.range[0] == 0 and abs(self.range[1] - _TURN) < _ROUNDING
+        return own if self.periodic is None else self.periodic
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield faults of the range."""
+        if self.range[0] >= self.range[1]:
+            yield "range", "the range does not ascend: write the lowest position first"
+        if self.any_turn and abs(self.range[1] - self.range[0] - _TURN) > _ROUNDING:
+            size = np.degrees(self.range[1] - self.range[0])
+            yield "range", f"the range of a periodic axis is one turn, not {size:g} deg: write e.g. [0 deg, 360 deg]"
+        if self.any_turn and self.knots < 4:
+            yield "knots", "a periodic axis needs 4 knots or more: the first and the last are one"
+        if self.sense == 0:
+            yield "sense", "the sense is 1 or -1"
+
+
+@dataclass(frozen=True)
+class AxesSettings:
+    """The axes; method six-dof with displacement only needs those that have lines."""
+
+    x: AxisSettings | None = setting(Section(AxisSettings), "the X axis", default=None)
+    y: AxisSettings | None = setting(Section(AxisSettings), "the Y axis", default=None)
+    z: AxisSettings | None = setting(Section(AxisSettings), "the Z axis", default=None)
+    a: RotarySettings | None = setting(Section(RotarySettings), "the A axis, which turns about X", default=None)
+    b: RotarySettings | None = setting(Section(RotarySettings), "the B axis, which turns about Y", default=None)
+    c: RotarySettings | None = setting(Section(RotarySettings), "the C axis, which turns about Z", default=None)
+
+    @property
+    def given(self) -> dict[str, AxisSettings]:
+        """The linear axes by letter, X to Z."""
+        named = {"X": self.x, "Y": self.y, "Z": self.z}
+        return {letter: axis for letter, axis in named.items() if axis is not None}
+
+    @property
+    def turning(self) -> dict[str, RotarySettings]:
+        """The rotary axes by letter, A to C."""
+        named = {"A": self.a, "B": self.b, "C": self.c}
+        return {letter: axis for letter, axis in named.items() if axis is not None}
+
+
+@dataclass(frozen=True)
+class MachineSettings:
+    """The kinematic chain, the axes and the tool vectors."""
+
+    chain: str = setting(Text(), "axes from workpiece to tool with the bed marked, such as wXbYZt", default="wXYZt")
+    axes: AxesSettings = setting(Section(AxesSettings), "range and knots of each axis", AxesSettings())
+    tool: tuple[float, ...] | None = setting(
+        VECTOR, "vector from the spindle's reference point to the reflector (default: 0)", default=None
+    )
+    tools: dict[str, tuple[float, ...]] | None = setting(
+        MapOf(VECTOR), "several tool vectors, by the names in the column tool", default=None
+    )
+    tool_uncertainty: float | str = setting(
+        Either(Quantity("length", minimum=0.0), Choice(UNKNOWN)),
+        "standard uncertainty of tool vectors; 0: exact; unknown: with rotary axes, nothing is known of them",
+        default=0.0,
+    )
+
+    @property
+    def letters(self) -> tuple[str, ...]:
+        """The letters of the axes from workpiece to tool, and b for the bed."""
+        return chain_of(self.chain)
+
+    @property
+    def turns(self) -> bool:
+        """Whether it has rotary axes."""
+        return any(letter in ANGLES for letter in self.letters)
+
+    @property
+    def tool_std(self) -> float:
+        """Standard uncertainty of the tool vectors [mm]; infinite if nothing is known of them."""
+        return np.inf if isinstance(self.tool_uncertainty, str) else self.tool_uncertainty
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a fault for an invalid chain, axes that do not belong to it, and tools given twice or not at all."""
+        try:
+            letters = self.letters
+        except ValueError as error:
+            yield "chain", str(error)
+        else:
+            turning = self.axes.turning
+            for letter in (one for one in ANGLES if one in letters and one not in turning):
+                yield "axes", f"the chain has {letter}, but no axis is given: write `{letter.lower()}: {_EXAMPLE}`"
+            for letter in (one for one in turning if one not in letters):
+                yield f"axes.{letter.lower()}", f"the chain {self.chain} has no {letter}: add it there, or leave this"
+            linear = self.axes.given
+            for letter in (one for one in AXES if self.turns and (one in letters) != (one in linear)):
+                there = "the axes" if letter in letters else f"the chain {self.chain}"
+                yield "axes", f"{letter} is missing in {there}"
+            if self.tool_uncertainty == UNKNOWN and not self.turns:
+                yield "tool_uncertainty", "without rotary axes an unknown tool is one with the place of the tracker"
+        if self.tool is not None and self.tools is not None:
+            yield "tools", "both tool and tools are given: keep one of them"
+        if self.tools is not None and not self.tools:
+            yield "tools", "the list of tools is empty"
