@@ -164,6 +164,10 @@ class Axis:
             self.block, values, errors_of(self.letter), members, self.free(estimated), reach=reach, noun="position"
         )
 
+    def nearest(self, position: Array) -> Array:
+        """Return positions (n,), or of a rotary axis the knots nearest to them."""
+        return position
+
     def motion(self, position: Array, errors: Array, location: Array) -> Motion:
         """Return the motion of the tool's side of the axis against its workpiece side at positions (n,).
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from metrocli.arrays import Array, Index
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ANGLES, TOOL, Machine, errors_of
-from metrocli.instruments.rotary import RotaryAxis, gauge
+from metrocli.instruments.rotary import Combinations, RotaryAxis
 from metrocli.instruments.tracer import AIR, STOP, TRACER
 from metrocli.tasks.calibrate_machine.described import error_names
 from metrocli.tasks.calibrate_machine.layout import cure_of
@@ -35,6 +36,7 @@ _HARMLESS = 1e-4
 _TOUCHED = 1e-6
 """Largest entry of a table in the open directions below which the table counts as determined"""
 _NAMED = 0.2
+_LOOSE = 1e6
 
 
 @dataclass(frozen=True)
@@ -151,21 +153,24 @@ def identify(problem: Problem) -> Identifiability:
 
 
 def at_knots(problem: Problem) -> tuple[Group, ...]:
-    """Return the groups of a problem as if every rotary axis had stood at its nearest knot.
+    """Return the groups of a problem as if every rotary axis had stood at the knots next to it, once at each.
 
     Tables are straight between knots, but levers turn. So readings between knots seem to determine, by hundreds of
     micrometres, what no such readings at knots determine, and the error of the interpolation is magnified as much.
     """
     turning = [axis for axis in problem.machine.axes if isinstance(axis, RotaryAxis)]
+    readings = problem.readings
+    others = tuple(one for one in problem.groups if one.name != readings.name)
     if not turning:
         return problem.groups
-    readings = problem.readings
-    given, index = dict(readings.observations.conditions), dict(readings.observations.index)
-    for axis in turning:
-        given[axis.coordinate] = axis.nearest(given[axis.coordinate])
-        index[axis.block] = axis.places(given[axis.coordinate])[0]
-    there = replace(readings.observations, conditions=given, index=index)
-    return tuple(replace(one, observations=there) if one.name == readings.name else one for one in problem.groups)
+    copies = []
+    for sides in product((0, 1), repeat=len(turning)):
+        given, index = dict(readings.observations.conditions), dict(readings.observations.index)
+        for axis, side in zip(turning, sides, strict=True):
+            given[axis.coordinate] = axis.members[axis.places(given[axis.coordinate])[0][side]]
+            index[axis.block] = axis.places(given[axis.coordinate])[0]
+        copies.append(replace(readings, observations=replace(readings.observations, conditions=given, index=index)))
+    return (*copies, *others)
 
 
 def _moved(problem: Problem, opened: _Open, tool: str) -> Array:
@@ -304,7 +309,7 @@ def worst_ratio(problem: Problem) -> float:
         return 0.0
     weight = problem.per_reading / problem.per_reading.sum()
     unit = _angles_as_lengths(problem)[:, None] / np.sqrt(weight)
-    path = normal_matrix([unit_noise(problem.readings, unit), *gauge(problem.machine, blocks)], blocks, unknowns)
+    path = normal_matrix([unit_noise(problem.readings, unit), *_loose(problem.groups)], blocks, unknowns)
     volume = volume_matrix(problem, unknowns)
     scale = 1 / np.sqrt(np.maximum(np.diag(path), 1e-300))
     try:
@@ -312,6 +317,11 @@ def worst_ratio(problem: Problem) -> float:
     except np.linalg.LinAlgError:
         return float("inf")
     return float(np.sqrt(max(np.linalg.eigvalsh(root @ volume @ root.T)[-1], 0.0)))
+
+
+def _loose(held: Sequence[Group]) -> list[Group]:
+    """Return the conditions of tables among groups, with weights like those of readings, which saves digits."""
+    return [one.with_noise_times(_LOOSE) for one in held if isinstance(one.chain.links[0], Combinations)]
 
 
 def _angles_as_lengths(problem: Problem) -> Array:

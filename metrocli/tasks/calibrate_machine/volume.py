@@ -111,8 +111,13 @@ def predict(
 
 
 def rows_over_volume(machine: Machine, blocks: Mapping[str, Block], tool: str, unknowns: Unknowns) -> Array:
-    """Return the Jacobian of a tool's displacement over the volume, (3, n, unknowns), without rigid motion."""
-    position = spread_over(machine, _POINTS)
+    """Return the Jacobian of a tool's displacement over the volume, (3, n, unknowns), without rigid motion.
+
+    Rotary axes stand at their knots, where errors that are known only together cancel exactly.
+    """
+    position = np.array(
+        [axis.nearest(own) for axis, own in zip(machine.axes, spread_over(machine, _POINTS), strict=True)]
+    )
     group = grid_group(machine, position, blocks[TOOL].members.index(tool))
     number = blocks[TOOL].members.index(tool)
     return without_rigid_motion(rows(group, blocks, unknowns), tips(machine, position, number))
