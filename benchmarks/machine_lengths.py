@@ -32,14 +32,8 @@ from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.files import Inputs
-from metrocli.tasks.calibrate_machine.settings import (
-    AxesSettings,
-    AxisSettings,
-    MachineSettings,
-    MachineSimulation,
-    Noise,
-    Settings,
-)
+from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
+from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Noise, Settings
 from metrocli.tasks.calibrate_machine.volume import rigid_motions
 from metrocli.uncertainty.comparison import Comparison, compare
 from metrocli.uncertainty.predicted import reached

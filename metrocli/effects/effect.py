@@ -57,6 +57,8 @@ class Parameter:
     """For a scanned parameter that names a place, such as `view`, instead of a number: the kind of place"""
     grid: Grid | None = None
     """For a scanned parameter that is a number: the values that it may have, in ascending order"""
+    whole: bool = False
+    """Whether its grid holds all values that it can have, so that none in between is tried"""
     tried: int = 120
     """Number of grid values that `diagnose` tries first; it then refines between the best one and its neighbours"""
     base: str = ""
@@ -121,6 +123,8 @@ class Effect:
     """How a step of the adjustment changes its parameters"""
     needs: tuple[str, ...] = ()
     """Conditions that it needs: t, temp, ...; in `from_{axis}` the name of the axis replaces the braces"""
+    among: tuple[str, ...] = ()
+    """The names that its place can have, where a kind of place has others too, such as rotary axes; empty for all"""
     not_first: tuple[str, ...] = ()
     """Kinds of place whose first name is the reference for the others, so that the effect cannot act there"""
     confused_with: tuple[str, ...] = ()

@@ -185,7 +185,12 @@ def places_of(model: Model, effect: Effect) -> list[tuple[str, ...]]:
 def _form(model: Model, wanted: Wanted) -> Effect | None:
     if wanted.std:
         return next((effect for effect in wanted.forms if can_act_everywhere(model, effect)), None)
-    return next((effect for effect in wanted.forms if can_act(model, effect, wanted.where)), None)
+    there = (
+        effect
+        for effect in wanted.forms
+        if all(name in names_for(model, effect, key) for key, name in wanted.where.items())
+    )
+    return next((effect for effect in there if can_act(model, effect, wanted.where)), None)
 
 
 def _misplaced(model: Model, wanted: Wanted) -> list[Fault]:
@@ -199,7 +204,7 @@ def _misplaced(model: Model, wanted: Wanted) -> list[Fault]:
             f"{wanted.name}: {_no_place(model, key, name)}", suggestion(name, allowed)
         )
         for key, name in named.items()
-        if name not in (allowed := names_for(model, wanted.forms[0], key))
+        if name not in (allowed := dict.fromkeys(n for form in wanted.forms for n in names_for(model, form, key)))
     ]
 
 
@@ -211,6 +216,8 @@ def _no_place(model: Model, key: str, name: str) -> str:
 def names_for(model: Model, effect: Effect, key: str) -> tuple[str, ...]:
     """Return the names of one kind of place at which an effect can act."""
     names = model.places[key].names
+    if effect.among:
+        return tuple(name for name in names if name in effect.among)
     return names[1:] if key in effect.not_first else names
 
 

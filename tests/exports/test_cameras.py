@@ -44,7 +44,9 @@ def test_opencv_projects_as_the_result_does(calibrated: Path, tmp_path: Path, me
 
 
 @pytest.mark.parametrize(("form", "name"), [("ros", "ros.yaml"), ("colmap", "cameras.txt")])
-def test_what_is_written_is_read_back(form: str, name: str, calibrated: Path, tmp_path: Path, metrocli: Metrocli) -> None:
+def test_what_is_written_is_read_back(
+    form: str, name: str, calibrated: Path, tmp_path: Path, metrocli: Metrocli
+) -> None:
     read = {}
     for one, file in ((form, name), ("opencv", "opencv.yml")):
         assert metrocli("export", calibrated, "--to", one, "--out", tmp_path / one, "--accept-doubtful").code == 0

@@ -93,7 +93,9 @@ class Machine:
         """The 4 x 4 matrix of a joint, as contract 15A has it."""
         errors = np.array(
             [
-                np.interp(position, self.knots[letter], self.tables[f"E{d}{letter}"]) if f"E{d}{letter}" in self.tables else 0
+                np.interp(position, self.knots[letter], self.tables[f"E{d}{letter}"])
+                if f"E{d}{letter}" in self.tables
+                else 0
                 for d in "XYZABC"
             ]
         )
@@ -195,7 +197,7 @@ def drawn(kind: Kind, rng: np.random.Generator, scale: float = 1.0, linear: bool
     carries = kind.chain[-1] if kind.chain[-1] in ROTARY else ""
     for letter in (one for one in ROTARY if one in knots):
         for d in "XYZABC":
-            if d != letter and d != LINEAR[ROTARY.index(letter)] or d == letter == carries:
+            if (d != letter and d != LINEAR[ROTARY.index(letter)]) or d == letter == carries:
                 machine.places[f"E{d}0{letter}"] = float(rng.normal() * scale * (3e-2 if d in LINEAR else 1e-4))
     if carries:
         machine.places |= {f"E{d}0S": float(rng.normal() * scale * 5e-5) for d in ROTARY if d != carries}
@@ -252,10 +254,13 @@ def probed(
     listed = np.array(machine.kind.balls[:balls])
     places = listed + rng.normal(size=listed.shape) if true_balls is None else true_balls
     true_tools = {name: np.array(tool) for name, tool in machine.kind.tools.items()} | (tools or {})
-    lines = [f"ball,{header(machine)}" + ",dx_um,dy_um,dz_um" * rtest + ",tool,t_s,from_" + ",from_".join(
-        one.lower() for one in machine.knots if one in ROTARY
-    )]
-    last = {letter: 0.0 for letter in machine.knots}
+    lines = [
+        f"ball,{header(machine)}"
+        + ",dx_um,dy_um,dz_um" * rtest
+        + ",tool,t_s,from_"
+        + ",from_".join(one.lower() for one in machine.knots if one in ROTARY)
+    ]
+    last = dict.fromkeys(machine.knots, 0.0)
     perfect = machine.perfect()
     i = 0
     while i < n:
@@ -266,16 +271,15 @@ def probed(
             continue
         side = ",".join("1" if met[one] >= last[one] else "-1" for one in met if one in ROTARY)
         turned = dict(met)
-        machine_now = machine if machine.disturbed is None else machine
         if rtest:
             met = {letter: round(value, 3) if letter in LINEAR else value for letter, value in met.items()}
-            workpiece, spindle = machine_now.sides(met, i)
+            workpiece, spindle = machine.sides(met, i)
             d = (workpiece @ np.append(places[number], 1) - spindle @ np.append(true_tools[tool], 1))[:3]
             d = d + rng.normal(size=3) * sigma
             lines.append(f"K{number + 1},{cells(met)},{','.join(f'{1e3 * x:.9f}' for x in d)},{tool},{when(i)},{side}")
         else:
             for _ in range(8):
-                workpiece, spindle = machine_now.sides(met, i)
+                workpiece, spindle = machine.sides(met, i)
                 gap = (workpiece @ np.append(places[number], 1) - spindle @ np.append(true_tools[tool], 1))[:3]
                 for axis, letter in enumerate(LINEAR):
                     met[letter] += gap[axis]
@@ -322,9 +326,14 @@ def tracked(
     fixed = {f"R{i + 1}": np.array(machine.kind.balls[i]) + rng.normal(size=3) * 0.5 for i in range(workpiece)}
     names = [*targets, *fixed]
     centre = machine.perfect().tip({letter: k.mean() for letter, k in machine.knots.items()}, np.zeros(3))
-    places = centre + rng.normal(size=(max(stations, 1), 3)) * 150 + 900 * np.array(
-        [[1, 0.3, 0.2], [-0.7, 0.9, -0.2], [-0.5, -1, 0.5], [0.3, 0.2, 1.1], [0.8, -0.9, -0.6]]
-    )[: max(stations, 1)]
+    places = (
+        centre
+        + rng.normal(size=(max(stations, 1), 3)) * 150
+        + 900
+        * np.array([[1, 0.3, 0.2], [-0.7, 0.9, -0.2], [-0.5, -1, 0.5], [0.3, 0.2, 1.1], [0.8, -0.9, -0.6]])[
+            : max(stations, 1)
+        ]
+    )
     turn = rot(np.array([0.05, -0.04, rng.uniform(-3, 3)]))[:3, :3]
     zero = rng.normal(size=len(places)) * 100
     rows = []
@@ -341,7 +350,9 @@ def tracked(
             for k, x0 in enumerate(places):
                 far = np.linalg.norm(q - x0)
                 sigma = np.hypot(noise[0], noise[2] * far)
-                rows.append(f"P{i + 1},S{k + 1},{cells(pose)},{far - zero[k] + rng.normal() * sigma:.10f},{name},{4.0 * i}")
+                rows.append(
+                    f"P{i + 1},S{k + 1},{cells(pose)},{far - zero[k] + rng.normal() * sigma:.10f},{name},{4.0 * i}"
+                )
         else:
             seen = turn.T @ (q - places[0])
             far = np.linalg.norm(seen)
@@ -354,19 +365,25 @@ def tracked(
         (folder / "reflectors.csv").write_text("reflector,on,x_mm,y_mm,z_mm,sigma_mm\n" + "\n".join(lines) + "\n")
         listed = ", reflectors: reflectors.csv"
     if stations:
-        (folder / "lengths.csv").write_text("\n".join([f"point,station,{header(machine)},length_mm,tool,t_s", *rows]) + "\n")
+        (folder / "lengths.csv").write_text(
+            "\n".join([f"point,station,{header(machine)},length_mm,tool,t_s", *rows]) + "\n"
+        )
         lines = [f"S{k + 1},{','.join(f'{x:.0f}' for x in place)}" for k, place in enumerate(places)]
         (folder / "stations.csv").write_text("station,x_mm,y_mm,z_mm\n" + "\n".join(lines) + "\n")
         rest = f"inputs: {{lengths: lengths.csv, stations: stations.csv{listed}}}\n"
         rest += f"noise: {{constant: {max(noise[0], 1e-4) * 1e3} um, proportional: {noise[2] * 1e6} um/m}}"
     else:
-        (folder / "points.csv").write_text("\n".join([f"point,{header(machine)},mx_mm,my_mm,mz_mm,tool,t_s", *rows]) + "\n")
+        (folder / "points.csv").write_text(
+            "\n".join([f"point,{header(machine)},mx_mm,my_mm,mz_mm,tool,t_s", *rows]) + "\n"
+        )
         rest = f"inputs: {{points: points.csv{listed}}}\n"
         rest += (
             f"noise: {{beam: {max(noise[0], 1e-4) * 1e3} um, lateral: {{constant: {max(noise[1], 1e-4) * 1e3} um, "
             f"proportional: {noise[2] * 1e6} um/m}}}}"
         )
-    return job(folder, machine, "lengths" if stations else "standstill", f"estimate: all\ninstrument: {{'on': {on}}}\n{rest}")
+    return job(
+        folder, machine, "lengths" if stations else "standstill", f"estimate: all\ninstrument: {{'on': {on}}}\n{rest}"
+    )
 
 
 def errors_at(machine: Machine, poses: list[dict[str, float]], tool: Array) -> tuple[Array, Array]:

@@ -12,14 +12,8 @@ import numpy.typing as npt
 
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.files import Inputs
-from metrocli.tasks.calibrate_machine.settings import (
-    AxesSettings,
-    AxisSettings,
-    LateralNoise,
-    MachineSettings,
-    Noise,
-    Settings,
-)
+from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
+from metrocli.tasks.calibrate_machine.settings import LateralNoise, Noise, Settings
 
 Array = npt.NDArray[np.float64]
 NOWHERE = Path("-")

@@ -71,8 +71,10 @@ def _held(effect: Effect, rows: int) -> int:
 
 
 def is_filled(effect: Effect) -> bool:
-    """Return whether values in between are tried: one scanned parameter, which is no time of a step and no place."""
-    return len(effect.scanned) == 1 and not effect.is_step and effect.scanned[0].grid is not None
+    """Return whether values in between are tried: one scanned parameter, no time of a step, no place, no count."""
+    if len(effect.scanned) != 1 or effect.is_step:
+        return False
+    return effect.scanned[0].grid is not None and not effect.scanned[0].whole
 
 
 def scanned_columns(

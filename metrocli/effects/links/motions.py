@@ -77,6 +77,12 @@ class OnAxis(AxisErrorEffect):
         """Return the errors with `p factor` more in the axis' own motion, p the only column of the effect's block."""
         return self.linear(value, local, [self.own], factor[None, None])
 
+    def wave(self, angle: Array, amplitude: Array, value: Array) -> Step:
+        """Return the errors with `amplitude sin(angle)` more in the axis' own motion."""
+        by_block = np.zeros((1, 3, len(angle)))
+        by_block[0, :2] = np.sin(angle), np.cos(angle)
+        return self.added(value, [self.own], amplitude * by_block[:, 0], by_block)
+
 
 def _machine(machine: Machine | None) -> Machine:
     if machine is None:
@@ -134,12 +140,6 @@ class ScrewPitchError(OnAxis):
         """Return the errors."""
         amplitude, phase, period = local.rows(self.block)
         return self.wave(2 * np.pi * local.observations.conditions[self.axis] / period + phase, amplitude, value)
-
-    def wave(self, angle: Array, amplitude: Array, value: Array) -> Step:
-        """Return the errors with `amplitude sin(angle)` more in the axis' own motion."""
-        by_block = np.zeros((1, 3, len(angle)))
-        by_block[0, :2] = np.sin(angle), np.cos(angle)
-        return self.added(value, [self.own], amplitude * by_block[:, 0], by_block)
 
 
 @dataclass(frozen=True)

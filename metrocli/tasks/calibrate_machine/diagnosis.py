@@ -28,7 +28,7 @@ from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracer import TRACER, beams
 from metrocli.instruments.tracker import LEG, TRACKER
 from metrocli.tasks.calibrate_machine import KIND
-from metrocli.tasks.calibrate_machine.effects import OF_LENGTHS, OF_LINES, OF_MACHINES
+from metrocli.tasks.calibrate_machine.effects import OF_BALLS, OF_LENGTHS, OF_LINES, OF_MACHINES
 from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, PLACES_OF_AXES, SIDES
 from metrocli.tasks.calibrate_machine.solve import Solved, refitted
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, count, in_blocks, noise_found
@@ -77,7 +77,9 @@ def _effects_on(model: Model) -> tuple[Effect, ...]:
     """Return the effects on the machine, and those on what reads it: stations, a laser, or a tracker."""
     if TRACER in model.blocks:
         return OF_LENGTHS
-    return OF_LINES if LINE in model.blocks else OF_MACHINES
+    if LINE in model.blocks:
+        return OF_LINES
+    return OF_MACHINES if TRACKER in model.blocks or LEG in model.blocks else OF_BALLS
 
 
 def _condensed(group: Group) -> bool:

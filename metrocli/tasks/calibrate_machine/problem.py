@@ -28,6 +28,8 @@ from metrocli.instruments.tracer import AIR, POINT, STOP, TRACER
 from metrocli.instruments.tracer import aspects as beam_aspects
 from metrocli.instruments.tracker import LEG, TRACKER
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.effects.machine import PAIRS
+from metrocli.tasks.calibrate_machine.effects.turning import TILTED
 from metrocli.tasks.calibrate_machine.iso230 import Run
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.lengths import PathNoise, with_noise
@@ -220,8 +222,5 @@ ERROR_BLOCKS = (
 """Names of the blocks on which the predicted error of a point depends"""
 BLOCKS = (*ERROR_BLOCKS, TRACKER, LEG, LINE, TRACER, STOP, AIR, ON_WORKPIECE)
 """Names of the blocks of machine and instruments; all other blocks are effects"""
-PAIRS = ("xy", "xz", "yz")
-TILTED = ("ac", "bc", "ab", "ca", "cb", "ba")
-"""Pairs of tables, the one that tilts the other first"""
 REVERSALS = ("xy", "xz", "yx", "yz", "zx", "zy")
 """Places of reversals: the axis that turns, and the axis along which the point is shifted"""

@@ -13,12 +13,12 @@ from metrocli.arrays import Array
 from metrocli.errors import UndeterminedError
 from metrocli.instruments.machine_path import Path
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.plans.planned import planned_problem
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
-from metrocli.tasks.calibrate_machine.described import machine_of
 
 KNOTS = (13, 11, 11)
 ALONG_Z = {"T1": (0.0, 0.0, 120.0), "T2": (0.0, 0.0, 220.0)}

@@ -13,6 +13,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array
 from metrocli.instruments import machine as m
+from metrocli.instruments.kinematics import motion
 
 ORDERS = ["".join(order) for order in permutations("XYZ")]
 
@@ -31,7 +32,7 @@ def engine(machine: sim.Machine, positions: Array, tool: Array) -> Array:
     observations = Observations(
         np.zeros((6, n)), np.ones(1), index, conditions=dict(zip("xyz", positions.T, strict=True))
     )
-    return Group("", Chain((m.ErrorMotion(model),)), observations).chain.predict(blocks, observations).T
+    return Group("", Chain(motion(model)), observations).chain.predict(blocks, observations).T
 
 
 @pytest.mark.parametrize("bed", range(4))

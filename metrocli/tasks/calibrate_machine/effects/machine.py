@@ -29,6 +29,8 @@ from metrocli.instruments.machine_path import SINCE, SPEED
 SCHWENKE = "Schwenke et al. 2008, Geometric error measurement and compensation of machines, CIRP Annals 57"
 
 
+LINEAR = tuple(AXES)
+PAIRS = ("xy", "xz", "yz")
 VELOCITY = sizes("vx vy vz", "speed", "1 um/min")
 """Parameters of a drift"""
 
@@ -74,6 +76,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         sizes("width", "length", "20 um"),
         lambda block, where: Backlash(block, axis=where["axis"]),
         where=("axis",),
+        among=LINEAR,
         needs=("from_{axis}",),
         usual="1 to 20 um",
         reveal="the same points approached from both sides; lines run in both directions",
@@ -85,6 +88,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         sizes("growth", "ratio", "50 ppm"),
         lambda block, where: BacklashGrowth(block, axis=where["axis"]),
         where=("axis",),
+        among=LINEAR,
         needs=("from_{axis}",),
         confused_with=("backlash",),
         usual="1 to 50 ppm",
@@ -97,6 +101,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         sizes("width", "length", "20 um"),
         lambda block, where: Hysteresis(block, axis=where["axis"]),
         where=("axis",),
+        among=LINEAR,
         needs=(SINCE,),
         scanned=(Parameter("length", "length", grid=_lengths, tried=12),),
         confused_with=("backlash",),
@@ -122,6 +127,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         sizes("rx ry rz", "angle", "5 arcsec"),
         lambda block, where: AngularReversal(block, axis=where["axis"]),
         where=("axis",),
+        among=LINEAR,
         needs=("from_{axis}",),
         confused_with=("backlash", "straightness-reversal"),
         usual="0.2 to 5 arcsec",
@@ -134,6 +140,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         sizes("tau", "time", "60 ms"),
         lambda block, where: ServoLag(block, axis=where["axis"]),
         where=("axis",),
+        among=LINEAR,
         needs=(SPEED,),
         confused_with=("backlash",),
         usual="0.05 to 60 ms",
@@ -146,6 +153,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         (*sizes("amplitude", "length", "10 um"), *sizes("phase", "angle", "6.3 rad")),
         lambda block, where: ScrewPitchError(block, axis=where["axis"]),
         where=("axis",),
+        among=LINEAR,
         scanned=(Parameter("period", "length", grid=_periods, tried=_TRIED),),
         space=Space.WAVE,
         usual="0.5 to 10 um",
@@ -158,6 +166,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         sizes("rate", "rate", "60 ppm/h"),
         lambda block, where: ThermalGrowth(block, axis=where["axis"]),
         where=("axis",),
+        among=LINEAR,
         needs=("t",),
         confused_with=("machine-drift", "tracker-drift"),
         usual="1 to 60 ppm/h",
@@ -197,6 +206,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         sizes("c", "curvature", "1e-6 1/mm"),
         lambda block, where: LoadSag(block, pair=where["pair"]),
         where=("pair",),
+        among=PAIRS,
         usual="1e-8 to 1e-6 1/mm",
         reveal="points over the whole plane of the two axes, also in its corners",
         source=SCHWENKE,
