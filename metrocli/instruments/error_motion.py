@@ -55,7 +55,7 @@ class ErrorMotion:
         motion, by_block = by_squareness(position, local.members(SQUARENESS)[0])
         by_tool = np.zeros((6, 3, position.shape[1]))
         n = position.shape[1]
-        disturbed = np.zeros((6, len(value), n)) if value.shape[1] == n else None
+        disturbed = np.zeros((6, len(value), n)) if self.machine.is_disturbed(value, local) else None
         for number, axis in enumerate(self.machine.axes):
             index, weight = axis.places(position[axis.number])
             values = local.members(axis.block)

@@ -108,7 +108,7 @@ class _OfMachine:
     def derivatives(self, value: Array, local: Local, changes: Mapping[int, Array]) -> Step:
         """Return the derivatives of a point by what disturbs the axes, by their tables and by their locations."""
         n, size = local.observations.count, len(next(iter(changes.values())))
-        disturbed = np.zeros((size, len(value), n)) if value.shape[1] == n else None
+        disturbed = np.zeros((size, len(value), n)) if self.machine.is_disturbed(value, local) else None
         by_block: dict[str, Array] = {}
         for number, change in changes.items():
             axis = self.machine.axes[number]

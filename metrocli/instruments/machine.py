@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.chain import Local
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments.joints import Motion, slide
@@ -222,6 +223,11 @@ class Machine:
         error is 0 to 5 for the six of the tables, 6 to 8 for a shift of the axis' line along X, Y, Z.
         """
         return ROWS * [axis.letter for axis in self.axes].index(letter.upper()) + error
+
+    @staticmethod
+    def is_disturbed(value: Array, local: Local) -> bool:
+        """Return whether derivatives by the errors of axes (9 axes, n or 1) are used: effects act, or all are wanted."""
+        return value.shape[1] == local.observations.count or local.wanted.issuperset(local.blocks)
 
     def carried(self, axis: int) -> tuple[int, ...]:
         """Return the numbers of the axes that are nearer to the tool than a given axis."""

@@ -22,7 +22,7 @@ class Step:
     value: Array
     """(out, n)"""
     by_input: Array | None = None
-    """(out, in, n); None for the first link of a chain"""
+    """(out, in, n); None for the first link of a chain, and for one that adds to its input"""
     by_block: Mapping[str, Array] = field(default_factory=dict)
     """(out, size, n), or (k, out, size, n) where a reading touches k members of the block"""
 

@@ -212,7 +212,7 @@ def run_of(group: Group, blocks: Mapping[str, Block]) -> Run:
     outer: list[Array | None] = [None]
     for step in steps[:0:-1]:
         after, by_input = outer[0], step.by_input
-        outer.insert(0, by_input if after is None or by_input is None else through(after, by_input))
+        outer.insert(0, after if by_input is None else by_input if after is None else through(after, by_input))
     return Run(links, (np.zeros((0, group.observations.count)), *(step.value for step in steps)), (None, *outer))
 
 

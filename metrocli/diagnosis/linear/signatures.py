@@ -157,6 +157,7 @@ def columns_by_splicing(system: System, group: Group, blocks: Mapping[str, Block
     value, outer = run.values[at], run.outer[at]
     step = links[at].step(value, Local(blocks, group.observations, frozenset({block.name})))
     inner = step.by_block.get(block.name)
-    if inner is None or inner.ndim != 3 or group.weights is not None or not np.array_equal(step.value, value):
+    same = np.array_equal(step.value, np.broadcast_to(value, step.value.shape))
+    if inner is None or inner.ndim != 3 or group.weights is not None or not same:
         return None
     return inner if outer is None else through(outer, inner)

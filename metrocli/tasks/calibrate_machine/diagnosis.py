@@ -29,7 +29,7 @@ from metrocli.instruments.tracer import TRACER, beams
 from metrocli.instruments.tracker import LEG, TRACKER
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.effects import OF_BALLS, OF_LENGTHS, OF_LINES, OF_MACHINES
-from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, PLACES_OF_AXES, SIDES
+from metrocli.tasks.calibrate_machine.problem import ALL_SIDES, ERROR_BLOCKS, PLACES_OF_AXES
 from metrocli.tasks.calibrate_machine.solve import Solved, refitted
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, count, in_blocks, noise_found
 
@@ -89,7 +89,7 @@ def _condensed(group: Group) -> bool:
 
 def _variations(model: Model, readings: Observations) -> Iterator[tuple[str, Observations]]:
     """Yield readings as they would be from the other side in each axis, and with each other tool."""
-    for axis in (one.removeprefix("from_") for one in SIDES):
+    for axis in (one.removeprefix("from_") for one in ALL_SIDES):
         came = readings.conditions.get(f"from_{axis}")
         if came is not None:
             yield (

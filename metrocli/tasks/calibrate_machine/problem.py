@@ -35,8 +35,9 @@ from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.lengths import PathNoise, with_noise
 from metrocli.words import suggestion
 
-SIDES = ("from_x", "from_y", "from_z", "from_a", "from_b", "from_c")
+SIDES = ("from_x", "from_y", "from_z")
 """Conditions: 1 where an axis last moved in its positive direction, -1 in its negative, 0 where it has not moved"""
+ALL_SIDES = (*SIDES, "from_a", "from_b", "from_c")
 _SIDE = "expected 1 after a move in the positive direction of the axis, -1 after one in the negative"
 
 
@@ -180,7 +181,7 @@ def conditions(
     found = machine.conditions(position) | dict(zip(NOMINAL, position[:3] if place is None else place, strict=True))
     if table is not None:
         _refuse_sides(table)
-        found |= table.conditions("t", "temp", *SIDES)
+        found |= table.conditions("t", "temp", *ALL_SIDES)
         found |= since_turns(position, found)
     return found
 
@@ -204,7 +205,7 @@ def since_turns(position: Array, given: Mapping[str, Array]) -> dict[str, Array]
 def _refuse_sides(table: Table) -> None:
     faults = [
         table.fault_at(row, f"{name} = {table.numbers(name)[row]:g} is not a direction of approach", _SIDE)
-        for name in SIDES
+        for name in ALL_SIDES
         if name in table
         for row in np.flatnonzero(~np.isin(table.numbers(name), (-1, 0, 1))).tolist()
     ]

@@ -159,7 +159,7 @@ def _sides(position: Array, time: Array) -> dict[str, Array]:
     """Return the sides from which the axes come to positions (3, n), in the order of time; to the first from below."""
     order = np.argsort(time, kind="stable")
     moves = np.diff(position[:, order], axis=1, prepend=position[:, order[:1]] - 1)
-    return {name: last_sides(own)[np.argsort(order)] for name, own in zip(SIDES, moves, strict=False)}
+    return {name: last_sides(own)[np.argsort(order)] for name, own in zip(SIDES, moves, strict=True)}
 
 
 def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
@@ -236,7 +236,7 @@ def _track(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[T
         raise InputError("simulate needs the path: `inputs: {path: path.csv}`")
     path = path_of(job.settings, machine_of(job.settings), listed)
     leg, along, time = travelled(path, _feeds(job, listed, path), job.simulation.sampling)
-    given = {"t": time, **{name: signs[leg] for name, signs in zip(SIDES, path.last_moves(), strict=False)}}
+    given = {"t": time, **{name: signs[leg] for name, signs in zip(SIDES, path.last_moves(), strict=True)}}
     given |= path.since_turns(leg, along) | path.axis_speeds(leg, path.speeds(leg, along, time))
     seen, model = _seen(job, truth, Flow(path.at(leg, along), path.tool[leg], given), rng)
     table = Table.of({"x y z [mm]": seen.T, "t [s]": time})

@@ -148,7 +148,7 @@ def test_chains_are_read(chain: str, order: str) -> None:
     assert "".join("XYZ"[i] for i in m.axis_order(chain)) == order
 
 
-@pytest.mark.parametrize("chain", ["", "wXbYt", "XXZ", "wXbYbZt", "xyz", "wXbYCZt", "tZYbXw", "bwXYZ"])
+@pytest.mark.parametrize("chain", ["", "wXbYt", "XXZ", "wXbYbZt", "xyz", "tZYbXw", "bwXYZ"])
 def test_what_is_no_chain_is_refused(chain: str) -> None:
     with pytest.raises(ValueError, match="is not a chain"):
         m.axis_order(chain)

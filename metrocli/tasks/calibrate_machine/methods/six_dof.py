@@ -241,7 +241,7 @@ def approach(lines: Lines) -> dict[str, Array]:
     """
     moved = np.sign(np.where(np.abs(lines.along) > _LEAST_PART, lines.along, 0.0))[lines.of].T * lines.sense
     parts = np.split(np.arange(len(lines.of)), np.flatnonzero(np.diff(lines.of) != 0) + 1)
-    sides = dict(zip(SIDES, moved, strict=False))
+    sides = dict(zip(SIDES, moved, strict=True))
     ways = [since_turns(lines.position[:, rows], {name: side[rows] for name, side in sides.items()}) for rows in parts]
     common = set(ways[0]).intersection(*ways)
     return sides | {name: np.concatenate([way[name] for way in ways]) for name in sorted(common)}

@@ -147,7 +147,9 @@ def _matrices(settings: Settings, table: Table, candidates: Array) -> tuple[list
     matrices = []
     for place in candidates:
         problem = _problem(settings, table, place[None], ["S"])
-        unknowns = unknowns_of(problem.blocks, [name for name in (*ERROR_BLOCKS, TRACER) if name != TOOL])
+        unknowns = unknowns_of(
+            problem.blocks, [name for name in (*ERROR_BLOCKS, TRACER) if name in problem.blocks and name != TOOL]
+        )
         whole = normal_matrix([problem.readings], problem.blocks, unknowns)
         errors = unknowns_of(problem.blocks, [name for name in ERROR_BLOCKS if name != TOOL])
         n = errors.size
