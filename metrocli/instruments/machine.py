@@ -226,7 +226,7 @@ class Machine:
 
     @staticmethod
     def is_disturbed(value: Array, local: Local) -> bool:
-        """Return whether derivatives by the errors of axes (9 axes, n or 1) are used: effects act, or all are wanted."""
+        """Return whether derivatives by the errors of axes (9 axes, n or 1) are used: by effects, or where all are."""
         return value.shape[1] == local.observations.count or local.wanted.issuperset(local.blocks)
 
     def carried(self, axis: int) -> tuple[int, ...]:

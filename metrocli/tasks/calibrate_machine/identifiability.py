@@ -16,17 +16,18 @@ from itertools import product
 import numpy as np
 
 from metrocli.adjust.decompositions import pivoted_qr, thin_svd
-from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, unit_noise, unknowns_of
+from metrocli.adjust.dense_jacobian import normal_matrix, unknowns_of
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array, Index
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ANGLES, TOOL, Machine, errors_of
-from metrocli.instruments.rotary import Combinations, RotaryAxis
-from metrocli.instruments.tracer import AIR, STOP, TRACER
+from metrocli.instruments.rotary import RotaryAxis
+from metrocli.instruments.tracer import STOP
+from metrocli.tasks.calibrate_machine.amplification import worst_ratio
 from metrocli.tasks.calibrate_machine.described import error_names
-from metrocli.tasks.calibrate_machine.layout import cure_of
+from metrocli.tasks.calibrate_machine.open_directions import OpenDirections, in_words
 from metrocli.tasks.calibrate_machine.problem import Problem
 from metrocli.tasks.calibrate_machine.tables import Determination
 from metrocli.tasks.calibrate_machine.volume import rows_over_volume
@@ -35,8 +36,6 @@ _HARMLESS = 1e-4
 """An open direction is harmless if it moves the tool by less than this [mm] at its full plausible size: 0.1 um"""
 _TOUCHED = 1e-6
 """Largest entry of a table in the open directions below which the table counts as determined"""
-_NAMED = 0.2
-_LOOSE = 1e6
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class Identifiability:
     """Which errors a measurement determines, and its worst ratio of volume error to misfit."""
 
     problem: Problem
-    opened: _Open
+    opened: OpenDirections
     blocks: Mapping[str, Block]
     """The blocks of unknowns, with undetermined entries held at zero"""
     held: tuple[str, ...]
@@ -106,35 +105,6 @@ class Identifiability:
         return tuple(name for name, status in self.status.items() if status == Determination.TOGETHER)
 
 
-@dataclass(frozen=True)
-class _Open:
-    """Open directions of the unknowns: combinations that the readings do not determine."""
-
-    directions: Array
-    """(unknowns, k), each of length 1 in units of `reach`"""
-    reach: Array
-    """Largest plausible size of each unknown, (unknowns,)"""
-    unknowns: Unknowns
-    blocks: Mapping[str, Block]
-    names: tuple[str, ...]
-    """Of all errors of the machine"""
-
-    @cached_property
-    def rows_of(self) -> Mapping[str, Index]:
-        """Indices of the unknowns of each error, by its name."""
-        columns = [column for _, _, column in self.unknowns.names(self.blocks)]
-        return {name: np.array([i for i, one in enumerate(columns) if one == name], int) for name in self.names}
-
-    def moved(self, group_rows: Array) -> Array:
-        """Return the displacement that each direction causes at its full plausible size, (d*n, k)."""
-        flat = group_rows.reshape(-1, self.unknowns.size)
-        return np.asarray(flat @ (self.reach[:, None] * self.directions))
-
-    def shares(self, directions: Array) -> dict[str, float]:
-        """Return for each error its largest entry in the given directions, at most 1."""
-        return {name: float(np.abs(directions[at]).max(initial=0.0)) for name, at in self.rows_of.items()}
-
-
 def identify(problem: Problem) -> Identifiability:
     """Return which errors the measurement determines.
 
@@ -146,7 +116,7 @@ def identify(problem: Problem) -> Identifiability:
     reach = unknowns.reach(blocks)
     matrix = normal_matrix(at_knots(problem), blocks, unknowns)
     values, vectors = np.linalg.eigh(matrix * reach[:, None] * reach)
-    opened = _Open(vectors[:, values < 1.0], reach, unknowns, blocks, error_names(problem.machine))
+    opened = OpenDirections(vectors[:, values < 1.0], reach, unknowns, blocks, error_names(problem.machine))
     _refuse_harmful(problem, opened)
     held, undetermined = _hold(opened, problem.machine)
     return Identifiability(problem, opened, held, undetermined)
@@ -173,66 +143,22 @@ def at_knots(problem: Problem) -> tuple[Group, ...]:
     return (*copies, *others)
 
 
-def _moved(problem: Problem, opened: _Open, tool: str) -> Array:
+def _moved(problem: Problem, opened: OpenDirections, tool: str) -> Array:
     """Return the displacement of a tool over the volume by each open direction, (3 n, k)."""
     return opened.moved(rows_over_volume(problem.machine, problem.blocks, tool, opened.unknowns))
 
 
-def _refuse_harmful(problem: Problem, opened: _Open) -> None:
+def _refuse_harmful(problem: Problem, opened: OpenDirections) -> None:
     if opened.directions.shape[1] == 0:
         return
     moved = np.concatenate([_moved(problem, opened, tool) for tool in problem.tools_used])
     _, sizes, mix = thin_svd(moved)
     count = int((sizes / np.sqrt(len(moved)) > _HARMLESS).sum())
-    if count == 0:
-        return
-    harmful = _simple(opened.directions @ mix[:count].T)
-    cure = cure_of(problem.blocks[TRACER].values[:, :3] if TRACER in problem.blocks else None)
-    lines = [f"  {i + 1}: {_told(opened, direction)}" for i, direction in enumerate(harmful.T[:8])]
-    more = [f"  and {count - 8} more"] if count > 8 else []
-    raise UndeterminedError(
-        "\n".join(
-            [
-                f"the measurement does not determine {count} combinations of errors that move the tool in the volume:"
-                if count > 1
-                else "the measurement does not determine a combination of errors that moves the tool in the volume:",
-                *lines,
-                *more,
-                f"{cure}, use fewer knots, give the axes different knots, or leave errors out of `estimate`",
-            ]
-        )
-    )
+    if count:
+        raise UndeterminedError(in_words(problem, opened, opened.directions @ mix[:count].T))
 
 
-def _simple(directions: Array) -> Array:
-    """Return directions that span the same space with few large entries each, by elimination with pivots."""
-    _, _, order = pivoted_qr(directions.T)
-    chosen = order[: directions.shape[1]]
-    return np.asarray(directions @ np.linalg.inv(directions[chosen]))
-
-
-def _told(opened: _Open, direction: Array) -> str:
-    shares = opened.shares(direction[:, None])
-    largest = max(shares.values()) or 1.0
-    parts = sorted(
-        ((share / largest, name) for name, share in shares.items() if share > _NAMED * largest), reverse=True
-    )
-    return ", ".join(name + _knots(opened, name, direction) for _, name in parts)
-
-
-def _knots(opened: _Open, name: str, direction: Array) -> str:
-    """Return the knots at which an error takes part in a direction, as text; empty if all of them do."""
-    at = opened.rows_of[name]
-    members = [opened.unknowns.names(opened.blocks)[i][1] for i in at]
-    size = np.abs(direction[at])
-    moving = [member for member, part in zip(members, size, strict=True) if part > _NAMED * size.max()]
-    if len(moving) == len(members) or members == [""]:
-        return ""
-    unit = "deg" if name[-1] in ANGLES else "mm"
-    return f" at {', '.join(moving[:4])}{' ...' if len(moving) > 4 else ''} {unit}"
-
-
-def _hold(opened: _Open, machine: Machine) -> tuple[dict[str, Block], tuple[str, ...]]:
+def _hold(opened: OpenDirections, machine: Machine) -> tuple[dict[str, Block], tuple[str, ...]]:
     """Return the blocks with undetermined entries held at zero, and the names of the errors held.
 
     Errors are held in a fixed order of preference: first angles, of the axis nearest to the tool first.
@@ -286,58 +212,10 @@ def _status(
     return Determination.TOGETHER if shares[name] > _TOUCHED else Determination.DETERMINED
 
 
-def _partners(name: str, opened: _Open) -> tuple[str, ...]:
+def _partners(name: str, opened: OpenDirections) -> tuple[str, ...]:
     """Return the errors that are combined with an error in the open directions."""
     at = opened.rows_of[name]
     _, sizes, mix = thin_svd(opened.directions[at])
     moving = opened.directions @ mix[sizes > _TOUCHED].T
     shares = opened.shares(moving)
     return tuple(other for other, share in shares.items() if other != name and share > _TOUCHED)
-
-
-def worst_ratio(problem: Problem) -> float:
-    """Return the largest ratio of the error in the volume to the misfit of the readings, both root mean square.
-
-    `max |G v| / |J v|` over all errors v that the tables can describe. G maps v to the error in the volume after the
-    best rigid motion, J to the readings after the fit of the tracker's frame. What only a prior
-    holds, such as the index of the air, stays as it is. Returns inf if J is rank deficient.
-    """
-    blocks = problem.blocks
-    names = [name for name, block in blocks.items() if block.free.any() and name not in (TOOL, STOP, AIR)]
-    unknowns = unknowns_of(blocks, names)
-    if unknowns.size == 0:
-        return 0.0
-    weight = problem.per_reading / problem.per_reading.sum()
-    unit = _angles_as_lengths(problem)[:, None] / np.sqrt(weight)
-    path = normal_matrix([unit_noise(problem.readings, unit), *_loose(problem.groups)], blocks, unknowns)
-    volume = volume_matrix(problem, unknowns)
-    scale = 1 / np.sqrt(np.maximum(np.diag(path), 1e-300))
-    try:
-        root = np.linalg.inv(np.linalg.cholesky(path * scale[:, None] * scale)) * scale
-    except np.linalg.LinAlgError:
-        return float("inf")
-    return float(np.sqrt(max(np.linalg.eigvalsh(root @ volume @ root.T)[-1], 0.0)))
-
-
-def _loose(held: Sequence[Group]) -> list[Group]:
-    """Return the conditions of tables among groups, with weights like those of readings, which saves digits."""
-    return [one.with_noise_times(_LOOSE) for one in held if isinstance(one.chain.links[0], Combinations)]
-
-
-def _angles_as_lengths(problem: Problem) -> Array:
-    """Return the size of each component that counts as 1 mm; for angles the lever is half the volume's diagonal."""
-    lever = problem.machine.diagonal / 2
-    return np.array(
-        [1 / lever if name in ("ea", "eb", "ec") else 1.0 for name in problem.readings.observations.components]
-    )
-
-
-def volume_matrix(problem: Problem, unknowns: Unknowns) -> Array:
-    """Return the matrix (unknowns, unknowns) of the mean square displacement in the volume as a quadratic form.
-
-    The mean is over the volume and the measured tools, without rigid motion.
-    """
-    machine, blocks = problem.machine, problem.blocks
-    grids = np.concatenate([rows_over_volume(machine, blocks, tool, unknowns) for tool in problem.tools_used], axis=1)
-    flat = grids.reshape(-1, unknowns.size)
-    return np.asarray(flat.T @ flat / grids.shape[1])

@@ -61,6 +61,8 @@ class Problem(Modelled):
     """What was done with the readings, in sentences"""
     displacement_only: bool = False
     """Whether only positioning along single axes was read, so that nothing is known of the volume"""
+    sees_bed: bool = False
+    """Whether the instrument stands on the bed of a machine with rotary axes"""
     said: Array | None = None
     """Listed places of the stations of lengths, (stations, 3), nan where not listed; None for other readings"""
 

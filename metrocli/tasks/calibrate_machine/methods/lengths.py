@@ -19,7 +19,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.backwards import refuse_backwards
-from metrocli.tasks.calibrate_machine.methods.targets import targets, with_distances
+from metrocli.tasks.calibrate_machine.methods.targets import BED, targets, with_distances
 from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.environment import air_of, priors_of, unused
@@ -56,7 +56,7 @@ def lengths(settings: Settings, table: Table, files: Files) -> Problem:
         conditions={
             **readings.conditions,
             t.ALONE: (stops == 0).astype(float),
-            **(found.conditions if machine.turns else {}),
+            **(found.conditions | found.first_seen(table) if machine.turns else {}),
         },
     )
     places = np.ascontiguousarray(nominal.T)
@@ -90,11 +90,12 @@ def lengths(settings: Settings, table: Table, files: Files) -> Problem:
         ),
         machine,
         np.ones(len(table)),
-        tuple(tools[i] for i in np.unique(found.tool[~found.on_workpiece]) if i < len(tools)),
+        found.used(tools),
         unused(settings.environment, table),
         notes=() if air is None else (air.note,),
         noise=noise,
         said=read_by.said,
+        sees_bed=machine.turns and on == BED,
     )
 
 

@@ -46,7 +46,7 @@ def probing(settings: Settings, table: Table, balls: Table, distances: Table | N
         np.full(1, settings.noise.probing or 0.0),
         machine.index(position) | found.index,
         keys=keys_of(table),
-        conditions=conditions(machine, position, table, place) | shares,
+        conditions=conditions(machine, position, table, place) | shares | found.first_seen(table),
         components=("x", "y", "z"),
         unit="mm",
     )

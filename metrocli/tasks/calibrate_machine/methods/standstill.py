@@ -14,7 +14,7 @@ from metrocli.instruments.tracker import FACE, POLAR, TRACKER, TrackerNoise, car
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support
 from metrocli.tasks.calibrate_machine.files import Files
-from metrocli.tasks.calibrate_machine.methods.targets import targets, with_distances
+from metrocli.tasks.calibrate_machine.methods.targets import BED, targets, with_distances
 from metrocli.tasks.calibrate_machine.methods.track import tracker_pose
 from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import Settings
@@ -65,7 +65,7 @@ def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Pr
         keys={"point": tuple(points.texts("point"))},
         conditions=conditions(machine, position, points, places if machine.turns else None)
         | faces(points)
-        | (found.conditions if machine.turns else {}),
+        | (found.conditions | found.first_seen(points) if machine.turns else {}),
         components=("x", "y", "z"),
         unit="mm",
     )
@@ -76,7 +76,8 @@ def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Pr
         model_of(unknowns, readings, (*found.others, *gauge(machine, unknowns))),
         machine,
         np.ones(position.shape[1]),
-        tuple(names[i] for i in np.unique(found.tool[~found.on_workpiece]) if i < len(names)),
+        found.used(names),
+        sees_bed=machine.turns and on == BED,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments.frames import DistanceBetween
-from metrocli.instruments.kinematics import OF_TOOL, OF_WORKPIECE, ON_WORKPIECE, nominal_tip, seen_from_bed
+from metrocli.instruments.kinematics import FIRST_SEEN, OF_TOOL, OF_WORKPIECE, ON_WORKPIECE, nominal_tip, seen_from_bed
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import tool_prior
@@ -59,6 +59,21 @@ class Targets:
         """The shares of workpiece and tool in the point that is read."""
         share = self.on_workpiece.astype(float)
         return {OF_WORKPIECE: share, OF_TOOL: 1 - share}
+
+    def first_seen(self, table: Table) -> dict[str, Array]:
+        """Return when the target of each reading was read for the first time, if the file has times."""
+        if "t" not in table:
+            return {}
+        target = np.where(self.on_workpiece, -1 - self.fixed, self.tool)
+        _, number = np.unique(target, return_inverse=True)
+        first = np.full(number.max() + 1, np.inf)
+        np.minimum.at(first, number, table.numbers("t"))
+        return {FIRST_SEEN: first[number]}
+
+    def used(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return the tools that have readings; the first one where only points on the workpiece are read."""
+        at_tool = np.unique(self.tool[~self.on_workpiece])
+        return tuple(names[i] for i in at_tool if i < len(names)) or (names[0],)
 
     def places(self, machine: Machine, position: Array, seen_from: str) -> Array:
         """Return the nominal places of the targets (3, n), in the axes of the body the instrument stands on."""

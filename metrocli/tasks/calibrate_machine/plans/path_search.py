@@ -17,7 +17,8 @@ from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.tracker import LEG
-from metrocli.tasks.calibrate_machine.identifiability import identify, volume_matrix
+from metrocli.tasks.calibrate_machine.amplification import volume_matrix
+from metrocli.tasks.calibrate_machine.identifiability import identify
 from metrocli.tasks.calibrate_machine.problem import Problem
 
 _CHOICE = 40

@@ -147,11 +147,10 @@ def _matrices(settings: Settings, table: Table, candidates: Array) -> tuple[list
     matrices = []
     for place in candidates:
         problem = _problem(settings, table, place[None], ["S"])
-        unknowns = unknowns_of(
-            problem.blocks, [name for name in (*ERROR_BLOCKS, TRACER) if name in problem.blocks and name != TOOL]
-        )
+        names = [name for name in ERROR_BLOCKS if name in problem.blocks and name != TOOL]
+        unknowns = unknowns_of(problem.blocks, [*names, TRACER])
         whole = normal_matrix([problem.readings], problem.blocks, unknowns)
-        errors = unknowns_of(problem.blocks, [name for name in ERROR_BLOCKS if name != TOOL])
+        errors = unknowns_of(problem.blocks, names)
         n = errors.size
         matrices.append(whole[:n, :n] - whole[:n, n:] @ np.linalg.solve(whole[n:, n:], whole[n:, :n]))
     return matrices, _volume(settings, problem, errors), errors.reach(problem.blocks)

@@ -1,0 +1,67 @@
+"""How much a misfit of the readings that no adjustment shows can mean in the volume, at worst."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, unit_noise, unknowns_of
+from metrocli.adjust.model.groups import Group
+from metrocli.arrays import Array
+from metrocli.instruments.machine import TOOL
+from metrocli.instruments.rotary import Combinations
+from metrocli.instruments.tracer import AIR, STOP
+from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.volume import rows_over_volume
+
+_LOOSE = 1e6
+"""Factor on the standard deviations of conditions that makes their weights like those of readings of 1 mm"""
+
+
+def worst_ratio(problem: Problem) -> float:
+    """Return the largest ratio of the error in the volume to the misfit of the readings, both root mean square.
+
+    `max |G v| / |J v|` over all errors v that the tables can describe. G maps v to the error in the volume after the
+    best rigid motion, J to the readings after the fit of the tracker's frame. What only a prior
+    holds, such as the index of the air, stays as it is. Returns inf if J is rank deficient.
+    """
+    blocks = problem.blocks
+    names = [name for name, block in blocks.items() if block.free.any() and name not in (TOOL, STOP, AIR)]
+    unknowns = unknowns_of(blocks, names)
+    if unknowns.size == 0:
+        return 0.0
+    weight = problem.per_reading / problem.per_reading.sum()
+    unit = _angles_as_lengths(problem)[:, None] / np.sqrt(weight)
+    path = normal_matrix([unit_noise(problem.readings, unit), *_loose(problem.groups)], blocks, unknowns)
+    volume = volume_matrix(problem, unknowns)
+    scale = 1 / np.sqrt(np.maximum(np.diag(path), 1e-300))
+    try:
+        root = np.linalg.inv(np.linalg.cholesky(path * scale[:, None] * scale)) * scale
+    except np.linalg.LinAlgError:
+        return float("inf")
+    return float(np.sqrt(max(np.linalg.eigvalsh(root @ volume @ root.T)[-1], 0.0)))
+
+
+def _loose(held: Sequence[Group]) -> list[Group]:
+    """Return the conditions of tables among groups, with weights like those of readings, which saves digits."""
+    return [one.with_noise_times(_LOOSE) for one in held if isinstance(one.chain.links[0], Combinations)]
+
+
+def _angles_as_lengths(problem: Problem) -> Array:
+    """Return the size of each component that counts as 1 mm; for angles the lever is half the volume's diagonal."""
+    lever = problem.machine.diagonal / 2
+    return np.array(
+        [1 / lever if name in ("ea", "eb", "ec") else 1.0 for name in problem.readings.observations.components]
+    )
+
+
+def volume_matrix(problem: Problem, unknowns: Unknowns) -> Array:
+    """Return the matrix (unknowns, unknowns) of the mean square displacement in the volume as a quadratic form.
+
+    The mean is over the volume and the measured tools, without rigid motion.
+    """
+    machine, blocks = problem.machine, problem.blocks
+    grids = np.concatenate([rows_over_volume(machine, blocks, tool, unknowns) for tool in problem.tools_used], axis=1)
+    flat = grids.reshape(-1, unknowns.size)
+    return np.asarray(flat.T @ flat / grids.shape[1])
