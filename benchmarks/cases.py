@@ -15,6 +15,7 @@ from typing import Any
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.errors import UndeterminedError
 from metrocli.project.diagnosed import adjusted_job_of
 from metrocli.project.job import load
 
@@ -25,7 +26,9 @@ KEYS = {
     "selfcal-grid": ("view", "i", "j", "k", "component"),
 }
 """Keys that name a wrong reading, where all of them must be found; among few poses the campaign alone judges"""
-KINDS = ("multilaterate", "locate-launch-unit", "align-part", "calibrate-camera", "calibrate-machine", "selfcal-grid")
+KINDS = (
+    "multilaterate", "locate-launch-unit", "align-part", "calibrate-camera", "calibrate-machine", "selfcal-grid", "rotary",
+)  # fmt: skip
 BAD_POSE = "locate-launch-unit/013"
 """Its bad pose shows in the distance only: a wrong distance is as good a name"""
 
@@ -38,6 +41,19 @@ def folders(kind: str) -> list[Path]:
 def diagnosed(folder: Path) -> tuple[Diagnosis, dict[str, Any]]:
     """Return the diagnosis of a case and its truth."""
     return diagnose(adjusted_job_of(load(folder / "job.yaml"))), json.loads((folder / "truth.json").read_text())
+
+
+def judged(folder: Path, truth: dict[str, Any]) -> tuple[str, list[str]]:
+    """Return the verdict on a case, and what is wrong with it.
+
+    Where readings leave combinations open that move the tool, the right answer is a refusal.
+    """
+    harmful = truth.get("undetermined", {}).get("harmful", 0)
+    try:
+        diagnosis = diagnosed(folder)[0]
+    except UndeterminedError as error:
+        return "refused", [] if harmful else [f"refused: {str(error).splitlines()[0]}"]
+    return diagnosis.verdict, [f"{harmful} open directions are not refused"] if harmful else faults(diagnosis, truth)
 
 
 def faults(diagnosis: Diagnosis, truth: dict[str, Any]) -> list[str]:
@@ -56,7 +72,7 @@ def faults(diagnosis: Diagnosis, truth: dict[str, Any]) -> list[str]:
     if len(diagnosis.findings) > len(planted):
         found.append(f"more names than effects: {sorted(name for name, _ in names)}")
     keys = KEYS.get(truth["kind"])
-    if keys and {tuple(one.keys[key] for key in keys) for one in diagnosis.outliers} != _wrong(truth):
+    if keys and {tuple(one.keys.get(key, "") for key in keys) for one in diagnosis.outliers} != _wrong(truth):
         found.append(f"wrong readings: {[str(one) for one in diagnosis.outliers]}")
     of_few = truth["kind"] in ("align-part", "calibrate-camera")
     outside = truth["kind"] == "calibrate-machine" and diagnosis.verdict == "unexplained"
@@ -113,12 +129,12 @@ def main(arguments: list[str]) -> int:
         right, tried = 0, [folder for folder in folders(kind) if not numbers or folder.name in numbers]
         for folder in tried:
             start = time.process_time()
-            diagnosis, truth = diagnosed(folder)
-            wrong = faults(diagnosis, truth)
+            truth = json.loads((folder / "truth.json").read_text())
+            verdict, wrong = judged(folder, truth)
             right += not wrong
             hidden = " + ".join(effect["name"] for effect in truth["effects"]) or "nothing"
             took = f"{time.process_time() - start:6.1f} s"
-            print(f"{kind}/{folder.name} {took} {hidden}: {'; '.join(wrong) or diagnosis.verdict}", flush=True)
+            print(f"{kind}/{folder.name} {took} {hidden}: {'; '.join(wrong) or verdict}", flush=True)
         print(f"{kind}: {right} of {len(tried)} right")
     return 0
 
