@@ -52,6 +52,10 @@ def corrections(inputs: Inputs) -> Iterator[tuple[Mistake, Inputs]]:
                 yield mistake, {**inputs, key: changed}
 
 
+_TURNING = ("a", "b", "c")
+"""Positions of rotary axes: their sense is a setting of the machine"""
+
+
 def _of_table(table: Table) -> Iterator[tuple[str, str, float, Table]]:
     """Yield what may be wrong, what to write instead, the factor of the numbers, and the corrected table."""
     lengths = [name for name, unit in table.units.items() if unit == "mm" and not _known(name)]
@@ -63,7 +67,7 @@ def _of_table(table: Table) -> Iterator[tuple[str, str, float, Table]]:
     yield from _units_of_angles(table, angles)
     for one, other in combinations(angles, 2):
         yield (*_swap(one, other), 1.0, _swapped(table, one, other))
-    for angle in angles:
+    for angle in (one for one in angles if one not in _TURNING):
         yield _sign(angle)[0], _sign(angle)[1], 1.0, _scaled(table, [angle], -1.0)
     yield from _of_axes(table, [name for name in _AXES if name in table])
 

@@ -37,6 +37,8 @@ FORMATS: dict[str, Format] = {
     "fanuc": Format("metrocli.exports.fanuc", "increments of pitch error compensation"),
     "linuxcnc": Format("metrocli.exports.linuxcnc", "COMP_FILE of each joint"),
     "isg-csv": Format("metrocli.exports.isg_csv", "volumetric compensation of ISG and Beckhoff"),
+    "kinematics": Format("metrocli.exports.pivots", "lines of rotary axes, with a test move", function="kinematics"),
+    "siemens-trafo5": Format("metrocli.exports.pivots", "5-axis transformation", function="siemens_trafo5"),
     "etalon": Format("metrocli.exports.volumetric", "Etalon exchange format"),
     **{
         name: Format("metrocli.exports.camera_models", f"camera of {program}", function=name)
@@ -53,6 +55,10 @@ FORMATS: dict[str, Format] = {
 }
 
 
+_OF_PIVOTS = ("fanuc", "heidenhain", "linuxcnc")
+"""Formats that have the lines of the rotary axes of a machine with such"""
+
+
 def export(name: str, result: Result, record: Record | None = None) -> Exported:
     """Return the files of a result in a format; raises InputError if the result has nothing to export in it.
 
@@ -60,4 +66,8 @@ def export(name: str, result: Result, record: Record | None = None) -> Exported:
     """
     files: Callable[..., Exported] = getattr(import_module(FORMATS[name].module), FORMATS[name].function)
     doubts = {"doubtful.txt": "\n".join([*result.doubts, ""])} if result.doubts else {}
+    if "rotary_axes" in result.tables and name in _OF_PIVOTS:
+        from metrocli.exports.pivots import OF_CONTROLS
+
+        return {**OF_CONTROLS[name](result), **doubts}
     return {**(files(result, record) if FORMATS[name].recorded else files(result)), **doubts}

@@ -178,7 +178,7 @@ def of(result: Result) -> ErrorTables:
     curves = {
         name: Curve(table.numbers("position"), table.numbers("value"), table.numbers("std"))
         for name, table in named.items()
-        if name not in left_out
+        if name not in left_out and name[2] in AXES
     }
     known = {
         estimate.name: estimate

@@ -175,9 +175,7 @@ def test_the_first_order_of_three_axes_is_that_of_the_product() -> None:
         assert np.abs(rows(exact, blocks, unknowns) - rows(first, blocks, unknowns)).max() < 1e-9
 
 
-@pytest.mark.parametrize(
-    ("axis", "stands"), [("B", (-2.0, 0.0, 1.0)), ("C", (0.0, -1.0, 2.0))], ids=["B 90", "C 90"]
-)
+@pytest.mark.parametrize(("axis", "stands"), [("B", (-2.0, 0.0, 1.0)), ("C", (0.0, -1.0, 2.0))], ids=["B 90", "C 90"])
 def test_signs_are_those_of_the_published_example(axis: str, stands: tuple[float, float, float]) -> None:
     """LinuxCNC issue 2435, conventional directions: a trunnion BC with pivots at 0, the tip at (1, 0, 2)."""
     axes = (

@@ -27,6 +27,7 @@ from metrocli.instruments.rotary import RotaryAxis
 from metrocli.instruments.tracer import STOP
 from metrocli.tasks.calibrate_machine.amplification import worst_ratio
 from metrocli.tasks.calibrate_machine.described import error_names
+from metrocli.tasks.calibrate_machine.methods.targets import met_again
 from metrocli.tasks.calibrate_machine.open_directions import OpenDirections, in_words
 from metrocli.tasks.calibrate_machine.problem import Problem
 from metrocli.tasks.calibrate_machine.tables import Determination
@@ -138,7 +139,8 @@ def at_knots(problem: Problem) -> tuple[Group, ...]:
         given, index = dict(readings.observations.conditions), dict(readings.observations.index)
         for axis, side in zip(turning, sides, strict=True):
             given[axis.coordinate] = axis.members[axis.places(given[axis.coordinate])[0][side]]
-            index[axis.block] = axis.places(given[axis.coordinate])[0]
+        given |= met_again(problem.machine, readings.observations, given, problem.blocks)
+        index |= problem.machine.index(np.stack([given[axis.coordinate] for axis in problem.machine.axes]))
         copies.append(replace(readings, observations=replace(readings.observations, conditions=given, index=index)))
     return (*copies, *others)
 

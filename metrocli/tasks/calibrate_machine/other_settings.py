@@ -10,11 +10,12 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import permutations
+from typing import Any
 
 from metrocli.diagnosis.corrections import Mistake
-from metrocli.instruments.machine import AXES, axis_order
+from metrocli.instruments.machine import ANGLES, AXES, axis_order
 from metrocli.tasks.calibrate_machine.files import Files
-from metrocli.tasks.calibrate_machine.machine_settings import MachineSettings
+from metrocli.tasks.calibrate_machine.machine_settings import MachineSettings, RotarySettings
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.lengths import ESTIMATED
@@ -32,7 +33,7 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mist
     if fits and noise.model == DECLARED and noise.repeatability != ESTIMATED:
         return
     listed = job.settings.machine
-    turned = () if fits else _turned(listed)
+    turned = () if fits else (*_turned(listed), *_rotary(listed))
     for mistake, machine in (*_chains(listed), *_other_tools(listed), *turned):
         yield mistake, replace(job, settings=replace(job.settings, machine=machine))
 
@@ -50,6 +51,41 @@ def _chains(machine: MachineSettings) -> Iterator[_Other]:
 def _in_order(chain: str, order: Sequence[int]) -> str:
     letters = iter(AXES[axis] for axis in order)
     return re.sub("[XYZ]", lambda _: next(letters), chain)
+
+
+def _rotary(machine: MachineSettings) -> Iterator[_Other]:
+    """Yield rotary axes that count the other way, stand at a mirrored place, or are on the other side of the bed."""
+    for letter, axis in machine.axes.turning.items():
+        key, where = letter.lower(), f"machine.axes.{letter.lower()}"
+        mistake = Mistake(f"{where}.sense", f"{letter} counts the other way", f"sense: {-axis.sense}")
+        yield mistake, _with_axis(machine, key, replace(axis, sense=-axis.sense))
+        for at, size in enumerate(axis.at):
+            if size:
+                place = tuple(-one if k == at else one for k, one in enumerate(axis.at))
+                words = f"{'xyz'[at]} of the place of {letter} has the wrong sign"
+                written = ", ".join(f"{one:g} mm" for one in place)
+                mistake = Mistake(f"{where}.at", words, f"at: [{written}]")
+                yield mistake, _with_axis(machine, key, replace(axis, at=place))
+    for chain in dict.fromkeys(_exchanged(machine.letters)) if machine.turns else ():
+        words = "tables and heads are exchanged"
+        yield Mistake("machine.chain", words, f"chain: {chain}"), replace(machine, chain=chain)
+
+
+def _with_axis(machine: MachineSettings, key: str, axis: RotarySettings) -> MachineSettings:
+    changed: dict[str, Any] = {key: axis}
+    return replace(machine, axes=replace(machine.axes, **changed))
+
+
+def _exchanged(letters: Sequence[str]) -> Iterator[str]:
+    """Yield the chains in which rotary axes are on the other side of the bed, tables outermost, heads at the tool."""
+    bed = letters.index("b")
+    tables, heads = ([one for one in side if one in ANGLES] for side in (letters[:bed], letters[bed + 1 :]))
+    linear = "".join(one for one in letters if one in AXES)
+    for left in permutations(heads):
+        for right in permutations(tables):
+            chain = f"w{''.join(left)}b{linear}{''.join(right)}t"
+            if len(left) + len(right) and chain != f"w{''.join(letters)}t":
+                yield chain
 
 
 def _other_tools(machine: MachineSettings) -> Iterator[_Other]:

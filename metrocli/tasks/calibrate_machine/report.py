@@ -37,7 +37,13 @@ from metrocli.tasks.calibrate_machine.tables import (
     unit_of_position,
 )
 from metrocli.tasks.calibrate_machine.volume_report import NOT_CONTAINED, volume_tables
-from metrocli.tasks.calibrate_machine.warnings import cures, identifiability_notes, machine_warnings, uncontrolled
+from metrocli.tasks.calibrate_machine.warnings import (
+    cures,
+    identifiability_notes,
+    machine_warnings,
+    misplaced,
+    uncontrolled,
+)
 from metrocli.tasks.shared.noise import NoiseFound
 from metrocli.tasks.shared.statistics import (
     Statistics,
@@ -65,6 +71,7 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
         volume = volume_tables(tables, identified, settings.volume, solved.problem.tools_used)
     tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
     found = (*_estimates(solution), *effect_estimates(added, solution))
+    doubts, far_off = misplaced(solved)
     figures, of_figures = _positioning(solved.problem.runs, settings, noise.factor)
     return Result(
         kind=KIND.name,
@@ -93,7 +100,8 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
             **effect_tables,
         },
         arrays={"tables_covariance": tables.covariance, **effect_arrays},
-        warnings=tuple(machine_warnings(solved, settings, of_figures)),
+        warnings=(*machine_warnings(solved, settings, of_figures), *far_off),
+        doubts=tuple(doubts),
         shown=(
             ShownTable("errors", ("error", "status", "with", "largest", "largest_std", "unit")),
             ShownTable("volumetric"),

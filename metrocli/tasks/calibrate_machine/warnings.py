@@ -9,6 +9,7 @@ import numpy as np
 
 from metrocli import units
 from metrocli.instruments.machine import ERRORS, TOOL
+from metrocli.instruments.rotary import RotaryAxis
 from metrocli.instruments.tracer import TRACER
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability
@@ -89,6 +90,29 @@ def _tools_lie(solved: Solved) -> str:
             "measure with one that is"
         )
     return "measure with tools of other length and offset to determine them"
+
+
+_FAR_AWAY = 1.0
+"""A line farther from its listed place than this [mm] was hardly meant"""
+_MIRRORED = 0.2
+
+
+def misplaced(solved: Solved) -> tuple[list[str], list[str]]:
+    """Return doubts and warnings of rotary axes whose line is far from where the job lists it."""
+    doubts, warnings = [], []
+    for axis in solved.problem.machine.axes:
+        if not isinstance(axis, RotaryAxis):
+            continue
+        block = solved.solution.blocks[axis.location]
+        across = [i for i in range(3) if i != axis.number]
+        for i, off in zip(across, block.values[0, :2].tolist(), strict=True):
+            where, size = f"{'xyz'[i]} of the place of {axis.letter}", units.sized(abs(off), "length")
+            if abs(off) > _FAR_AWAY and abs(off + 2 * axis.at[i]) < _MIRRORED * abs(off):
+                place = ", ".join(f"{-one if k == i else one:g} mm" for k, one in enumerate(axis.at))
+                doubts.append(f"{where} has the wrong sign: it is off by {size}; write at: [{place}]")
+            elif abs(off) > _FAR_AWAY:
+                warnings.append(f"{where} is {size} from that of the job: is `at` right?")
+    return doubts, warnings
 
 
 def identifiability_notes(identified: Identifiability) -> list[str]:

@@ -92,10 +92,8 @@ def _must_meet(machine: Machine, position: Array, found: Targets, read: Array, t
     balls = found.places(machine, position, "bed")
     off = np.linalg.norm(balls - tools - read, axis=0)
     if np.median(off) > _FAR:
-        text = f"the probe is {np.median(off):.0f} mm from the listed balls in the median pose"
-        raise InputError([table.fault(text, mistaken(machine, position, found, table))])
-
-
-def mistaken(machine: Machine, position: Array, found: Targets, table: Table) -> str:
-    """Return what would bring the balls to the probe, for a hint."""
-    return "are chain, sense and `at` of the rotary axes those of this machine, and the balls those of the list?"
+        # a fault without a hint: a task then tries what may be wrong in the settings
+        text = f"the probe is {np.median(off):.0f} mm from the listed balls in the median pose: chain, sense or `at` of"
+        raise InputError(
+            [table.fault(f"{text} the rotary axes, or the list of the balls, are those of another machine")]
+        )

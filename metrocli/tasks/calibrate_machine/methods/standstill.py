@@ -56,7 +56,7 @@ def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Pr
     must_support(machine, position, blocks)
     on = settings.instrument.on
     places = found.places(machine, position, on)
-    pose = tracker_pose(measured, places, points.file)
+    pose = tracker_pose(measured, places, points.file, machine.turns)
     observations = Observations(
         measured,
         np.ones(1),

@@ -17,6 +17,7 @@ from metrocli.frozen import dataclass
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.instruments.kinematics import FIRST_SEEN, OF_TOOL, OF_WORKPIECE, ON_WORKPIECE, nominal_tip, seen_from_bed
 from metrocli.instruments.machine import TOOL, Machine
+from metrocli.instruments.rotary import RotaryAxis
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import tool_prior
 from metrocli.tasks.calibrate_machine.problem import tools_of
@@ -134,6 +135,23 @@ def targets(settings: Settings, blocks: Mapping[str, Block], table: Table, refle
         on_workpiece,
         tuple(others),
     )
+
+
+def met_again(
+    machine: Machine, observations: Observations, given: Mapping[str, Array], blocks: Mapping[str, Block]
+) -> dict[str, Array]:
+    """Return the positions of the linear axes that bring the probe to its ball where rotary axes stand elsewhere.
+
+    Empty for readings that no probe makes. A probe that is far from its ball would see scales that it does not.
+    """
+    if (given.get(OF_TOOL, np.zeros(1)) >= 0).any():
+        return {}
+    position = np.stack([given[axis.coordinate] for axis in machine.axes])
+    ball = blocks[ON_WORKPIECE].values[observations.index[ON_WORKPIECE]].T
+    tip = machine.tools[observations.index[TOOL]].T
+    moved = seen_from_bed(machine, position, ball, False) - seen_from_bed(machine, position, tip, True)
+    linear = [axis for axis in machine.axes if not isinstance(axis, RotaryAxis)]
+    return {axis.coordinate: given[axis.coordinate] + moved[axis.number] for axis in linear}
 
 
 def _with_tools(tools: Block, listed: Table, chosen: Mask) -> tuple[Block, list[Group]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,15 +24,17 @@ MIRRORED = "the tracker's frame is left-handed: two of mx, my, mz are swapped, o
 """Hint for measured points that are a mirror image; both causes look the same, since the frame is estimated"""
 
 
-def tracker_pose(measured: Array, nominal: Array, file: str) -> Array:
+def tracker_pose(measured: Array, nominal: Array, file: str, turns: bool = False) -> Array:
     """Return the pose of the tracker in the machine, (6,), from points (3, n).
 
-    Raises InputError if the points do not match.
+    Raises InputError if the points do not match; for a machine with rotary axes without a hint, so that a task tries
+    what may be wrong in its settings.
     """
     pose = np.asarray(poses.fit_pose(measured.T, nominal.T))
     if matches(pose, measured, nominal):
         return pose
-    raise InputError([mismatch(measured, nominal, file)])
+    fault = mismatch(measured, nominal, file)
+    raise InputError([replace(fault, hint=None) if turns else fault])
 
 
 def matches(pose: Array, measured: Array, nominal: Array) -> bool:

@@ -1,0 +1,271 @@
+"""Where the rotary axes of a machine lie, as controls take it, with a test move that shows each sign.
+
+An axis passes through P + o in the direction (1 + w x) u, in machine coordinates with all axes at 0. P and u are
+nominal, o and w are location errors, u the turn of the tool against the workpiece (ISO 841): a table itself turns
+against it. Nothing is written of what the readings do not determine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from metrocli.arrays import Array
+from metrocli.errors import InputError
+from metrocli.frozen import dataclass
+from metrocli.instruments.joints import turn
+from metrocli.instruments.machine import ANGLES, ROWS
+from metrocli.instruments.rotary import location_names
+from metrocli.result import Result
+
+Texts = dict[str, str]
+_CONVENTION = "positions are of the tool against the workpiece (ISO 841): a table itself turns by minus its position"
+
+
+@dataclass(frozen=True)
+class Pivot:
+    """A rotary axis as found."""
+
+    letter: str
+    place: Array
+    """(3,) mm, machine coordinates with all axes at 0"""
+    std: Array
+    """(3,); 0 along the axis, where its place has no meaning"""
+    direction: Array
+    """(3,)"""
+    direction_std: Array
+    head: bool
+    sense: int
+    nominal: Array
+    location: Array
+    """Location errors and zero position, (5,)"""
+    order: int
+    """Its place in the chain, from the workpiece on"""
+
+    def moved(self, ball: Array, angle: float) -> Array:
+        """Return by how much a ball at a place misses the tip after a turn, with tip control by the nominal axis, (3,).
+
+        The tip is at the ball at 0. The control turns its target by the nominal axis, the machine by the true one.
+        """
+        one, none = np.array([self.sense * angle]), np.zeros((ROWS, 1))
+        axis, point = ANGLES.index(self.letter), ball[:, None]
+        places = [
+            turn(axis, one, none, location, (self.nominal, self.head)) for location in (self.location, np.zeros(5))
+        ]
+        zero = turn(axis, np.zeros(1), none, self.location, (self.nominal, self.head))
+        true, listed = (motion.of(point)[0] if self.head else motion.back(point)[0] for motion in places)
+        start = (zero.of(point)[0] if self.head else zero.back(point)[0]) - point
+        return np.asarray((true - listed - start)[:, 0])
+
+
+def pivots(result: Result) -> list[Pivot]:
+    """Return the rotary axes in their order from workpiece to tool.
+
+    Raises InputError if the result has none, or does not determine where they lie.
+    """
+    if "rotary_axes" not in result.tables:
+        raise InputError("the result has no rotary axes: this format needs a result of calibrate-machine with some")
+    known = {one.name: one for one in result.estimates}
+    open_ones = set(f"{result.statistics.get('undetermined', '')} {result.statistics.get('together', '')}".split())
+    table, found = result.tables["rotary_axes"], []
+    lacking: list[str] = []
+    for row, letter in enumerate(table.texts("axis")):
+        names = location_names(letter)
+        lacking += [name for name in names[:4] if name in open_ones or name not in known]
+        across = [i for i in range(3) if ANGLES[i] != letter]
+        value = np.array([known[name].value if name in known else 0.0 for name in names])
+        spread = np.array([known[name].std if name in known else 0.0 for name in names])
+        nominal = np.array([table.numbers(axis)[row] for axis in "xyz"])
+        off, std, tilt, tilt_std = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+        off[across], std[across], tilt[across], tilt_std[across] = value[:2], spread[:2], value[2:4], spread[2:4]
+        along = np.eye(3)[ANGLES.index(letter)]
+        found.append(
+            Pivot(
+                letter,
+                nominal + off,
+                std,
+                along + np.cross(tilt, along),
+                np.abs(np.cross(tilt_std, along)),
+                bool(table.columns["head"][row]),
+                int(table.numbers("sense")[row]),
+                nominal,
+                value,
+                int(table.numbers("place")[row]),
+            )
+        )
+    if lacking:
+        raise InputError(
+            f"the readings do not determine {' '.join(lacking)}: nothing is written of where the axes lie; "
+            "see /errors of the result for what is known only together"
+        )
+    return sorted(found, key=lambda one: one.order)
+
+
+def _test_moves(result: Result, found: Sequence[Pivot]) -> list[str]:
+    """Return for each axis what a ball shows before and after the compensation."""
+    ball = _ball(result)
+    lines = [
+        f"test move: the tip on a ball at {_vector(ball)} mm, tip control (TCPM, TRAORI, G43.4) on, one axis 0 to 90 deg"
+    ]
+    for one in found:
+        miss = one.moved(ball, np.pi / 2)
+        lines.append(
+            f"  {one.letter}: before, the ball minus the tip is ({', '.join(f'{1e3 * x:.1f}' for x in miss)}) um in "
+            "the axes of the bed; after, 0 within the uncertainty"
+        )
+    return lines
+
+
+def _ball(result: Result) -> Array:
+    """Return the first ball or reflector on the workpiece, else a point 100 mm beside the axes."""
+    for name in ("balls", "reflectors"):
+        if name in result.tables:
+            return np.array([result.tables[name].numbers(axis)[0] for axis in "xyz"])
+    table = result.tables["rotary_axes"]
+    return np.array([table.numbers(axis)[0] for axis in "xyz"]) + 100.0
+
+
+def _vector(values: Array, digits: int = 4) -> str:
+    return "(" + ", ".join(f"{x:.{digits}f}" for x in values.tolist()) + ")"
+
+
+def _head(result: Result, found: Sequence[Pivot], comment: str) -> list[str]:
+    lines = [
+        f"rotary axes of the chain {result.statistics.get('chain', '')}",
+        "place and direction: actual, machine coordinates in mm with all axes at 0",
+        _CONVENTION,
+        *_test_moves(result, found),
+    ]
+    return [f"{comment} {line}" for line in lines]
+
+
+def kinematics(result: Result) -> Texts:
+    """Return the lines of the axes as a table, and as a text with the test move."""
+    found = pivots(result)
+    heading = "axis,side,sense,x_mm,y_mm,z_mm,sx_mm,sy_mm,sz_mm,ux,uy,uz,s_ux,s_uy,s_uz"
+    rows = [
+        ",".join(
+            [
+                one.letter,
+                "head" if one.head else "table",
+                str(one.sense),
+                *(f"{x:.6f}" for x in (*one.place, *one.std)),
+                *(f"{x:.9f}" for x in (*one.direction, *one.direction_std)),
+            ]
+        )
+        for one in found
+    ]
+    return {"kinematics.csv": "\n".join([*_head(result, found, "#"), heading, *rows, ""])}
+
+
+def siemens_trafo5(result: Result) -> Texts:
+    """Return machine data of the 5-axis transformation (types 24, 40, 56; commissioning manual 6FC5397-1DP40, 21.7).
+
+    V1 is the axis next to the bed, of a head and a table the head. The chains of vectors are closed. A table is
+    entered with its direction reversed.
+    """
+    found = pivots(result)
+    if len(found) != 2:
+        raise InputError("the 5-axis transformation needs two rotary axes")
+    tables, heads = [one for one in found if not one.head], [one for one in found if one.head]
+    zero = np.zeros(3)
+    if len(heads) == 2:
+        (first, second), number = heads, 24
+        joint, tool = second.place - first.place, zero - second.place
+        offsets = {"PART_OFFSET": -(joint + tool), "JOINT_OFFSET": joint, "BASE_TOOL": tool}
+    elif len(tables) == 2:
+        (second, first), number = tables, 40
+        base, joint = first.place - zero, second.place - first.place
+        offsets = {"BASE_TOOL": base, "JOINT_OFFSET_PART": joint, "PART_OFFSET": -(base + joint)}
+    else:
+        (first,), (second,), number = heads, tables, 56
+        offsets = {
+            "JOINT_OFFSET": first.place,
+            "BASE_TOOL": -first.place,
+            "JOINT_OFFSET_PART": second.place,
+            "PART_OFFSET": -second.place,
+        }
+    lines = _head(result, found, ";")
+    lines.append(f"$MC_TRAFO_TYPE_1={number}")
+    for name, vector in offsets.items():
+        lines += [f"$MC_TRAFO5_{name}_1[{k}]={value:.5f}" for k, value in enumerate(vector.tolist())]
+    for name, one in (("AXIS1", first), ("AXIS2", second)):
+        turned = one.direction * (1 if one.head else -1) * one.sense
+        lines += [f"$MC_TRAFO5_{name}_1[{k}]={value:.9f}" for k, value in enumerate(turned.tolist())]
+    return {"trafo5.ini": "\n".join([*lines, ""])}
+
+
+def linuxcnc(result: Result) -> Texts:
+    """Return the HAL lines of xyzac-trt-kins or xyzbc-trt-kins (LinuxCNC, src/emc/kinematics/trtfuncs.c).
+
+    These modules know a table C on a tilting table A or B, and no directions.
+    """
+    found = pivots(result)
+    letters = "".join(one.letter for one in found)
+    if letters not in ("CA", "CB") or any(one.head for one in found):
+        raise InputError("LinuxCNC's trt kinematics are for a table C on a tilting table A or B")
+    carried, tilting = found
+    module = f"xyz{tilting.letter.lower()}c-trt-kins"
+    across = 1 if tilting.letter == "A" else 0
+    pins = {f"{axis}-rot-point": value for axis, value in zip("xyz", carried.place.tolist(), strict=True)}
+    pins[f"{'xyz'[across]}-offset"] = float(tilting.place[across] - carried.place[across])
+    pins["z-offset"] = float(tilting.place[2] - carried.place[2])
+    lines = [
+        *_head(result, found, "#"),
+        "# the control counts as ISO 841 with the pin conventional-directions at 1 (pull request 3482)",
+        "# tool-offset is the length of the tool; directions of the axes (EA0C, EB0C ...) have no pins",
+        f"setp {module}.conventional-directions 1",
+        *(f"setp {module}.{name} {value:.5f}" for name, value in pins.items()),
+    ]
+    return {"kinematics.hal": "\n".join([*lines, ""])}
+
+
+def fanuc(result: Result) -> Texts:
+    """Return parameters 19680 ff. of a Fanuc control: type, points and vectors of the axes, senses (cncmanuals 609)."""
+    found = pivots(result)
+    tables, heads = [one for one in found if not one.head], [one for one in found if one.head]
+    kind = 12 if not heads else 2 if not tables else 21
+    lines = [*_head(result, found, ";"), f"N19680 P{kind}"]
+    lines += [
+        f"N{number} P{0 if one.head else 1}" for number, one in zip((19684, 19689), _by_master(found), strict=False)
+    ]
+    if tables:
+        first = tables[-1]
+        lines += _numbered(19700, first.place)
+        lines += _numbered(19703, tables[0].place - first.place) if len(tables) == 2 else []
+    if heads:
+        last = heads[-1]
+        lines += _numbered(19709, last.place)
+        lines += _numbered(19712, heads[0].place - last.place) if len(heads) == 2 else []
+    return {"fanuc-kinematics.txt": "\n".join([*lines, ""])}
+
+
+def _by_master(found: Sequence[Pivot]) -> list[Pivot]:
+    """Return the axes, the one next to the bed first."""
+    return [*(one for one in found if one.head), *(one for one in reversed(found) if not one.head)]
+
+
+def _numbered(first: int, vector: Array) -> list[str]:
+    return [f"N{first + k} P{value:.5f}" for k, value in enumerate(vector.tolist())]
+
+
+def heidenhain(result: Result) -> Texts:
+    """Return the transformations before each rotary axis, each in the coordinates of the one before it."""
+    found = pivots(result)
+    lines, before = [*_head(result, found, ";"), "; side;axis;dX;dY;dZ;turn A;turn B;turn C [deg]"], np.zeros(3)
+    for side in ("table", "head"):
+        own = [one for one in _by_master(found) if one.head == (side == "head")]
+        before = np.zeros(3)
+        for one in own:
+            across = [i for i in range(3) if ANGLES[i] != one.letter]
+            turns = np.zeros(3)
+            turns[across] = np.degrees(one.location[2:4])
+            shift = ";".join(f"{x:.5f}" for x in (one.place - before).tolist())
+            lines.append(f"{side};{one.letter};{shift};" + ";".join(f"{x:.6f}" for x in turns.tolist()))
+            before = one.place
+    return {"heidenhain-kinematics.txt": "\n".join([*lines, ""])}
+
+
+OF_CONTROLS = {"fanuc": fanuc, "heidenhain": heidenhain, "linuxcnc": linuxcnc}
+"""Formats of compensation tables that hold the lines of rotary axes too"""
