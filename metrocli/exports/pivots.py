@@ -43,20 +43,25 @@ class Pivot:
     order: int
     """Its place in the chain, from the workpiece on"""
 
-    def moved(self, ball: Array, angle: float) -> Array:
-        """Return by how much a ball at a place misses the tip after a turn, with tip control by the nominal axis, (3,).
+    def moved(self, ball: Array, angle: float, known: Array) -> Array:
+        """Return by how much a ball at a place misses the tip after a turn under tip control, in the bed's axes, (3,).
 
-        The tip is at the ball at 0. The control turns its target by the nominal axis, the machine by the true one.
+        The tip is at the ball at 0. The control turns its target about the axis with the location (5,) that it knows,
+        the machine turns the ball, or the tip, about the true one.
         """
-        one, none = np.array([self.sense * angle]), np.zeros((ROWS, 1))
-        axis, point = ANGLES.index(self.letter), ball[:, None]
-        places = [
-            turn(axis, one, none, location, (self.nominal, self.head)) for location in (self.location, np.zeros(5))
-        ]
-        zero = turn(axis, np.zeros(1), none, self.location, (self.nominal, self.head))
-        true, listed = (motion.of(point)[0] if self.head else motion.back(point)[0] for motion in places)
-        start = (zero.of(point)[0] if self.head else zero.back(point)[0]) - point
-        return np.asarray((true - listed - start)[:, 0])
+        axis, point, none = ANGLES.index(self.letter), ball[:, None], np.zeros((ROWS, 1))
+        commanded = np.array([self.sense * angle])
+        true, start, listed = (
+            turn(axis, at, none, location, (self.nominal, self.head))
+            for at, location in ((commanded, self.location), (0 * commanded, self.location), (commanded, known))
+        )
+        ends = [motion.of(point)[0] if self.head else motion.back(point)[0] for motion in (true, start, listed)]
+        miss = ends[0] - ends[2] - (ends[1] - point)
+        return np.asarray((-miss if self.head else miss)[:, 0])
+
+    def known(self, directions: bool) -> Array:
+        """Return the location that a control knows after the compensation, with the directions of axes or without."""
+        return np.where([True, True, directions, directions, True], self.location, 0.0)
 
 
 def pivots(result: Result) -> list[Pivot]:
@@ -102,18 +107,15 @@ def pivots(result: Result) -> list[Pivot]:
     return sorted(found, key=lambda one: one.order)
 
 
-def _test_moves(result: Result, found: Sequence[Pivot]) -> list[str]:
+def _test_moves(result: Result, found: Sequence[Pivot], directions: bool) -> list[str]:
     """Return for each axis what a ball shows before and after the compensation."""
     ball = _ball(result)
-    lines = [
-        f"test move: the tip on a ball at {_vector(ball)} mm, tip control (TCPM, TRAORI, G43.4) on, one axis 0 to 90 deg"
-    ]
+    control = "tip control (TCPM, TRAORI, G43.4) on"
+    lines = [f"test move: the tip on a ball at {_vector(ball)} mm, {control}, one axis from 0 to 90 deg;"]
+    lines.append("  the ball minus the tip, in the axes of the bed:")
     for one in found:
-        miss = one.moved(ball, np.pi / 2)
-        lines.append(
-            f"  {one.letter}: before, the ball minus the tip is ({', '.join(f'{1e3 * x:.1f}' for x in miss)}) um in "
-            "the axes of the bed; after, 0 within the uncertainty"
-        )
+        before, after = (one.moved(ball, np.pi / 2, known) for known in (np.zeros(5), one.known(directions)))
+        lines.append(f"  {one.letter}: {_vector(1e3 * before, 1)} um before, {_vector(1e3 * after, 1)} um after")
     return lines
 
 
@@ -130,12 +132,12 @@ def _vector(values: Array, digits: int = 4) -> str:
     return "(" + ", ".join(f"{x:.{digits}f}" for x in values.tolist()) + ")"
 
 
-def _head(result: Result, found: Sequence[Pivot], comment: str) -> list[str]:
+def _head(result: Result, found: Sequence[Pivot], comment: str, directions: bool = True) -> list[str]:
     lines = [
         f"rotary axes of the chain {result.statistics.get('chain', '')}",
         "place and direction: actual, machine coordinates in mm with all axes at 0",
         _CONVENTION,
-        *_test_moves(result, found),
+        *_test_moves(result, found, directions),
     ]
     return [f"{comment} {line}" for line in lines]
 
@@ -212,7 +214,7 @@ def linuxcnc(result: Result) -> Texts:
     pins[f"{'xyz'[across]}-offset"] = float(tilting.place[across] - carried.place[across])
     pins["z-offset"] = float(tilting.place[2] - carried.place[2])
     lines = [
-        *_head(result, found, "#"),
+        *_head(result, found, "#", directions=False),
         "# the control counts as ISO 841 with the pin conventional-directions at 1 (pull request 3482)",
         "# tool-offset is the length of the tool; directions of the axes (EA0C, EB0C ...) have no pins",
         f"setp {module}.conventional-directions 1",
@@ -226,7 +228,7 @@ def fanuc(result: Result) -> Texts:
     found = pivots(result)
     tables, heads = [one for one in found if not one.head], [one for one in found if one.head]
     kind = 12 if not heads else 2 if not tables else 21
-    lines = [*_head(result, found, ";"), f"N19680 P{kind}"]
+    lines = [*_head(result, found, ";", directions=False), f"N19680 P{kind}"]
     lines += [
         f"N{number} P{0 if one.head else 1}" for number, one in zip((19684, 19689), _by_master(found), strict=False)
     ]
