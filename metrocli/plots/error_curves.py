@@ -54,7 +54,9 @@ def data(result: Result, about: str) -> Errors | None:
         table, error = result.tables[name], name.removeprefix("tables/")
         size = _PER_MM if table.units.get("value") == "mm" else _MICRO
         value, std = table.numbers("value") * size, table.numbers("std") * size
-        curves.append(Curve(error, table.numbers("position"), value, _K * std, status.get(error, "")))
+        position = table.numbers("position")
+        position = np.degrees(position) if table.units.get("position") == "rad" else position
+        curves.append(Curve(error, position, value, _K * std, status.get(error, "")))
     square = [one for one in result.estimates if one.name in ("A0Z", "B0Z", "C0Y") and np.isfinite(one.value)]
     return Errors(tuple(curves), tuple((one.name, one.value * _MICRO, _K * one.std * _MICRO) for one in square))
 
@@ -68,14 +70,19 @@ def _order(name: str) -> tuple[int, str, str]:
 
 def height(found: Errors) -> float:
     """Return the height of the figure in inches."""
-    return 1.55 * len(_panels(found)) / 3 + 0.5
+    return 1.55 * len(_panels(found)) / len(_axes(found)) + 0.5
+
+
+def _axes(found: Errors) -> str:
+    """Return the axes of the columns: three linear ones, or those that have curves where some turn."""
+    letters = {curve.name[2] for curve in found.curves}
+    return "".join(one for one in "XYZABC" if one in letters) if letters & set("ABC") else "XYZ"
 
 
 def _panels(found: Errors) -> list[list[Curve]]:
     """Return the curves of each panel: rows are the direction of the error, columns the axis that moves."""
-    wanted = [f"E{direction}{axis}" for direction in "XYZABC" for axis in "XYZ"]
     by_name = {curve.name: curve for curve in found.curves}
-    rows = [wanted[k : k + 3] for k in range(0, 18, 3)]
+    rows = [[f"E{direction}{axis}" for axis in _axes(found)] for direction in "XYZABC"]
     kept = [row for row in rows if any(name in by_name for name in row)]
     return [[by_name[name]] if name in by_name else [] for row in kept for name in row]
 
@@ -83,10 +90,12 @@ def _panels(found: Errors) -> list[list[Curve]]:
 def draw(canvas: Canvas, found: Errors) -> str:
     """Draw the figure and return its caption."""
     theme, panels = canvas.theme, _panels(found)
-    rows = len(panels) // 3
-    all_axes = canvas.axes(rows, 3, sharex="col")
+    letters = _axes(found)
+    count = len(letters)
+    rows = len(panels) // count
+    all_axes = canvas.axes(rows, count, sharex="col")
     for k, (axes, curves) in enumerate(zip(all_axes, panels, strict=True)):
-        row, column = divmod(k, 3)
+        row, column = divmod(k, count)
         if not curves:
             axes.set_visible(False)
             continue
@@ -104,8 +113,8 @@ def draw(canvas: Canvas, found: Errors) -> str:
             axes.text(0.5, 0.5, "not determined", transform=axes.transAxes, ha="center", color=theme.second, fontsize=8)
             axes.set_yticks([])
         axes.locator_params(axis="x", nbins=4)
-        if row == rows - 1 or not any(panels[k + 3 :: 3]):
-            axes.set_xlabel(f"{'XYZ'[column]} (mm)")
+        if row == rows - 1 or not any(panels[k + count :: count]):
+            axes.set_xlabel(f"{letters[column]} ({'deg' if letters[column] in 'ABC' else 'mm'})")
             axes.tick_params(labelbottom=True)
     return _caption(found)
 

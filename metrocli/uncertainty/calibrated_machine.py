@@ -7,7 +7,7 @@ from hashlib import sha256
 import numpy as np
 
 from metrocli.arrays import Array, Index
-from metrocli.errors import Fault
+from metrocli.errors import Fault, InputError
 from metrocli.instruments.error_motion import by_errors, by_squareness
 from metrocli.instruments.machine import (
     AXES,
@@ -68,6 +68,9 @@ def outside(result: Result, commanded: Table, key: str = "point", rows: Index | 
 
 
 def _machine(result: Result) -> Machine:
+    """Return the machine of a result; raises InputError for one with rotary axes, whose motion is no sum of tables."""
+    if "rotary_axes" in result.tables:
+        raise InputError("a machine with rotary axes: only machines with three linear axes are predicted here")
     axes, entries = result.tables["axes"], result.tables[ENTRIES]
     place = axes.numbers("place")
     error, position = np.array(entries.texts("error")), entries.numbers("position")

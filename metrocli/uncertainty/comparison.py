@@ -241,17 +241,21 @@ def _entries(result: Result) -> tuple[list[tuple[str, str]], list[float], list[s
     names: list[tuple[str, str]] = []
     values, units, rows = [], [], []
     known = dict(zip(result.tables["errors"].texts("error"), result.tables["errors"].texts("status"), strict=True))
-    for i, (error, position) in enumerate(zip(listed.texts("error"), listed.numbers("position"), strict=True)):
+    # rotary axes have angles in a column of their own
+    angles = listed.numbers("angle", float("nan"))
+    places = np.where(np.isnan(angles), listed.numbers("position"), angles)
+    for i, (error, position) in enumerate(zip(listed.texts("error"), places, strict=True)):
         if known.get(error) != "determined":
             continue
         if np.isnan(position):
             names.append(("estimates", error))
             values.append(square[error].value)
-            units.append("rad")
+            units.append(square[error].unit)
         else:
             table = result.tables[TABLES + error]
             at = int(np.argmin(np.abs(table.numbers("position") - position)))
-            names.append((error, f"{position:g} mm"))
+            turned = table.units["position"] == "rad"
+            names.append((error, f"{np.degrees(position):g} deg" if turned else f"{position:g} mm"))
             values.append(float(table.numbers("value")[at]))
             units.append(table.units["value"])
         rows.append(i)

@@ -48,8 +48,6 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         kept = [one.selected(keep[one.name]) if one.name in keep else one for one in changed.groups]
         return refitted(replace(problem, model=replace(changed, groups=tuple(kept))))
 
-    first, *others = (axis.block for axis in problem.machine.axes)
-    tables = {axis.block: axis.from_raw[:3] for axis in problem.machine.axes}
     return AdjustedJob(
         KIND.name,
         model,
@@ -57,13 +55,24 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         tuple(_covariates(model, group, problem.machine)),
         ("tracer",) if TRACER in model.blocks else (),
         {group.name: _parts(group)},
-        Delivered("error tables", first, (0, 1, 2), "um", "length", tuple(others), tables),
+        _delivered(problem.machine, model),
         refit,
         made_together=("leg",) if _condensed(group) else (),
         variations=lambda model, readings: () if _condensed(group) else _variations(model, readings),
         sharing=count(clusters_of(solved).of[group.name]),
         not_sought=dict(_not_sought(group)),
     )
+
+
+def _delivered(machine: Machine, model: Model) -> Delivered:
+    """Return what a calibration is for: the displacements of its tables, else the places of its rotary axes."""
+    with_tables = [axis for axis in machine.axes if model.blocks[axis.block].free.any()]
+    places = [axis.location for axis in machine.axes if isinstance(axis, RotaryAxis)]
+    if not with_tables and places:
+        return Delivered("places of the rotary axes", places[0], (0, 1), "um", "length", tuple(places[1:]))
+    first, *others = (axis.block for axis in machine.axes)
+    tables = {axis.block: axis.from_raw[:3] for axis in machine.axes}
+    return Delivered("error tables", first, (0, 1, 2), "um", "length", tuple(others), tables)
 
 
 def _not_sought(group: Group) -> Iterator[tuple[str, str]]:

@@ -19,6 +19,7 @@ from metrocli.effects.modelled import Modelled
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
+from metrocli.instruments.error_motion import Undisturbed
 from metrocli.instruments.kinematics import LINKS, ON_WORKPIECE
 from metrocli.instruments.machine import ANGLES, AXES, POSITION, SQUARENESS, TOOL, Machine
 from metrocli.instruments.machine_path import SINCE, since_turn
@@ -126,6 +127,8 @@ def model_of(
     letters = [letter.lower() for letter in (*AXES, *ANGLES) if f"axis {letter}" in blocks]
     balls = blocks[ON_WORKPIECE].members if ON_WORKPIECE in blocks else ()
     pairs = [pair for pair in (*PAIRS, *TILTED) if set(pair) <= set(letters)]
+    # of two tables the one nearer to the bed tilts the other
+    pairs = [pair for pair in pairs if pair in PAIRS or pair[::-1] in _tables(readings)]
     places = {
         "axis": Place(tuple(letters)),
         "pair": Place(tuple(pairs)),
@@ -139,6 +142,14 @@ def model_of(
     to = [link for link in readings.chain.links if isinstance(link, LINKS)]
     aspects = beam_aspects(Chain(tuple(to))) if tracers else {}
     return Model(blocks, (readings, *others), None, (readings.name,), places, aspects)
+
+
+def _tables(readings: Group) -> str:
+    """Return the letters of the axes on the workpiece's side of the bed, from the workpiece on."""
+    machine = next((link.machine for link in readings.chain.links if isinstance(link, Undisturbed)), None)
+    if machine is None:
+        return ""
+    return "".join(machine.axes[i].letter.lower() for i in machine.order[: machine.bed])
 
 
 def tools_of(table: Table, settings: Settings) -> Index:

@@ -90,12 +90,16 @@ def check(job: Job[Settings, Files]) -> None:
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
     """Return a simulated measurement of a machine with the random errors of `simulation:` and the job's effects."""
+    if job.settings.machine.turns:
+        raise InputError("simulate does not know rotary axes: it simulates machines with three linear axes")
     return simulated(job, options.seed)
 
 
 def plan(job: Job[Settings, Files]) -> Plan:
     """Return what the job's path, points or lines will determine, and a proposal; effects are left out."""
     settings, files = job.settings, job.files
+    if settings.machine.turns:
+        raise InputError("plan does not know rotary axes: see `docs/tasks/rotary-axes.md` for what determines them")
     planned = {
         STANDSTILL: lambda: plan_of_points(settings, files.points),
         SIX_DOF: lambda: plan_of_lines(settings, files.lines),
