@@ -95,15 +95,23 @@ def _tools_lie(solved: Solved) -> str:
 _FAR_AWAY = 1.0
 """A line farther from its listed place than this [mm] was hardly meant"""
 _MIRRORED = 0.2
+_FEW = np.radians(30.0)
+"""Below this range of an axis [rad] location and once-a-turn part have a correlation of -0.99"""
 
 
 def misplaced(solved: Solved) -> tuple[list[str], list[str]]:
     """Return doubts and warnings of rotary axes whose line is far from where the job lists it."""
     doubts, warnings = [], []
+    given = solved.problem.readings.observations.conditions
     for axis in solved.problem.machine.axes:
         if not isinstance(axis, RotaryAxis):
             continue
-        block = solved.solution.blocks[axis.location]
+        block, turned = solved.solution.blocks[axis.location], float(np.ptp(given[axis.coordinate]))
+        if turned < _FEW and block.free.any():
+            warnings.append(
+                f"{axis.letter} is turned by {np.degrees(turned):.0f} deg only: its location and the once-a-turn part of its "
+                "tables are nearly the same; turn it farther"
+            )
         across = [i for i in range(3) if i != axis.number]
         for i, off in zip(across, block.values[0, :2].tolist(), strict=True):
             where, size = f"{'xyz'[i]} of the place of {axis.letter}", units.sized(abs(off), "length")

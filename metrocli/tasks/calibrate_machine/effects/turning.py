@@ -19,7 +19,6 @@ from metrocli.effects.links.turning import (
     Wobble,
     WormError,
 )
-from metrocli.instruments.kinematics import FIRST_SEEN
 
 _FEWEST, _MOST = 12, 720
 """Periods of a worm gear in a turn"""
@@ -148,7 +147,7 @@ OF_ROTARY_AXES: tuple[Effect, ...] = (
         lambda block, where: BallMoves(block),
         where=("ball",),
         scanned=_AT,
-        needs=("t", FIRST_SEEN),
+        needs=("t",),
         confused_with=("axis-jump",),
         usual="1 to 100 um",
         reveal="each ball probed again at the end",
