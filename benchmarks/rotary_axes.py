@@ -106,9 +106,10 @@ def honesty(runs: int) -> None:
             std.append(stated)
             misfit.append(found.solution.misfit**2)
         joint, ratio = np.concatenate(z), np.sqrt(np.mean(np.square(off)) / np.mean(np.square(std)))
+        inside = 100 * np.mean(np.abs(joint) < 1.96)
         print(
-            f"{method:10s} {runs} runs: z rms {np.sqrt(np.mean(joint**2)):.3f}, {100 * np.mean(np.abs(joint) < 1.96):.1f} % "
-            f"inside 95 % ({len(joint)} entries), chi2/dof {np.mean(misfit):.3f}, volume off by {ratio:.3f} of stated",
+            f"{method:10s} {runs} runs: z rms {np.sqrt(np.mean(joint**2)):.3f}, {inside:.1f} % inside 95 % "
+            f"({len(joint)} entries), chi2/dof {np.mean(misfit):.3f}, volume off by {ratio:.3f} of stated",
             flush=True,
         )
 
