@@ -27,7 +27,8 @@ KEYS = {
 }
 """Keys that name a wrong reading, where all of them must be found; among few poses the campaign alone judges"""
 KINDS = (
-    "multilaterate", "locate-launch-unit", "align-part", "calibrate-camera", "calibrate-machine", "selfcal-grid", "rotary",
+    "multilaterate", "locate-launch-unit", "align-part", "calibrate-camera", "calibrate-machine", "selfcal-grid",
+    "rotary",
 )  # fmt: skip
 BAD_POSE = "locate-launch-unit/013"
 """Its bad pose shows in the distance only: a wrong distance is as good a name"""

@@ -13,6 +13,7 @@ from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.uncertainty.calibrated_machine import error_motion, outside
 from metrocli.uncertainty.comparison import POINTS, TABLES_COVARIANCE
+from metrocli.uncertainty.turning_machine import tips, turns
 from metrocli.words import suggestion
 
 COMMON, CORE, POINTS_COVARIANCE = "points_common", "points_core", "points_covariance"
@@ -54,24 +55,28 @@ def in_machine(result: Result) -> bool:
 
 
 def reached(result: Result, commanded: Table) -> Places:
-    """Return where the tool of a calibrated machine is at commanded positions: `p + T + d(p)` of the 21 errors.
+    """Return where the tool of a calibrated machine is on the workpiece at commanded positions.
 
     Its covariance is that of the error tables and of the tool vectors. Tables that are not determined count as zero,
     as in the result. Raises InputError for positions outside the axes, and for tools without a prediction.
     """
-    position = commanded.stacked(("x", "y", "z")).T
     tools = result.tables["tools"]
-    which = _tools(tools, commanded, outside(result, commanded))
-    vectors = tools.stacked(("x", "y", "z"))[which]
-    motion, by_motion = error_motion(result, position, vectors.T)
-    displacement, by_entry = motion[:, :3], by_motion[:, :3]
-    by_tool = np.eye(3)[None, :, None, :] * (which[:, None] == np.arange(len(tools)))[:, None, :, None]
+    which = _tools(tools, commanded, [] if turns(result) else outside(result, commanded))
+    place, by_entry, by_vector = tips(result, commanded, which) if turns(result) else _shifted(result, commanded, which)
+    by_tool = by_vector[:, :, None, :] * (which[:, None] == np.arange(len(tools)))[:, None, :, None]
     common = np.concatenate([by_entry, by_tool.reshape(len(which), 3, -1)], axis=2)
     entries, size = len(by_entry[0, 0]), common.shape[2]
     core = np.zeros((size, size))
     core[:entries, :entries] = result.arrays[TABLES_COVARIANCE]
     core[entries:, entries:] = np.diag(tools.stacked(("sx", "sy", "sz")).ravel() ** 2)
-    return Places(position.T + vectors + displacement, common, core, np.zeros((len(which), 3, 3)))
+    return Places(place, common, core, np.zeros((len(which), 3, 3)))
+
+
+def _shifted(result: Result, commanded: Table, tool: Index) -> tuple[Array, Array, Array]:
+    """Return `p + T + d(p)` (n, 3) of three linear axes, with derivatives by the entries of tables and by the tool."""
+    position, vectors = commanded.stacked(("x", "y", "z")).T, result.tables["tools"].stacked(("x", "y", "z"))[tool]
+    motion, by_motion = error_motion(result, position, vectors.T)
+    return position.T + vectors + motion[:, :3], by_motion[:, :3], np.eye(3)[None]
 
 
 def tool_vectors(result: Result, commanded: Table) -> Array:

@@ -33,7 +33,11 @@ _MENDED = 0.1
 _SIGMA = Range(0.0, range_of("length").high)
 _SPREAD = columns("sigma? [length]", allowed=_SIGMA)
 COMMANDED = Columns(
-    (*columns("point [text]", "x y z mx my mz [length]"), *_SPREAD, *columns("tool? [text]")),
+    (
+        *columns("point [text]", "x y z [length]", "a? b? c? [angle]", "mx my mz [length]"),
+        *_SPREAD,
+        *columns("tool? [text]"),
+    ),
     ("point",),
     "commanded points, and where an independent instrument measured them",
 )

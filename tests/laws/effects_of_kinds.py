@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from laws.effects_of_images import alignment, calibration
+from simulated import five_axis as simulated_five_axes
 from simulated import grid as simulated_grid
 from simulated import launch as simulated_launch
 from simulated import lengths as simulated_lengths
@@ -25,6 +28,8 @@ from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.geometry.poses import pose_from_euler
 from metrocli.instruments.tracker import FACE
+from metrocli.project.inputs import read_inputs
+from metrocli.project.job import load
 from metrocli.table import Table
 from metrocli.tasks.adjust_network import problem as network_problem
 from metrocli.tasks.adjust_network import readings as network_readings
@@ -33,7 +38,9 @@ from metrocli.tasks.adjust_network.settings import Files as NetworkFiles
 from metrocli.tasks.adjust_network.settings import Settings as NetworkSettings
 from metrocli.tasks.adjust_network.starts import search as network_start
 from metrocli.tasks.calibrate_machine.effects.tracker import OF_THE_LASER
+from metrocli.tasks.calibrate_machine.effects.turning import OF_ROTARY_AXES
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths as machine_lengths
+from metrocli.tasks.calibrate_machine.methods.probing import probing
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.settings import Noise
@@ -111,6 +118,8 @@ def calibrate_machine(effect: Effect) -> Model:
         return machine_from_lengths(effect)
     if effect in OF_THE_LASER:
         return machine_from_lines()
+    if effect in OF_ROTARY_AXES:
+        return machine_with_tables(effect)
     rng = np.random.default_rng(6)
     tools = simulated_machine.THREE
     machine = simulated_machine.random_machine(rng)
@@ -149,6 +158,23 @@ def machine_from_lengths(effect: Effect) -> Model:
     stations = solved.blocks["tracer"]
     free = stations.free & (effect.name not in ("length-offset", "reflector-incidence"))
     return with_conditions(problem.model.with_blocks({**solved.blocks, "tracer": replace(stations, free=free)}))
+
+
+def machine_with_tables(effect: Effect) -> Model:
+    """Three balls probed 100 times with a known probe, on a table A that carries a table C, or with a head B; all sides."""
+    rng = np.random.default_rng(18)
+    kind = "head-table" if effect.among == ("b",) else "table-table"
+    machine = simulated_five_axes.drawn(simulated_five_axes.KINDS[kind], rng, linear=False)
+    machine.tables = {}
+    with TemporaryDirectory() as folder:
+        path = simulated_five_axes.probed(Path(folder), machine, rng, 100, 0.0, "locations")
+        job = load(path)
+        tables = read_inputs(job)
+    sides = {f"from_{axis}": rng.choice([-1.0, 1.0], 100) for axis in "abc"}
+    table = replace(tables["probing"], columns={**tables["probing"].columns, **sides})
+    problem = probing(job.settings, table, tables["balls"])
+    solved = adjust(problem.blocks.values(), problem.groups)
+    return with_conditions(problem.model.with_blocks(solved.blocks))
 
 
 def machine_from_lines() -> Model:
@@ -274,7 +300,7 @@ def marks_as_files() -> dict[str, Table]:
 MEASURED: dict[str, Measured] = {
     "calibrate-camera": Measured(lambda effect: with_conditions(calibration(effect)), {}),
     "align-part": Measured(lambda effect: with_conditions(alignment(effect)), {}),
-    "calibrate-machine": Measured(calibrate_machine, {"period": 37.0, "length": 30.0, "at": 900.0}),
+    "calibrate-machine": Measured(calibrate_machine, {"period": 37.0, "periods": 40.0, "length": 30.0, "at": 900.0}),
     "multilaterate": Measured(multilaterate, {"at": 900.0}),
     "locate-launch-unit": Measured(locate_launch_unit, {}),
     "adjust-network": Measured(adjust_network, {"at": 900.0, "method": 1.0, "from_station": 2.0}),
@@ -283,8 +309,10 @@ MEASURED: dict[str, Measured] = {
 
 
 def instance_of(model: Model, effect: Effect) -> tuple[str, ...]:
-    """A place where the effect can act: the second of each kind."""
-    return tuple(model.places[key].names[1] for key in effect.where if key != "by")
+    """A place where the effect can act: the second of each kind, or the only one."""
+    all_names = (model.places[key].names for key in effect.where if key != "by")
+    among = [[name for name in names if name in (effect.among or names)] for names in all_names]
+    return tuple(names[min(1, len(names) - 1)] for names in among)
 
 
 def size(effect: Effect) -> dict[str, float]:

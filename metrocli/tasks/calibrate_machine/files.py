@@ -104,3 +104,4 @@ class Files:
 
 
 Inputs = inputs_of(Files)
+NO_FILES = Files()

@@ -109,8 +109,8 @@ def misplaced(solved: Solved) -> tuple[list[str], list[str]]:
         block, turned = solved.solution.blocks[axis.location], float(np.ptp(given[axis.coordinate]))
         if turned < _FEW and block.free.any():
             warnings.append(
-                f"{axis.letter} is turned by {np.degrees(turned):.0f} deg only: its location and the once-a-turn part of "
-                "its tables are nearly the same; turn it farther"
+                f"{axis.letter} is turned by {np.degrees(turned):.0f} deg only: its location and the once-a-turn part "
+                "of its tables are nearly the same; turn it farther"
             )
         across = [i for i in range(3) if i != axis.number]
         for i, off in zip(across, block.values[0, :2].tolist(), strict=True):

@@ -17,7 +17,7 @@ from metrocli.instruments.kinematics import reach
 from metrocli.instruments.rotary import gauge
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support
-from metrocli.tasks.calibrate_machine.files import Files
+from metrocli.tasks.calibrate_machine.files import NO_FILES, Files
 from metrocli.tasks.calibrate_machine.methods.backwards import refuse_backwards
 from metrocli.tasks.calibrate_machine.methods.targets import BED, targets, with_distances
 from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
@@ -29,7 +29,7 @@ from metrocli.tasks.shared.tracers import Seen, observed, places_of, tracers_of
 READINGS = "lengths"
 
 
-def lengths(settings: Settings, table: Table, files: Files) -> Problem:
+def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Problem:
     """Return the adjustment problem.
 
     Raises InputError if the lengths do not belong to the commanded points, and UndeterminedError if a station reads too

@@ -13,7 +13,7 @@ from metrocli.instruments.rotary import gauge
 from metrocli.instruments.tracker import FACE, POLAR, TRACKER, TrackerNoise, cartesian, point_chain, tracker_block
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support
-from metrocli.tasks.calibrate_machine.files import Files
+from metrocli.tasks.calibrate_machine.files import NO_FILES, Files
 from metrocli.tasks.calibrate_machine.methods.targets import BED, targets, with_distances
 from metrocli.tasks.calibrate_machine.methods.track import tracker_pose
 from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
@@ -21,7 +21,6 @@ from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.lists import refuse
 
 READINGS = "points"
-NO_FILES = Files()
 CARTESIAN = ("mx", "my", "mz")
 _VAGUE = 10.0
 """Uncertainty of a tool vector of which nothing is known [mm], in the place of the tracker"""
