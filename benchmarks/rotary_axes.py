@@ -104,7 +104,7 @@ def honesty(runs: int) -> None:
             z.append(own)
             off.append(wrong)
             std.append(stated)
-            misfit.append(found.solution.misfit**2)
+            misfit.append(found.solution.cost / found.solution.dof)
         joint, ratio = np.concatenate(z), np.sqrt(np.mean(np.square(off)) / np.mean(np.square(std)))
         inside = 100 * np.mean(np.abs(joint) < 1.96)
         print(

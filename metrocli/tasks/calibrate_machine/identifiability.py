@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 
@@ -124,7 +123,7 @@ def identify(problem: Problem) -> Identifiability:
 
 
 def at_knots(problem: Problem) -> tuple[Group, ...]:
-    """Return the groups of a problem as if every rotary axis had stood at the knots next to it, once at each.
+    """Return the groups of a problem as if all rotary axes had stood at the knots below, and again at those above.
 
     Tables are straight between knots, but levers turn. So readings between knots seem to determine, by hundreds of
     micrometres, what no such readings at knots determine, and the error of the interpolation is magnified as much.
@@ -135,9 +134,9 @@ def at_knots(problem: Problem) -> tuple[Group, ...]:
     if not turning:
         return problem.groups
     copies = []
-    for sides in product((0, 1), repeat=len(turning)):
+    for side in (0, 1):
         given, index = dict(readings.observations.conditions), dict(readings.observations.index)
-        for axis, side in zip(turning, sides, strict=True):
+        for axis in turning:
             given[axis.coordinate] = axis.members[axis.places(given[axis.coordinate])[0][side]]
         given |= met_again(problem.machine, readings.observations, given, problem.blocks)
         index |= problem.machine.index(np.stack([given[axis.coordinate] for axis in problem.machine.axes]))

@@ -217,3 +217,23 @@ def test_a_periodic_axis_takes_any_turn(tmp_path: Path) -> None:
         cells[at] = f"{float(cells[at]) + 360 * (i % 3 - 1):.9f}"
     file.write_text("\n".join([head, *(",".join(cells) for cells in turned)]) + "\n")
     assert solved(job).solution.cost == pytest.approx(first.cost, rel=1e-6)
+
+
+def test_the_prediction_is_verified_by_points_on_the_workpiece(tmp_path: Path) -> None:
+    """Points of another tool, in a frame of their own, with noise as stated."""
+    from metrocli.formats import csv
+    from metrocli.uncertainty.predicted import reached
+    from metrocli.uncertainty.verification import POINTS
+
+    rng = np.random.default_rng(11)
+    machine = sim.drawn(sim.KINDS["head-table"], rng, linear=False)
+    found = result(sim.probed(tmp_path, machine, rng, 200, 1e-4))
+    poses = [machine.drawn_pose(rng) for _ in range(30)]
+    cells = "\n".join(f"P{i},{sim.cells(pose)},0,0,0,T2" for i, pose in enumerate(poses))
+    (tmp_path / "check.csv").write_text(f"point,{sim.header(machine)},mx_mm,my_mm,mz_mm,tool\n{cells}\n")
+    places = reached(found, csv.read(tmp_path / "check.csv", POINTS))
+    true = np.array([machine.tip(pose, np.array(machine.kind.tools["T2"])) for pose in poses])
+    off = sim.without_motion(true, places.values - true)
+    assert np.abs(off).max() < 2e-3
+    std = np.sqrt(np.einsum("naa->na", places.covariance))
+    assert 1e-5 < np.median(std) < 1e-3

@@ -93,7 +93,8 @@ OF_ROTARY_AXES: tuple[Effect, ...] = (
     Effect(
         "worm-error",
         "the angle of a rotary axis errs periodically: its worm gear, or the pitch of its encoder's lines",
-        (*sizes("amplitude", "angle", "20 arcsec"), *sizes("phase", "angle", "6.3 rad")),
+        # steps of the phase go across the phasor (`Space.WAVE`), so their size is that of the amplitude
+        sizes("amplitude phase", "angle", "20 arcsec"),
         lambda block, where: WormError(block, axis=where["axis"]),
         where=("axis",),
         among=_LETTERS,
