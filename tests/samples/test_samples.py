@@ -138,6 +138,28 @@ def test_the_machine_is_the_true_one(
         assert np.sqrt((scores**2).mean()) < 1.3
 
 
+FIVE_AXES = {
+    "EY0A": 34.781e-3, "EZ0A": 25.604e-3, "EB0A": -11.203e-6, "EC0A": 22.499e-6,
+    "EX0C": -22.865e-3, "EY0C": 7.148e-3, "EA0C": -130.128e-6, "EB0C": 161.006e-6,
+}  # fmt: skip
+"""Locations with which the readings of `five-axis` were simulated"""
+CRASH = {"dy": 4.2e-3, "dz": -2.6e-3}
+
+
+def test_the_axes_and_the_crash_are_the_true_ones(tmp_path_factory: pytest.TempPathFactory, metrocli: Metrocli) -> None:
+    from metrocli.formats import hdf5
+
+    project = _run("five-axis", tmp_path_factory)
+    whole, after = (hdf5.read(project / "results" / f"{name}.h5")[0] for name in ("whole-run", "after"))
+    truth_after = FIVE_AXES | {"EY0A": FIVE_AXES["EY0A"] + CRASH["dy"], "EZ0A": FIVE_AXES["EZ0A"] + CRASH["dz"]}
+    with_crash = FIVE_AXES | {f"axis-jump.a.{name}": value for name, value in CRASH.items()}
+    for found, true in ((whole, with_crash), (after, truth_after)):
+        assert {one.name for one in found.estimates} == set(true)
+        assert all(abs(one.value - true[one.name]) < BOUND * one.std for one in found.estimates)
+    checked = metrocli("verify", project / "results" / "after.h5", project / "data" / "check.csv", "--json")
+    assert json.loads(checked.out)["rms"] < 1.25 * 2e-3 * np.sqrt(3)
+
+
 def test_the_part_has_a_table_of_maxima(spindle: Path) -> None:
     from metrocli.cli.summary import summary
     from metrocli.formats import hdf5

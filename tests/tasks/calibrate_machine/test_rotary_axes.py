@@ -223,7 +223,7 @@ def test_the_prediction_is_verified_by_points_on_the_workpiece(tmp_path: Path) -
     """Points of another tool, in a frame of their own, with noise as stated."""
     from metrocli.formats import csv
     from metrocli.uncertainty.predicted import reached
-    from metrocli.uncertainty.verification import POINTS
+    from metrocli.uncertainty.verification import COMMANDED
 
     rng = np.random.default_rng(11)
     machine = sim.drawn(sim.KINDS["head-table"], rng, linear=False)
@@ -231,7 +231,7 @@ def test_the_prediction_is_verified_by_points_on_the_workpiece(tmp_path: Path) -
     poses = [machine.drawn_pose(rng) for _ in range(30)]
     cells = "\n".join(f"P{i},{sim.cells(pose)},0,0,0,T2" for i, pose in enumerate(poses))
     (tmp_path / "check.csv").write_text(f"point,{sim.header(machine)},mx_mm,my_mm,mz_mm,tool\n{cells}\n")
-    places = reached(found, csv.read(tmp_path / "check.csv", POINTS))
+    places = reached(found, csv.read(tmp_path / "check.csv", COMMANDED))
     true = np.array([machine.tip(pose, np.array(machine.kind.tools["T2"])) for pose in poses])
     off = sim.without_motion(true, places.values - true)
     assert np.abs(off).max() < 2e-3
