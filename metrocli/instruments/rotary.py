@@ -51,11 +51,13 @@ def errors_by_word(chain: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
     The zero position of a rotary axis is 0 by definition, except of a head that carries the tool, where it is the tilt
     of the spindle in that plane; then two angles of the spindle are unknown too. All other tools have the machine's
-    axes.
+    axes. Of tables alone, with nothing that moves the tool, the axis next to the bed is the frame: it has no location.
     """
     linear, turning = ([one for one in kind if one in chain] for kind in (AXES, ANGLES))
     carries = chain[-1] if chain[-1] in ANGLES else ""
-    places = [one for letter in turning for one in location_names(letter)[: 5 if letter == carries else 4]]
+    frame = chain[-2] if chain[-1] == "b" and not linear else ""
+    placed = [letter for letter in turning if letter != frame]
+    places = [one for letter in placed for one in location_names(letter)[: 5 if letter == carries else 4]]
     places += [one for one in SPINDLE_NAMES if carries and one[1] != carries]
     tables = {letter: errors_of(letter) for letter in (*linear, *turning)}
     words = {

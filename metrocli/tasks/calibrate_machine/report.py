@@ -13,7 +13,7 @@ from metrocli.effects.estimates import estimates as effect_estimates
 from metrocli.effects.estimates import free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments.kinematics import ON_WORKPIECE
-from metrocli.instruments.machine import ANGLES, SQUARENESS_NAMES, TOOL, Machine
+from metrocli.instruments.machine import ANGLES, SQUARENESS, SQUARENESS_NAMES, TOOL, Machine
 from metrocli.instruments.rotary import RotaryAxis
 from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracer import TRACER
@@ -262,8 +262,9 @@ def _on_workpiece(solution: Solution) -> dict[str, Table]:
 
 
 def _places(solution: Solution) -> tuple[str, ...]:
-    """Return the names of the blocks that say how the axes lie, where they have unknowns."""
-    return tuple(name for name in PLACES_OF_AXES if name in solution.blocks and solution.blocks[name].free.any())
+    """Return the names of the blocks that say how the axes lie: squareness, and those that have unknowns."""
+    others = (name for name in PLACES_OF_AXES[1:] if name in solution.blocks and solution.blocks[name].free.any())
+    return (SQUARENESS, *others)
 
 
 def _tools(solved: Solved, solution: Solution) -> Table:

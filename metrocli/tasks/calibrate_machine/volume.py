@@ -67,7 +67,7 @@ def rigid_motions(position: Array) -> Array:
     centred = position - position.mean(axis=1, keepdims=True)
     motions = np.zeros((3, n, 6))
     motions[:, :, :3] = np.eye(3)[:, None]
-    motions[:, :, 3:] = -np.moveaxis(cross_matrix(centred.T), 0, 1) / np.abs(centred).max()
+    motions[:, :, 3:] = -np.moveaxis(cross_matrix(centred.T), 0, 1) / max(np.abs(centred).max(), 1.0)
     basis, _ = np.linalg.qr(motions.reshape(3 * n, 6))
     return np.asarray(basis)
 
