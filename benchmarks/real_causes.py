@@ -57,10 +57,10 @@ class Case:
     """Names that the set has without what was done to it"""
     extended: str = ""
     """Verdict on the extended job"""
-    halves: tuple[Mapping[str, Any], ...] = ()
-    """Diagnoses of two halves of the images"""
     gains: Mapping[Named, tuple[float, float]] = field(default_factory=dict)
     """Gain of each name by the independent adjustment, and its standard error"""
+    halves: tuple[Mapping[str, Any], ...] = ()
+    """Diagnoses of two halves of the images"""
 
     @property
     def names(self) -> list[Named]:
