@@ -1,1 +1,1 @@
-"""Effects: physical causes that a model can leave out, and a job can add by name; each has a page in docs/effects."""
+"""Effects: physical causes that a model can leave out, and a job can add by name."""

@@ -1,4 +1,4 @@
-"""metrocli effects: the effects that a kind of job knows, and where effects of one's own can act."""
+"""metrocli effects: the effects that a kind of job knows, the page of one, and where effects of one's own can act."""
 
 from __future__ import annotations
 
@@ -22,17 +22,18 @@ if TYPE_CHECKING:
     from metrocli.tasks.kind import Kind
 
 
-@click.command("effects", help="List the effects of a kind of job, own ones included, and where own ones can act.")
-@click.argument("kind", required=False, metavar="[KIND]", shell_complete=offering(kinds))
+@click.command("effects", help="List the effects of a kind of job and where own ones can act, or explain one effect.")
+@click.argument("kind", required=False, metavar="[KIND|NAME]", shell_complete=offering(kinds))
 @click.option("--from", "source", type=click.Path(path_type=Path), metavar="FILE", help="A file with `define:`.")
 @click.option("--check", is_flag=True, help="Test own effects, and those of packages, against the laws of effects.")
 @options.JSON
 def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -> int:
-    """Print the tables of one kind or of all; raise InputError with every fault of the own effects."""
+    """Print the tables of one kind or of all, or one effect; raise InputError with every fault of the own effects."""
     from metrocli.cli import summary
 
     if kind is not None and kind not in KINDS:
-        raise UsageError(f"no kind of job '{kind}'; {suggestion(kind, KINDS)}")
+        echo(_explained(kind, as_json))
+        return 0
     chosen = {kind: KINDS[kind]} if kind else {name: one for name, one in KINDS.items() if one.task().places}
     found = {name: (one, _own(name, source)) for name, one in chosen.items()}
     if check:
@@ -48,6 +49,21 @@ def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -
         return 0
     echo("\n\n".join(_text(one, own) for one, own in found.values()))
     return 0
+
+
+def _explained(name: str, as_json: bool) -> str:
+    """Return the page of an effect, or its entry in each kind that has it."""
+    from metrocli.cli import summary
+    from metrocli.effects.page import page
+
+    tables = {kind: one.task().effects for kind, one in KINDS.items()}
+    names = dict.fromkeys(effect.name for effects in tables.values() for effect in effects)
+    if name not in names:
+        raise UsageError(f"no kind of job and no effect '{name}'; {suggestion(name, [*KINDS, *names])}")
+    if not as_json:
+        return page(name, tables).rstrip()
+    entries = {kind: [_effect(one, False) for one in effects if one.name == name] for kind, effects in tables.items()}
+    return summary.as_json({kind: found for kind, found in entries.items() if found})
 
 
 def _own(kind: str, source: Path | None) -> list[Effect]:
@@ -116,6 +132,7 @@ def _effect(effect: Effect, own: bool) -> dict[str, Any]:
             one.name: {"unit": one.unit, "plausible": one.plausible, "scanned": one in effect.scanned}
             for one in effect.all_parameters
         },
+        **{key: getattr(effect, key) for key in ("formula", "usual", "reveal", "note", "source")},
         "own": own,
     }
 

@@ -1,4 +1,4 @@
-"""Effects on the lengths of a network (docs/effects)."""
+"""Effects on the lengths of a network."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from metrocli.effects.acting import point
 from metrocli.tasks.shared.length_effects import AT, BEAM, DIRECTION, LENGTH_EFFECTS, length
 
 EFFECTS = LENGTH_EFFECTS
-"""The table of effects, in the order of docs/effects"""
+"""The table of effects in the order of lists"""
 
 PLACES = (length(), point("point-in-machine", Quantity.POINT_IN_MACHINE, AT, *BEAM, *DIRECTION))
 """Quantities on which effects of one's own can act"""
