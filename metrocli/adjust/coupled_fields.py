@@ -73,8 +73,8 @@ class Design:
     def solve(self, right: Array) -> Array:
         """Return the covariance times `right`, `(I - Z H) Q (I - Z H)' right`, (unknowns,) or (unknowns, k)."""
         held = right - self.constraint.T @ (self.null.T @ right)
-        found = self.reduction.solve(held)
-        return found - self.null @ (self.constraint @ found)
+        solved = self.reduction.solve(held)
+        return solved - self.null @ (self.constraint @ solved)
 
     def variances(self, rows: Sparse) -> Array:
         """Return the variances of sparse linear combinations of unknowns, (n,).

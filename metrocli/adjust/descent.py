@@ -98,12 +98,12 @@ class Descent:
             short = fall <= small + _ROUNDING * self.cost
             last = short or self._contracts(fall, small)
             self.normals = None
-            found = self.problem.normals(moved) if self.wanted or not (last or final) else None
-            cost = found.cost if found else self.problem.cost(moved)
+            normals = self.problem.normals(moved) if self.wanted or not (last or final) else None
+            cost = normals.cost if normals else self.problem.cost(moved)
             if cost <= self.cost or (last and cost <= self.cost + small + self._rounding()):
                 done = last and self.damping <= 1e-4
                 self.fall = 0.0 if self.damping else fall
-                self.state, self.normals, self.cost, self.damping = moved, found, cost, _relaxed(self.damping)
+                self.state, self.normals, self.cost, self.damping = moved, normals, cost, _relaxed(self.damping)
                 return Outcome.CONVERGED if done else Outcome.ITERATION_LIMIT
             if short:
                 return Outcome.CONVERGED

@@ -39,11 +39,11 @@ def open_combinations(
     if _surely_determined(scaled):
         return ()
     values, vectors = np.linalg.eigh(np.nan_to_num(scaled))
-    found = []
+    combinations = []
     for value, vector in zip(values, vectors.T, strict=True):
         if value < max(1.0, _ROUNDING * values[-1]):
-            found.append(_combination(blocks, layout, vector * reach, normals, value))
-    return tuple(found)
+            combinations.append(_combination(blocks, layout, vector * reach, normals, value))
+    return tuple(combinations)
 
 
 def _surely_determined(scaled: Array) -> bool:
@@ -94,7 +94,7 @@ def _open_in(block: Block, part: Part) -> list[Combination]:
     scaled = matrices * reach[:, :, None] * reach[:, None, :] + np.eye(block.size) * ~free[:, None, :] * 2
     values, vectors = np.linalg.eigh(scaled)
     bad = np.flatnonzero(values[:, 0] < 1)
-    found = []
+    combinations = []
     for member in bad:
         vector = np.abs(vectors[member, :, 0]) * free[member]
         parts = [
@@ -102,8 +102,8 @@ def _open_in(block: Block, part: Part) -> list[Combination]:
             for column, share in zip(block.columns, vector / vector.max(), strict=True)
             if share > _SHARE
         ]
-        found.append(Combination(tuple(parts), _spread(float(values[member, 0]))))
-    return found
+        combinations.append(Combination(tuple(parts), _spread(float(values[member, 0]))))
+    return combinations
 
 
 def _all_determined(part: Part, reach: Array) -> bool:

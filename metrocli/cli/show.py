@@ -73,5 +73,5 @@ def _answer(result: Result, question: str, values: tuple[str, ...], units: str, 
     estimates = KINDS[result.kind].task().result_answers[question](result, values)
     if not as_json:
         return terminal.estimates_text(estimates_in(estimates, units))
-    found = [{"name": estimate.name, **summary.of_estimate(estimate)} for estimate in estimates]
-    return summary.as_json(found if len(found) > 1 else found[0])
+    entries = [{"name": estimate.name, **summary.of_estimate(estimate)} for estimate in estimates]
+    return summary.as_json(entries if len(entries) > 1 else entries[0])

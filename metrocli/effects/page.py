@@ -15,10 +15,10 @@ def page(name: str, tables: Tables) -> str:
     """Return the page of an effect as Markdown; kinds whose entries have the same words share a section."""
     sections: dict[str, list[str]] = {}
     for kind, effects in tables.items():
-        for one in effects:
-            if one.name == name:
-                acts = sections.setdefault(_words(one), [])
-                acts += [text for text in [f"{kind}: {_acts(one)}"] if text not in acts]
+        for effect in effects:
+            if effect.name == name:
+                acts = sections.setdefault(_words(effect), [])
+                acts += [text for text in [f"{kind}: {_acts(effect)}"] if text not in acts]
     parts = [words.replace(_ACTS, "\n".join(f"- For {text}" for text in acts)) for words, acts in sections.items()]
     return f"# {name}\n\n" + "\n\n".join(parts) + "\n"
 
@@ -26,39 +26,43 @@ def page(name: str, tables: Tables) -> str:
 _ACTS = "{acts}"
 
 
-def _words(one: Effect) -> str:
-    formula = "\n".join(f"    {line}" for line in one.formula.splitlines())
-    cause = f"{one.cause[:1].upper()}{one.cause[1:]}."
-    return "\n\n".join([cause, *([formula] if formula else []), "\n".join([_ACTS, *_facts(one)])])
+def _words(effect: Effect) -> str:
+    formula = "\n".join(f"    {line}" for line in effect.formula.splitlines())
+    cause = f"{effect.cause[:1].upper()}{effect.cause[1:]}."
+    return "\n\n".join([cause, *([formula] if formula else []), "\n".join([_ACTS, *_facts(effect)])])
 
 
-def _facts(one: Effect) -> Iterator[str]:
-    sizes = f", usually {one.usual}" if one.usual else ""
-    yield f"- Parameters: {_quoted(p.name for p in one.parameters)}{sizes}"
-    if one.scanned:
-        yield f"- A job gives {_quoted(p.name for p in one.scanned)}; `metrocli diagnose` searches for it"
-    if one.reveal:
-        yield f"- To tell it apart, measure: {one.reveal}"
-    if one.common and one.of_all:
-        yield f"- At every {one.keys[0]}, with `std`: {one.of_all}"
-    if one.note:
-        yield f"- {one.note}"
-    if one.source:
-        yield f"- Source: {one.source}"
+def _facts(effect: Effect) -> Iterator[str]:
+    sizes = f", usually {effect.usual}" if effect.usual else ""
+    yield f"- Parameters: {_quoted(p.name for p in effect.parameters)}{sizes}"
+    if effect.scanned:
+        yield f"- A job gives {_quoted(p.name for p in effect.scanned)}; `metrocli diagnose` searches for it"
+    if effect.reveal:
+        yield f"- To tell it apart, measure: {effect.reveal}"
+    if effect.common and effect.of_all:
+        yield f"- At every {effect.keys[0]}, with `std`: {effect.of_all}"
+    if effect.note:
+        yield f"- {effect.note}"
+    if effect.source:
+        yield f"- Source: {effect.source}"
 
 
-def _acts(one: Effect) -> str:
+def _acts(effect: Effect) -> str:
     """Return where an effect acts, what it needs and what looks like it: "acts on one `tracer`; needs t_s"."""
-    if one.columns_of:
-        text = f"frees {_quoted(p.name for p in one.parameters)}"
+    if effect.columns_of:
+        text = f"frees {_quoted(p.name for p in effect.parameters)}"
     else:
-        text = f"acts on one {', one '.join(f'`{key}`' for key in one.keys)}" if one.keys else "acts on all readings"
-    first = f", not the first {one.not_first[0]}" if one.not_first else ""
-    form = f" by {_BY[one.by]}" if one.by else ""
-    needs = [COLUMN.get(name.replace("{axis}", "x"), name.replace("{", "").replace("}", "")) for name in one.needs]
+        text = (
+            f"acts on one {', one '.join(f'`{key}`' for key in effect.keys)}"
+            if effect.keys
+            else "acts on all readings"
+        )
+    first = f", not the first {effect.not_first[0]}" if effect.not_first else ""
+    form = f" by {_BY[effect.by]}" if effect.by else ""
+    needs = [COLUMN.get(name.replace("{axis}", "x"), name.replace("{", "").replace("}", "")) for name in effect.needs]
     parts = [f"{text}{first}{form}"]
     parts += [f"needs {', '.join(needs)}"] if needs else []
-    parts += [f"similar: {_quoted(one.confused_with)}"] if one.confused_with else []
+    parts += [f"similar: {_quoted(effect.confused_with)}"] if effect.confused_with else []
     return "; ".join(parts)
 
 

@@ -86,14 +86,14 @@ def written_aside(path: Path) -> Iterator[Path]:
 @contextmanager
 def folder_made(folder: Path) -> Iterator[None]:
     """Make a folder, and those above it, if need be; of those that were made the empty ones go at the end."""
-    absent = [one for one in (folder, *folder.parents) if not os.path.lexists(one)]
+    absent = [parent for parent in (folder, *folder.parents) if not os.path.lexists(parent)]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         yield
     finally:
         with suppress(OSError):
-            for one in absent:
-                one.rmdir()
+            for parent in absent:
+                parent.rmdir()
 
 
 @contextmanager
@@ -125,7 +125,9 @@ def write_bytes(path: Path, *parts: bytes) -> None:
 
 def refuse_unwritable(path: Path) -> None:
     """Raise InputError if no file can be written at `path`, or its folder cannot be made; nothing is tried."""
-    there = next(one for one in path.absolute().parents if os.path.exists(one))  # False where a folder is closed
+    there = next(
+        parent for parent in path.absolute().parents if os.path.exists(parent)
+    )  # False where a folder is closed
     if not there.is_dir():
         raise InputError([Fault(f"cannot be written: {there} is a file, not a folder", str(path))])
     if not os.access(there, os.W_OK | os.X_OK):

@@ -178,10 +178,10 @@ class Triangles:
     @cached_property
     def _at_rim(self) -> Mask:
         """Which vertices lie on an edge without a neighbour (m,)."""
-        found = np.zeros(len(self.vertices), dtype=bool)
+        rim = np.zeros(len(self.vertices), dtype=bool)
         face, corner = np.divmod(self.open_edges, 3)
-        found[self.faces[face, corner]] = found[self.faces[face, NEXT[corner]]] = True
-        return found
+        rim[self.faces[face, corner]] = rim[self.faces[face, NEXT[corner]]] = True
+        return rim
 
     def at_rim(self, face: Index, feature: Index) -> Mask:
         """Return whether a feature of each triangle is an edge without a neighbour, or an end of one (n,)."""

@@ -90,8 +90,8 @@ class WithMachineError:
 
     def step(self, value: Array, local: Local) -> Step:
         """Return `x + G(site)`, (3, n), with derivatives of 1 by both."""
-        one = np.eye(3)[:, :, None]
-        return Step(value + local.rows(MACHINE), one, {MACHINE: one} if MACHINE in local.wanted else {})
+        identity = np.eye(3)[:, :, None]
+        return Step(value + local.rows(MACHINE), identity, {MACHINE: identity} if MACHINE in local.wanted else {})
 
 
 @dataclass(frozen=True)

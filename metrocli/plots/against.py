@@ -74,21 +74,23 @@ def data(result: Result, about: str) -> Against | None:
 
 
 def _radial(result: Result) -> list[Panel]:
-    found = image_residuals(result)
-    if found is None:
+    residuals = image_residuals(result)
+    if residuals is None:
         return []
-    radius, along, across = radial(found, result)
+    radius, along, across = radial(residuals, result)
     sides = (("along the radius", along), ("across the radius", across))
-    return _panels([(name, radius, w, found.name) for name, w in sides])
+    return _panels([(name, radius, w, residuals.name) for name, w in sides])
 
 
 def _others(result: Result, about: str) -> list[Panel]:
     sets = []
-    for one in residuals_of(result):
-        covariates = {"order": np.arange(1.0, len(one.w) + 1), **one.covariates}
+    for residual in residuals_of(result):
+        covariates = {"order": np.arange(1.0, len(residual.w) + 1), **residual.covariates}
         if about in covariates:
-            name = " ".join(filter(None, [one.kind, f"residual {one.part.strip('_')}" if one.part else ""]))
-            sets.append((name, covariates[about], one.w, one.name))
+            name = " ".join(
+                filter(None, [residual.kind, f"residual {residual.part.strip('_')}" if residual.part else ""])
+            )
+            sets.append((name, covariates[about], residual.w, residual.name))
     return _panels(sets)
 
 

@@ -79,9 +79,9 @@ def _read(item: Input, folder: Path) -> tuple[Any, list[InputFile]]:
     if isinstance(item.spec, ImageFiles):
         from metrocli.formats import images
 
-        found = images.read_images(list(item.paths))
-        read_as = zip(found.paths, found.digests, found.lengths, strict=True)
-        return found, [_file(path, folder, digest, length, digest) for path, digest, length in read_as]
+        pictures = images.read_images(list(item.paths))
+        read_as = zip(pictures.paths, pictures.digests, pictures.lengths, strict=True)
+        return pictures, [_file(path, folder, digest, length, digest) for path, digest, length in read_as]
     if isinstance(item.value, Mapping):
         read = {name: _read_one(item.spec.value, path, item, folder) for name, path in item.value.items()}
         return {name: one for name, (one, _) in read.items()}, [file for _, file in read.values()]
@@ -125,9 +125,9 @@ def input_files(job: JobFile) -> tuple[InputFile, ...]:
 def content_now(job: JobFile, path: str) -> str:
     """Return the digest of the content of an input as read now, by its path in the record; "" if it has faults."""
     for item in job.inputs:
-        if path in {_relative(one, job.folder) for one in item.paths}:
+        if path in {_relative(file, job.folder) for file in item.paths}:
             try:
-                return next((one.content for one in _read(item, job.folder)[1] if one.path == path), "")
+                return next((file.content for file in _read(item, job.folder)[1] if file.path == path), "")
             except InputError:
                 return ""
     return next((one.content for one in _of_own(job) if one.path == path), "")
@@ -135,7 +135,7 @@ def content_now(job: JobFile, path: str) -> str:
 
 def _of_own(job: JobFile) -> tuple[InputFile, ...]:
     """Return the record of the files with effects of one's own, as they were read with the job."""
-    return tuple(_recorded(one.bytes, job.folder, meaning.of_yaml(one.root)) for one in job.own.files.values())
+    return tuple(_recorded(file.bytes, job.folder, meaning.of_yaml(file.root)) for file in job.own.files.values())
 
 
 def _recorded(held: FileBytes, folder: Path, content: str) -> InputFile:

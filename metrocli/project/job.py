@@ -58,18 +58,18 @@ class JobFile:
     def stated_in(self) -> tuple[Path, ...]:
         """The files that state the job: its own, the list of its part, and a project that names effects for it."""
         parts = self.wishes.part.list if self.wishes.part is not None else None
-        return tuple(one for one in (self.file, parts.path if parts else None, self.own.project) if one is not None)
+        return tuple(path for path in (self.file, parts.path if parts else None, self.own.project) if path is not None)
 
     @property
     def effects_of_packages(self) -> tuple[str, ...]:
         """The names of the effects of packages that it uses."""
-        return tuple(sorted({one.name for one in self.effects} & self.own.packages.keys()))
+        return tuple(sorted({effect.name for effect in self.effects} & self.own.packages.keys()))
 
     @property
     def packages(self) -> tuple[Package, ...]:
         """The packages whose effects it uses."""
         used = (self.own.packages[name] for name in self.effects_of_packages)
-        return tuple({one.state: one for one in used}.values())
+        return tuple({package.state: package for package in used}.values())
 
     @property
     def accept_doubtful(self) -> bool:

@@ -98,7 +98,7 @@ def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> Own:
     by_project = _of_project(sought[-1], given.files)
     for node in filter(None, (heading.effects_from, by_project)):
         path = path_beside(node)
-        if path.resolve() in {one.resolve() for one in files}:
+        if path.resolve() in {file.resolve() for file in files}:
             continue
         effects = of_file(path, given, taken, faults, node)
         with suppress(InputError):  # which is among the faults by now

@@ -105,8 +105,8 @@ class _Run:
         """Jobs that need nothing more, as a heap: the first of the project comes first"""
         self.users: dict[str, list[str]] = {}
         for name, needs in self.unmet.items():
-            for one in needs:
-                self.users.setdefault(one, []).append(name)
+            for need in needs:
+                self.users.setdefault(need, []).append(name)
 
     def reports_in_order(self) -> list[Report]:
         while self.ready or self.working:
@@ -182,5 +182,5 @@ _WORST_FIRST = (1, 3, 4, 5, NOT_MET)
 
 def worst(exit_codes: Iterable[int]) -> int:
     """Return the exit code of a project: the worst of its jobs, in the order 1, 3, 4, 5, 6; 0 if all are done."""
-    found = set(exit_codes) - {0}
-    return min(found, key=_WORST_FIRST.index, default=0)
+    codes = set(exit_codes) - {0}
+    return min(codes, key=_WORST_FIRST.index, default=0)

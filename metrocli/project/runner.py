@@ -237,7 +237,7 @@ def _placed(file: JobFile) -> Iterator[None]:
     except InputError as error:
         if all(fault.file for fault in error.faults):
             raise
-        raise InputError([replace(one, file=one.file or str(file.file)) for one in error.faults]) from error
+        raise InputError([replace(fault, file=fault.file or str(file.file)) for fault in error.faults]) from error
 
 
 def answer(file: JobFile, question: str) -> Table:

@@ -65,12 +65,12 @@ def settings_of(section: type) -> Mapping[str, tuple[Setting, bool]]:
 
 @cache
 def _settings_of(section: type) -> Mapping[str, tuple[Setting, bool]]:
-    found = {}
+    values = {}
     for item in dataclasses.fields(section):
         spec, description, key = item.metadata["setting"]
         required = item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING
-        found[item.name] = (Setting(spec, description, key or item.name), required)
-    return found
+        values[item.name] = (Setting(spec, description, key or item.name), required)
+    return values
 
 
 @dataclass(frozen=True)

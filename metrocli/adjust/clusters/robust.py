@@ -167,10 +167,10 @@ def _joint(solution: Solution, layout: Layout) -> Array:
 
 def _of_blocks(layout: Layout, names: Sequence[str]) -> Mask:
     """Return which unknowns are those of some blocks, (unknowns,)."""
-    found = np.zeros(layout.width, dtype=bool)
+    mask = np.zeros(layout.width, dtype=bool)
     for name in names:
-        found[columns_of(layout, name)] = True
-    return found
+        mask[columns_of(layout, name)] = True
+    return mask
 
 
 def columns_of(layout: Layout, name: str) -> Index:

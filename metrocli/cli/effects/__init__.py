@@ -34,20 +34,20 @@ def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -
     if kind is not None and kind not in KINDS:
         echo(_explained(kind, as_json))
         return 0
-    chosen = {kind: KINDS[kind]} if kind else {name: one for name, one in KINDS.items() if one.task().places}
-    found = {name: (one, _own(name, source)) for name, one in chosen.items()}
+    chosen = {kind: KINDS[kind]} if kind else {name: kind for name, kind in KINDS.items() if kind.task().places}
+    by_kind = {name: (one, _own(name, source)) for name, one in chosen.items()}
     if check:
-        faults, count = _faults(found)
+        faults, count = _faults(by_kind)
         if faults:
             raise InputError(faults)
     if as_json:
-        data = {name: _data(one, own) for name, (one, own) in found.items()}
+        data = {name: _data(one, own) for name, (one, own) in by_kind.items()}
         echo(summary.as_json(data[kind] if kind else {"kinds": data}))
         return 0
     if check:
-        echo("\n".join([f"{count} effects of one's own obey the laws", *_in_data(found)]))
+        echo("\n".join([f"{count} effects of one's own obey the laws", *_in_data(by_kind)]))
         return 0
-    echo("\n\n".join(_text(one, own) for one, own in found.values()))
+    echo("\n\n".join(_text(one, own) for one, own in by_kind.values()))
     return 0
 
 
@@ -62,8 +62,10 @@ def _explained(name: str, as_json: bool) -> str:
         raise UsageError(f"no kind of job and no effect '{name}'; {suggestion(name, [*KINDS, *names])}")
     if not as_json:
         return page(name, tables).rstrip()
-    entries = {kind: [_effect(one, False) for one in effects if one.name == name] for kind, effects in tables.items()}
-    return summary.as_json({kind: found for kind, found in entries.items() if found})
+    entries = {
+        kind: [_effect(effect, False) for effect in effects if effect.name == name] for kind, effects in tables.items()
+    }
+    return summary.as_json({kind: entry for kind, entry in entries.items() if entry})
 
 
 def _own(kind: str, source: Path | None) -> list[Effect]:
@@ -74,17 +76,17 @@ def _own(kind: str, source: Path | None) -> list[Effect]:
 
     task = KINDS[kind].task()
     taken = {effect.name for effect in task.effects}
-    found = list(of_packages(kind))
+    effects = list(of_packages(kind))
     files = YamlFiles()
     node = None if source is not None else of_project(Path(), files)
     path = source if node is None else path_beside(node)
     faults: list[Fault] = []
     if path is not None:
         given = Defining(kind, path, lambda: task.places, files)
-        found += of_file(path, given, taken | {effect.name for effect in found}, faults, node)
+        effects += of_file(path, given, taken | {effect.name for effect in effects}, faults, node)
     if faults:
         raise InputError(faults)
-    return found
+    return effects
 
 
 def _faults(found: dict[str, tuple[Kind, list[Effect]]]) -> tuple[list[Any], int]:
@@ -111,14 +113,14 @@ def _in_data(found: dict[str, tuple[Kind, list[Effect]]]) -> list[str]:
 
 
 def _data(kind: Kind, own: Sequence[Effect]) -> dict[str, Any]:
-    found = [_effect(one, False) for one in kind.task().effects]
+    entries = [_effect(effect, False) for effect in kind.task().effects]
     return {
         # an effect that acts in one of several frames, as the job has it, is one entry
         "effects": [
-            *(one for number, one in enumerate(found) if one not in found[:number]),
-            *(_effect(one, True) for one in own),
+            *(entry for number, entry in enumerate(entries) if entry not in entries[:number]),
+            *(_effect(effect, True) for effect in own),
         ],
-        "places": [_place(one) for one in kind.task().places],
+        "places": [_place(place) for place in kind.task().places],
     }
 
 
@@ -129,8 +131,12 @@ def _effect(effect: Effect, own: bool) -> dict[str, Any]:
         "where": list(effect.where),
         "by": effect.by or None,
         "parameters": {
-            one.name: {"unit": one.unit, "plausible": one.plausible, "scanned": one in effect.scanned}
-            for one in effect.all_parameters
+            parameter.name: {
+                "unit": parameter.unit,
+                "plausible": parameter.plausible,
+                "scanned": parameter in effect.scanned,
+            }
+            for parameter in effect.all_parameters
         },
         **{key: getattr(effect, key) for key in ("formula", "usual", "reveal", "note", "source")},
         "own": own,
@@ -154,9 +160,11 @@ def _text(kind: Kind, own: Sequence[Effect]) -> str:
 
     task = kind.task()
     rows = [["effect", "where", "parameters", ""]]
-    rows += [[*one, ""] for one in dict.fromkeys(map(_row, task.effects))] + [[*_row(one), "own"] for one in own]
+    rows += [[*effect, ""] for effect in dict.fromkeys(map(_row, task.effects))] + [
+        [*_row(effect), "own"] for effect in own
+    ]
     places = [["own effects act on", "where", "components", "variables"]]
-    places += [_place_row(one) for one in task.places]
+    places += [_place_row(place) for place in task.places]
     return f"{kind.name}\n\n{columns_text(rows)}\n\n{columns_text(places)}"
 
 
@@ -167,7 +175,11 @@ def _place_row(acting: Acting) -> list[str]:
 
 def _row(effect: Effect) -> tuple[str, str, str]:
     where = " ".join([*effect.keys, *([f"by {effect.by}"] if effect.by else [])])
-    return effect.name, where, ", ".join(_with_unit(one.name, one.unit) for one in effect.all_parameters)
+    return (
+        effect.name,
+        where,
+        ", ".join(_with_unit(parameter.name, parameter.unit) for parameter in effect.all_parameters),
+    )
 
 
 def _with_unit(name: str, unit: str) -> str:

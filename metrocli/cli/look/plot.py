@@ -56,7 +56,7 @@ def _list(result: Result, beside: Beside, as_json: bool) -> int:
     """Print the names of the figures that a result can show."""
     from metrocli import plots
 
-    summaries = {one: plots.FIGURES[one].summary for one in plots.names_of(result, beside)}
+    summaries = {figure: plots.FIGURES[figure].summary for figure in plots.names_of(result, beside)}
     if as_json:
         from metrocli.cli.summary import as_json as json_text
 
@@ -79,9 +79,9 @@ def _drawn(result: Result, name: str, path: Path, beside: Beside, dark: bool) ->
         return drawn.read_bytes()
 
 
-def _of_this(found: Diagnosis | None, given: Path | None) -> Diagnosis | None:
+def _of_this(diagnosis: Diagnosis | None, given: Path | None) -> Diagnosis | None:
     """Return a diagnosis; raise InputError if one that was given is of another job, or of other inputs."""
-    if given is not None and found is not None and not found.of_this:
+    if given is not None and diagnosis is not None and not diagnosis.of_this:
         hint = "diagnose the job of this result again"
         raise InputError([Fault("this is the diagnosis of another job, or of other inputs", str(given), hint=hint)])
-    return found
+    return diagnosis

@@ -49,10 +49,10 @@ def not_free(
 def constants_of_data(expression: str, refused: Mapping[str, str]) -> Iterator[ExpressionError]:
     """Yield an error for each constant in an expression that is the name of a column too; `refused` has the remedy."""
     for name, value in CONSTANTS.items():
-        found = re.search(rf"\b{name}\b", expression)
-        if found is not None and name in refused:
+        match = re.search(rf"\b{name}\b", expression)
+        if match is not None and name in refused:
             said = f"'{name}' is {value:.6g}, and a column of the data has this name"
-            yield ExpressionError(said, found.start(), refused[name])
+            yield ExpressionError(said, match.start(), refused[name])
 
 
 def near_name(name: str, known: Iterable[str]) -> str:
@@ -64,8 +64,8 @@ def near_name(name: str, known: Iterable[str]) -> str:
 def lacking(unknown: Mapping[str, str], unclear: Iterable[ExpressionError]) -> str:
     """Return why the data do not have an effect: constants that are columns too, and unknown names with their hints."""
     names = [f"{name} ({hint})" if hint else name for name, hint in unknown.items()]
-    found = dict.fromkeys(f"{one.message} ({one.hint})" for one in unclear)
-    return "; ".join([*found, *([f"needs a column {in_a_row(names)}"] if names else [])])
+    texts = dict.fromkeys(f"{fault.message} ({fault.hint})" for fault in unclear)
+    return "; ".join([*texts, *([f"needs a column {in_a_row(names)}"] if names else [])])
 
 
 _FINER = 100
@@ -157,8 +157,8 @@ class Adds:
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
         if node.kind != "mapping":
-            found = ModelText().read(node, faults)
-            return BAD if found is BAD else {"": found}
+            expression = ModelText().read(node, faults)
+            return BAD if expression is BAD else {"": expression}
         return MapOf(ModelText()).read(node, faults)
 
     def schema(self) -> Schema:

@@ -40,20 +40,20 @@ class Vectors:
 
 def data(result: Result, about: str) -> Vectors | None:
     """Return the residual vectors; of many, the longest in each cell of the image."""
-    found = image_residuals(result)
-    if found is None:
+    residuals = image_residuals(result)
+    if residuals is None:
         return None
-    sizes = np.hypot(*found.vectors.T)
-    rows = thinned_vectors(found.places, sizes, _MOST)
+    sizes = np.hypot(*residuals.vectors.T)
+    rows = thinned_vectors(residuals.places, sizes, _MOST)
     typical = float(np.quantile(sizes, 0.95))
     share = _SHARE if len(rows) == len(sizes) else 1 / _MOST**0.5  # those of neighbouring cells stay apart
-    factor = magnification(typical, share * found.size[0])
+    factor = magnification(typical, share * residuals.size[0])
     bound = largest_of(2 * len(sizes))
-    beyond = np.nan_to_num(np.abs(found.w)).max(axis=1) > bound
+    beyond = np.nan_to_num(np.abs(residuals.w)).max(axis=1) > bound
     worst = int(np.argmax(sizes[rows]))
     return Vectors(
-        found.places[rows], found.vectors[rows], beyond[rows], factor, round_size(max(typical, 1e-300)), found.size,
-        len(sizes), worst, found.name(int(rows[worst])),
+        residuals.places[rows], residuals.vectors[rows], beyond[rows], factor, round_size(max(typical, 1e-300)),
+        residuals.size, len(sizes), worst, residuals.name(int(rows[worst])),
     )  # fmt: skip
 
 

@@ -223,12 +223,17 @@ _OF_PLACES: tuple[Effect, ...] = (
 """Effects on points, stations, targets and what is listed"""
 
 _ALL: tuple[Effect, ...] = (
-    *(one if one.name in _ACROSS_INSTRUMENTS else replace(one, where=("instrument",)) for one in TRACKER_EFFECTS),
-    *(replace(one, where=(_OF_TRACERS[one.name],)) for one in LENGTH_EFFECTS if one.name in _OF_TRACERS),
-    *(replace(one, limited=not one.is_step) for one in _OF_PLACES),
+    *(
+        effect if effect.name in _ACROSS_INSTRUMENTS else replace(effect, where=("instrument",))
+        for effect in TRACKER_EFFECTS
+    ),
+    *(replace(effect, where=(_OF_TRACERS[effect.name],)) for effect in LENGTH_EFFECTS if effect.name in _OF_TRACERS),
+    *(replace(effect, limited=not effect.is_step) for effect in _OF_PLACES),
 )
-_NAMES = {one.name for one in _ALL}
-EFFECTS = tuple(replace(one, confused_with=tuple(name for name in one.confused_with if name in _NAMES)) for one in _ALL)
+_NAMES = {effect.name for effect in _ALL}
+EFFECTS = tuple(
+    replace(effect, confused_with=tuple(name for name in effect.confused_with if name in _NAMES)) for effect in _ALL
+)
 """The table of effects in the order of lists"""
 
 _WHERE = ("instrument", "station", "point")

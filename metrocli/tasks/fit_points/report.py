@@ -84,8 +84,8 @@ def _merged(read: list[Residuals]) -> Residuals:
     return Residuals(*(np.concatenate([_flat(getattr(one, part), one) for one in read])[None] for part in parts))
 
 
-def _flat(values: Array, one: Residuals) -> Array:
-    return np.broadcast_to(values, one.values.shape).ravel()
+def _flat(values: Array, residuals: Residuals) -> Array:
+    return np.broadcast_to(values, residuals.values.shape).ravel()
 
 
 def _points_of(group: Group) -> Index:

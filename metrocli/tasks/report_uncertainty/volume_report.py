@@ -63,8 +63,8 @@ class _Axis:
 def run(settings: Entries, results: Mapping[str, Result], workers: Workers) -> Result:
     """Return the result of a job with a volume; raises InputError with its faults."""
     problem = build(settings, results)
-    found = extremes(problem.contributions, problem.points)
-    axes = [_axis(n, found, problem.contributions, settings, workers) for n in range(3)]
+    largest = extremes(problem.contributions, problem.points)
+    axes = [_axis(n, largest, problem.contributions, settings, workers) for n in range(3)]
     details = {axis.name: _details(axis, settings) for axis in axes}
     covariance = np.diag([axis.std**2 for axis in axes])
     statistics: dict[str, Any] = {"points": len(problem.points), "contributors": len(problem.contributions)}
@@ -76,9 +76,9 @@ def run(settings: Entries, results: Mapping[str, Result], workers: Workers) -> R
         estimates=tuple(Estimate(axis.name, 0.0, axis.std, "mm") for axis in axes),
         covariance=covariance,
         statistics=statistics,
-        tables=_tables(problem, found, axes, settings),
+        tables=_tables(problem, largest, axes, settings),
         warnings=(*problem.warnings, *_warnings(details)),
-        notes=(*_notes(problem, found, axes, details), *problem.notes),
+        notes=(*_notes(problem, largest, axes, details), *problem.notes),
         details=details,
         plain=PLAIN,
     )

@@ -52,19 +52,19 @@ def check(readings: Readings, pitch: float) -> list[str]:
 
     Raises InputError if a view stood otherwise than declared, and for readings that belong to another ball.
     """
-    found = [_observed(readings, n, pitch) for n in range(len(readings.views))]
+    observed = [_observed(readings, n, pitch) for n in range(len(readings.views))]
     file = readings.table.file
     for faults in (
-        _other_pitch(readings, found, pitch),
-        _exchanged(readings.views, found),
-        _otherwise(readings.views, found),
+        _other_pitch(readings, observed, pitch),
+        _exchanged(readings.views, observed),
+        _otherwise(readings.views, observed),
     ):
         if faults:
             raise InputError([Fault(text, file) for text in faults])
-    astray = [one for n, seen in enumerate(found) if seen for one in _astray(readings, n, seen, pitch)]
+    astray = [one for n, seen in enumerate(observed) if seen for one in _astray(readings, n, seen, pitch)]
     if astray:
         raise InputError(astray[:_MOST])
-    return [*_doubtful_pitch(found, pitch), *_off_site(readings, found)]
+    return [*_doubtful_pitch(observed, pitch), *_off_site(readings, observed)]
 
 
 def _observed(readings: Readings, view: int, pitch: float) -> Observed | None:

@@ -94,9 +94,9 @@ def _forms(solved: Solved, machine: _Field) -> tuple[Smooth | None, LengthError 
 def _residuals(solved: Solved) -> Table:
     """Return the residuals with the place in the machine, a site of the grid, where each reading was taken."""
     grid, read = solved.problem.grid, solved.problem.readings.observations
-    found = residual_table(solved.residuals[0], solved.problem.readings)
+    table = residual_table(solved.residuals[0], solved.problem.readings)
     at = np.repeat((grid.sites * grid.pitch)[read.index[bg.MACHINE]], len(read.components), axis=0)
-    return found.joined({"x y z [mm]": at})
+    return table.joined({"x y z [mm]": at})
 
 
 def _at_sites(solved: Solved, machine: _Field) -> SiteErrors:
@@ -146,7 +146,7 @@ def _mountings(solved: Solved) -> tuple[list[Estimate], Array]:
     """Return the estimated mountings, and the covariance of mountings and effect parameters."""
     columns = solved.design.partition.columns
     block, places = solved.solution.blocks[bg.VIEW], columns[bg.VIEW].ravel()
-    effects = [columns[one.block].ravel() for one in solved.problem.effects]
+    effects = [columns[effect.block].ravel() for effect in solved.problem.effects]
     covariance = solved.found.between(np.concatenate([part[part >= 0] for part in (places, *effects)]))
     std = np.zeros(len(places))
     std[places >= 0] = np.sqrt(np.diag(covariance))[: int((places >= 0).sum())]
@@ -159,7 +159,7 @@ def _mountings(solved: Solved) -> tuple[list[Estimate], Array]:
 def _undetermined(found: Open) -> Table:
     rows = [("rigid motion of the machine error", 6), ("rigid motion of the artefact error", 6)]
     rows += [("common scale", 1)] if found.scale else []
-    rows += [(one.pattern, one.count) for one in found.families]
+    rows += [(family.pattern, family.count) for family in found.families]
     return Table.of_rows(("pattern", "directions"), rows)
 
 
@@ -174,7 +174,7 @@ def _views(solved: Solved, left_out: Sequence[LeftOut]) -> Table:
     readings = np.bincount(view, minlength=count)
     table = Table.of(
         {
-            "view": [one.name for one in solved.problem.views],
+            "view": [view.name for view in solved.problem.views],
             "readings": readings,
             "rms [mm]": np.sqrt(square / np.maximum(3 * readings, 1)),
             "chi2": chi2,

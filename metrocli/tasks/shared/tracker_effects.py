@@ -30,7 +30,7 @@ def _readings(
     note: str = "",
 ) -> Effect:
     """Return an effect that adds terms to the distance, azimuth or elevation that the tracker reads."""
-    names = tuple(one.name for one in parameters)
+    names = tuple(parameter.name for parameter in parameters)
     return Effect(
         name,
         cause,

@@ -97,8 +97,8 @@ class Adjusted:
         # a list of targets that is estimated too, and seen in all images, is not part of the lens
         first = tuple(name for name in delivered if len(self.solution.blocks[name].members) == 1)
         clusters = Clusters({self.group.name: self.group.observations.index["view"]}, "images", first=first)
-        found = noise_found((self.solution, 1.0), STRUCTURED, lambda: clusters, delivered)
-        return replace(self, solution=found.solution, structured=found.structured)
+        noise = noise_found((self.solution, 1.0), STRUCTURED, lambda: clusters, delivered)
+        return replace(self, solution=noise.solution, structured=noise.structured)
 
 
 @dataclass(frozen=True)

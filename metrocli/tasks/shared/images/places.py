@@ -99,8 +99,12 @@ def not_sought(shutter: str, model: Model) -> dict[str, str]:
     """
     read_at_once = "the rows of an image are read at once; if they are read one after another, write `shutter: rolling`"
     no_dots = "the list of targets has no radius: corners and crosses are found by their edges, not as centroids"
-    found = {} if shutter == ROLLING else {"rolling-shutter": read_at_once}
-    return found if "radius" in model.readings[0].observations.conditions else {**found, PERSPECTIVE_BLUR.name: no_dots}
+    reasons = {} if shutter == ROLLING else {"rolling-shutter": read_at_once}
+    return (
+        reasons
+        if "radius" in model.readings[0].observations.conditions
+        else {**reasons, PERSPECTIVE_BLUR.name: no_dots}
+    )
 
 
 PERSPECTIVE_BLUR = Effect(
