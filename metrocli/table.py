@@ -63,7 +63,7 @@ class Columns:
     fewest_copied: int = 0
     """Fewest rows of a copied block, where an instrument at rest repeats its readings"""
     further: tuple[str, ...] = ()
-    """Headings of further columns of numbers, which effects of one's own use: read as they are, without conversion."""
+    """Headings of further columns of numbers, which user-defined effects use: read as they are, without conversion."""
     tried: tuple[str, ...] = ()
     """Headings of columns that are read as further ones if every cell is a number: laws are sought in them."""
     every: bool = False
@@ -85,7 +85,7 @@ class Table:
     warnings: tuple[str, ...] = ()
     """Remarks of the reader that are not faults, such as an unused column."""
     further: tuple[str, ...] = ()
-    """Headings of its further columns, on which effects of one's own depend."""
+    """Headings of its further columns, on which user-defined effects depend."""
     _lists: dict[str, list[str]] = field(default_factory=dict, init=False, repr=False, compare=False)
     """Text columns as lists, once they are asked for"""
 

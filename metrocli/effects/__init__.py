@@ -3,5 +3,5 @@
 - `effect`: an entry of a table, with one of `links`; `page` explains it
 - `wanted` (what a job names) -> `extension`, which splices links into a `model` -> `estimates` for the result;
   `modelled` is the base of what each kind adjusts
-- `acting`: where effects of one's own can act; `own` reads their definitions
+- `acting`: where user-defined effects can act; `own` reads their definitions
 """

@@ -1,4 +1,4 @@
-"""Places where effects of one's own can act: the quantities of a kind's chains, with the variables known there."""
+"""Places where user-defined effects can act: the quantities of a kind's chains, with the variables known there."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ OfPlace = Callable[[str], tuple[Variable, ...]]
 
 @dataclass(frozen=True)
 class Acting:
-    """A quantity on which effects of one's own can act."""
+    """A quantity on which user-defined effects can act."""
 
     name: str
     """The value of `acts_on`, such as length or point-in-machine"""

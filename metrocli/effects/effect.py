@@ -150,9 +150,9 @@ class Effect:
     noise: str = ""
     """Key under `noise:` of a job that declares the standard deviation of its sizes at all places; empty if none"""
     definition: str = ""
-    """For an effect of one's own: its definition, one line of YAML"""
+    """For a user-defined effect: its definition, one line of YAML"""
     lacks: str = ""
-    """For an effect of one's own: what the data lack to test it, such as "needs a column load"; empty if nothing"""
+    """For a user-defined effect: what the data lack to test it, such as "needs a column load"; empty if nothing"""
 
     @property
     def keys(self) -> tuple[str, ...]:

@@ -53,9 +53,7 @@ def _acts(effect: Effect) -> str:
         text = f"frees {_quoted(p.name for p in effect.parameters)}"
     else:
         text = (
-            f"acts on one {', one '.join(f'`{key}`' for key in effect.keys)}"
-            if effect.keys
-            else "acts on all readings"
+            f"acts on one {', one '.join(f'`{key}`' for key in effect.keys)}" if effect.keys else "acts on all readings"
         )
     first = f", not the first {effect.not_first[0]}" if effect.not_first else ""
     form = f" by {_BY[effect.by]}" if effect.by else ""

@@ -134,7 +134,7 @@ def content_now(job: JobFile, path: str) -> str:
 
 
 def _of_own(job: JobFile) -> tuple[InputFile, ...]:
-    """Return the record of the files with effects of one's own, as they were read with the job."""
+    """Return the record of the files with user-defined effects, as they were read with the job."""
     return tuple(_recorded(file.bytes, job.folder, meaning.of_yaml(file.root)) for file in job.own.files.values())
 
 

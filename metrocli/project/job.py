@@ -47,11 +47,11 @@ class JobFile:
     """What the command line asked for when it was loaded"""
 
     own: Own = field(default_factory=Own)
-    """Effects of one's own, which extend the table of the kind"""
+    """User-defined effects, which extend the table of the kind"""
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All files that it reads beside its own text: inputs, and effects of one's own."""
+        """All files that it reads beside its own text: inputs, and user-defined effects."""
         return (*(path for item in self.inputs for path in item.paths), *self.own.files)
 
     @property
@@ -168,7 +168,7 @@ def _read(root: Node, path: Path, wishes: Wishes, faults: list[Fault]) -> _Read:
 
 
 def _with_effects(job: _Read, path: Path, wishes: Wishes, faults: list[Fault]) -> tuple[_Read, tuple[Wanted, ...], Own]:
-    """Return a job that reads the columns of its own effects, the effects that it wants, and its own."""
+    """Return a job that reads the columns of its user-defined effects, the effects that it wants, and its own."""
     task, files = tasks.KINDS[job.kind].task(), [(item.spec, item.paths) for item in job.inputs]
     further = cache(lambda: columns.variables(files, numeric))
     places = cache(lambda: columns.with_variables(task.places, further(), columns.refused(files, numeric)))

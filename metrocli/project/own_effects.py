@@ -1,4 +1,4 @@
-"""Effects of one's own: those of a job, of the files that it and its project name, and of installed packages."""
+"""User-defined effects: those of a job, of the files that it and its project name, and of installed packages."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Package:
 
 @dataclass(frozen=True)
 class Own:
-    """Effects of one's own, and the files and packages that define them."""
+    """User-defined effects, and the files and packages that define them."""
 
     effects: tuple[Effect, ...] = ()
     files: Mapping[Path, YamlFile] = field(default_factory=dict)

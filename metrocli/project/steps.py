@@ -28,7 +28,7 @@ class ProjectFile:
 
     jobs: tuple[str, ...] = setting(ListOf(Text(), distinct=True), "job files, relative to this file")
     project: str = setting(Text(), "name of the project", default="")
-    effects_from: Node | None = setting(FileBeside(), "file with effects of one's own, for all its jobs", default=None)
+    effects_from: Node | None = setting(FileBeside(), "file with user-defined effects, for all its jobs", default=None)
 
 
 @dataclass(frozen=True)

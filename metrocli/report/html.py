@@ -111,7 +111,7 @@ class Content:
 
 
 def stated(result: Result, record: Record) -> str:
-    """Return the text of the job and the definitions of effects of one's own: where the user states units."""
+    """Return the text of the job and the definitions of user-defined effects: where the user states units."""
     defined = (table.texts("define") for name, table in result.tables.items() if name.endswith("/definition"))
     return "\n".join([record.job_text, *(text for texts in defined for text in texts)])
 

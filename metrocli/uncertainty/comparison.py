@@ -1,4 +1,4 @@
-"""Two results held against each other: differences by name, their uncertainty, E_n, and one test of all together."""
+"""Two results compared: differences by name, their uncertainty, E_n, and one test of all together."""
 
 from __future__ import annotations
 

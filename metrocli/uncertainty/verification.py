@@ -1,4 +1,4 @@
-"""A result held against independent measurements of points or lengths: deviations, their uncertainty, and E_n."""
+"""A result compared with independent measurements of points or lengths: deviations, their uncertainty, and E_n."""
 
 from __future__ import annotations
 

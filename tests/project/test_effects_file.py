@@ -1,4 +1,4 @@
-"""A file with effects of one's own is an input of the jobs that it serves: staleness, memo, depfile and cluster."""
+"""A file with user-defined effects is an input of the jobs that it serves: staleness, memo, depfile and cluster."""
 
 from __future__ import annotations
 

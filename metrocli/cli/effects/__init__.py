@@ -1,4 +1,4 @@
-"""metrocli effects: the effects that a kind of job knows, the page of one, and where effects of one's own can act."""
+"""metrocli effects: the effects that a kind of job knows, the page of one, and where user-defined effects can act."""
 
 from __future__ import annotations
 
@@ -22,13 +22,15 @@ if TYPE_CHECKING:
     from metrocli.tasks.kind import Kind
 
 
-@click.command("effects", help="List the effects of a kind of job and where own ones can act, or explain one effect.")
+@click.command("effects", help="List the effects of a kind of job and where user-defined ones can act, or explain one.")
 @click.argument("kind", required=False, metavar="[KIND|NAME]", shell_complete=offering(kinds))
 @click.option("--from", "source", type=click.Path(path_type=Path), metavar="FILE", help="A file with `define:`.")
-@click.option("--check", is_flag=True, help="Test own effects, and those of packages, against the laws of effects.")
+@click.option(
+    "--check", is_flag=True, help="Test user-defined effects, of files and packages, against the laws of effects."
+)
 @options.JSON
 def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -> int:
-    """Print the tables of one kind or of all, or one effect; raise InputError with every fault of the own effects."""
+    """Print the tables of one kind or of all, or one effect; raise InputError with every fault of user-defined ones."""
     from metrocli.cli import summary
 
     if kind is not None and kind not in KINDS:
@@ -45,7 +47,7 @@ def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -
         echo(summary.as_json(data[kind] if kind else {"kinds": data}))
         return 0
     if check:
-        echo("\n".join([f"{count} effects of one's own obey the laws", *_in_data(by_kind)]))
+        echo("\n".join([f"{count} user-defined effects obey the laws", *_in_data(by_kind)]))
         return 0
     echo("\n\n".join(_text(one, own) for one, own in by_kind.values()))
     return 0
@@ -69,7 +71,7 @@ def _explained(name: str, as_json: bool) -> str:
 
 
 def _own(kind: str, source: Path | None) -> list[Effect]:
-    """Return the own effects of a kind: those of a file, else of the project of the working folder, and of packages."""
+    """Return the user-defined effects of a kind: of a file, else of the project of the working folder, and of packages."""
     from metrocli.project.own_effects import Defining, of_file, of_packages, of_project
     from metrocli.project.yaml_text import YamlFiles
     from metrocli.settings import path_beside
@@ -90,7 +92,7 @@ def _own(kind: str, source: Path | None) -> list[Effect]:
 
 
 def _faults(found: dict[str, tuple[Kind, list[Effect]]]) -> tuple[list[Any], int]:
-    """Return a fault for each law that an own effect breaks, and the number of effects."""
+    """Return a fault for each law that a user-defined effect breaks, and the number of effects."""
     from metrocli.effects.own.trials import broken
 
     faults = [
@@ -103,7 +105,7 @@ def _faults(found: dict[str, tuple[Kind, list[Effect]]]) -> tuple[list[Any], int
 
 
 def _in_data(found: dict[str, tuple[Kind, list[Effect]]]) -> list[str]:
-    """Return a line for each own effect that only data with further columns can test."""
+    """Return a line for each user-defined effect that only data with further columns can test."""
     return [
         f"{effect.name}: {effect.lacks}; the units of its expression are tested with the data of a job ({name})"
         for name, (_, own) in found.items()
@@ -163,7 +165,7 @@ def _text(kind: Kind, own: Sequence[Effect]) -> str:
     rows += [[*effect, ""] for effect in dict.fromkeys(map(_row, task.effects))] + [
         [*_row(effect), "own"] for effect in own
     ]
-    places = [["own effects act on", "where", "components", "variables"]]
+    places = [["user-defined effects act on", "where", "components", "variables"]]
     places += [_place_row(place) for place in task.places]
     return f"{kind.name}\n\n{columns_text(rows)}\n\n{columns_text(places)}"
 

@@ -1,4 +1,4 @@
-"""metrocli compare: two results of one kind held against each other, or repeated calibrations."""
+"""metrocli compare: two results of one kind compared, or repeated calibrations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""metrocli verify: a result held against independent measurements."""
+"""metrocli verify: a result compared with independent measurements."""
 
 from __future__ import annotations
 

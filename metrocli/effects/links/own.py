@@ -1,4 +1,4 @@
-"""An effect of one's own: expressions in parameters and variables are added to components of a quantity."""
+"""A user-defined effect: expressions in parameters and variables are added to components of a quantity."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from metrocli.frozen import dataclass
 
 
 class NoValueAtReadingError(InputError):
-    """An effect of one's own has no value, or no derivative, at a reading."""
+    """A user-defined effect has no value, or no derivative, at a reading."""
 
 
 @dataclass(frozen=True)

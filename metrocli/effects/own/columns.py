@@ -1,4 +1,4 @@
-"""Further columns of numbers in the files of the readings: variables of effects of one's own."""
+"""Further columns of numbers in the files of the readings: variables of user-defined effects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the definition of an effect of one's own to an entry of the table, with all faults at their places."""
+"""From the definition of a user-defined effect to an entry of the table, with all faults at their places."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One definition of an effect of one's own: its names, parameters and texts."""
+"""One definition of a user-defined effect: its names, parameters and texts."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ class Adds:
 
 @dataclass(frozen=True)
 class Definition:
-    """An effect of one's own."""
+    """A user-defined effect."""
 
     name: Placed = setting(At(Text()), "its name, in lower case with hyphens")
     acts_on: Placed = setting(At(Text()), "the quantity on which it acts; `metrocli effects KIND` lists them")
@@ -175,7 +175,7 @@ class Definition:
     parameters: Mapping[str, Given] = setting(
         MapOf(Section(Given)), "its parameters, each {unit: um, plausible: 50 um}"
     )
-    cause: str = setting(Text(), "the cause in one sentence", default="a cause of one's own")
+    cause: str = setting(Text(), "the cause in one sentence", default="a user-defined cause")
     where: tuple[Placed, ...] = setting(
         ListOf(At(Text())), "kinds of place, with sizes of its own at each, such as [tracer]", default=()
     )

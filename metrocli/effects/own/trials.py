@@ -1,4 +1,4 @@
-"""Effects of one's own that are tried before a job uses them: laws, and definitions on sample readings."""
+"""User-defined effects that are tried before a job uses them: laws, and definitions on sample readings."""
 
 from __future__ import annotations
 

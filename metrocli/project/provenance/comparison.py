@@ -1,4 +1,4 @@
-"""Results held against each other, gathered in one table, and made again."""
+"""Results compared, gathered in one table, and made again."""
 
 from __future__ import annotations
 

@@ -250,4 +250,4 @@ PLACES: tuple[Acting, ...] = (
     point("point-in-machine", Quantity.POINT_IN_MACHINE, _WHERE),
     length(),
 )
-"""Quantities on which effects of one's own can act"""
+"""Quantities on which user-defined effects can act"""

@@ -80,7 +80,7 @@ PLACES = (
         )
     ),
 )
-"""Quantities on which effects of one's own can act"""
+"""Quantities on which user-defined effects can act"""
 
 
 EFFECTS: tuple[Effect, ...] = (

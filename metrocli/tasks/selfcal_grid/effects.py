@@ -25,7 +25,7 @@ PLACES = (
     _place("point-on-table", Quantity.BALL_ON_TABLE),
     _place("point-in-artefact", Quantity.BALL_IN_ARTEFACT),
 )
-"""Quantities on which effects of one's own can act"""
+"""Quantities on which user-defined effects can act"""
 
 
 EFFECTS: tuple[Effect, ...] = (

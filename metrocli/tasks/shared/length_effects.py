@@ -1,4 +1,4 @@
-"""Effects on the lengths of tracking interferometers, and quantities on which own ones can act."""
+"""Effects on the lengths of tracking interferometers, and quantities on which user-defined ones can act."""
 
 from __future__ import annotations
 
