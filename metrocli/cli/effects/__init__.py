@@ -71,7 +71,7 @@ def _explained(name: str, as_json: bool) -> str:
 
 
 def _own(kind: str, source: Path | None) -> list[Effect]:
-    """Return the user-defined effects of a kind: of a file, else of the project of the working folder, and of packages."""
+    """Return the user-defined effects of a kind: of a file, else of the project of this folder, and of packages."""
     from metrocli.project.own_effects import Defining, of_file, of_packages, of_project
     from metrocli.project.yaml_text import YamlFiles
     from metrocli.settings import path_beside
