@@ -68,9 +68,7 @@ def with_conditions(model: Model) -> Model:
     `elapsed` needs the times of the readings, `warming` their temperatures. Both count from the earliest reading of all
     and keep their values if readings are left out later.
     """
-    with_time = [
-        reading.observations.conditions for reading in model.readings if "t" in reading.observations.conditions
-    ]
+    with_time = [group.observations.conditions for group in model.readings if "t" in group.observations.conditions]
     start = min((float(c["t"].min()) for c in with_time if c["t"].size), default=0.0)
     first = next((float(c["temp"][np.argmin(c["t"])]) for c in with_time if "temp" in c and start in c["t"]), None)
     groups = []

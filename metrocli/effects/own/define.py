@@ -96,9 +96,8 @@ class _Reader:
             return None
         sample = {key: _SAMPLE.get(key) or next(iter(acting.split.get(key, {"": None}))) for key in where}
         own = {*self.given.parameters, *self.given.scan}
-        known = {
-            n: variable for n, variable in acting.variables_at(sample).items() if not (variable.of_data and n in own)
-        }
+        every = acting.variables_at(sample)
+        known = {name: variable for name, variable in every.items() if not (variable.of_data and name in own)}
         for fault in not_free((self.given.parameters, self.given.scan), known, where):
             self._fault(*fault)
         used = self._used(known, acting.refused)
@@ -120,9 +119,7 @@ class _Reader:
         if self.faults:
             return None
         first = wave or ()  # amplitude and phase of a wave come first
-        ordered = sorted(
-            parameters, key=lambda parameter: first.index(parameter.name) if parameter.name in first else len(first)
-        )
+        ordered = sorted(parameters, key=lambda p: first.index(p.name) if p.name in first else len(first))
         template = acting.variables_at(sample | ({"axis": "{axis}"} if "axis" in where else {}))
         return replace(
             plain,
@@ -162,14 +159,12 @@ class _Reader:
     def _where(self, acting: Acting) -> tuple[str, ...]:
         for number, place in enumerate(self.given.where):
             if place.value in [before.value for before in self.given.where[:number]]:
-                self.faults.append(
-                    place.node.fault(f"{place.node.path}: '{place.value}' is there twice", "leave it out")
-                )
+                twice = f"{place.node.path}: '{place.value}' is there twice"
+                self.faults.append(place.node.fault(twice, "leave it out"))
             elif place.value not in acting.where:
                 hint = suggestion(place.value, acting.where) if acting.where else "leave it out"
-                self.faults.append(
-                    place.node.fault(f"{place.node.path}: no effect on {acting.name} has a '{place.value}'", hint)
-                )
+                absent = f"{place.node.path}: no effect on {acting.name} has a '{place.value}'"
+                self.faults.append(place.node.fault(absent, hint))
         return tuple(place.value for place in self.given.where)
 
     def _parameter(self, name: str, given: Given) -> Parameter:
@@ -298,7 +293,7 @@ class _Reader:
                 tuple((acting.numbers(key, where), expression) for key, expression in adds.items()),
                 tuple(parameter.name for parameter in parameters),
                 tuple(parameter.name for parameter in scanned),
-                tuple(known[variable] for variable in used),
+                tuple(known[name] for name in used),
                 wave is not None,
             )
 
