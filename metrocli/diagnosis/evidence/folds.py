@@ -53,7 +53,8 @@ class _Nested:
 
         def with_names(names: Iterable[IdentifiedEffect]) -> Held:
             own = (one for name in names if (one := chosen[name.key]) is not None)
-            return fold.predicted(model.with_fixed((*own, *readings)))
+            whole = model.with_fixed((*own, *readings))
+            return fold.predicted(whole, whole.fitted(m))
 
         every = with_names(self.names)
         pairs = []
