@@ -93,6 +93,7 @@ def _open_in(block: Block, part: Part) -> list[Combination]:
     # 2 on the diagonal of fixed entries: above the bound of 1, so they are never called open
     scaled = matrices * reach[:, :, None] * reach[:, None, :] + np.eye(block.size) * ~free[:, None, :] * 2
     values, vectors = np.linalg.eigh(scaled)
+    # 1 is an uncertainty as large as what is plausible: beyond it linearisation has no meaning
     bad = np.flatnonzero(values[:, 0] < 1)
     combinations = []
     for member in bad:

@@ -61,6 +61,7 @@ def robust_start(
         return dict(state)
     share = _share(group, state, within)
     for turn in range(_ROUNDS):
+        # least absolute deviations first: the biweight ignores what is far off, so it needs a start that is near
         weights = _least_absolute(share) if turn < _ROUNDS // 2 else np.maximum(1 - (share / _TUKEY) ** 2, 0.0) ** 2
         held = _reweighted(groups, name, weights)
         control = Control(limit=8, covariance=False)
@@ -76,6 +77,7 @@ def _least_absolute(share: Array) -> Array | None:
 
 
 def _reweighted(groups: Sequence[Group], name: str, weights: Array | None) -> list[Group]:
+    # not 0: a member whose readings all have no weight would make the normal matrix singular
     kept = None if weights is None else np.maximum(weights, 1e-12)
     return [replace(group, weights=kept) if group.name == name else group for group in groups]
 
@@ -115,6 +117,7 @@ def typical(group: Group, blocks: Mapping[str, Block]) -> float:
 
 def _distances(group: Group, blocks: Mapping[str, Block]) -> Array:
     residual = group.observations.whitened(group.residuals(blocks))
+    # a reading that cannot be predicted is far off, not absent: else a start behind the camera would fit best
     distances: Array = np.nan_to_num(np.sqrt((residual**2).sum(axis=0)), nan=1e12, posinf=1e12)
     return distances
 
@@ -196,10 +199,12 @@ def suspects(found: Residuals, fit: Fit) -> Suspects:
     bound = critical_value(found.values.size)
     if rest < 1:
         return Suspects(np.zeros(0, dtype=np.intp), np.zeros(0), bound)
+    # rounding can make the part of one reading larger than the whole sum of squares
     own = np.minimum((found.normalised**2).sum(axis=0), fit.cost)
     others = np.sqrt((fit.cost - own) / rest)
     unit = np.maximum(others, 1.0) if fit.noise_known else np.maximum(others, 1e-12)
     declared = fit.noise_known & (others <= 1.0)
+    # compared with the noise of the others, w is Student's t: scaled so that `bound` is its bound as well
     tests = w / unit * np.where(declared, 1.0, bound / _student_bound(found.values.size, rest))
     rows = np.flatnonzero(tests > bound)
     return Suspects(rows, tests[rows], bound)

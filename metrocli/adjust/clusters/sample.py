@@ -143,6 +143,7 @@ class Sample:
         """Return the covariance of the coordinates: shrunk, with the priors, and in no direction below 1."""
         matrix = (1 - self.share) * self.found + self.share * self.shape + self.prior + self.of_own * self.alone
         values, vectors = np.linalg.eigh(matrix)
+        # 1 is the covariance for independent errors in these coordinates: no standard uncertainty falls below it
         return np.asarray((vectors * np.maximum(values, 1.0)) @ vectors.T)
 
     def of_shared(self) -> Array:
