@@ -10,7 +10,7 @@ from typing import Any
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats.file_bytes import FileBytes, read_bytes
-from metrocli.project import meaning
+from metrocli.project import fingerprint
 from metrocli.project.job import JobFile
 from metrocli.project.named_files import Input
 from metrocli.record import USABLE, InputFile
@@ -75,7 +75,7 @@ def _unfit(item: Input, path: Path) -> Fault | None:
 def _read(item: Input, folder: Path) -> tuple[Any, list[InputFile]]:
     """Return the content of an input, and the record of its files with paths relative to a folder."""
     if item.bytes is not None:
-        return item.held, [_recorded(item.bytes, folder, meaning.digest(item.held, folder))]
+        return item.held, [_recorded(item.bytes, folder, fingerprint.digest(item.held, folder))]
     if isinstance(item.spec, ImageFiles):
         from metrocli.formats import images
 
@@ -95,7 +95,7 @@ def _read_one(spec: Any, path: Path, item: Input, folder: Path) -> tuple[Any, In
 
         held = read_bytes(path, "a CSV file")
         table = csv.read(path, spec.columns, held=held)
-        return table, _recorded(held, folder, meaning.of_table(table))
+        return table, _recorded(held, folder, fingerprint.of_table(table))
     if isinstance(spec, MeshFile):
         from metrocli.formats import own_files as meshes
 
@@ -135,7 +135,7 @@ def content_now(job: JobFile, path: str) -> str:
 
 def _of_own(job: JobFile) -> tuple[InputFile, ...]:
     """Return the record of the files with user-defined effects, as they were read with the job."""
-    return tuple(_recorded(file.bytes, job.folder, meaning.of_yaml(file.root)) for file in job.own.files.values())
+    return tuple(_recorded(file.bytes, job.folder, fingerprint.of_yaml(file.root)) for file in job.own.files.values())
 
 
 def _recorded(held: FileBytes, folder: Path, content: str) -> InputFile:

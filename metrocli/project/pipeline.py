@@ -18,7 +18,7 @@ from metrocli.record import NOT_MET, USABLE, Record
 
 if TYPE_CHECKING:
     from metrocli.project.runner import Done
-    from metrocli.project.running.crew import Crew, Outcome
+    from metrocli.project.running.executor import Executor, Outcome
 
 
 class Action(StrEnum):
@@ -67,7 +67,7 @@ class Order:
 def run(
     steps: Sequence[Step],
     order: Order,
-    crew: Crew,
+    executor: Executor,
     finished: Callable[[Report], Any],
     begun: Callable[[Step], Any] = lambda step: None,
 ) -> list[Report]:
@@ -81,7 +81,7 @@ def run(
         refuse_lost(steps)
     for folder in {step.job.output.parent for step in steps}:
         sweep(folder)
-    return _Run(steps, order, crew, (begun, finished)).reports_in_order()
+    return _Run(steps, order, executor, (begun, finished)).reports_in_order()
 
 
 class _Run:
@@ -91,10 +91,10 @@ class _Run:
         self,
         steps: Sequence[Step],
         order: Order,
-        crew: Crew,
+        executor: Executor,
         heard: tuple[Callable[[Step], Any], Callable[[Report], Any]],
     ) -> None:
-        self.order, self.crew = order, crew
+        self.order, self.executor = order, executor
         self.begun, self.finished = heard
         self.steps = {step.name: step for step in steps}
         self.reports: dict[str, Report] = {}
@@ -110,10 +110,10 @@ class _Run:
 
     def reports_in_order(self) -> list[Report]:
         while self.ready or self.working:
-            while self.ready and len(self.working) < self.crew.places:
+            while self.ready and len(self.working) < self.executor.places:
                 self.judge(self.steps[heappop(self.ready)[1]])
             if self.working:
-                for name, outcome in self.crew.finished():
+                for name, outcome in self.executor.finished():
                     self.report(_written(self.working.pop(name), outcome))
         return [self.reports[name] for name in self.steps]
 
@@ -134,7 +134,7 @@ class _Run:
             return self.report(Report(step, Action.FAILED, state.reason, error.exit_code, error=str(error)))
         self.working[step.name] = state
         self.begun(step)
-        self.crew.begin(step.name, step.job, self.order.strict)
+        self.executor.begin(step.name, step.job, self.order.strict)
 
     def report(self, report: Report) -> None:
         name = report.step.name

@@ -12,7 +12,7 @@ from metrocli.errors import Fault, InputError
 from metrocli.formats import hdf5
 from metrocli.formats.seal import Label
 from metrocli.frozen import dataclass
-from metrocli.project import meaning, yaml_text
+from metrocli.project import fingerprint, yaml_text
 from metrocli.project.inputs import content_now, input_files
 from metrocli.project.job import JobFile
 from metrocli.project.named_files import absolute
@@ -92,21 +92,21 @@ def _label(job: JobFile) -> tuple[Label | None, str]:
 
 def _difference(job: JobFile, label: Label, running: Collection[Path]) -> str:
     """Return what changed since the result was made; empty if nothing did. Outputs of `running` jobs do not count."""
-    if not meaning.same_version(label.metrocli_version):
+    if not fingerprint.same_version(label.metrocli_version):
         return f"the result was made by metrocli {label.metrocli_version}; this is metrocli {__version__}"
-    if label.meaning != meaning.of_job(job):
+    if label.meaning != fingerprint.of_job(job):
         changed = _changed_settings(job) or [_unseen(job)]
     else:
         known = [file for file in label.inputs if absolute(job.folder / file.path) not in running]
         files = [file for file in input_files(job) if absolute(job.folder / file.path) not in running]
-        changed = meaning.changed_inputs(known, files, lambda path: content_now(job, path))
+        changed = fingerprint.changed_inputs(known, files, lambda path: content_now(job, path))
     return f"{changed[0]}{f' (and {len(changed) - 1} more)' if len(changed) > 1 else ''}" if changed else ""
 
 
 def _changed_settings(job: JobFile) -> list[str]:
     _, record = hdf5.read_record(job.output)
     before = yaml_text.parse(record.job_text, "the job of the result", job.folder)
-    return meaning.changed_settings(before, yaml_text.parse(job.text, str(job.file), job.folder))
+    return fingerprint.changed_settings(before, yaml_text.parse(job.text, str(job.file), job.folder))
 
 
 def _unseen(job: JobFile) -> str:
@@ -129,7 +129,7 @@ def refuse_lost(steps: Sequence[Step]) -> None:
             continue
         paths = [file.path for file in label.inputs if absolute(step.job.folder / file.path) not in made]
         lost = [path for path in paths if not (step.job.folder / path).is_file()]
-        if lost and label.meaning != meaning.of_job(step.job):
+        if lost and label.meaning != fingerprint.of_job(step.job):
             lost = [path for path in lost if _still_named(step.job, path)]
         hint = "restore it, or run without it by --force"
         faults += [

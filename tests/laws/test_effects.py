@@ -72,6 +72,7 @@ def test_each_kind_with_effects_is_under_the_laws() -> None:
 
 EFFECTS = [(kind, effect) for kind, effects in TABLES.items() for effect in effects]
 
+
 def is_complete(effect: Effect) -> bool:
     return bool(
         effect.cause

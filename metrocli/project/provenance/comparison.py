@@ -15,7 +15,7 @@ from metrocli.errors import Fault, InputError
 from metrocli.formats import hdf5
 from metrocli.frozen import dataclass
 from metrocli.progress import SILENT, Progress
-from metrocli.project import meaning, yaml_text
+from metrocli.project import fingerprint, yaml_text
 from metrocli.project.campaign import KEY
 from metrocli.project.inputs import content_now, input_files
 from metrocli.project.job import JobFile, Wishes, load
@@ -96,7 +96,7 @@ def between(first: Path, second: Path) -> Difference:
             only.append(f"{what}: {before} -> {after}")
     return Difference(
         tuple(moved), tuple(only), tuple(_settings(of_a, of_b, first, second)), tuple(_inputs(of_a, of_b)),
-        meaning.of_result(a, of_a) == meaning.of_result(b, of_b),
+        fingerprint.of_result(a, of_a) == fingerprint.of_result(b, of_b),
     )  # fmt: skip
 
 
@@ -115,12 +115,12 @@ def _settings(a: Record, b: Record, first: Path, second: Path) -> list[str]:
         yaml_text.parse(record.job_text, f"{path} (its job)", Path())
         for record, path in ((a, first), (b, second))
     ]  # fmt: skip
-    return meaning.changed_settings(*nodes)
+    return fingerprint.changed_settings(*nodes)
 
 
 def _inputs(a: Record, b: Record) -> list[str]:
     contents: Mapping[str, str] = {file.path: file.content for file in b.inputs}
-    return meaning.changed_inputs(a.inputs, b.inputs, contents.__getitem__)
+    return fingerprint.changed_inputs(a.inputs, b.inputs, contents.__getitem__)
 
 
 _OWN = ("job", "status", "up_to_date", "sigma0")
@@ -192,7 +192,7 @@ def rerun(
     """
     result, record = hdf5.read(path)
     job = _job_of(path, record, accept_doubtful)
-    changed = meaning.changed_inputs(record.inputs, input_files(job), lambda name: content_now(job, name))
+    changed = fingerprint.changed_inputs(record.inputs, input_files(job), lambda name: content_now(job, name))
     if changed:
         hint = "restore it from where the record has its sha256 (metrocli lineage), or run the job as it is now"
         raise InputError([Fault(line, str(path), hint=hint) for line in changed])

@@ -121,7 +121,7 @@ def _judged(
     """
     from metrocli.formats.file_bytes import read_bytes
     from metrocli.formats.seal import unsealed
-    from metrocli.project import meaning
+    from metrocli.project import fingerprint
 
     digests: dict[str, set[str]] = {}
 
@@ -130,7 +130,7 @@ def _judged(
 
     for step in steps:
         job, label = step.job, labels.get(step.name)
-        if label is None or label.meaning != meaning.of_job(job):
+        if label is None or label.meaning != fingerprint.of_job(job):
             return {}
         if {os.path.relpath(path, job.folder) for path in job.files} != {file.path for file in label.inputs}:
             return {}

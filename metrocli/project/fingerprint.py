@@ -1,6 +1,6 @@
 """Digests of what jobs and files mean: equal for equal values, whatever the comments, order of keys and notation.
 
-docs/decisions/080-up-to-date-by-meaning.md has what counts as a change.
+docs/decisions/080-up-to-date-by-fingerprint.md has what counts as a change.
 """
 
 from __future__ import annotations
