@@ -53,8 +53,7 @@ class _Nested:
 
         def with_names(names: Iterable[IdentifiedEffect]) -> Held:
             own = (one for name in names if (one := chosen[name.key]) is not None)
-            whole = model.with_fixed((*own, *readings))
-            return fold.predicted(whole, whole.fitted(m))
+            return fold.predicted(model.with_fixed((*own, *readings)))
 
         every = with_names(self.names)
         pairs = []
@@ -88,6 +87,6 @@ def gain_between(before: State, after: State) -> Gain:
         held = []
         for one in (before, after):
             fold = Fold(one.measurement, np.flatnonzero(rows == number))
-            held.append(fold.predicted(Model(one.fixed, one.random, one.logs), one.fit))
+            held.append(fold.predicted(Model(one.fixed, one.random, one.logs)))
         pairs.append((held[0], held[1]))
     return gain_of(pairs)

@@ -115,10 +115,14 @@ class Fold:
         basis = self.measurement.system.basis
         return float((1 - (basis.local[self.rows] ** 2).sum(axis=1)).sum()) if self.whole else float(len(self.rows))
 
+    def shown(self, fixed: Iterable[Fixed]) -> tuple[Fixed, ...]:
+        """Return the fixed parts that other readings than those held out show: not the effect of a held-out image."""
+        return tuple(one for one in fixed if one.is_reading or one.columns[~self.mask].any())
+
     def others(self, fixed: Iterable[Fixed]) -> tuple[Fixed, ...]:
         """Return fixed parts without the errors of readings that are held out, with what takes these out."""
         m = self.measurement
-        kept = (one for one in fixed if not (one.is_reading and self.mask[m.places[one.number]].any()))
+        kept = (one for one in self.shown(fixed) if not (one.is_reading and self.mask[m.places[one.number]].any()))
         return (*kept, *self.taken_out)
 
     def products(self, model: Model) -> Products:
@@ -142,12 +146,14 @@ class Fold:
             mixed=every.mixed[kept],
         )
 
-    def predicted(self, model: Model, everything: Fit) -> Held:
+    def predicted(self, model: Model) -> Held:
         """Return the log density of the held-out rows (multivariate t) and their errors of prediction.
 
-        `everything` is the fit of the model to all rows.
+        What the other readings do not show predicts nothing, so it is not in the model.
         """
         m = self.measurement
+        model = model.with_fixed(self.shown(model.fixed))
+        everything = model.fitted(m)
         fit = fit_at(self.products(model), model.logs)
         ranks = sum(one.rank for one in model.fixed)
         fewer = sum(one.rank for one in self.others(model.fixed))

@@ -156,13 +156,12 @@ class _Folds:
         fold = Fold(m, np.flatnonzero(self.rows == number))
         terms = {id(one) for _, one in self.lawful.steps}
         bare = Model(tuple(one for one in state.fixed if id(one) not in terms), state.random, state.logs)
-        before, model, pairs = fold.predicted(bare, bare.fitted(m)), bare, list[tuple[Held, Held]]()
+        before, model, pairs = fold.predicted(bare), bare, list[tuple[Held, Held]]()
         for count in range(len(self.lawful.steps)):
             if len(model.fixed) == len(bare.fixed) + count:
                 one = self._chosen(fold, model, count)
                 model = model if one is None else model.with_fixed((*model.fixed, one))
-            grown = len(model.fixed) > len(bare.fixed)
-            pairs.append((before, fold.predicted(model, model.fitted(m)) if grown else before))
+            pairs.append((before, fold.predicted(model) if len(model.fixed) > len(bare.fixed) else before))
         return pairs
 
     def _chosen(self, fold: Fold, model: Model, count: int) -> Fixed | None:

@@ -20,11 +20,11 @@ from metrocli.instruments import camera
 from metrocli.instruments.camera_start import Scene, plane_frame, start
 from metrocli.instruments.lens import DISTORTION, PRISM, RATIONAL, plane_point, undistort
 from metrocli.table import Table
+from metrocli.tasks.calibrate_camera.image_groups import with_groups
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.readings import check_targets, readings, scale_bars
 from metrocli.tasks.calibrate_camera.settings import Camera
 from metrocli.tasks.calibrate_camera.starts import better_poses, robustly, without_strays
-from metrocli.tasks.calibrate_camera.turns import with_turns
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside, placed
@@ -75,7 +75,7 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
     model = Model(blocks, (group, *others), datum, (IMAGES,), places, nominal=nominal)
     problem = Problem(model, rig, settings.convention, size, sighted)
     started = _better_start(problem, settings)
-    started = started.with_model(with_turns(started.model, rig))
+    started = started.with_model(with_groups(started.model, rig))
     if not sighted.eccentric:
         return started
     group, found = corrected(started.images, started.blocks, started.others, datum, targets.radius)
