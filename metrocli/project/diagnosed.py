@@ -278,14 +278,10 @@ def _with_model(job: JobFile, declared: Node, model: str) -> Node:
 
 def _relocated(node: Node, old: Path, new: Path) -> Node:
     """Return a node with its paths, relative to `old`, rewritten relative to `new`."""
-    if os.path.abspath(old) == os.path.abspath(new):
+    if os.path.abspath(old) == os.path.abspath(new) or (node.kind == "scalar" and Path(node.text).is_absolute()):
         return node
     if node.kind == "scalar":
-        return (
-            node
-            if Path(node.text).is_absolute()
-            else replace(node, text=Path(os.path.relpath(old / node.text, new)).as_posix())
-        )
+        return replace(node, text=Path(os.path.relpath(old / node.text, new)).as_posix())
     items = (_relocated(item, old, new) for item in node.items)
     entries = ((key, _relocated(value, old, new)) for key, value in node.entries)
     return replace(node, items=tuple(items), entries=tuple(entries))
