@@ -160,8 +160,7 @@ def write_extended(
     the kind has that. Where the job cannot be adjusted with that law, the next simpler one with which it can stands in
     it, or none. Returns None if nothing changes.
     Raises InputError if the file there is no extended job or was edited since it was written, unless forced. Parameters
-    that the readings do not determine separately are 0. In another folder, the relative paths of the inputs are changed
-    to lead to the same files.
+    that the readings do not determine separately are 0. In another folder, the paths lead to the same files.
     """
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
     confirmed = any(one.confirmed for one in diagnosis.findings)
