@@ -116,6 +116,6 @@ def _in_eliminated_datum(frame: Frame, normals: Normals, inverse: Array) -> Arra
     """
     moments = [part.moments(frame.constraint(part.members)) for part in normals.parts]
     e = frame.reduced
-    coupled, gram = (np.sum([one[i] for one in moments], axis=0) for i in (0, 1))
+    coupled, gram = (np.sum([moment[i] for moment in moments], axis=0) for i in (0, 1))
     transform = np.eye(len(inverse)) + e @ coupled
     return np.asarray(transform @ inverse @ transform.T + e @ gram @ e.T)

@@ -80,7 +80,7 @@ def _open_members(blocks: Mapping[str, Block], layout: Layout, normals: Normals)
     """Return the members of the eliminated block that their own readings do not determine."""
     if layout.eliminated is None:
         return ()
-    return tuple(found for part in normals.parts for found in _open_in(blocks[layout.eliminated], part))
+    return tuple(combination for part in normals.parts for combination in _open_in(blocks[layout.eliminated], part))
 
 
 def _open_in(block: Block, part: Part) -> list[Combination]:

@@ -110,11 +110,11 @@ def written(text: str, unit: str, word: str) -> Compound | None:
     for line in (line.partition("#")[0] for line in text.splitlines()):
         for symbol in _STATED.findall(line) if re.search(rf"\b{re.escape(word)}\b", line) else ():
             try:
-                found = compound(symbol)
+                known = compound(symbol)
             except units.QuantityError:
                 continue
-            if found.powers == wanted:
-                return found
+            if known.powers == wanted:
+                return known
     return None
 
 

@@ -149,15 +149,15 @@ def _rows(lines: Lines, mapping: Mapping) -> tuple[list[tuple[int, Sequence[str]
     Raises InputError for rows with another number of cells than the first.
     """
     start = mapping.header if isinstance(mapping.header, int) and mapping.header else 1
-    found = list(lines.without(mapping.comment, start))
-    if not found:
+    kept = list(lines.without(mapping.comment, start))
+    if not kept:
         raise InputError([lines.fault("the file has no rows")])
-    separator = _SEPARATORS.get(mapping.separator or "") or _separator(found[0][1], mapping.decimal == "comma")
-    rows = [(n, _cells(line, separator)) for n, line in found]
-    width, other = len(rows[0][1]), _separator(found[0][1], False)
-    if width == 1 and mapping.separator and found[0][1].count(other):
+    separator = _SEPARATORS.get(mapping.separator or "") or _separator(kept[0][1], mapping.decimal == "comma")
+    rows = [(n, _cells(line, separator)) for n, line in kept]
+    width, other = len(rows[0][1]), _separator(kept[0][1], False)
+    if width == 1 and mapping.separator and kept[0][1].count(other):
         name = next(name for name, sign in _SEPARATORS.items() if sign == other)
-        fault = lines.fault(f"no {mapping.separator} is in this line", found[0][0], f"write `separator: {name}`")
+        fault = lines.fault(f"no {mapping.separator} is in this line", kept[0][0], f"write `separator: {name}`")
         raise InputError([fault])
     wrong = [lines.fault(f"{len(cells)} cells instead of {width}", n) for n, cells in rows if len(cells) != width]
     if wrong:

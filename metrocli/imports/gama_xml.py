@@ -40,11 +40,11 @@ def files(lines: Lines, wishes: Wishes) -> Imported:
     if network is None:
         raise InputError([lines.fault("there is no <network>", None, "expected: the XML input of gama-local")])
     reader = _Reader(lines, network)
-    found = reader.read()
+    survey = reader.read()
     if reader.faults:
         raise InputError(reader.faults)
     note = f"from {lines.file} (gama-xml)"
-    return {name: to_csv(header, rows, note) for name, (header, rows) in found.items() if rows}
+    return {name: to_csv(header, rows, note) for name, (header, rows) in survey.items() if rows}
 
 
 def _bare(root: Element) -> Element:

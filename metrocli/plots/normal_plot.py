@@ -30,8 +30,8 @@ def data(result: Result, about: str) -> Shown | None:
     together = np.concatenate(w) if w else np.zeros(0)
     if len(together) < 3:
         return None
-    found = normal_plot(together)
-    return Shown(found, thinned(found.expected, found.ordered), float(np.sqrt(np.mean(together**2))))
+    plotted = normal_plot(together)
+    return Shown(plotted, thinned(plotted.expected, plotted.ordered), float(np.sqrt(np.mean(together**2))))
 
 
 def height(shown: Shown) -> float:

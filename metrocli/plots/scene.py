@@ -49,33 +49,35 @@ class Scene:
 def data(result: Result, about: str) -> Scene | None:
     """Return the places with magnifications: vectors are a tenth of the picture, ellipsoids too if there are few."""
     places = places_of(result)
-    if sum(len(one.at) for one in places) < 2:
+    if sum(len(place.at) for place in places) < 2:
         return None
     kept = tuple(map(_largest, places))
-    size = float(np.linalg.norm(np.ptp(np.concatenate([one.at for one in kept]), axis=0)))
-    vectors = [np.linalg.norm(one.vectors, axis=1).max() for one in kept if one.vectors is not None]
-    variances = [np.trace(one.covariance, axis1=1, axis2=2) for one in kept if one.covariance is not None]
+    size = float(np.linalg.norm(np.ptp(np.concatenate([place.at for place in kept]), axis=0)))
+    vectors = [np.linalg.norm(place.vectors, axis=1).max() for place in kept if place.vectors is not None]
+    variances = [np.trace(place.covariance, axis1=1, axis2=2) for place in kept if place.covariance is not None]
     spreads = [_K * np.sqrt(variance[np.isfinite(variance)].max(initial=0.0)) for variance in variances]
-    most = max(len(one.at) for one in kept)
+    most = max(len(place.at) for place in kept)
     room = _SHARE * size * min(1.0, (_ROOMY / most) ** (1 / 3))
     factors = [
         magnification(float(max(sizes, default=0.0)), length)
         for sizes, length in ((vectors, _SHARE * size), (spreads, room))
     ]
-    left_out = sum(len(one.at) for one in places) - sum(len(one.at) for one in kept)
+    left_out = sum(len(place.at) for place in places) - sum(len(place.at) for place in kept)
     return Scene(kept, factors[0], factors[1], left_out)
 
 
-def _largest(one: Places) -> Places:
+def _largest(place: Places) -> Places:
     """Return the place with the longest vector in each cell of the space, or places at equal steps, in their order."""
-    if len(one.at) <= _MOST:
-        return one
-    if one.vectors is None:
-        rows = np.linspace(0, len(one.at) - 1, _MOST).astype(np.intp)
+    if len(place.at) <= _MOST:
+        return place
+    if place.vectors is None:
+        rows = np.linspace(0, len(place.at) - 1, _MOST).astype(np.intp)
     else:
-        rows = thinned_vectors(one.at, np.linalg.norm(one.vectors, axis=1), _MOST)
-    chosen = [None if values is None else values[rows] for values in (one.vectors, one.covariance)]
-    return Places(one.kind, tuple(one.names[row] for row in rows), one.at[rows], chosen[0], one.vector_name, chosen[1])
+        rows = thinned_vectors(place.at, np.linalg.norm(place.vectors, axis=1), _MOST)
+    chosen = [None if values is None else values[rows] for values in (place.vectors, place.covariance)]
+    return Places(
+        place.kind, tuple(place.names[row] for row in rows), place.at[rows], chosen[0], place.vector_name, chosen[1]
+    )
 
 
 def view(turn: float = TURN, tilt: float = TILT) -> Array:
@@ -130,11 +132,11 @@ def draw(canvas: Canvas, scene: Scene) -> str:
     return _caption(scene)
 
 
-def _draw_spread(axes: Axes, one: Places, flat: Array, factor: float, rows: Array, colour: str) -> None:
-    if one.covariance is None:
+def _draw_spread(axes: Axes, place: Places, flat: Array, factor: float, rows: Array, colour: str) -> None:
+    if place.covariance is None:
         return
-    usable = np.isfinite(one.covariance).all(axis=(1, 2))
-    long, short, angle = outline(one.covariance[usable], rows)
+    usable = np.isfinite(place.covariance).all(axis=(1, 2))
+    long, short, angle = outline(place.covariance[usable], rows)
     size = 2 * _K * factor
     drawn = EllipseCollection(
         size * long, size * short, np.degrees(angle), units="xy", offsets=flat[usable],

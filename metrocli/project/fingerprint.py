@@ -82,7 +82,7 @@ def changed_inputs(before: Iterable[InputFile], now: Iterable[InputFile], conten
 
     `content` returns the digest of the content of a path as read now; it is called only where the bytes differ.
     """
-    known, present = ({one.path: one for one in files} for files in (before, now))
+    known, present = ({file.path: file for file in files} for files in (before, now))
     changed = [
         f"input {path} changed ({_short(known[path])} -> {_short(one)})"
         for path, one in present.items()

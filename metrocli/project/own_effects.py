@@ -132,9 +132,9 @@ def _of_project(place: Path, read_before: YamlFiles) -> Node | None:
 def _project_files_above(folder: Path) -> Iterator[Path]:
     """Yield where a project file of a folder may be, the nearest first, up to the first that there is."""
     here = folder.absolute()
-    for one in (here, *here.parents):
-        yield one / PROJECT_FILE
-        if (one / PROJECT_FILE).is_file():
+    for parent in (here, *here.parents):
+        yield parent / PROJECT_FILE
+        if (parent / PROJECT_FILE).is_file():
             return
 
 

@@ -287,5 +287,5 @@ def _verdicts(file: JobFile, result: Result) -> tuple[Verdict, ...]:
     verdicts = [requirement.verdict(result, faults) for requirement in file.heading.require]
     if faults:
         raise InputError(faults)
-    found = [verdict for verdict in verdicts if verdict is not None]
-    return (*found, *decisions(result, file.heading.conformity == "report"))
+    decided = [verdict for verdict in verdicts if verdict is not None]
+    return (*decided, *decisions(result, file.heading.conformity == "report"))

@@ -77,7 +77,7 @@ def verdict(content: Content) -> tuple[str, str]:
         return BAD, "Doubtful: do not use this result."
     if record.status not in USABLE:
         return BAD, "The result does not meet its requirements."
-    out = [one.name for one in record.verdicts if one.decision == FAIL]
+    out = [decision.name for decision in record.verdicts if decision.decision == FAIL]
     if out:
         return BAD, f"Fail: {listed(out)} {'is' if len(out) == 1 else 'are'} out of tolerance."
     held = content.diagnosis
@@ -87,7 +87,7 @@ def verdict(content: Content) -> tuple[str, str]:
     limits = _limits(data)
     if limits:
         return WARNED, f"Done, but {limits}."
-    near = [one.name for one in record.verdicts if one.decision == GUARD_BAND]
+    near = [decision.name for decision in record.verdicts if decision.decision == GUARD_BAND]
     if near:
         return WARNED, f"Done; neither conformity nor non-conformity is shown, in the guard band: {listed(near)}."
     count, done = len(content.result.warnings), "Pass: all tolerances are met" if record.conformity else "Done"
@@ -100,9 +100,9 @@ def worst(result: Result) -> Iterator[str]:
     """Yield the worst reading, and the places with the largest deviation and the largest uncertainty."""
     sets = [residual for residual in residuals_of(result) if residual.checked.any()]
     if sets:
-        sizes = [np.nan_to_num(np.abs(one.w)) for one in sets]
+        sizes = [np.nan_to_num(np.abs(residuals.w)) for residuals in sets]
         which = max(range(len(sets)), key=lambda k: sizes[k].max())
-        w, bound = float(sizes[which].max()), largest_of(sum(int(one.checked.sum()) for one in sets))
+        w, bound = float(sizes[which].max()), largest_of(sum(int(residuals.checked.sum()) for residuals in sets))
         alike = [sets[which].name(int(row)) for row in np.flatnonzero(sizes[which] >= (1 - _EQUAL) * w)]
         several, each = ("s", " each, so none can be singled out") if len(alike) > 1 else ("", "")
         chance = "more than noise reaches in 5 % of measurements" if w > bound else "as noise may be"

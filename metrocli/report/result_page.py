@@ -87,7 +87,7 @@ def _of_effect(result: Result, estimate: Estimate) -> bool:
 
 def _facts(content: Content) -> Html:
     bad = list(worst(content.result)) or ["This result has no readings or places to compare."]
-    required = [str(one) for one in content.record.verdicts] or ["No acceptance criterion in the job."]
+    required = [str(decision) for decision in content.record.verdicts] or ["No acceptance criterion in the job."]
     columns = (("Worst", bad), ("Diagnosis", list(diagnosed(content))), ("Acceptance", required))
     return joined(part for name, lines in columns for part in (tag("h2", name), listed(lines)))
 

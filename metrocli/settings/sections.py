@@ -145,9 +145,9 @@ def _checked(value: Any, node: Node, faults: list[Fault]) -> Any:
     """
     check = getattr(value, "faults", None)
     said = list(check()) if check else []
-    found = [item if isinstance(item, Fault) else node.at(item[0]).fault(*item[1:]) for item in said]
-    faults.extend(found)
-    return BAD if found else value
+    listed = [item if isinstance(item, Fault) else node.at(item[0]).fault(*item[1:]) for item in said]
+    faults.extend(listed)
+    return BAD if listed else value
 
 
 def sections_schema(sections: Sequence[type]) -> Schema:

@@ -132,7 +132,9 @@ def written_unit(text: str, dimension: str, word: str) -> str:
     own = _stated(named, DIMENSIONS[dimension])
     if own or "/" not in DIMENSIONS[dimension].unit:
         return next(iter(own), "")
-    shared = {s for one in DIMENSIONS.values() if one.unit != DIMENSIONS[dimension].unit for s in one.symbols}
+    shared = {
+        s for symbols in DIMENSIONS.values() if symbols.unit != DIMENSIONS[dimension].unit for s in symbols.symbols
+    }
     return next((symbol for symbol in _stated(lines, DIMENSIONS[dimension]) if symbol not in shared), "")
 
 

@@ -108,8 +108,8 @@ def cluster_robust(solution: Solution, clusters: Clusters) -> ClusterRobust:
     if rows is not None:
         layout, white = solution.covariance_or_raise().layout, _without_datum(solution)
         sample = Sample.of(white, rows, _first(rows, layout, clusters), solution.dof, clusters.grows)
-        found = replace(solution, covariance=_of_members(solution, white, sample))
-        return ClusterRobust(found, solution, sample, layout)
+        robust = replace(solution, covariance=_of_members(solution, white, sample))
+        return ClusterRobust(robust, solution, sample, layout)
     layout = without_elimination(solution.blocks)
     must_be_few(layout.width)
     rows = rows_of(solution, clusters.of, clusters.free)

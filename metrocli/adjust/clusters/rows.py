@@ -56,8 +56,8 @@ class Rows:
     def _counts(self) -> Index:
         """How many clusters use each unknown."""
         counts = np.zeros(self.width, dtype=np.intp)
-        for one in self.of_clusters:
-            counts[one.columns] += 1
+        for cluster in self.of_clusters:
+            counts[cluster.columns] += 1
         return counts
 
 

@@ -75,7 +75,9 @@ class Sample:
             by_shared[:, at] = -inverse @ coupling
             own.append(Own(cluster.columns[~common], inverse @ inverse.T, by_shared))
         known = [cluster.jacobian @ root[numbers[cluster.columns]] for cluster in rows.others]
-        prior = np.sum([one.T @ one for one in known], axis=0) if known else np.zeros((root.shape[1],) * 2)
+        prior = (
+            np.sum([jacobian.T @ jacobian for jacobian in known], axis=0) if known else np.zeros((root.shape[1],) * 2)
+        )
         square = float(sum(cluster.residual @ cluster.residual for cluster in (*rows.of_clusters, *rows.others)))
         apart = first[shared].any()
         excess = most_likely(Likelihood.of(seen, parts[0], square, dof)) if apart else Excess()
@@ -156,15 +158,15 @@ class Sample:
         v = self.of_shared()
         if len(common) == len(self.shared):
             return v
-        columns = np.concatenate([one.columns for one in self.own])
-        by_shared = np.concatenate([one.by_shared for one in self.own])
+        columns = np.concatenate([unknowns.columns for unknowns in self.own])
+        by_shared = np.concatenate([unknowns.by_shared for unknowns in self.own])
         mixed = by_shared @ v
         full = np.zeros((len(self.shared),) * 2)
         full[np.ix_(common, common)] = v
         full[np.ix_(columns, common)], full[np.ix_(common, columns)] = mixed, mixed.T
         full[np.ix_(columns, columns)] = mixed @ by_shared.T
-        for one in self.own:
-            full[np.ix_(one.columns, one.columns)] += self.of_own * one.noise
+        for unknowns in self.own:
+            full[np.ix_(unknowns.columns, unknowns.columns)] += self.of_own * unknowns.noise
         return (full + full.T) / 2
 
     def dof(self, columns: Index) -> Array:
@@ -181,7 +183,7 @@ class Sample:
         by_part = [self._dof(lines, part, factor) for part, factor in zip(self.parts, self.factors, strict=True)]
         of_own = min(alone for _, alone in by_part)
         dofs = np.full(len(columns), of_own)
-        shared = np.choose(weights.argmax(axis=0), [one for one, _ in by_part])
+        shared = np.choose(weights.argmax(axis=0), [dofs for dofs, _ in by_part])
         alone = (lines * (self.alone @ lines)).sum(axis=0) > _MOSTLY
         dofs[self.shared[columns]] = np.where(alone, of_own, shared)
         return dofs

@@ -40,15 +40,15 @@ def command(result: Path, name: str | None, save: Path | None, as_json: bool, **
     from metrocli.formats import hdf5
     from metrocli.formats.own_files import write_all
 
-    found, record = hdf5.read(result)
+    stored, record = hdf5.read(result)
     given = wanted["diagnosis"]
     beside = beside_of(result, _of_this(diagnosis_of(result, given, record), given), wanted["before"])
     if name is None:
         if save is not None:
             raise UsageError("--save needs the name of a figure; without a name and --save, plot lists them")
-        return _list(found, beside, as_json)
+        return _list(stored, beside, as_json)
     path = save or result.with_name(f"{result.stem}.{name}.svg")
-    data = _drawn(found, name, path, beside, wanted["dark"])
+    data = _drawn(stored, name, path, beside, wanted["dark"])
     return print_files(write_all({path: data}, wanted["force"]), as_json, wanted["quiet"])
 
 

@@ -97,8 +97,8 @@ def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: st
     from metrocli.report.html import Content
     from metrocli.report.result_page import result_page
 
-    found, record = hdf5.read(result)
-    stated = in_units(found, units)
+    stored, record = hdf5.read(result)
+    stated = in_units(stored, units)
     tables = {}
     for one in stated.shown:
         if one.name in stated.tables and len(stated.tables[one.name]):
@@ -108,7 +108,7 @@ def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: st
     held = diagnosis_of(result, diagnosis, record)
     job = name or (_from(home, result.parent / record.job_file) if record.job_file else "JOB.yaml")
     record = with_standards(result, record)
-    return result_page(Content(found, record, _from(home, result), tables, held, job, beside_of(result, held), stated))
+    return result_page(Content(stored, record, _from(home, result), tables, held, job, beside_of(result, held), stated))
 
 
 def _project(place: Path, out: Path | None, units: str, done: Counter) -> dict[Path, str]:

@@ -67,7 +67,7 @@ def data(result: Result, beside: Beside) -> BeforeAfter | None:
     views = [view for pair in pairs for view in _views(*pair)]
     if not views:
         return None
-    view = max(views, key=lambda one: one.change)
+    view = max(views, key=lambda candidate: candidate.change)
     sets = list(zip(*pairs, strict=True))
     first, last = (float(np.sqrt(np.mean(np.concatenate([one.w[one.checked] for one in side]) ** 2))) for side in sets)
     readings = sum(int(one.checked.sum()) for one in sets[1])

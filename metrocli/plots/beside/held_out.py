@@ -57,11 +57,11 @@ def data(result: Result, beside: Beside) -> HeldOut | None:
     return HeldOut(tuple(largest), len(gains))
 
 
-def _name(one: Mapping[str, Any]) -> str:
+def _name(finding: Mapping[str, Any]) -> str:
     """Return an effect or a law with its place."""
-    adds = one.get("adds", "")
-    words = one["name"] if "name" in one else "; ".join(adds.values()) if isinstance(adds, Mapping) else adds
-    return " ".join([str(words), *map(str, dict(one.get("where", {})).values())])
+    adds = finding.get("adds", "")
+    words = finding["name"] if "name" in finding else "; ".join(adds.values()) if isinstance(adds, Mapping) else adds
+    return " ".join([str(words), *map(str, dict(finding.get("where", {})).values())])
 
 
 def _gains(name: str, gain: Mapping[str, Any]) -> Gains:

@@ -70,8 +70,8 @@ def _text(path: str) -> str:
     import stat
 
     try:
-        found = os.stat(path)
-        if not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_BYTES:
+        status = os.stat(path)
+        if not stat.S_ISREG(status.st_mode) or status.st_size > _MOST_BYTES:
             return ""
         with open(path, encoding="utf-8") as file:
             return file.read()

@@ -75,9 +75,9 @@ def _covariates(model: Model) -> Iterator[Covariate]:
         yield Covariate("temp_degC", {group.name: group.observations.conditions[WARMING] for group in groups}, 6)
     seen = {group.name: _ideal(model, group) for group in groups}
     if seen:
-        yield Covariate("azimuth", {name: one[AZIMUTH] for name, one in seen.items()}, 4, angle=True)
-        yield Covariate("elevation", {name: one[ELEVATION] for name, one in seen.items()}, 4)
-        yield Covariate("distance_mm", {name: one[DISTANCE] for name, one in seen.items()}, 5)
+        yield Covariate("azimuth", {name: values[AZIMUTH] for name, values in seen.items()}, 4, angle=True)
+        yield Covariate("elevation", {name: values[ELEVATION] for name, values in seen.items()}, 4)
+        yield Covariate("distance_mm", {name: values[DISTANCE] for name, values in seen.items()}, 5)
 
 
 def _ideal(model: Model, group: Group) -> Array:

@@ -87,11 +87,11 @@ def _rows(network: Network, solution: Solution) -> list[_Row]:
 
 
 def _entry(solution: Solution, block: str, member: str, column: int, name: str, unit: str) -> list[_Row]:
-    one = solution.blocks[block]
-    row = one.members.index(member)
-    entry = row * one.size + column
-    by = ((block, entry, 1.0),) if one.free[row, column] else ()
-    return [_Row(name, float(one.values[row, column]), unit, by)]
+    placed = solution.blocks[block]
+    row = placed.members.index(member)
+    entry = row * placed.size + column
+    by = ((block, entry, 1.0),) if placed.free[row, column] else ()
+    return [_Row(name, float(placed.values[row, column]), unit, by)]
 
 
 def _coordinates(solution: Solution, block: str, name: str) -> list[_Row]:
@@ -178,7 +178,7 @@ def _covariance(solution: Solution, rows: Sequence[tuple[tuple[str, int, float],
     return (covariance + covariance.T) / 2
 
 
-def _table(network: Network, found: dict[str, Estimate]) -> Table:
+def _table(network: Network, by_name: dict[str, Estimate]) -> Table:
     """Return /stations: instrument, pose with standard uncertainties, and number of shots."""
     readings = network.readings
     names, instruments = readings.stations.names, list(readings.instruments)
@@ -188,7 +188,7 @@ def _table(network: Network, found: dict[str, Estimate]) -> Table:
         shots = shots + np.bincount(readings.lengths.first, minlength=len(names))
     rows = []
     for number, name in enumerate(names):
-        row = [found.get(f"{name}.{column}") for column in columns]
+        row = [by_name.get(f"{name}.{column}") for column in columns]
         values = [float("nan") if e is None else e.value for e in row]
         std = [float("nan") if e is None else e.std for e in row]
         pairs = [both for pair in zip(values, std, strict=True) for both in pair]

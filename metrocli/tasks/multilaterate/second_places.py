@@ -28,11 +28,11 @@ def second_places(network: Network, solution: Solution, noise: float) -> list[Mi
     return [*tracers, *(point for point in points if network.surveyed or not point.decided)]
 
 
-def at_others(blocks: Mapping[str, Block], found: Sequence[Mirrored]) -> dict[str, Block]:
+def at_others(blocks: Mapping[str, Block], places: Sequence[Mirrored]) -> dict[str, Block]:
     """Return blocks whose members stand at the other one of two places that fit."""
     moved = {name: block.values.copy() for name, block in blocks.items()}
-    for one in found:
-        moved[one.noun][one.member, :3] = one.other
+    for place in places:
+        moved[place.noun][place.member, :3] = place.other
     return {name: replace(block, values=moved[name]) for name, block in blocks.items()}
 
 

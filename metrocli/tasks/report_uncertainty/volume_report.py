@@ -94,7 +94,7 @@ def _sum(parts: tuple[Contribution, ...], axis: int) -> tuple[Inputs, Expression
     return join(quantities), parse(" + ".join(quantity.name for quantity in quantities))
 
 
-def _axis(axis: int, found: Extremes, parts: tuple[Contribution, ...], settings: Entries, workers: Workers) -> _Axis:
+def _axis(axis: int, largest: Extremes, parts: tuple[Contribution, ...], settings: Entries, workers: Workers) -> _Axis:
     inputs, total = _sum(parts, axis)
     coverage = coverage_of(settings)
     dof, _ = effective_dof(inputs, np.ones(len(inputs.quantities)))
@@ -103,9 +103,9 @@ def _axis(axis: int, found: Extremes, parts: tuple[Contribution, ...], settings:
         wanted = settings.monte_carlo
         plan = plan_of({"sum": total}, inputs, wanted.seed, covered(coverage, dof), wanted.trials)
         mc = monte_carlo.run(plan, workers, wanted.digits, wanted.most)
-    pointwise, place = float(found.pointwise[axis]), found.places[axis]
+    pointwise, place = float(largest.pointwise[axis]), largest.places[axis]
     k = coverage_factor(coverage, dof)
-    return _Axis(AXES[axis], float(found.by_contributor[axis]), pointwise, place, k, dof, mc)
+    return _Axis(AXES[axis], float(largest.by_contributor[axis]), pointwise, place, k, dof, mc)
 
 
 def coverage_of(settings: Entries) -> Coverage:
@@ -153,12 +153,12 @@ def _against_trials(axis: _Axis, mc: monte_carlo.Outcome, U: float, settings: En
     return {"mc": trials | {"covered": covers}, "gum_valid": verdict.valid}
 
 
-def _tables(problem: VolumeProblem, found: Extremes, axes: list[_Axis], settings: Entries) -> dict[str, Table]:
+def _tables(problem: VolumeProblem, largest: Extremes, axes: list[_Axis], settings: Entries) -> dict[str, Table]:
     parts = problem.contributions
     rows = []
     for n, axis in enumerate(axes):
-        share = 100 * found.largest[:, n] ** 2 / axis.std**2 if axis.std > 0 else np.zeros(len(parts))
-        for part, std, percent in zip(parts, found.largest[:, n], share, strict=True):
+        share = 100 * largest.largest[:, n] ** 2 / axis.std**2 if axis.std > 0 else np.zeros(len(parts))
+        for part, std, percent in zip(parts, largest.largest[:, n], share, strict=True):
             shape = "uniform" if part.uniform else "normal"
             rows.append((axis.name, part.name, 0.0, std, shape, part.source, 1.0, std, percent, part.dof))
     names = (
@@ -184,7 +184,7 @@ def _tables(problem: VolumeProblem, found: Extremes, axes: list[_Axis], settings
     return {
         "sources": _sources(settings),
         "budget": Table.of_rows([name + units.get(name, "") for name in (*names, "dof")], rows),
-        "map": Table.of({"x y z [mm]": problem.points, "u_x u_y u_z [mm]": found.each}),
+        "map": Table.of({"x y z [mm]": problem.points, "u_x u_y u_z [mm]": largest.each}),
         "maxima": Table.of(maxima),
     }
 
@@ -209,10 +209,10 @@ def _warnings(details: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _notes(
-    problem: VolumeProblem, found: Extremes, axes: list[_Axis], details: Mapping[str, Mapping[str, Any]]
+    problem: VolumeProblem, largest: Extremes, axes: list[_Axis], details: Mapping[str, Mapping[str, Any]]
 ) -> list[str]:
     rows = [["largest u in the volume", *(f"{axis.name} [um]" for axis in axes)]]
-    rows += [[part.name, *map(_spread, std)] for part, std in zip(problem.contributions, found.largest, strict=True)]
+    rows += [[part.name, *map(_spread, std)] for part, std in zip(problem.contributions, largest.largest, strict=True)]
     ks = sorted({f"{axis.k:.3g}" for axis in axes})
     rows.append(
         [f"U (k = {', '.join(ks)}), contributor by contributor", *(_spread(axis.k * axis.std) for axis in axes)]

@@ -157,9 +157,9 @@ def _spread(solution: Solution, observations: Observations) -> Array | float:
     return np.asarray(np.sqrt((solution.std(t.POINT) ** 2).mean(axis=1))[observations.index[t.POINT]])
 
 
-def must_be_decided(found: Sequence[Mirrored]) -> None:
+def must_be_decided(places: Sequence[Mirrored]) -> None:
     """Raise UndeterminedError if a place and its mirror image fit alike, and no list is nearer to the one found."""
-    if open_ones := [one for one in found if not one.decided]:
+    if open_ones := [place for place in places if not place.decided]:
         noun, other = open_ones[0].noun, _OTHERS.get(open_ones[0].noun, "points")
         raise UndeterminedError(
             f"two places fit the lengths alike, mirror images in the plane of the {other}:\n"
@@ -170,14 +170,14 @@ def must_be_decided(found: Sequence[Mirrored]) -> None:
         )
 
 
-def hidden_by(found: Sequence[Mirrored]) -> Iterator[Hidden]:
+def hidden_by(places: Sequence[Mirrored]) -> Iterator[Hidden]:
     """Yield what no residual shows: places that only the list decides for, not their mirror images."""
-    for one in found[:_MOST]:
-        apart = float(np.linalg.norm(one.other - one.found))
-        other = _OTHERS.get(one.noun, "points")
+    for place in places[:_MOST]:
+        apart = float(np.linalg.norm(place.other - place.found))
+        other = _OTHERS.get(place.noun, "points")
         yield Hidden(
-            f"mirror image of {one.noun} {one.name} in the plane of the {other} (its listed place decides)",
-            f"the other side of the plane, {coordinates(one.other)}",
+            f"mirror image of {place.noun} {place.name} in the plane of the {other} (its listed place decides)",
+            f"the other side of the plane, {coordinates(place.other)}",
             apart,
             f"lengths to {other} away from that plane",
         )
