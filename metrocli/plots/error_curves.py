@@ -57,8 +57,12 @@ def data(result: Result, about: str) -> Errors | None:
         position = table.numbers("position")
         position = np.degrees(position) if table.units.get("position") == "rad" else position
         curves.append(Curve(error, position, value, _K * std, status.get(error, "")))
-    square = [one for one in result.estimates if one.name in ("A0Z", "B0Z", "C0Y") and np.isfinite(one.value)]
-    return Errors(tuple(curves), tuple((one.name, one.value * _MICRO, _K * one.std * _MICRO) for one in square))
+    square = [
+        estimate
+        for estimate in result.estimates
+        if estimate.name in ("A0Z", "B0Z", "C0Y") and np.isfinite(estimate.value)
+    ]
+    return Errors(tuple(curves), tuple((error.name, error.value * _MICRO, _K * error.std * _MICRO) for error in square))
 
 
 def _order(name: str) -> tuple[int, str, str]:
@@ -68,29 +72,29 @@ def _order(name: str) -> tuple[int, str, str]:
     return kind, error[1] if kind == 2 else "", error
 
 
-def height(found: Errors) -> float:
+def height(errors: Errors) -> float:
     """Return the height of the figure in inches."""
-    return 1.55 * len(_panels(found)) / len(_axes(found)) + 0.5
+    return 1.55 * len(_panels(errors)) / len(_axes(errors)) + 0.5
 
 
-def _axes(found: Errors) -> str:
+def _axes(errors: Errors) -> str:
     """Return the axes of the columns: three linear ones, or those that have curves where some turn."""
-    letters = {curve.name[2] for curve in found.curves}
+    letters = {curve.name[2] for curve in errors.curves}
     return "".join(one for one in "XYZABC" if one in letters) if letters & set("ABC") else "XYZ"
 
 
-def _panels(found: Errors) -> list[list[Curve]]:
+def _panels(errors: Errors) -> list[list[Curve]]:
     """Return the curves of each panel: rows are the direction of the error, columns the axis that moves."""
-    by_name = {curve.name: curve for curve in found.curves}
-    rows = [[f"E{direction}{axis}" for axis in _axes(found)] for direction in "XYZABC"]
+    by_name = {curve.name: curve for curve in errors.curves}
+    rows = [[f"E{direction}{axis}" for axis in _axes(errors)] for direction in "XYZABC"]
     kept = [row for row in rows if any(name in by_name for name in row)]
     return [[by_name[name]] if name in by_name else [] for row in kept for name in row]
 
 
-def draw(canvas: Canvas, found: Errors) -> str:
+def draw(canvas: Canvas, errors: Errors) -> str:
     """Draw the figure and return its caption."""
-    theme, panels = canvas.theme, _panels(found)
-    letters = _axes(found)
+    theme, panels = canvas.theme, _panels(errors)
+    letters = _axes(errors)
     count = len(letters)
     rows = len(panels) // count
     all_axes = canvas.axes(rows, count, sharex="col")
@@ -116,17 +120,17 @@ def draw(canvas: Canvas, found: Errors) -> str:
         if row == rows - 1 or not any(panels[k + count :: count]):
             axes.set_xlabel(f"{letters[column]} ({'deg' if letters[column] in 'ABC' else 'mm'})")
             axes.tick_params(labelbottom=True)
-    return _caption(found)
+    return _caption(errors)
 
 
-def _caption(found: Errors) -> str:
+def _caption(errors: Errors) -> str:
     parts = [
         "Rows: direction of the error; columns: axis that moves. Band: expanded uncertainty, k = 2 "
         "(often thinner than the line)."
     ]
-    if any(curve.status == "together" for curve in found.curves):
+    if any(curve.status == "together" for curve in errors.curves):
         parts.append("Dashed: determined only together with errors that are not, so valid for the measured tools only.")
-    square = [f"{name} {value:.1f} ± {spread:.1f} µrad" for name, value, spread in found.squareness]
+    square = [f"{name} {value:.1f} ± {spread:.1f} µrad" for name, value, spread in errors.squareness]
     if square:
         parts.append(f"Squareness (k = 2): {', '.join(square)}.")
     return " ".join(parts)

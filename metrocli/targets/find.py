@@ -65,8 +65,8 @@ MODULES = {
 def find(pattern: Pattern, picture: Picture) -> Sightings:
     """Return the targets in a grey image (height, width) of 8 or 16 bits, or nothing with the reason."""
     module = import_module(f"metrocli.targets.{MODULES[pattern.type]}")
-    found: Sightings = module.find(pattern, picture)
-    return found
+    sightings: Sightings = module.find(pattern, picture)
+    return sightings
 
 
 COUNTED = ("chessboard", "circles", "asymmetric-circles")
@@ -87,14 +87,14 @@ def likely_size(pattern: Pattern, pictures: Iterable[Picture]) -> tuple[int, int
     rows, columns = pattern.shape
     reduced = [_reduced(pattern, picture) for picture in pictures]
     sizes = [(columns + c, rows + r) for c, r in product((-1, 0, 1), repeat=2) if (c, r) != (0, 0)]
-    found: dict[tuple[int, int], int] = {}
-    for size in sorted((one for one in sizes if min(one) >= 2), key=lambda one: -one[0] * one[1]):
+    votes: dict[tuple[int, int], int] = {}
+    for size in sorted((size for size in sizes if min(size) >= 2), key=lambda size: -size[0] * size[1]):
         other = replace(pattern, columns=size[0], rows=size[1])
-        found[size] = sum(len(find(other, picture)) > 0 for picture in reduced)
-        if found[size] == len(reduced):  # no smaller board can be more likely
+        votes[size] = sum(len(find(other, picture)) > 0 for picture in reduced)
+        if votes[size] == len(reduced):  # no smaller board can be more likely
             break
-    best = max(found, key=lambda size: (found[size], size[0] * size[1]))
-    return best if reduced and found[best] > _SHARE * len(reduced) else None
+    best = max(votes, key=lambda size: (votes[size], size[0] * size[1]))
+    return best if reduced and votes[best] > _SHARE * len(reduced) else None
 
 
 def _reduced(pattern: Pattern, picture: Picture) -> Picture:

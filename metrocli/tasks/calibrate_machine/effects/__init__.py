@@ -16,6 +16,6 @@ OF_LENGTHS = (*OF_THE_MACHINE, *OF_ROTARY_AXES, *LENGTH_EFFECTS)
 OF_BALLS = (*OF_THE_MACHINE, *OF_ROTARY_AXES)
 """Effects on the machine and on balls that it probes"""
 EFFECTS = (*OF_LINES, *LENGTH_EFFECTS)
-"""All effects, in the order of the documentation; each method has those that act on what it reads"""
+"""All effects in the order of lists; each method has those that act on what it reads"""
 
 __all__ = ["EFFECTS", "OF_BALLS", "OF_LENGTHS", "OF_LINES", "OF_MACHINES", "PLACES"]

@@ -44,6 +44,10 @@ def _across(letter: str, names: str, dimension: str, plausible: str) -> tuple[Pa
     return sizes(" ".join(kept), dimension, plausible)
 
 
+def _listed(letter: str, names: str) -> str:
+    return ", ".join(one.name for one in _across(letter, names, "length", "1 mm"))
+
+
 def _jump(letter: str) -> Effect:
     return Effect(
         "axis-jump",
@@ -55,6 +59,7 @@ def _jump(letter: str) -> Effect:
         scanned=_AT,
         needs=("t",),
         confused_with=("pivot-drift", "moved-ball"),
+        formula=f"o += ({_listed(letter, 'dx dy dz')})    where t >= at; o: place of the axis, across it",
         usual="1 to 100 um",
         reveal="the first poses again at the end, and a ball probed at several tilts throughout the run",
         source=_ISO,
@@ -71,6 +76,7 @@ def _drift(letter: str) -> Effect:
         among=(letter,),
         needs=("t",),
         confused_with=("axis-jump", "machine-drift"),
+        formula=f"o += ({_listed(letter, 'vx vy vz')}) t    # o: place of the axis, across it",
         usual="1 to 60 um/h",
         reveal="balls probed at several tilts throughout the run: a drift of the machine moves all of them alike",
         source="ISO 230-3:2020, thermal distortion caused by rotating components",
@@ -86,6 +92,7 @@ OF_ROTARY_AXES: tuple[Effect, ...] = (
         where=("axis",),
         among=_LETTERS,
         needs=("from_{axis}",),
+        formula="angle += width/2    where from_axis = +1\nangle -= width/2    where from_axis = -1",
         usual="0.5 to 20 arcsec",
         reveal="the same poses approached from both sides",
         source="ISO 230-2:2014, reversal value B",
@@ -100,6 +107,8 @@ OF_ROTARY_AXES: tuple[Effect, ...] = (
         among=_LETTERS,
         scanned=(Parameter("periods", grid=_worms, tried=_MOST, whole=True),),
         space=Space.WAVE,
+        formula="angle += amplitude sin(periods s + phase)    # s: commanded angle",
+        note="At equal steps a period that divides them is not seen: steps of 30 deg hide 36 and 72 periods.",
         usual="0.5 to 20 arcsec",
         reveal="poses at uneven steps: at equal steps a period that divides them is not seen",
         source="ISO 230-2:2014 (targets not at multiples of a period)",
@@ -112,6 +121,8 @@ OF_ROTARY_AXES: tuple[Effect, ...] = (
         where=("axis",),
         among=_LETTERS,
         confused_with=("worm-error",),
+        formula="angle += c1 (cos s - cos s0) + s1 (sin s - sin s0)    # s0: zero of the table of the axis",
+        note="The table of the angle contains it where that is estimated.",
         usual="1 to 100 arcsec",
         reveal="`estimate: rotary`, whose table of the angle contains it",
         source="Heidenhain, Angle encoders: eccentricity of the graduation",
@@ -124,6 +135,9 @@ OF_ROTARY_AXES: tuple[Effect, ...] = (
         where=("axis",),
         among=_LETTERS,
         scanned=(Parameter("periods", grid=_wobbles, tried=_WOBBLES, whole=True),),
+        formula="first tilt += c1 cos ns + s1 sin ns    # EA of B and C, EB of A; n: periods\n"
+        "other tilt += c2 cos ns + s2 sin ns    # EB of C, EC of A and B",
+        note="The tables of the tilts contain it where they are estimated.",
         usual="0.2 to 20 arcsec",
         reveal="`estimate: rotary`, whose tables of the tilts contain it",
         source=_ISO,
@@ -137,6 +151,7 @@ OF_ROTARY_AXES: tuple[Effect, ...] = (
         lambda block, where: LoadUnbalance(block, axis=where["pair"][0], carried=where["pair"][1]),
         where=("pair",),
         among=TILTED,
+        formula="a += cos a (c1 cos c + s1 sin c)    # a: angle of the tilting table, c: of the other",
         usual="0.5 to 50 arcsec",
         reveal="poses at several angles of both tables, with the workpiece clamped and without it",
         source="ISO 230-1:2012, rotary axes under load",
@@ -150,6 +165,8 @@ OF_ROTARY_AXES: tuple[Effect, ...] = (
         scanned=_AT,
         needs=("t",),
         confused_with=("axis-jump",),
+        formula="b += (dx, dy, dz)    where t >= at, if the ball was read before",
+        note="Without a reading before that time it was there from the start.",
         usual="1 to 100 um",
         reveal="each ball probed again at the end",
         source="Baarda 1968 (mean shift of some readings)",
