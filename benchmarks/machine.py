@@ -28,11 +28,11 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.files import TRACK, Inputs
-from metrocli.tasks.calibrate_machine.identifiability import identify
 from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
 from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.plans.planned import planned_problem
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
+from metrocli.tasks.calibrate_machine.rank.identifiability import identify
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Noise, Settings
 from metrocli.tasks.calibrate_machine.simulation import simulated
 from metrocli.tasks.calibrate_machine.truth import Truth, blocks_of, truth_of

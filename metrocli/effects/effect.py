@@ -192,6 +192,10 @@ class Effect:
             return None
         return Parameter("std", first.dimension, first.plausible)
 
+    def acts_at(self, where: Mapping[str, str]) -> bool:
+        """Return whether a place is among those that it can have."""
+        return not self.among or all(where[key] in self.among for key in self.keys)
+
     def needed(self, where: Mapping[str, str]) -> tuple[str, ...]:
         """Return the names of the conditions that it needs at a place."""
         return tuple(name.format(**where) for name in self.needs)

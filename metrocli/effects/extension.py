@@ -99,7 +99,7 @@ def _nominal(model: Model, group: Group) -> dict[str, Array]:
 
 def can_act(model: Model, effect: Effect, where: Mapping[str, str]) -> bool:
     """Whether some readings have the conditions that an effect needs at a place, and a chain on which it acts."""
-    return any(_passes(model, group, effect, where) for group in model.readings)
+    return effect.acts_at(where) and any(_passes(model, group, effect, where) for group in model.readings)
 
 
 def _has(group: Group, needs: Sequence[str]) -> bool:
@@ -187,12 +187,7 @@ def places_of(model: Model, effect: Effect) -> list[tuple[str, ...]]:
 def _form(model: Model, wanted: Wanted) -> Effect | None:
     if wanted.std:
         return next((effect for effect in wanted.forms if can_act_everywhere(model, effect)), None)
-    there = (
-        effect
-        for effect in wanted.forms
-        if all(name in names_for(model, effect, key) for key, name in wanted.where.items())
-    )
-    return next((effect for effect in there if can_act(model, effect, wanted.where)), None)
+    return next((effect for effect in wanted.forms if can_act(model, effect, wanted.where)), None)
 
 
 def _misplaced(model: Model, wanted: Wanted) -> list[Fault]:

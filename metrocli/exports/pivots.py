@@ -14,9 +14,9 @@ import numpy as np
 from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
-from metrocli.instruments.joints import turn
+from metrocli.instruments.axes.joints import turn
+from metrocli.instruments.axes.rotary import location_names
 from metrocli.instruments.machine import ANGLES, ROWS
-from metrocli.instruments.rotary import location_names
 from metrocli.result import Result
 
 Texts = dict[str, str]

@@ -13,7 +13,7 @@ from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Local
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
-from metrocli.instruments.joints import Motion, slide
+from metrocli.instruments.axes.joints import Motion, slide
 
 AXES = ("X", "Y", "Z")
 POSITION = ("x", "y", "z")
@@ -100,7 +100,7 @@ class Axis:
 
     @property
     def location(self) -> str:
-        """Name of the block that says how its line lies: squareness, which all linear axes share."""
+        """Name of the block with the location of its line: squareness, which all linear axes share."""
         return SQUARENESS
 
     @property

@@ -11,7 +11,7 @@ from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
-from metrocli.instruments.kinematics import motion
+from metrocli.instruments.axes.kinematics import motion
 from metrocli.instruments.machine import Machine
 
 LINE = "line"

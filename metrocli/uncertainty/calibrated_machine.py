@@ -8,7 +8,7 @@ import numpy as np
 
 from metrocli.arrays import Array, Index
 from metrocli.errors import Fault, InputError
-from metrocli.instruments.error_motion import by_errors, by_squareness
+from metrocli.instruments.axes.error_motion import by_errors, by_squareness
 from metrocli.instruments.machine import (
     AXES,
     SQUARENESS_NAMES,

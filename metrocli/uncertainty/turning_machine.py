@@ -13,9 +13,9 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array, Index
 from metrocli.errors import Fault, InputError
-from metrocli.instruments.kinematics import reach
+from metrocli.instruments.axes.kinematics import reach
+from metrocli.instruments.axes.rotary import RotaryAxis, spindle_block
 from metrocli.instruments.machine import TOOL, Axis, Machine, chain_of, squareness_block, tool_block
-from metrocli.instruments.rotary import RotaryAxis, spindle_block
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.uncertainty.comparison import ENTRIES, TABLES

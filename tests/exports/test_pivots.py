@@ -10,7 +10,7 @@ from simulated import five_axis as sim
 
 from metrocli.errors import InputError
 from metrocli.exports import export
-from metrocli.instruments.rotary import location_names
+from metrocli.instruments.axes.rotary import location_names
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
 

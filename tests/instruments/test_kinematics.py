@@ -12,10 +12,10 @@ from metrocli.adjust.model.chain import Chain, Link
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array
-from metrocli.instruments import kinematics as k
 from metrocli.instruments import machine as m
-from metrocli.instruments.error_motion import ErrorMotion, ReachedPoint, Undisturbed
-from metrocli.instruments.rotary import RotaryAxis, errors_by_word, gauge, spindle_block
+from metrocli.instruments.axes import kinematics as k
+from metrocli.instruments.axes.error_motion import ErrorMotion, ReachedPoint, Undisturbed
+from metrocli.instruments.axes.rotary import RotaryAxis, errors_by_word, gauge, spindle_block
 
 POSES = 6
 

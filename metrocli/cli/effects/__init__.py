@@ -131,6 +131,7 @@ def _effect(effect: Effect, own: bool) -> dict[str, Any]:
         "name": effect.name,
         "cause": effect.cause,
         "where": list(effect.where),
+        "among": list(effect.among),
         "by": effect.by or None,
         "parameters": {
             parameter.name: {

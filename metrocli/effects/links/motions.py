@@ -13,7 +13,7 @@ from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.effects.effect import ELAPSED
 from metrocli.frozen import dataclass
-from metrocli.instruments.error_motion import Undisturbed
+from metrocli.instruments.axes.error_motion import Undisturbed
 from metrocli.instruments.machine import Machine
 from metrocli.instruments.machine_path import SINCE, SPEED
 from metrocli.instruments.six_dof import ALONG, LINE

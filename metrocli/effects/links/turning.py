@@ -10,8 +10,8 @@ from metrocli.arrays import Array
 from metrocli.effects.effect import ELAPSED
 from metrocli.effects.links.motions import PLACE, THETA, TURNING, OnAxis
 from metrocli.frozen import dataclass
-from metrocli.instruments.kinematics import FIRST_SEEN, ON_WORKPIECE
-from metrocli.instruments.rotary import ANGLE
+from metrocli.instruments.axes.kinematics import FIRST_SEEN, ON_WORKPIECE
+from metrocli.instruments.axes.rotary import ANGLE
 
 
 def _angle(axis: str, local: Local) -> Array:

@@ -10,6 +10,12 @@ from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
 from metrocli.arrays import Array, Mask
 from metrocli.errors import Fault, InputError, UndeterminedError
+from metrocli.instruments.axes.rotary import (
+    SPINDLE_NAMES,
+    RotaryAxis,
+    location_names,
+    spindle_block,
+)
 from metrocli.instruments.machine import (
     ANGLES,
     AXES,
@@ -21,12 +27,6 @@ from metrocli.instruments.machine import (
     errors_of,
     squareness_block,
     tool_block,
-)
-from metrocli.instruments.rotary import (
-    SPINDLE_NAMES,
-    RotaryAxis,
-    location_names,
-    spindle_block,
 )
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.machine_settings import AxisSettings, RotarySettings

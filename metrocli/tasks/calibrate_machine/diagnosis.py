@@ -21,9 +21,9 @@ from metrocli.effects.estimates import free_blocks
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.geometry import poses
-from metrocli.instruments.kinematics import LINKS
+from metrocli.instruments.axes.kinematics import LINKS
+from metrocli.instruments.axes.rotary import RotaryAxis
 from metrocli.instruments.machine import TOOL, Machine
-from metrocli.instruments.rotary import RotaryAxis
 from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracer import TRACER, beams
 from metrocli.instruments.tracker import LEG, TRACKER

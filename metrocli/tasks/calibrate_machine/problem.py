@@ -19,11 +19,11 @@ from metrocli.effects.modelled import Modelled
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
-from metrocli.instruments.error_motion import Undisturbed
-from metrocli.instruments.kinematics import LINKS, ON_WORKPIECE
+from metrocli.instruments.axes.error_motion import Undisturbed
+from metrocli.instruments.axes.kinematics import LINKS, ON_WORKPIECE
+from metrocli.instruments.axes.rotary import SPINDLE
 from metrocli.instruments.machine import ANGLES, AXES, POSITION, SQUARENESS, TOOL, Machine
 from metrocli.instruments.machine_path import SINCE, since_turn
-from metrocli.instruments.rotary import SPINDLE
 from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracer import AIR, POINT, STOP, TRACER
 from metrocli.instruments.tracer import aspects as beam_aspects

@@ -12,19 +12,16 @@ from metrocli.adjust.solution import Solution
 from metrocli.effects.estimates import estimates as effect_estimates
 from metrocli.effects.estimates import free_blocks
 from metrocli.effects.estimates import tables as effect_results
-from metrocli.instruments.kinematics import ON_WORKPIECE
-from metrocli.instruments.machine import ANGLES, SQUARENESS, SQUARENESS_NAMES, TOOL, Machine
-from metrocli.instruments.rotary import RotaryAxis
-from metrocli.instruments.six_dof import LINE
-from metrocli.instruments.tracer import TRACER
-from metrocli.instruments.tracker import TRACKER
+from metrocli.instruments.axes.rotary import RotaryAxis
+from metrocli.instruments.machine import SQUARENESS, SQUARENESS_NAMES, TOOL
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
-from metrocli.tasks.calibrate_machine.identifiability import Identifiability
+from metrocli.tasks.calibrate_machine.beside_tables import entries, lines, on_workpiece, rotary_axes, stations, tracker
 from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
 from metrocli.tasks.calibrate_machine.problem import PLACES_OF_AXES
+from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.solve import Solved
 from metrocli.tasks.calibrate_machine.tables import (
@@ -48,7 +45,6 @@ from metrocli.tasks.shared.noise import NoiseFound
 from metrocli.tasks.shared.statistics import (
     Statistics,
     basic_statistics,
-    columns_with_std,
     estimates_of_block,
     found_notes,
     noise_notes,
@@ -84,18 +80,18 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
             "errors": _errors(tables, identified),
             "squareness": _squareness(tables, identified),
             "axes": _axes(tables),
-            **_rotary_axes(tables.machine),
+            **rotary_axes(tables.machine),
             "tools": _tools(solved, solution),
-            **_on_workpiece(solution),
-            **_tracker(solution),
-            **_lines(solution),
-            **_stations(solution),
+            **on_workpiece(solution),
+            **tracker(solution),
+            **lines(solution),
+            **stations(solution),
             **figures,
             **volume,
             "residuals": _residuals(solved),
             "suspects": _suspects(solved),
             "rejected": _named_tests(solved, [name for name, _ in solved.rejected], [w for _, w in solved.rejected]),
-            "tables_entries": _entries(tables),
+            "tables_entries": entries(tables),
             TABLE: hidden,
             **effect_tables,
         },
@@ -222,45 +218,6 @@ def _axes(tables: Tables) -> Table:
     )
 
 
-def _rotary_axes(machine: Machine) -> dict[str, Table]:
-    """Return the rotary axes with a point of their nominal line, if there are any."""
-    turning = [(i, axis) for i, axis in enumerate(machine.axes) if isinstance(axis, RotaryAxis)]
-    if not turning:
-        return {}
-    columns = {
-        "axis": [axis.letter for _, axis in turning],
-        "low high [rad]": np.array([[axis.knots[0], axis.knots[-1]] for _, axis in turning]),
-        "knots": [len(axis.knots) for _, axis in turning],
-        "reference [rad]": [axis.reference for _, axis in turning],
-        "place": [machine.order.index(i) + 1 for i, _ in turning],
-        "x y z [mm]": np.array([axis.at for _, axis in turning]),
-        "sense": [axis.sense for _, axis in turning],
-        "head": [axis.head for _, axis in turning],
-        "periodic": [axis.periodic for _, axis in turning],
-    }
-    return {"rotary_axes": Table.of(columns)}
-
-
-def _entries(tables: Tables) -> Table:
-    """Return the error and the position of each entry of `tables_covariance`."""
-    error, position = [one for one, _ in tables.entries], np.array([one for _, one in tables.entries])
-    if not tables.machine.turns:
-        return Table.of({"error": error, "position [mm]": position})
-    turns = np.array([name[-1] in ANGLES for name in error])
-    linear, turned = np.where(turns, np.nan, position), np.where(turns, position, np.nan)
-    return Table.of({"error": error, "position [mm]": linear, "angle [rad]": turned})
-
-
-def _on_workpiece(solution: Solution) -> dict[str, Table]:
-    """Return the places of balls or reflectors on the workpiece, at position 0 of all axes."""
-    if ON_WORKPIECE not in solution.blocks:
-        return {}
-    block = solution.blocks[ON_WORKPIECE]
-    std = solution.std(ON_WORKPIECE) if block.free.any() else np.zeros(block.values.shape)
-    table = Table.of({block.noun: block.members, "x y z [mm]": block.values, "sx sy sz [mm]": std})
-    return {f"{block.noun}s": table}
-
-
 def _places(solution: Solution) -> tuple[str, ...]:
     """Return the names of the blocks that say how the axes lie: squareness, and those that have unknowns."""
     others = (name for name in PLACES_OF_AXES[1:] if name in solution.blocks and solution.blocks[name].free.any())
@@ -280,34 +237,6 @@ def _tools(solved: Solved, solution: Solution) -> Table:
             "predictable": [name not in open_ones for name in block.members],
         }
     )
-
-
-def _tracker(solution: Solution) -> dict[str, Table]:
-    if TRACKER not in solution.blocks:
-        return {}
-    block, std = solution.blocks[TRACKER], solution.std(TRACKER)[0]
-    units = ["mm"] * 3 + ["rad"] * 3
-    columns = {"parameter": block.columns, "value": block.values[0], "std": std, "unit": units}
-    return {"tracker": Table.of(columns)}
-
-
-def _stations(solution: Solution) -> dict[str, Table]:
-    """Return the place, dead path and scale of each station of lengths."""
-    if TRACER not in solution.blocks:
-        return {}
-    block, std = solution.blocks[TRACER], solution.std(TRACER)
-    values = {"x y z dead_path [mm]": block.values[:, :4], "scale": block.values[:, 4]}
-    spread = {"sx sy sz s_dead_path [mm]": std[:, :4], "s_scale": std[:, 4]}
-    return {"stations": Table.of({"station": block.members, **values, **spread})}
-
-
-def _lines(solution: Solution) -> dict[str, Table]:
-    """Return the misalignment of each six-dof line: offsets of the channels, and slopes across the beam."""
-    if LINE not in solution.blocks:
-        return {}
-    block = solution.blocks[LINE]
-    units = ["mm" if name in ("ex", "ey", "ez") else "rad" for name in block.columns]
-    return {"lines": Table.of({"line": block.members, **columns_with_std(block, solution.std(LINE), units)})}
 
 
 def _residuals(solved: Solved) -> Table:

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
 
 from metrocli.frozen import dataclass
+from metrocli.instruments.axes.rotary import LOCATIONS, ROTARY_NAMES, SPINDLE_NAMES, WORDS, errors_by_word
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, SQUARENESS_NAMES, canonical, is_angle
-from metrocli.instruments.rotary import LOCATIONS, ROTARY_NAMES, SPINDLE_NAMES, WORDS, errors_by_word
 from metrocli.settings import Choice, Either, Flag, ListOf, Quantity, Section, Whole, setting
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import VECTOR, MachineSettings

@@ -15,7 +15,7 @@ from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_euler
-from metrocli.instruments.kinematics import reach
+from metrocli.instruments.axes.kinematics import reach
 from metrocli.instruments.machine import (
     POSITION,
     SQUARENESS,

@@ -15,8 +15,8 @@ from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL
-from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability, identify
 from metrocli.tasks.shared.lengths import with_repeatability
 from metrocli.tasks.shared.mirror import Mirrored, mirrored, must_be_decided, of_tracers
 

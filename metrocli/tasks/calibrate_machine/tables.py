@@ -15,8 +15,8 @@ from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
+from metrocli.instruments.axes.rotary import RotaryAxis
 from metrocli.instruments.machine import AXES, SQUARENESS, TOOL, Axis, Machine, errors_of, is_angle
-from metrocli.instruments.rotary import RotaryAxis
 from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, PLACES_OF_AXES
 from metrocli.tasks.shared.part import Warm
 from metrocli.units import internal_unit

@@ -14,7 +14,7 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import cross_matrix
-from metrocli.instruments.kinematics import motion, nominal_tip
+from metrocli.instruments.axes.kinematics import motion, nominal_tip
 from metrocli.instruments.machine import TOOL, Machine
 
 _POINTS = 300

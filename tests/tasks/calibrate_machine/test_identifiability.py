@@ -14,11 +14,11 @@ from metrocli.errors import UndeterminedError
 from metrocli.instruments.machine_path import Path
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.described import machine_of
-from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.plans.planned import planned_problem
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
+from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability, identify
 
 KNOTS = (13, 11, 11)
 ALONG_Z = {"T1": (0.0, 0.0, 120.0), "T2": (0.0, 0.0, 220.0)}
@@ -163,7 +163,7 @@ def test_what_is_not_determined_has_no_number() -> None:
 def test_the_ratio_is_that_of_the_worst_machine_that_can_be_thought_of() -> None:
     """No random change of the unknowns has a larger ratio; the worst one has it."""
     from metrocli.adjust.dense_jacobian import rows, unit_noise, unknowns_of
-    from metrocli.tasks.calibrate_machine.amplification import volume_matrix
+    from metrocli.tasks.calibrate_machine.rank.amplification import volume_matrix
 
     rng = np.random.default_rng(10)
     table = sim.points(sim.random_machine(rng), rng, 60)

@@ -13,7 +13,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array
 from metrocli.instruments import machine as m
-from metrocli.instruments.kinematics import motion
+from metrocli.instruments.axes.kinematics import motion
 
 ORDERS = ["".join(order) for order in permutations("XYZ")]
 

@@ -13,8 +13,8 @@ import numpy as np
 from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array, Index
 from metrocli.instruments import tracer as t
-from metrocli.instruments.kinematics import reach
-from metrocli.instruments.rotary import gauge
+from metrocli.instruments.axes.kinematics import reach
+from metrocli.instruments.axes.rotary import gauge
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support
 from metrocli.tasks.calibrate_machine.files import NO_FILES, Files

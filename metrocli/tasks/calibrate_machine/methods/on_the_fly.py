@@ -26,7 +26,7 @@ from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.instruments.kinematics import reach
+from metrocli.instruments.axes.kinematics import reach
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.tracker import LEG, TRACKER, TrackerNoise, leg_block, path_chain, tracker_block

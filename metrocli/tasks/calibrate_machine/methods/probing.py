@@ -1,7 +1,7 @@
 """probing: build the adjustment of balls on the workpiece that a probe at the spindle finds.
 
-A reading is the displacement of a ball against the probe, `B_w b - B_t T` in the axes of the bed: what an R-test shows,
-and zero for a touch probe, whose commanded position is where it found the centre.
+A reading is the displacement of a ball against the probe, `B_w b - B_t T` in the axes of the bed, as an R-test shows it.
+It is zero for a touch probe, since its commanded position is where it found the centre.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.instruments.error_motion import Undisturbed
-from metrocli.instruments.kinematics import OF_TOOL, OF_WORKPIECE, FromBed, axes_of, seen_from_bed
+from metrocli.instruments.axes.error_motion import Undisturbed
+from metrocli.instruments.axes.kinematics import OF_TOOL, OF_WORKPIECE, FromBed, axes_of, seen_from_bed
+from metrocli.instruments.axes.rotary import gauge
 from metrocli.instruments.machine import Machine
-from metrocli.instruments.rotary import gauge
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support
 from metrocli.tasks.calibrate_machine.methods.targets import Targets, balls_of, with_distances

@@ -8,8 +8,8 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array
 from metrocli.errors import Fault, InputError
-from metrocli.instruments.kinematics import reach
-from metrocli.instruments.rotary import gauge
+from metrocli.instruments.axes.kinematics import reach
+from metrocli.instruments.axes.rotary import gauge
 from metrocli.instruments.tracker import FACE, POLAR, TRACKER, TrackerNoise, cartesian, point_chain, tracker_block
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support

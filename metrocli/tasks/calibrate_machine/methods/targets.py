@@ -14,10 +14,17 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
+from metrocli.instruments.axes.kinematics import (
+    FIRST_SEEN,
+    OF_TOOL,
+    OF_WORKPIECE,
+    ON_WORKPIECE,
+    nominal_tip,
+    seen_from_bed,
+)
+from metrocli.instruments.axes.rotary import RotaryAxis
 from metrocli.instruments.frames import DistanceBetween
-from metrocli.instruments.kinematics import FIRST_SEEN, OF_TOOL, OF_WORKPIECE, ON_WORKPIECE, nominal_tip, seen_from_bed
 from metrocli.instruments.machine import TOOL, Machine
-from metrocli.instruments.rotary import RotaryAxis
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import tool_prior
 from metrocli.tasks.calibrate_machine.problem import tools_of

@@ -17,9 +17,9 @@ from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.tracker import LEG
-from metrocli.tasks.calibrate_machine.amplification import volume_matrix
-from metrocli.tasks.calibrate_machine.identifiability import identify
 from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.rank.amplification import volume_matrix
+from metrocli.tasks.calibrate_machine.rank.identifiability import identify
 
 _CHOICE = 40
 _WORST = 6

@@ -14,7 +14,7 @@ from metrocli.arrays import Array, Index
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.instruments.kinematics import reach
+from metrocli.instruments.axes.kinematics import reach
 from metrocli.instruments.machine import ALL_NAMES, TOOL, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.tracker import LEG, TRACKER, leg_block, path_chain, tracker_block
@@ -25,12 +25,12 @@ from metrocli.result import Estimate, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.described import error_blocks, machine_of, tool_prior
-from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import READINGS, path_of
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.plans.path_search import Found, Wanted, edges_and_diagonals, search
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
+from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.tables import Determination, Tables, tables_of, unit_of
 from metrocli.tasks.calibrate_machine.volume_report import volume_tables

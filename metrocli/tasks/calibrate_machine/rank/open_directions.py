@@ -12,7 +12,7 @@ from metrocli.adjust.dense_jacobian import Unknowns
 from metrocli.adjust.model.blocks import Block
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
-from metrocli.instruments.kinematics import ON_WORKPIECE
+from metrocli.instruments.axes.kinematics import ON_WORKPIECE
 from metrocli.instruments.machine import ANGLES, Machine
 from metrocli.instruments.tracer import TRACER
 from metrocli.tasks.calibrate_machine.layout import cure_of, line_of

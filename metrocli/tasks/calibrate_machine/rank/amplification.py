@@ -9,8 +9,8 @@ import numpy as np
 from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, unit_noise, unknowns_of
 from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array
+from metrocli.instruments.axes.rotary import Combinations
 from metrocli.instruments.machine import TOOL
-from metrocli.instruments.rotary import Combinations
 from metrocli.instruments.tracer import AIR, STOP
 from metrocli.tasks.calibrate_machine.problem import Problem
 from metrocli.tasks.calibrate_machine.volume import rows_over_volume

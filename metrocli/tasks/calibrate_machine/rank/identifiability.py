@@ -21,14 +21,14 @@ from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array, Index
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
+from metrocli.instruments.axes.rotary import RotaryAxis
 from metrocli.instruments.machine import ANGLES, TOOL, Machine, errors_of
-from metrocli.instruments.rotary import RotaryAxis
 from metrocli.instruments.tracer import STOP
-from metrocli.tasks.calibrate_machine.amplification import worst_ratio
 from metrocli.tasks.calibrate_machine.described import error_names
 from metrocli.tasks.calibrate_machine.methods.targets import met_again
-from metrocli.tasks.calibrate_machine.open_directions import OpenDirections, in_words
 from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.rank.amplification import worst_ratio
+from metrocli.tasks.calibrate_machine.rank.open_directions import OpenDirections, in_words
 from metrocli.tasks.calibrate_machine.tables import Determination
 from metrocli.tasks.calibrate_machine.volume import rows_over_volume
 

@@ -18,7 +18,7 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
-from metrocli.instruments.joints import Motion, turn
+from metrocli.instruments.axes.joints import Motion, turn
 from metrocli.instruments.machine import ANGLES, AXES, SQUARENESS_NAMES, Axis, Machine, bracket, errors_of
 
 SPINDLE = "spindle"

@@ -15,16 +15,16 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import vector_from_rotation
-from metrocli.instruments.error_motion import ErrorMotion, ReachedPoint, Undisturbed
-from metrocli.instruments.joints import Motion, crossed, times, turned
+from metrocli.instruments.axes.error_motion import ErrorMotion, ReachedPoint, Undisturbed
+from metrocli.instruments.axes.joints import Motion, crossed, times, turned
+from metrocli.instruments.axes.rotary import SPINDLE
 from metrocli.instruments.machine import ROWS, SQUARENESS, TOOL, Machine
-from metrocli.instruments.rotary import SPINDLE
 
 ON_WORKPIECE = "on workpiece"
 """Block of points fixed to the workpiece: balls that are probed, reflectors on a table"""
 OF_WORKPIECE, OF_TOOL = "of workpiece", "of tool"
-"""Conditions: the shares of a point on the workpiece and of one at the tool in what is read, both as seen from the bed:
-0 and 1, 1 and 0, or 1 and -1 for a ball against a probe"""
+"""Conditions: the shares of a point on the workpiece and of one at the tool in a reading from the bed. They are 0 and
+1, 1 and 0, or 1 and -1 for a ball against a probe."""
 FIRST_SEEN = "first seen"
 """Condition: time at which the point of a reading was read for the first time [s]"""
 _Path = Sequence[tuple[int, bool]]

@@ -1,0 +1,1 @@
+"""Axes of machines: joints, rotary axes, and the motions that they give together."""
