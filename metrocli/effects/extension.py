@@ -212,9 +212,7 @@ def _no_place(model: Model, key: str, name: str) -> str:
 
 def names_for(model: Model, effect: Effect, key: str) -> tuple[str, ...]:
     """Return the names of one kind of place at which an effect can act."""
-    names = model.places[key].names
-    if effect.among:
-        return tuple(name for name in names if name in effect.among)
+    names = tuple(name for name in model.places[key].names if not effect.among or name in effect.among)
     return names[1:] if key in effect.not_first else names
 
 
