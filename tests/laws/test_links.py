@@ -187,6 +187,11 @@ CASES: dict[str, Case] = {
             "all, distortion 0": {**ALL, **dict.fromkeys([*COEFFICIENTS, *RATIONAL, *PRISM], 0.0)},
         }.items()
     },
+    **{
+        f"tilted, {name}": Case(Lens(), (lens_block(**{**ONE_F, **CENTRE, **values, "tau_x": 0.03, "tau_y": -0.02}),))
+        for name, values in {"usual": COEFFICIENTS, "pinhole": {"tau_x": 0.0}}.items()
+    },
+    "fisheye": Case(Lens(fisheye=True), (lens_block(**{**ALL, "tau_x": 0.03, "tau_y": -0.02, "k5": 0.0, "k6": 0.0}),)),
     **{f"{kind.__name__}, several": Case(kind(), (lens_blocks(**ALL),)) for kind in (Lens, LensBackward)},
     "Varied": Case(
         Varied(Lens(), "lens", Warmer()),

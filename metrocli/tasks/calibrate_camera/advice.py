@@ -14,7 +14,7 @@ from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import plane_frame
 from metrocli.instruments.conventions import projection_range
-from metrocli.instruments.lens import RATIONAL
+from metrocli.instruments.distortion import RATIONAL
 from metrocli.table import Table
 from metrocli.targets.lattice import GATE, determines_homography, homography, projected
 from metrocli.tasks.calibrate_camera.problem import Problem

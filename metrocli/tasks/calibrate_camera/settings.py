@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
-from metrocli.instruments.lens import PARAMETERS, PIXELS
+from metrocli.instruments.lens import PARAMETERS, UNITS
 from metrocli.settings import Choice, Either, ImageFiles, ListOf, Quantity, Section, TableFile, Whole, setting
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import Columns, Table, columns
@@ -213,5 +213,5 @@ _LENGTHS = ("test_lengths", "length_measuring_error", "length_max_en", "length_e
 
 def figures(settings: Settings) -> dict[str, str]:
     """Return the units of the figures; the pose is there only with rig cmm."""
-    lens = {name: "px" if name in PIXELS else "1" for name in PARAMETERS}
+    lens = {name: UNITS.get(name, "1") for name in PARAMETERS}
     return adjusted(lens | POSE, (*_STATISTICS, *_LENGTHS), ["px"])

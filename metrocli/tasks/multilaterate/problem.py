@@ -163,6 +163,4 @@ def network_of(
     model = Model(blocks, groups, datum, (LENGTHS,), acting, t.aspects(t.reach()), nominal=nominal)
     warnings, air = readings.warnings, readings.air
     given, scale = bool(tracers.given.all()), settings.scale
-    return Network(
-        model, noise, readings.nominal, readings.absolute, given, tracers.said, warnings, scale, air
-    )
+    return Network(model, noise, readings.nominal, readings.absolute, given, tracers.said, warnings, scale, air)
