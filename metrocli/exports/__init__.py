@@ -27,6 +27,8 @@ class Format:
     """Whether the files also state what the record of the result holds: job, inputs, certificate"""
     function: str = "files"
     """Name of its function, where a module has several formats"""
+    nearest: bool = False
+    """Whether it takes the largest difference [px] of a camera that its models can only approach"""
 
 
 FORMATS: dict[str, Format] = {
@@ -39,13 +41,15 @@ FORMATS: dict[str, Format] = {
     "isg-csv": Format("metrocli.exports.isg_csv", "volumetric compensation of ISG and Beckhoff"),
     "etalon": Format("metrocli.exports.volumetric", "Etalon exchange format"),
     **{
-        name: Format("metrocli.exports.camera_models", f"camera of {program}", function=name)
+        name: Format("metrocli.exports.camera_models", f"camera of {program}", function=name, nearest=True)
         for name, program in (
             ("opencv", "OpenCV (YAML)"),
             ("ros", "ROS (camera_info)"),
             ("colmap", "COLMAP (cameras.txt)"),
             ("kalibr", "Kalibr (camchain)"),
             ("mrcal", "mrcal (cameramodel)"),
+            ("metashape", "Metashape (XML)"),
+            ("matlab", "MATLAB (cameraIntrinsics)"),
         )
     },
     "sa-ascii": Format("metrocli.exports.sa_ascii", "points for SpatialAnalyzer"),
@@ -53,11 +57,17 @@ FORMATS: dict[str, Format] = {
 }
 
 
-def export(name: str, result: Result, record: Record | None = None) -> Exported:
+WITHIN = 0.05
+"""Largest difference [px] of a camera in a format that can only approach it"""
+
+
+def export(name: str, result: Result, record: Record | None = None, within: float = WITHIN) -> Exported:
     """Return the files of a result in a format; raises InputError if the result has nothing to export in it.
 
     Beside the files of a result with doubts, a text states them.
     """
-    files: Callable[..., Exported] = getattr(import_module(FORMATS[name].module), FORMATS[name].function)
+    form = FORMATS[name]
+    files: Callable[..., Exported] = getattr(import_module(form.module), form.function)
     doubts = {"doubtful.txt": "\n".join([*result.doubts, ""])} if result.doubts else {}
-    return {**(files(result, record) if FORMATS[name].recorded else files(result)), **doubts}
+    more = (record,) if form.recorded else (within,) if form.nearest else ()
+    return {**files(result, *more), **doubts}

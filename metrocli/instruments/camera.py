@@ -14,7 +14,7 @@ from metrocli.adjust.movements import of_members, of_points
 from metrocli.arrays import Array
 from metrocli.geometry import poses
 from metrocli.instruments.frames import Into, OutOf, PointOf
-from metrocli.instruments.lens import UNITS, Lens, LensBackward
+from metrocli.instruments.lenses.lens import UNITS, Lens, LensBackward
 
 LENS, VIEW, TARGET, TAPER = "lens", "view", "target", "camera"
 """Blocks: lens parameters, a pose for each image, target coordinates, pose of the camera in the reference frame."""

@@ -20,7 +20,9 @@ def shell(line: str, folder: Path) -> tuple[int, str]:
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full here")
-@pytest.mark.parametrize("arguments", ["--help", "--version", "check --help", "show absent.h5 --json", "effects --json"])
+@pytest.mark.parametrize(
+    "arguments", ["--help", "--version", "check --help", "show absent.h5 --json", "effects --json"]
+)
 def test_a_full_stdout_ends_with_3(arguments: str, tmp_path: Path) -> None:
     code, said = shell(f"{COMMAND} {arguments} > /dev/full", tmp_path)
     assert code == 3 and "Traceback" not in said and "Exception ignored" not in said

@@ -33,7 +33,9 @@ columns:
 def test_they_are_read(more: str, text: str, row: str, tmp_path: Path, metrocli: Metrocli) -> None:
     (tmp_path / "map.yaml").write_text(MAP.format(more=more))
     (tmp_path / "in.txt").write_text(text, encoding="utf-8")
-    ran = metrocli("import", tmp_path / "in.txt", "--from", "columns", "--map", tmp_path / "map.yaml", "--out", tmp_path)
+    ran = metrocli(
+        "import", tmp_path / "in.txt", "--from", "columns", "--map", tmp_path / "map.yaml", "--out", tmp_path
+    )
     assert ran.code == 0, ran.err
     assert (tmp_path / "points.csv").read_text().splitlines()[-1] == row
 
@@ -42,7 +44,9 @@ def test_they_are_read(more: str, text: str, row: str, tmp_path: Path, metrocli:
 def test_encodings(encoding: str, tmp_path: Path, metrocli: Metrocli) -> None:
     (tmp_path / "map.yaml").write_text(MAP.format(more=f"encoding: {encoding}"))
     (tmp_path / "in.txt").write_bytes("Punkt,X,Y,Z\r\nSüd,1,2,3\r\n".encode(encoding))
-    ran = metrocli("import", tmp_path / "in.txt", "--from", "columns", "--map", tmp_path / "map.yaml", "--out", tmp_path)
+    ran = metrocli(
+        "import", tmp_path / "in.txt", "--from", "columns", "--map", tmp_path / "map.yaml", "--out", tmp_path
+    )
     assert ran.code == 0, ran.err
     assert (tmp_path / "points.csv").read_text(encoding="utf-8").splitlines()[-1] == "Süd,1,2,3"
 
@@ -50,7 +54,9 @@ def test_encodings(encoding: str, tmp_path: Path, metrocli: Metrocli) -> None:
 def test_a_group_of_two_digits_is_no_number(tmp_path: Path, metrocli: Metrocli) -> None:
     (tmp_path / "map.yaml").write_text(MAP.format(more="thousands: comma\nseparator: semicolon"))
     (tmp_path / "in.txt").write_text("Punkt;X;Y;Z\nA;1,23;7;8\n")
-    ran = metrocli("import", tmp_path / "in.txt", "--from", "columns", "--map", tmp_path / "map.yaml", "--out", tmp_path)
+    ran = metrocli(
+        "import", tmp_path / "in.txt", "--from", "columns", "--map", tmp_path / "map.yaml", "--out", tmp_path
+    )
     assert ran.code == 3 and "'1,23' is not a number" in ran.err
 
 

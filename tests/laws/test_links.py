@@ -16,10 +16,11 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
 from metrocli.geometry import poses
-from metrocli.instruments import frames, launch_unit, lens, spindle_camera, tracer
+from metrocli.instruments import frames, launch_unit, spindle_camera, tracer
 from metrocli.instruments.frames import DistanceBetween, Into, OutOf, PointOf
 from metrocli.instruments.launch_unit import AboutBase, BeamBack, BeamLength, BeamOut, Encoders, Reading
-from metrocli.instruments.lens import PARAMETERS, Lens, LensBackward
+from metrocli.instruments.lenses import lens
+from metrocli.instruments.lenses.lens import PARAMETERS, Lens, LensBackward
 from metrocli.instruments.spindle_camera import Coupling, UncertainPoses
 from metrocli.instruments.tracer import LengthFrom, Returned
 

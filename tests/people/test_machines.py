@@ -54,5 +54,7 @@ def test_some_of_six_channels_are_refused(case: Case, metrocli: Metrocli) -> Non
     (folder / "lines.csv").write_text("\n".join([*rows, ""]))
     ran = metrocli("calibrate-machine", "job.yaml")
     assert ran.code == 3 and "either all six channels" in ran.err and "is it the column" not in ran.err
-    ran = metrocli("calibrate-machine", "job.yaml", "--set", "inputs.lines=lines_zeros.csv", "--set", "noise.angle=0 rad")
+    ran = metrocli(
+        "calibrate-machine", "job.yaml", "--set", "inputs.lines=lines_zeros.csv", "--set", "noise.angle=0 rad"
+    )
     assert ran.code == 3

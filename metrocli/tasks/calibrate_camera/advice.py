@@ -13,8 +13,8 @@ from metrocli.arrays import Array, Index, Mask
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import plane_frame
-from metrocli.instruments.conventions import projection_range
-from metrocli.instruments.distortion import RATIONAL
+from metrocli.instruments.lenses.conventions import projection_range
+from metrocli.instruments.lenses.distortion import RATIONAL
 from metrocli.table import Table
 from metrocli.targets.lattice import GATE, determines_homography, homography, projected
 from metrocli.tasks.calibrate_camera.problem import Problem

@@ -18,8 +18,8 @@ from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import Scene, plane_frame, start
-from metrocli.instruments.distortion import DISTORTION, PRISM, RATIONAL, undistort
-from metrocli.instruments.lens import plane_point
+from metrocli.instruments.lenses.distortion import DISTORTION, PRISM, RATIONAL, undistort
+from metrocli.instruments.lenses.lens import plane_point
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.readings import check_targets, readings, scale_bars

@@ -13,8 +13,8 @@ from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
-from metrocli.instruments.conventions import projection_range
-from metrocli.instruments.distortion import DISTORTION, PRISM, RATIONAL
+from metrocli.instruments.lenses.conventions import projection_range
+from metrocli.instruments.lenses.distortion import DISTORTION, PRISM, RATIONAL
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.shared.images.tables import root_mean_square

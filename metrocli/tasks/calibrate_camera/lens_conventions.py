@@ -10,8 +10,8 @@ from metrocli.adjust.schur.covariance import Covariance
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array
 from metrocli.instruments import camera
-from metrocli.instruments.conventions import Photogrammetric, converted, photogrammetric
-from metrocli.instruments.distortion import PRISM, RATIONAL
+from metrocli.instruments.lenses.conventions import Photogrammetric, converted, photogrammetric
+from metrocli.instruments.lenses.distortion import PRISM, RATIONAL
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.settings import Camera

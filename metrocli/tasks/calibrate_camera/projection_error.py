@@ -7,7 +7,7 @@ import numpy as np
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index
 from metrocli.instruments import camera
-from metrocli.instruments.lens import focal, ideal_point, image_point
+from metrocli.instruments.lenses.lens import focal, ideal_point, image_point
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.shared.statistics import Statistics
 from metrocli.units.people import two_digits

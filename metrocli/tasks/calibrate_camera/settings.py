@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
-from metrocli.instruments.lens import PARAMETERS, UNITS
+from metrocli.instruments.lenses.lens import PARAMETERS, UNITS
 from metrocli.settings import Choice, Either, ImageFiles, ListOf, Quantity, Section, TableFile, Whole, setting
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import Columns, Table, columns
@@ -17,6 +17,7 @@ from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.tasks.shared.images.settings import (
     ESTIMATE,
     Extrinsics,
+    LensModel,
     LensValues,
     eccentricity_setting,
     image_faults,
@@ -58,8 +59,12 @@ class LengthLimit:
             yield "constant", "the limit is zero for every length: give constant or proportional"
 
 
+_USUAL = {"fisheye": ("k1", "k2", "k3", "k4"), "division": ("k4",)}
+"""Distortion that is estimated unless the job says otherwise"""
+
+
 @dataclass(frozen=True, kw_only=True)
-class Camera(LensValues):
+class Camera(LensModel):
     """The camera to calibrate; a given parameter is known, or the starting value if it is estimated too."""
 
     image_size: tuple[int, int] | None = setting(
@@ -72,13 +77,8 @@ class Camera(LensValues):
     )
     estimate: tuple[str, ...] = setting(
         ListOf(Choice(*PARAMETERS), distinct=True),
-        "parameters to estimate",
-        default=("f", "cx", "cy", "k1", "k2", "p1", "p2"),
-    )
-    convention: str = setting(
-        Choice("forward", "backward"),
-        "forward: distortion at the ideal point; backward: correction at the measured point",
-        default="forward",
+        "parameters to estimate; f cx cy k1 k2 p1 p2 unless given, k1 to k4 for a fisheye, k4 for division",
+        default=None,
     )
     reference_radius: float | None = setting(
         Quantity("length"),
@@ -86,9 +86,16 @@ class Camera(LensValues):
         default=None,
     )
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.estimate is None:
+            usual = _USUAL.get(self.model or "", ("k1", "k2", "p1", "p2"))
+            object.__setattr__(self, "estimate", ("f", "cx", "cy", *usual))
+
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield (key, message) for keys that contradict each other."""
         chosen = set(self.estimate) | set(self.given())
+        yield from self.model_faults(chosen, "estimate")
         if "f" in chosen and chosen & {"fx", "fy"}:
             yield "estimate", "f is one focal length for both axes: name either f, or fx and fy"
         if "aspect" in chosen and chosen & {"fx", "fy"}:

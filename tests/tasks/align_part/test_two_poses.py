@@ -34,7 +34,9 @@ def located(side: float, apart: float, noise: float = 0.1) -> Result:
 
 
 def test_a_small_flat_part_seen_from_one_place_is_refused() -> None:
-    with pytest.raises(UndeterminedError, match=r"two poses of the part alike(.|\n)*images from positions further apart"):
+    with pytest.raises(
+        UndeterminedError, match=r"two poses of the part alike(.|\n)*images from positions further apart"
+    ):
         located(15.0, 5.0, 0.3)
 
 

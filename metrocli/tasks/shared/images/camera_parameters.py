@@ -14,8 +14,8 @@ from metrocli.effects.model import Added
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
-from metrocli.instruments.distortion import DISTORTION
-from metrocli.instruments.lens import UNITS
+from metrocli.instruments.lenses.distortion import DISTORTION
+from metrocli.instruments.lenses.lens import UNITS
 from metrocli.table import Table
 
 HIGH = 0.95

@@ -19,7 +19,7 @@ from metrocli.errors import InputError, UsageError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.camera import TARGET
-from metrocli.instruments.lens import ideal_point, image_point
+from metrocli.instruments.lenses.lens import ideal_point, image_point
 from metrocli.table import Table
 from metrocli.targets import drawings, render
 from metrocli.targets.codes import codes

@@ -8,8 +8,8 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.instruments.distortion import DISTORTION, RADIAL, distort, undistort
-from metrocli.instruments.lens import focal, image_point, plane_point
+from metrocli.instruments.lenses.distortion import DISTORTION, RADIAL, distort, undistort
+from metrocli.instruments.lenses.lens import focal, image_point, plane_point
 
 _GRID = 33
 

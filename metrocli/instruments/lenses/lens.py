@@ -14,7 +14,7 @@ from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.instruments.distortion import DISTORTION, TILT, Distorted, distort, undistort
+from metrocli.instruments.lenses.distortion import DISTORTION, TILT, Distorted, distort, undistort
 
 PARAMETERS = ("f", "fx", "fy", "aspect", "cx", "cy", "skew", *DISTORTION)
 """All lens parameters. With one focal length, `fx = f (1 + aspect)` and `fy = f`, else aspect is not used; skew adds
