@@ -64,10 +64,15 @@ def direction(values: Mapping[str, float], u: Array, v: Array, convention: str =
     """Return the unit vector (3, n) towards what is seen at (u, v); nan where the lens has no inverse."""
     x, y = ideal_point(values, u, v, convention)
     if convention == "fisheye":
-        angle = np.hypot(x, y)
-        across = np.sinc(angle / np.pi)  # sin(angle) / angle
-        return np.stack([x * across, y * across, np.cos(angle)])
+        return unit_vector(np.stack([x, y]))
     return np.stack([x, y, np.ones_like(x)]) / np.sqrt(x * x + y * y + 1)
+
+
+def unit_vector(flat: Array) -> Array:
+    """Return the unit vectors (3, n) of points (2, n) of the plane of a fisheye, the inverse of `equidistant`."""
+    angle = np.hypot(*flat)
+    across = np.sinc(angle / np.pi)  # sin(angle) / angle
+    return np.stack([flat[0] * across, flat[1] * across, np.cos(angle)])
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index
 from metrocli.instruments import camera
-from metrocli.instruments.lenses.lens import focal, ideal_point, image_point
+from metrocli.instruments.lenses.lens import equidistant, focal, ideal_point, image_point, unit_vector
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.shared.statistics import Statistics
 from metrocli.units.people import two_digits
@@ -73,8 +73,8 @@ class _Linear:
 
     def image(self, values: Array, uv: Array, directions: Array) -> Array:
         lens = self.named(values)
-        if self.convention == "forward":
-            return np.concatenate(image_point(lens, *directions))
+        if self.convention != "backward":
+            return np.concatenate(image_point(lens, directions[0], directions[1], self.convention == "fisheye"))
         # the measured point is corrected: a change of its direction at a fixed pixel, in pixels
         fx, fy = focal(lens)
         x, y = ideal_point(lens, uv[0], uv[1], self.convention)
@@ -94,10 +94,23 @@ class _Linear:
         """Return the derivatives by a rotation of the camera about x, y and z, (2 n, 3), without distortion."""
         fx, fy = focal(self.named(self.values))
         x, y = self.directions(uv)
+        if self.convention == "fisheye":
+            return self._turned(np.stack([x, y]), np.array([[fx], [fy]]))
         by_x = np.concatenate([fx * x * y, fy * (1 + y**2)])
         by_y = np.concatenate([fx * (1 + x**2), fy * x * y])
         by_z = np.concatenate([fx * -y, fy * x])
         return np.stack([by_x, by_y, by_z], axis=1)
+
+    @staticmethod
+    def _turned(flat: Array, focals: Array) -> Array:
+        """Return the derivatives `by_turn` of a fisheye at points of its plane (2, n), by differences."""
+        seen = unit_vector(flat)
+        columns = []
+        for axis in np.eye(3) * _STEP:
+            moved = np.cross(axis, seen, axisb=0, axisc=0)
+            ahead, behind = (equidistant(seen + sign * moved) for sign in (1, -1))
+            columns.append((focals * [ahead.x - behind.x, ahead.y - behind.y] / (2 * _STEP)).ravel())
+        return np.stack(columns, axis=1)
 
 
 def coverage_note(statistics: Statistics) -> str:

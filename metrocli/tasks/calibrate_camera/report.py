@@ -288,7 +288,8 @@ def _doubts(solved: _Calibration) -> list[str]:
 def _folds(solved: _Calibration) -> Iterator[tuple[str, bool]]:
     """Yield where the lens model folds over inside the image, and whether there are readings so far out."""
     problem, lens = solved.problem, solved.lens.named()
-    fold = projection_range(lens, problem.image_size) if problem.convention == "forward" else None
+    forwards = problem.convention != "backward"
+    fold = projection_range(lens, problem.image_size, problem.convention == "fisheye") if forwards else None
     if fold is not None:
         u, v = solved.adjusted.group.observations.readings
         yield (
