@@ -28,6 +28,7 @@ from metrocli.tasks.calibrate_camera.lens_conventions import (
     form_covariance,
     photogrammetric_form,
 )
+from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.projection_error import corner_std, coverage_note, coverage_warnings
 from metrocli.tasks.calibrate_camera.settings import Camera, Settings
@@ -53,6 +54,9 @@ from metrocli.tasks.shared.statistics import (
 )
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.uncertainty.predicted import POINTS_COVARIANCE
+
+_POOR = 2.0
+"""sigma0 above which another lens model is tried"""
 
 
 @dataclass(frozen=True)
@@ -276,13 +280,17 @@ def _doubts(solved: _Calibration) -> list[str]:
     does not describe the images.
     """
     problem, residuals = solved.problem, solved.adjusted.group.residuals(solved.solution.blocks)
+    folds = [text for text, among in _folds(solved) if among]
+    lost = not_found(problem, solved.adjusted.group, residuals)
+    smooth = [] if lost else unmodelled(problem, solved.adjusted)
+    poor = lost or smooth or folds or solved.solution.sigma0 > _POOR
+    if poor and (other := fisheye_instead(problem, solved.settings, root_mean_square(residuals))):
+        return other
     centre = solved.centre.doubts() if solved.centre is not None else []
     near = too_near(problem, solved.adjusted, solved.settings.pixel_size)
     held = held_doubts(problem, solved.settings, solved.adjusted)
-    lost = not_found(problem, solved.adjusted.group, residuals)
-    smooth = [] if lost else unmodelled(problem, solved.adjusted)
     turned = [] if lost or smooth else turned_images(problem, solved.adjusted)
-    return [*turned, *lost, *smooth, *centre, *held, *near, *(text for text, among in _folds(solved) if among)]
+    return [*turned, *lost, *smooth, *centre, *held, *near, *folds]
 
 
 def _folds(solved: _Calibration) -> Iterator[tuple[str, bool]]:
