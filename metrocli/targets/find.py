@@ -69,37 +69,59 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
     return found
 
 
-COUNTED = ("chessboard", "circles", "asymmetric-circles")
-"""Types of pattern that are found by their number of points alone"""
 _SIDE = 1000
 """Chessboards are searched in images reduced to about this longer side, in pixels"""
 _SHARE = 0.5
-"""A size is likely if more than this share of the images shows it"""
+"""A board is likely if more than this share of the images shows it"""
+_MARKERS = 6
+"""Fewest markers in an image of a ChArUco board"""
 
 
-def likely_size(pattern: Pattern, pictures: Iterable[Picture]) -> tuple[int, int] | None:
-    """Return columns and rows of the board that most pictures show, at most one off in each; None if none fits.
+def likely_board(pattern: Pattern, pictures: Iterable[Picture]) -> str:
+    """Return the board that most pictures show and the keys to write for it; empty if none is likely."""
+    reduced = [_reduced(picture) for picture in pictures]
+    if pattern.type in ("circles", "asymmetric-circles") and (size := _likely_circles(pattern, reduced)):
+        return _in_words(size, "")
+    from metrocli.targets.chessboard import shown_size
 
-    Of sizes that equally many pictures show, the largest counts: a board contains all smaller ones.
+    sizes = [size for picture in reduced if (size := shown_size(picture)) is not None]
+    size = max(sizes, key=sizes.count, default=None)
+    if size is not None and sizes.count(size) > _SHARE * len(reduced):
+        return _in_words(size, "" if pattern.type == "chessboard" else "type: chessboard, ")
+    if pattern.type == "charuco":
+        return ""  # its search has named other layouts and dictionaries
+    from metrocli.targets.charuco import markers_in
+
+    names = [name for name, count in map(markers_in, reduced) if count >= _MARKERS]
+    name = max(names, key=names.count, default="")
+    likely = names.count(name) > _SHARE * len(reduced)
+    return f"markers of {name}: is it type: charuco, dictionary: {name}?" if likely else ""
+
+
+def _in_words(size: tuple[int, int], kind: str) -> str:
+    return f"{size[0]} x {size[1]}: is it {kind}columns: {size[0]}, rows: {size[1]}?"
+
+
+def _likely_circles(pattern: Pattern, pictures: Sequence[Picture]) -> tuple[int, int] | None:
+    """Return columns and rows of the grid that most pictures show, at most one off in each; None if none fits.
+
+    Of sizes that equally many pictures show, the largest counts: a grid contains all smaller ones.
     """
-    if pattern.type not in COUNTED:
-        return None
     rows, columns = pattern.shape
-    reduced = [_reduced(pattern, picture) for picture in pictures]
     sizes = [(columns + c, rows + r) for c, r in product((-1, 0, 1), repeat=2) if (c, r) != (0, 0)]
     found: dict[tuple[int, int], int] = {}
     for size in sorted((one for one in sizes if min(one) >= 2), key=lambda one: -one[0] * one[1]):
         other = replace(pattern, columns=size[0], rows=size[1])
-        found[size] = sum(len(find(other, picture)) > 0 for picture in reduced)
-        if found[size] == len(reduced):  # no smaller board can be more likely
+        found[size] = sum(len(find(other, picture)) > 0 for picture in pictures)
+        if found[size] == len(pictures):  # no smaller grid can be more likely
             break
     best = max(found, key=lambda size: (found[size], size[0] * size[1]))
-    return best if reduced and found[best] > _SHARE * len(reduced) else None
+    return best if pictures and found[best] > _SHARE * len(pictures) else None
 
 
-def _reduced(pattern: Pattern, picture: Picture) -> Picture:
+def _reduced(picture: Picture) -> Picture:
     factor = max(picture.shape) // _SIDE
-    if pattern.type != "chessboard" or factor < 2:
+    if factor < 2:
         return picture
     size = (picture.shape[1] // factor, picture.shape[0] // factor)
     import cv2  # which takes longer to load than most jobs without images
