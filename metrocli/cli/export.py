@@ -82,7 +82,7 @@ def command(
 
 
 def _pixels(form: str, within: str | None) -> float:
-    """Return the largest difference that is allowed; raises UsageError for a text that is none in pixels."""
+    """Return the largest difference that is allowed; raises UsageError for a text without pixels."""
     from metrocli.units import QuantityError, parse_quantity
 
     if within is None:

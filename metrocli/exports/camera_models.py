@@ -1,6 +1,6 @@
 """Cameras as other programs read them: a function a program, of the nearest lens that its models can express.
 
-Where the lens is none of these models, the file begins with a note on the difference.
+Where no model is exactly the lens, the file begins with a note on the difference.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from metrocli.instruments.lenses.lens import UNITS
 _FIELD_OF_VIEW = 0.05
 """Focal lengths below this share of the longer side of the image are in mm, or in units of the image"""
 _CENTRE = (0.02, 0.98)
-"""Principal points beyond these shares of the image are none, or in other units"""
+"""Principal points beyond these shares of the image are not plausible, or in other units"""
 
 
 def files(lines: Lines, wishes: Wishes) -> Imported:
@@ -249,7 +249,7 @@ _DATA = r"data\s*:\s*\[([^\]]*)\]"
 
 
 def _numbers(pattern: str, text: str) -> list[str]:
-    """Return the numbers of a list as written; an empty list if one is none."""
+    """Return the numbers of a list as written; an empty list if one is no number."""
     found = re.search(pattern, text, re.DOTALL)
     parts = re.split(r"[\s,]+", found[1].strip().strip(",")) if found and found[1].strip() else []
     parts = [part.rstrip(".") for part in parts]

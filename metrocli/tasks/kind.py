@@ -73,7 +73,7 @@ class Kind:
 
     def job_of(self, *values: str) -> str:
         """Return the text of the job that the values of the options `described` and the name of its output give."""
-        text: str = self._module("from_images").job_of(*values)
+        text: str = self._module("settings").job_of(*values)
         return text
 
     def _module(self, name: str) -> Any:

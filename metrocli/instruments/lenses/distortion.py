@@ -101,8 +101,9 @@ def _terms(
 def _tilted(d: Distorted, k: Mapping[str, float], wanted: tuple[str, ...]) -> Distorted:
     """Return the points on a sensor that is turned by tau_x about x, then by tau_y about y.
 
-    The homography of OpenCV's tilted model, multiplied out (c, s are cosine and sine):
-    `x' = cx x / w`, `y' = (cy y - sx sy x) / w`, `w = sy x - cy sx y + cy cx`.
+    The homography of OpenCV's tilted model, multiplied out. c and s are cosine and sine.
+
+    `x' = cx x / w`, `y' = (cy y - sx sy x) / w`, `w = sy x - cy sx y + cy cx`
     """
     (cx, sx), (cy, sy) = ((np.cos(k.get(name, 0.0)), np.sin(k.get(name, 0.0))) for name in TILT)
     below = 1 / (sy * d.x - cy * sx * d.y + cy * cx)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
@@ -14,11 +12,16 @@ from metrocli.effects.estimates import tables as effect_results
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
-from metrocli.instruments.lenses.conventions import projection_range
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
-from metrocli.tasks.calibrate_camera.advice import correlation_warnings, not_found, seen_from_behind, turned_too_little
+from metrocli.tasks.calibrate_camera.advice import (
+    correlation_warnings,
+    folds,
+    not_found,
+    seen_from_behind,
+    turned_too_little,
+)
 from metrocli.tasks.calibrate_camera.diagnosis import uncontrolled
 from metrocli.tasks.calibrate_camera.doubts import PrincipalPoint, held_doubts, principal_point, too_near, unmodelled
 from metrocli.tasks.calibrate_camera.length_errors import LengthErrors, length_errors
@@ -269,7 +272,7 @@ def _warnings(solved: _Calibration, views: Table) -> list[str]:
     lines += turned_too_little(problem, solved.solution) + seen_from_behind(problem, solved.solution)
     lines += noise_warnings(solved.solution) if adjusted.noise is None else []
     lines += solved.centre.warnings() if solved.centre is not None else []
-    return lines + [text for text, among in _folds(solved) if not among]
+    return lines + [text for text, among in folds(solved.problem, adjusted) if not among]
 
 
 def _doubts(solved: _Calibration) -> list[str]:
@@ -280,28 +283,14 @@ def _doubts(solved: _Calibration) -> list[str]:
     does not describe the images.
     """
     problem, residuals = solved.problem, solved.adjusted.group.residuals(solved.solution.blocks)
-    folds = [text for text, among in _folds(solved) if among]
+    folded = [text for text, among in folds(problem, solved.adjusted) if among]
     lost = not_found(problem, solved.adjusted.group, residuals)
     smooth = [] if lost else unmodelled(problem, solved.adjusted)
-    poor = lost or smooth or folds or solved.solution.sigma0 > _POOR
+    poor = lost or smooth or folded or solved.solution.sigma0 > _POOR
     if poor and (other := fisheye_instead(problem, solved.settings, root_mean_square(residuals))):
         return other
     centre = solved.centre.doubts() if solved.centre is not None else []
     near = too_near(problem, solved.adjusted, solved.settings.pixel_size)
     held = held_doubts(problem, solved.settings, solved.adjusted)
     turned = [] if lost or smooth else turned_images(problem, solved.adjusted)
-    return [*turned, *lost, *smooth, *centre, *held, *near, *folds]
-
-
-def _folds(solved: _Calibration) -> Iterator[tuple[str, bool]]:
-    """Yield where the lens model folds over inside the image, and whether there are readings so far out."""
-    problem, lens = solved.problem, solved.lens.named()
-    forwards = problem.convention != "backward"
-    fold = projection_range(lens, problem.image_size, problem.convention == "fisheye") if forwards else None
-    if fold is not None:
-        u, v = solved.adjusted.group.observations.readings
-        yield (
-            f"the lens model folds over at {fold:.0f} px from the principal point, inside the image; "
-            "use fewer distortion parameters",
-            bool(np.hypot(u - lens["cx"], v - lens["cy"]).max() >= fold),
-        )
+    return [*turned, *lost, *smooth, *centre, *held, *near, *folded]

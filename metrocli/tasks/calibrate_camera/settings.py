@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar
 
@@ -12,6 +13,7 @@ from metrocli.instruments.lenses.lens import PARAMETERS, UNITS
 from metrocli.settings import Choice, Either, ImageFiles, ListOf, Quantity, Section, TableFile, Whole, setting
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import Columns, Table, columns
+from metrocli.targets.board_in_words import board_in_words
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.tasks.shared.images.settings import (
@@ -60,7 +62,7 @@ class LengthLimit:
 
 
 _USUAL = {"fisheye": ("k1", "k2", "k3", "k4"), "division": ("k4",)}
-"""Distortion that is estimated unless the job says otherwise"""
+"""Distortion that is estimated unless the job names others"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,6 +209,15 @@ class Settings:
             yield "inputs.test_lengths", "test lengths belong to rig: network"
         if self.length_limit is not None and self.inputs.test_lengths is None:
             yield "length_limit", "a limit needs the lengths it is for: give `inputs: test_lengths`"
+
+
+def job_of(images: str, board: str, output: str) -> str:
+    """Return the text of the job of images and the board that they show; raises UsageError as `board_in_words`."""
+    pattern = ", ".join(f"{key}: {value}" for key, value in board_in_words(board).items())
+    return (
+        f"metrocli: 1\njob: calibrate-camera\nrig: board\ninputs: {{images: {json.dumps(images)}}}\n"
+        f"pattern: {{{pattern}}}\nnoise: estimated\noutput: {json.dumps(output)}\n"
+    )
 
 
 _STATISTICS = (

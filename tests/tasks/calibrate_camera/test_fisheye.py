@@ -83,7 +83,7 @@ def test_a_fisheye_given_as_a_pinhole_is_named(tmp_path: Path, metrocli: Metrocl
 @pytest.mark.parametrize(
     ("camera", "words"),
     [
-        ("model: fisheye, convention: backward", "model fisheye is none of the convention backward"),
+        ("model: fisheye, convention: backward", "model fisheye does not go with the convention backward"),
         ("model: fisheye, estimate: [f, k5]", "the model fisheye has no k5"),
         ("model: division, estimate: [f, k1]", "the model division has no k1"),
         ("convention: backward, estimate: [f, tau_x]", "the model backward has no tau_x"),

@@ -146,7 +146,10 @@ class LensModel(LensValues):
     def model_faults(self, chosen: Collection[str], key: str) -> Iterable[tuple[str, str]]:
         """Yield (key, message) for a model and a convention, or parameters, that contradict each other."""
         if self.model and self.convention != MODELS[self.model]:
-            yield "model", f"the model {self.model} is none of the convention {self.convention}: leave out convention"
+            yield (
+                "model",
+                f"the model {self.model} does not go with the convention {self.convention}: leave out convention",
+            )
         lacking = set(chosen) - set(_TERMS.get(self.model or self.convention, DISTORTION))
         if wrong := [name for name in DISTORTION if name in lacking]:
             yield key, f"the model {self.model or self.convention} has no {' '.join(wrong)}"

@@ -15,7 +15,7 @@ from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
 from metrocli.table import Columns, Table, columns
-from metrocli.targets.find import find, likely_board
+from metrocli.targets.find import find
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.images.eccentricity import SIZE
 from metrocli.tasks.shared.images.settings import ImageSettings
@@ -115,6 +115,8 @@ def _refuse_few(sighted: Sighted, names: Sequence[str], pattern: Pattern | None,
 
 def _shown_board(pattern: Pattern, images: ImageSet, lost: Sequence[str]) -> str:
     """Return the end of a message, with the board that some of the lost images show; empty without one."""
+    from metrocli.targets.likely_board import likely_board  # OpenCV takes longer to load than most jobs without images
+
     chosen = set(lost[:: max(len(lost) // _TRIED, 1)][:_TRIED])
     board = likely_board(pattern, (picture for name, picture in images if name in chosen))
     return f"; they show {board}" if board else ""

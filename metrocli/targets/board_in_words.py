@@ -1,8 +1,7 @@
-"""The job that a command line describes: images, and the board that they show."""
+"""A board in words, as on the command line."""
 
 from __future__ import annotations
 
-import json
 import re
 
 from metrocli.errors import UsageError
@@ -15,27 +14,11 @@ _SECOND = {"charuco": "marker_size", "circles": "diameter", "asymmetric-circles"
 _EXAMPLE = "e.g. 'chessboard 9x6 25 mm', 'charuco 11x8 15 mm 11 mm 4x4_50', 'circles 10x8 25 mm 15 mm'"
 
 
-def job_of(images: str, board: str, output: str) -> str:
-    """Return the text of the job; `board` is type, columns x rows of its points, pitch and what its type has more.
+def board_in_words(board: str) -> dict[str, str]:
+    """Return the keys of a pattern from type, columns x rows of its points, pitch, and what its type has more.
 
     Raises UsageError for words that describe no board.
     """
-    words = [f"{key}: {value}" for key, value in _pattern(board).items()]
-    return "\n".join(
-        [
-            "metrocli: 1",
-            "job: calibrate-camera",
-            "rig: board",
-            f"inputs: {{images: {json.dumps(images)}}}",
-            f"pattern: {{{', '.join(words)}}}",
-            "noise: estimated",
-            f"output: {json.dumps(output)}",
-            "",
-        ]
-    )
-
-
-def _pattern(board: str) -> dict[str, str]:
     kind, _, rest = board.strip().partition(" ")
     if kind not in GRIDS:
         raise UsageError(f"--board '{board}': no board '{kind}'; {suggestion(kind, GRIDS)}; {_EXAMPLE}")
