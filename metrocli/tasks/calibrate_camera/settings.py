@@ -18,6 +18,7 @@ from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.tasks.shared.images.settings import (
     ESTIMATE,
+    SPLINE,
     Extrinsics,
     LensModel,
     LensValues,
@@ -88,16 +89,25 @@ class Camera(LensModel):
         default=None,
     )
 
+    base: str = setting(Choice("opencv", "fisheye"), "the lens that a spline shifts", default="opencv")
+
+    @property
+    def formula(self) -> str:
+        """Return the model that its parameters belong to: that of the base of a spline."""
+        return self.base if self.model == SPLINE else super().formula
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.estimate is None:
-            usual = _USUAL.get(self.model or "", ("k1", "k2", "p1", "p2"))
+            usual = _USUAL.get(self.formula, ("k1", "k2", "p1", "p2"))
             object.__setattr__(self, "estimate", ("f", "cx", "cy", *usual))
 
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield (key, message) for keys that contradict each other."""
         chosen = set(self.estimate) | set(self.given())
         yield from self.model_faults(chosen, "estimate")
+        if self.base != "opencv" and self.model != SPLINE:
+            yield "base", "base is the lens that a spline shifts: write model: spline"
         if "f" in chosen and chosen & {"fx", "fy"}:
             yield "estimate", "f is one focal length for both axes: name either f, or fx and fy"
         if "aspect" in chosen and chosen & {"fx", "fy"}:

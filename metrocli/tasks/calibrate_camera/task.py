@@ -26,12 +26,13 @@ from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.report import report
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
+from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_views, true_model, with_lengths
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.camera_parameters import delivered
 from metrocli.tasks.shared.images.places import not_sought
-from metrocli.tasks.shared.images.settings import ESTIMATE
+from metrocli.tasks.shared.images.settings import ESTIMATE, SPLINE
 from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
 from metrocli.tasks.shared.images.simulation import (
     Draw,
@@ -89,6 +90,8 @@ def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
     sighted = sightings(settings, files.observations, files.targets, images, needs)
     must_not_be_used(files.test_lengths, files.scale_bars)
     problem = build(settings.rig, settings.camera, sighted, files.scale_bars)
+    if settings.camera.model == SPLINE:
+        problem = with_shape(problem, settings.noise not in FROM_RESIDUALS)
     return settings, problem.with_effects(job.effects)
 
 

@@ -79,6 +79,7 @@ def image_faults(
         yield "inputs", "the key 'targets' is missing in 'inputs': the coordinates of the targets"
 
 
+SPLINE = "spline"
 MODELS = {"opencv": "forward", "fisheye": "fisheye", "backward": "backward", "division": "backward"}
 """The convention of each lens model"""
 _TERMS = {
@@ -128,9 +129,10 @@ class LensModel(LensValues):
     """Lens parameters with the model that they belong to."""
 
     model: str | None = setting(
-        Choice(*MODELS),
+        Choice(*MODELS, SPLINE),
         "opencv: distortion of the tangent of the angle from the axis; fisheye: of the angle itself (equidistant); "
-        "backward: correction at the measured point; division: backward, with k4 k5 k6 only",
+        "backward: correction at the measured point; division: backward, with k4 k5 k6 only; "
+        "spline: base, with a smooth shift over the image",
         default=None,
     )
     convention: str = setting(
@@ -139,20 +141,26 @@ class LensModel(LensValues):
         default=None,
     )
 
+    @property
+    def formula(self) -> str:
+        """Return the model that its parameters belong to."""
+        return self.model or "opencv"
+
     def __post_init__(self) -> None:
         if self.convention is None:
-            object.__setattr__(self, "convention", MODELS[self.model or "opencv"])
+            object.__setattr__(self, "convention", MODELS[self.formula])
 
     def model_faults(self, chosen: Collection[str], key: str) -> Iterable[tuple[str, str]]:
         """Yield (key, message) for a model and a convention, or parameters, that contradict each other."""
-        if self.model and self.convention != MODELS[self.model]:
+        if self.model and self.convention != MODELS[self.formula]:
             yield (
                 "model",
                 f"the model {self.model} does not go with the convention {self.convention}: leave out convention",
             )
-        lacking = set(chosen) - set(_TERMS.get(self.model or self.convention, DISTORTION))
+        named = self.formula if self.model else self.convention
+        lacking = set(chosen) - set(_TERMS.get(named, DISTORTION))
         if wrong := [name for name in DISTORTION if name in lacking]:
-            yield key, f"the model {self.model or self.convention} has no {' '.join(wrong)}"
+            yield key, f"the model {named} has no {' '.join(wrong)}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,6 +219,7 @@ class CameraFile(LensModel):
         ListOf(Whole(minimum=2, maximum=100_000), length=2), "width and height in pixels"
     )
     pixel_size: float | None = setting(Quantity("length", positive=True), "side of a pixel", default=None)
+    model: str | None = setting(Choice(*MODELS), "opencv, fisheye, backward or division", default=None)
     program: str | None = setting(Choice(*PROGRAMS), "the program whose file this was", default=None)
     extrinsics: Extrinsics | None = setting(Section(Extrinsics), "the camera in the taper", default=None)
 
