@@ -5,8 +5,12 @@ Where no model is exactly the lens, the file begins with a note on the differenc
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
+import numpy as np
+
+from metrocli.arrays import Array
+from metrocli.effects.links.lens_shape import Knots
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments.lenses.conventions import Converted
@@ -55,28 +59,43 @@ def _expressed(program: str, result: Result, within: float) -> _Camera:
     width, height = (int(float(result.statistics[name])) for name in ("image_width", "image_height"))  # type: ignore[arg-type]
     forms, pixel = PROGRAMS[program].forms, PROGRAMS[program].pixel
     convention = str(result.statistics["convention"])
-    exact = next((form for form in forms if form.holds(lens, convention)), None)
+    unshifted = _base_of(result, (width, height))
+    exact = next((form for form in forms if unshifted is None and form.holds(lens, convention)), None)
     notes: tuple[str, ...] = ()
     if exact is not None:
         form, values = exact, exact.of(lens)
     else:
-        fitted = ((one, nearest(lens, convention, (width, height), one)) for one in forms)
+        fitted = ((one, nearest(lens, convention, (width, height), one, unshifted or np.asarray)) for one in forms)
         form, fit = _near([(one, fit) for one, fit in fitted if fit is not None], program, within)
-        values, notes = dict(fit.values), (f"{form.name} is the nearest model of {program}: {_difference(fit)}",)
+        values, notes = dict(fit.values), (f"{form.title} is the nearest model of {program}: {_difference(fit)}",)
     shifted = {name: value + pixel * (name in ("cx", "cy")) for name, value in values.items()}
     return _Camera(form, shifted, (width, height), notes)
 
 
+def _base_of(result: Result, image_size: tuple[int, int]) -> Callable[[Array], Array] | None:
+    """Return what takes image points to those of the base lens; None for a lens without a shape."""
+    if "lens_shape" not in result.tables:
+        return None
+    table = result.tables["lens_shape"]
+    knots = Knots(image_size, (len(np.unique(table.numbers("u"))), len(np.unique(table.numbers("v")))))
+    coefficients = np.stack([table.numbers("du"), table.numbers("dv")])
+    return lambda uv: knots.unshifted(coefficients, uv)
+
+
+_AS_NEAR = 1.1
+"""Ratio of largest differences up to which the model with fewer parameters is taken"""
+
+
 def _near(fitted: Sequence[tuple[Form, Converted]], program: str, within: float) -> tuple[Form, Converted]:
-    """Return the first that is near enough; raises InputError with the difference of the nearest."""
-    for form, fit in fitted:
-        if fit.largest <= within:
-            return form, fit
+    """Return the nearest, with few parameters; raises InputError with its difference if that is above `within` [px]."""
     if not fitted:
         raise InputError(f"no model of {program} sees all that this lens sees")
-    form, fit = min(fitted, key=lambda one: one[1].largest)
+    least = min(fit.largest for _, fit in fitted)
+    form, fit = next(one for one in fitted if one[1].largest <= _AS_NEAR * least)
+    if fit.largest <= within:
+        return form, fit
     raise InputError(
-        f"no model of {program} is within {within:g} px of this lens; the nearest is {form.name}: {_difference(fit)}. "
+        f"no model of {program} is within {within:g} px of this lens; the nearest is {form.title}: {_difference(fit)}. "
         f"Allow it by e.g. --within '{fit.largest * 1.1:.1g} px', or calibrate with its parameters"
     )
 

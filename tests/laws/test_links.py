@@ -15,6 +15,7 @@ from metrocli.adjust.model.groups import Group, ReadBlock, ReadBlocks
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
+from metrocli.effects.links.lens_shape import Knots, LensShape
 from metrocli.geometry import poses
 from metrocli.instruments import frames, launch_unit, spindle_camera, tracer
 from metrocli.instruments.frames import DistanceBetween, Into, OutOf, PointOf
@@ -192,6 +193,11 @@ CASES: dict[str, Case] = {
         f"tilted, {name}": Case(Lens(), (lens_block(**{**ONE_F, **CENTRE, **values, "tau_x": 0.03, "tau_y": -0.02}),))
         for name, values in {"usual": COEFFICIENTS, "pinhole": {"tau_x": 0.0}}.items()
     },
+    "LensShape": Case(
+        LensShape(Knots((2400, 1800), (7, 6)), np.random.default_rng(4).normal(size=(84, 5))),
+        (Block("lens-shape", np.array([[3.0, -2.0, 1.0, 4.0, -1.0]]), ("w1", "w2", "w3", "w4", "w5")),),
+        value_size=2,
+    ),
     "fisheye": Case(Lens(fisheye=True), (lens_block(**{**ALL, "tau_x": 0.03, "tau_y": -0.02, "k5": 0.0, "k6": 0.0}),)),
     **{f"{kind.__name__}, several": Case(kind(), (lens_blocks(**ALL),)) for kind in (Lens, LensBackward)},
     "Varied": Case(

@@ -57,6 +57,6 @@ def test_cameras_of_opencv_and_ros(case: Case, metrocli: Metrocli) -> None:
     assert metrocli("export", "five-views/r.h5", "--to", "opencv", "--out", "out").code == 0
     assert "camera_matrix: !!opencv-matrix" in (folder / "out/opencv.yml").read_text()
     ran = metrocli("export", "five-views/r.h5", "--to", "colmap", "--out", "out")
-    assert ran.code == 3 and "the nearest is OPENCV: rms 0.035 px" in ran.err  # it has no skew
+    assert ran.code == 3 and "the nearest is RADIAL: rms 0.035 px" in ran.err  # it has no skew
     ran = metrocli("export", "five-views/r.h5", "--to", "colmap", "--out", "out", "--within", "0.1 px")
     assert ran.code == 0 and "RADIAL is the nearest model of colmap" in ran.err

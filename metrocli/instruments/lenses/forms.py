@@ -6,7 +6,7 @@ Metashape manual, appendix Camera models; MATLAB, cameraIntrinsics.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -32,6 +32,12 @@ class Form:
     terms: tuple[str, ...]
     """Its parameters in its order"""
     fisheye: bool = False
+
+    @property
+    def title(self) -> str:
+        """Return its name, with the number of coefficients where several models share it."""
+        count = len(self.terms) - len(_TWO)
+        return f"{self.name} with {count} coefficients" if self.name == "opencv" else self.name
 
     def holds(self, lens: Mapping[str, float], convention: str) -> bool:
         """Return whether the lens is exactly one of this model."""
@@ -96,17 +102,25 @@ PROGRAMS: Mapping[str, Program] = {
 }
 
 
-def nearest(lens: Mapping[str, float], convention: str, image_size: Sequence[int], form: Form) -> Converted | None:
+def nearest(
+    lens: Mapping[str, float],
+    convention: str,
+    image_size: Sequence[int],
+    form: Form,
+    unshifted: Callable[[Array], Array] = np.asarray,
+) -> Converted | None:
     """Return the lens of a form that images directions most alike, by least squares over a grid of the image.
 
-    None where a direction that the lens sees has no image in this form.
+    `unshifted` takes image points (2, n) to those of the lens, where it has a shape besides. None where a direction
+    that the lens sees has no image in this form.
     """
     from scipy.optimize import least_squares
 
-    u, v = image_grid(image_size)
-    seen = direction(lens, u, v, convention)
+    uv = np.stack(image_grid(image_size))
+    at = unshifted(uv)
+    seen = direction(lens, at[0], at[1], convention)
     known = np.isfinite(seen[0])
-    seen, uv = seen[:, known], np.stack([u, v])[:, known]
+    seen, uv = seen[:, known], uv[:, known]
     start = form.of(lens)
     if form.fisheye != (convention == "fisheye"):
         start |= {name: 0.0 for name in start if name not in ("f", *_TWO)}

@@ -122,6 +122,10 @@ def camera_of_result(result: Result) -> CameraModel:
             f"the camera was calibrated with rig {result.statistics.get('rig')}; "
             "only rig cmm determines its place in the taper"
         )
+    if "lens_shape" in result.tables:
+        raise InputError(
+            "align-part reads no camera of the model spline: calibrate it with the model opencv or fisheye"
+        )
     table = result.tables["camera"]
     lens = dict(zip(table.texts("parameter"), table.numbers("value").tolist(), strict=True))
     values = {estimate.name: estimate.value for estimate in result.estimates}

@@ -17,6 +17,8 @@ from metrocli.instruments.lenses.conventions import projection_range
 from metrocli.instruments.lenses.distortion import DISTORTION, PRISM, RATIONAL
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.shape.found import link_of
+from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.shared.images.tables import root_mean_square
 from metrocli.units import find_unit
 
@@ -72,7 +74,9 @@ def compare_models(problems: Sequence[Problem]) -> Table:
     """
     ladders = [list(_climb(problem)) for problem in problems]
     fitted = [model for ladder in ladders for model in ladder]
+    fitted += _splines(fitted[_chosen(fitted)])
     chosen = _chosen(fitted)
+    p_values = [p for ladder in ladders for p in (np.nan, *(_significance(a, b) for a, b in pairwise(ladder)))]
     moves = [_moved(model, fitted[chosen]) for model in fitted]
     remarks = [_remark(model, i == chosen) for i, model in enumerate(fitted)]
     return Table.of(
@@ -81,7 +85,7 @@ def compare_models(problems: Sequence[Problem]) -> Table:
             "unknowns": [model.solution.unknowns for model in fitted],
             "rms [px]": [model.rms for model in fitted],
             "held_out [px]": [model.held_out for model in fitted],
-            "p_value": [p for ladder in ladders for p in (np.nan, *(_significance(a, b) for a, b in pairwise(ladder)))],
+            "p_value": [*p_values, *[np.nan] * (len(fitted) - len(p_values))],
             "camera_moves [um]": [find_unit("um", "length").outside(move) for move, _ in moves],
             "camera_turns [arcsec]": [find_unit("arcsec", "angle").outside(turn) for _, turn in moves],
             "remark": remarks,
@@ -100,6 +104,17 @@ def _climb(problem: Problem) -> Iterator[Fitted]:
         solution = adjust(here.blocks.values(), [here.images, *here.others], here.datum)
         here = here.with_blocks({**here.blocks, **solution.blocks})
         yield Fitted(name, here, solution, root_mean_square(here.images.residuals(here.blocks)), _held_out(here))
+
+
+def _splines(base: Fitted) -> list[Fitted]:
+    """Return the model with the shape of its lens, if the readings show one; its size is that of all images."""
+    shaped = with_shape(base.problem, noise_known=False)
+    if link_of(shaped) is None:
+        return []
+    solution = adjust(shaped.blocks.values(), [shaped.images, *shaped.others], shaped.datum)
+    here = shaped.with_blocks({**shaped.blocks, **solution.blocks})
+    rms = root_mean_square(here.images.residuals(here.blocks))
+    return [Fitted(f"{base.name} + spline", here, solution, rms, _held_out(here))]
 
 
 def _held_out(problem: Problem) -> Array:
@@ -122,9 +137,8 @@ def _held_out(problem: Problem) -> Array:
             Control(limit=_FOLD_STEPS, covariance=False),
         ).blocks
         test = problem.of_images(inside)
-        held = {**test.blocks, **{name: fitted[name].fixed() for name in (camera.LENS, camera.TARGET)}}
-        if problem.rig == "cmm":
-            held[camera.TAPER] = fitted[camera.TAPER].fixed()
+        own = camera.VIEW if problem.rig != "cmm" else ""
+        held = {name: block if name == own else fitted[name].fixed() for name, block in test.blocks.items()}
         posed = adjust(held.values(), [test.images], None, Control(limit=_FOLD_STEPS, covariance=False)).blocks
         residual = test.images.residuals(posed)
         found.append([float((residual**2).sum()), test.images.observations.count])

@@ -9,6 +9,8 @@ from metrocli.arrays import Array, Index
 from metrocli.instruments import camera
 from metrocli.instruments.lenses.lens import equidistant, focal, ideal_point, image_point, unit_vector
 from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.shape.found import by_shape, link_of
+from metrocli.tasks.calibrate_camera.shape.spline import SHAPE
 from metrocli.tasks.shared.statistics import Statistics
 from metrocli.units.people import two_digits
 
@@ -38,9 +40,13 @@ def corner_std(problem: Problem, solution: Solution, readings: Array) -> float:
     there = _Linear(problem, lens.columns, lens.values[0])
     at_corners, by_turn = there.by_lens(corners, free), there.by_turn(corners)
     near, near_turn = there.by_lens(some, free), there.by_turn(some)
+    if (link := link_of(problem)) is not None:
+        at_corners, near = (
+            np.concatenate([lens, by_shape(link, uv)], axis=1) for lens, uv in ((at_corners, corners), (near, some))
+        )
     imitated = np.linalg.lstsq(near_turn, near, rcond=None)[0]
     change = at_corners - by_turn @ imitated
-    covariance = solution.covariance_or_raise().of(camera.LENS)[np.ix_(free, free)]
+    covariance = solution.joint((camera.LENS, *([SHAPE] if link is not None else [])))
     variance = np.einsum("ia,ab,ib->i", change, covariance, change)
     return float(np.sqrt(np.maximum(variance.reshape(2, -1).sum(axis=0), 0.0).max()))
 

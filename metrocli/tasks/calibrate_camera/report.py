@@ -35,6 +35,7 @@ from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.projection_error import corner_std, coverage_note, coverage_warnings
 from metrocli.tasks.calibrate_camera.settings import Camera, Settings
+from metrocli.tasks.calibrate_camera.shape.found import shape_notes, shape_rms, shape_table
 from metrocli.tasks.calibrate_camera.turned_images import turned_images
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.camera_parameters import POSE_UNITS, Parameters, parameters, unit_of
@@ -122,6 +123,7 @@ def report(problem: Problem, job: Settings, adjusted: Adjusted, tests: Table | N
             *(tested.notes if tested is not None else ()),
             *adjustment_notes(adjusted),
             coverage_note(statistics),
+            *shape_notes(problem, solution, settings.model),
             *(noise_notes(solution) if adjusted.noise is None else ()),
             *in_words(hidden),
         ),
@@ -148,6 +150,7 @@ def _tables_and_arrays(solved: _Calibration, views: Table, hidden: Table) -> tup
         "significance": p.significance(),
         "conventions": conventions_table(problem, settings, solution, covariance),
         "camera": _camera(solved),
+        **shape_table(problem, solution),
         TABLE: hidden,
         **effect_tables,
     }
@@ -185,6 +188,7 @@ def _statistics(solved: _Calibration) -> Statistics:
         "targets": len(np.unique(observations.index[camera.TARGET])),
         **coverage(observations.readings, problem.image_size, (lens["cx"], lens["cy"])),
         "corner_std": corner_std(problem, solution, observations.readings),
+        "shape_rms": shape_rms(problem, solution),
         "sigma0_low": low,
         "sigma0_high": high,
         "condition": float(np.sqrt(eigenvalues.max(initial=1.0) / max(eigenvalues.min(initial=1.0), 1e-300))),

@@ -232,8 +232,8 @@ def job_of(images: str, board: str, output: str) -> str:
 
 _STATISTICS = (
     "noise", "rank", "rms_u", "rms_v", "readings", "rejected", "images", "targets", "coverage_cells", "coverage_hull",
-    "coverage_radius", "corner_std", "sigma0_low", "sigma0_high", "condition", "image_width", "image_height",
-    "pixel_size",
+    "coverage_radius", "corner_std", "shape_rms", "sigma0_low", "sigma0_high", "condition", "image_width",
+    "image_height", "pixel_size",
 )  # fmt: skip
 _LENGTHS = ("test_lengths", "length_measuring_error", "length_max_en", "length_error_over_limit")
 """Of lengths that test the network"""

@@ -74,7 +74,8 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
 
 def compare(job: Job[Settings, Files]) -> Table:
     """Return a row for each lens model, from pinhole to rational with thin prism, and for fisheyes."""
-    settings, problem = prepared(replace(job, effects=()))
+    plain = replace(job.settings, camera=replace(job.settings.camera, model=job.settings.camera.formula, base="opencv"))
+    settings, problem = prepared(replace(job, settings=plain, effects=()))
     return compare_models([problem, *other_models(problem, settings.camera)])
 
 

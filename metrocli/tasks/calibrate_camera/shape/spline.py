@@ -32,7 +32,7 @@ _WIDE = 3.0
 _REACHES = (0.1, 0.2, 0.4)
 """Lengths over which shapes are alike that are tried, in units of the longer side of the image"""
 _STEPS = 100
-_SHOWN = 2.0
+_SHOWN = 4.0
 """Gain in the logarithm of the likelihood below which the readings show no shape"""
 
 
