@@ -50,7 +50,7 @@ def shape_rms(problem: Problem, solution: Solution) -> float:
 
 
 def shape_notes(problem: Problem, solution: Solution, model: str | None) -> list[str]:
-    """Return how large the shape is, or that there is none though the job has the model spline."""
+    """Return how large the shape is, or that the model spline of the job has found no shape."""
     if link_of(problem) is not None:
         return [f"shape of the lens beside its base: {shape_rms(problem, solution):.2g} px (rms over the image)"]
     nothing = "the readings show no shape of the lens beside its base: the result is that of the base"
