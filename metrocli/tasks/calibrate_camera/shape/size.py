@@ -1,7 +1,7 @@
 """How large and how smooth the shape of a lens is, by restricted likelihood.
 
 Readings y are X b + Z w + e, with w ~ N(0, t2 K) and e ~ N(0, s2 I). P is the projection off X, A = Z' P Z, c = Z' P y.
-The restricted likelihood of t2 / s2 follows from the eigenvalues of L' A L, with K = L L' (Patterson and Thompson 1971).
+The restricted likelihood of t2 / s2 follows from the eigenvalues of L' A L, K = L L' (Patterson and Thompson 1971).
 """
 
 from __future__ import annotations
