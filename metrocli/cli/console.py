@@ -63,6 +63,11 @@ class Console:
     quiet: bool = False
     verbose: bool = False
 
+    @property
+    def is_watched(self) -> bool:
+        """Whether somebody sees on a terminal what goes on."""
+        return bool(LINES)
+
     def print(self, line: str) -> None:
         """Print a line to stdout, unless quiet."""
         if not self.quiet:

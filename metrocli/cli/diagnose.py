@@ -28,6 +28,8 @@ CLEAN = "clean"
 @click.command("diagnose", help="Find what the model of a job gets wrong, why, and what correcting it gains.")
 @options.JOB
 @click.option("--design", is_flag=True, help="List what the measurement can detect at all; also before it is made.")
+@click.option("--quick", is_flag=True, help="Look for effects and wrong readings only: the first answer, in seconds.")
+@click.option("--full", is_flag=True, help="List all candidates: what is excluded, and what could not be seen.")
 @click.option(
     "--output", type=click.Path(path_type=Path), metavar="FILE.yaml", help="Write the extended job to this file."
 )
@@ -62,6 +64,8 @@ def command(
         raise UsageError("--design has no parts that a cluster could compute: leave --scheduler out")
     if following is not None and (design or wanted["until_clean"]):
         raise UsageError("--next needs a diagnosis of its own: leave --design and --until-clean out")
+    if wanted["quick"] and (design or wanted["until_clean"] or following is not None or wanted["full"]):
+        raise UsageError("--quick is the first answer alone: leave --design, --until-clean, --next and --full out")
     console = Console(wanted["quiet"] or as_json, wanted["verbose"])
     asked = Wishes(wanted["overrides"], accept_doubtful=wanted["accept_doubtful"])
     if design:
@@ -102,18 +106,27 @@ def _once(
 
     console, limit = Console(wanted["quiet"] or as_json, wanted["verbose"]), _seconds(wanted["limit"])
     with ordered_on(wanted["scheduler"], alike_for([(loaded.kind, loaded.own.packages)])) as ordered:
-        diagnosis = diagnosed.carry_out(loaded, console, limit, first_interrupt, ordered)
+        first = _first_answer if console.is_watched and not wanted["quick"] else None
+        diagnosis = diagnosed.carry_out(loaded, console, limit, first_interrupt, ordered, wanted["quick"], first)
     extended = _extended(loaded, diagnosis, output, force)
     proposed = None if following is None else next_readings(diagnosis, following)
     data = _data(loaded, diagnosis, None if extended is None else extended.path)
     if as_json:
         echo(summary.as_json(data | (as_data(proposed) if proposed else {})))
-    console.print(findings.of_diagnosis(diagnosis, extended))
+    console.print(findings.of_diagnosis(diagnosis, extended, wanted["full"]))
     if proposed is not None:
         console.print("\n".join(["", *next_lines(proposed)]))
     if not as_json:
         _keep(loaded, data, force, console)
     return 0 if _is_met(wanted["require"], diagnosis) else NOT_MET
+
+
+def _first_answer(diagnosis: Diagnosis) -> None:
+    """Print what effects and wrong readings alone explain, while all else is looked for."""
+    from metrocli.cli.diagnosis_report.headline import headline, summary
+
+    if diagnosis.findings or diagnosis.outliers:
+        echo("\n".join([f"first answer: {headline(diagnosis)}", *summary(diagnosis)]), err=True)
 
 
 def _extended(job: JobFile, diagnosis: Diagnosis, output: Path | None, force: bool) -> Extended | None:

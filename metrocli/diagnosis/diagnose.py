@@ -59,22 +59,27 @@ def diagnose(
     limit: float = LIMIT,
     attended: Attended = no_interrupt,
     ordered: Ordered = map,
+    quick: bool = False,
 ) -> Diagnosis:
     """Return the diagnosis of an adjusted job; its searches take at most `limit` [s of CPU time].
 
     A search whose time is spent ends with what it has found; so does one that is interrupted within `attended`.
     `ordered` computes the folds of cross-validation, perhaps on other processors; the diagnosis is the same there.
+    A `quick` one looks for effects and wrong readings alone, and states nothing on what it does not find.
     Raises UndeterminedError if the unknowns use up all readings, InputError if it needs more memory than there is.
     """
     job = replace(as_fits(job), budget=Budget(limit))
     progress.doing("looking for structure", job.budget.left())
     with attended(job.budget.interrupt):
-        first, state = searched(job)
+        first, state = searched(job, quick)
         job = state.measurement.job
-        progress.doing("looking for a law in what no effect explains", job.budget.left())
-        found = with_laws(state, _in_white_noise(state), ordered)
+        laws: tuple[Law, ...] = ()
+        if not quick:
+            progress.doing("looking for a law in what no effect explains", job.budget.left())
+            found = with_laws(state, _in_white_noise(state), ordered)
+            state, laws = found.state, found.laws
     progress.doing("cross-validating: predicting parts of the readings from the others", job.budget.left())
-    state, names, gained, unconfirmed = _confirmed(found.state, ordered)
+    state, names, gained, unconfirmed = _confirmed(state, ordered)
     kept = readings_kept(state)
     fit = extended_fit(first.measurement.job, names, kept) if names else None
     shifts = result_changes(first.measurement.job, names, fit, kept)
@@ -91,10 +96,10 @@ def diagnose(
         noisier_units=_variance_groups(state),
         outliers=wrong_readings(state),
         findings=tuple(_findings(state, zip(names, gained, shifts, strict=False), noise.ratio)),
-        left=_left(state, correlated, found.laws, repeats, whole or gained[-1] if names else whole),
+        left=_left(state, correlated, laws, repeats, whole or gained[-1] if names else whole),
         before=strongest(first),
         after=strongest(state),
-        design=design(state, noise.ratio),
+        design=Design((), (), ()) if quick else design(state, noise.ratio),
         separate_by=_separate(state.measurement.job, names),
         adjusts=fit is not None or not names,
         together=gained[-1] if len(names) > 1 else None,
@@ -102,10 +107,11 @@ def diagnose(
         repeats=repeats,
         scatters=scattered,
         unconfirmed=unconfirmed,
-        laws=found.laws,
+        laws=laws,
         processes=correlated,
         limited=limit if job.budget.ended else None,
         interrupted=job.budget.interrupted,
+        quick=quick,
     )
 
 

@@ -145,6 +145,8 @@ class Diagnosis:
     """The limit of CPU time [s], if the search ended there"""
     interrupted: bool = False
     """Whether the user interrupted the search for laws, which ended with what it had found"""
+    quick: bool = False
+    """Whether effects and wrong readings alone were looked for"""
     mistaken: Mistaken | None = None
     """A mistake in the files; all other findings are those of the job without it"""
 
@@ -171,7 +173,8 @@ class Diagnosis:
     @property
     def ended_early(self) -> str:
         """Why it ended before all was tried, in words; "" if it did not."""
-        return "interrupted" if self.interrupted else f"limit of {self.limited:g} s" if self.limited is not None else ""
+        limited = "" if self.limited is None else f"limit of {self.limited:g} s"
+        return "interrupted" if self.interrupted else limited or ("quick" if self.quick else "")
 
     @property
     def verdict(self) -> Verdict:

@@ -19,6 +19,8 @@ from metrocli.errors import UndeterminedError
 _ROUNDS = 4
 _DOMINANT, _MANY = 4.0, 50
 """Effects are dominant if they lower the mean square by this factor, with at least so many degrees of freedom"""
+_MOST_OF_IT = 0.01
+"""Share of all that was gained by which a move must raise the score in a quick search"""
 
 
 def is_dominated(state: State) -> bool:
@@ -35,12 +37,12 @@ def is_dominated(state: State) -> bool:
     return State.of(m, old).variance > _DOMINANT * State.of(m, state.named).variance
 
 
-def searched(job: AdjustedJob) -> tuple[State, State]:
+def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
     """Return the state of a job as it is, and that of the search about the solution with its dominant effects.
 
-    Raises UndeterminedError if no reading is redundant.
+    A quick search looks for effects and wrong readings alone. Raises UndeterminedError if no reading is redundant.
     """
-    m = measurement_of(job)
+    m = measurement_of(job, quick=quick)
     if m.system.dof < 1:
         raise UndeterminedError(
             "the job has no redundant reading, so no reading can contradict its model\n"
@@ -48,14 +50,14 @@ def searched(job: AdjustedJob) -> tuple[State, State]:
         )
     first = state = State.of(m)
     for left in reversed(range(_ROUNDS)):
-        state = forward(State.of(m), stop=is_dominated if left else None)
+        state = forward(State.of(m), stop=is_dominated if left else None, least=_MOST_OF_IT if quick else 0.0)
         if not left or not is_dominated(state):
             break
         names = all_identified(state, with_rivals=False)
         kept = {group.name: np.ones(group.observations.count, dtype=bool) for group in job.model.readings}
         fit = extended_fit(job, names, kept)
         if fit is None:
-            state = forward(state)
+            state = forward(state, least=_MOST_OF_IT if quick else 0.0)
             break
-        m = measurement_of(relinearised(job, names, fit), None, m)
-    return first, pruned(refined(swapped(state)))
+        m = measurement_of(relinearised(job, names, fit), None, m, quick)
+    return first, pruned(refined(state if quick else swapped(state)))

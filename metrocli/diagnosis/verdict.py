@@ -41,6 +41,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
         "part": _part(diagnosis.job),
         "limited": diagnosis.limited,
         "interrupted": diagnosis.interrupted,
+        "quick": diagnosis.quick,
         "mistake": None if diagnosis.mistaken is None else _correction(diagnosis.mistaken),
         "outliers": [_outlier(one) for one in diagnosis.outliers],
         "effects": [

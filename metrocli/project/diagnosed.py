@@ -67,10 +67,13 @@ def carry_out(
     limit: float = LIMIT,
     attended: Attended = no_interrupt,
     ordered: Ordered = map,
+    quick: bool = False,
+    first: Callable[[Diagnosis], None] | None = None,
 ) -> Diagnosis:
     """Adjust a job, correct a mistake in its files if one is found, and diagnose it within a limit of CPU time [s].
 
-    `ordered` computes the folds of cross-validation, perhaps on other processors.
+    `ordered` computes the folds of cross-validation, perhaps on other processors. `first` takes the answer of a quick
+    diagnosis, before the whole one begins.
     """
     more = columns.variables(((item.spec, item.paths) for item in job.inputs), numeric)
     inputs = tuple(replace(item, spec=columns.reading_all(item.spec, more)) for item in job.inputs)
@@ -80,7 +83,9 @@ def carry_out(
     progress.doing("adjusting")
     held = counting(read_inputs(job), progress)
     adjusted, mistaken = without_mistakes(held, adjust, _others(job, held, adjust))
-    diagnosis = diagnose(adjusted, progress, limit, attended, counted(ordered, progress))
+    if first is not None:
+        first(diagnose(adjusted, progress, limit, attended, ordered, quick=True))
+    diagnosis = diagnose(adjusted, progress, limit, attended, counted(ordered, progress), quick)
     if mistaken is not None and mistaken.after >= mistaken.before and diagnosis.findings:
         mistaken = None  # a wrong list that no correction mends explains less than an effect does
     return replace(diagnosis, mistaken=mistaken)

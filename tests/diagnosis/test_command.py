@@ -15,6 +15,7 @@ import pytest
 
 from benchmarks.hidden import lengths
 from benchmarks.hidden.lengths import Measurement
+from metrocli.cli.console import Console
 from metrocli.cli.diagnosis_report import findings as diagnosis_report
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import diagnose
@@ -566,3 +567,31 @@ def test_the_diagnosis_is_kept_beside_the_result(folder: Path, metrocli: Metrocl
     kept.write_text("{}")  # a file of one's own stays
     ran = metrocli("diagnose", job)
     assert ran.code == 0 and "the diagnosis was not kept" in ran.err and kept.read_text() == "{}"
+
+
+def test_the_first_answer_names_what_explains_most(folder: Path, metrocli: Metrocli) -> None:
+    job = write(folder, measured("dead-path-drift"))
+    quick = json.loads(metrocli("diagnose", job, "--quick", "--json").out)
+    whole = json.loads(metrocli("diagnose", job, "--json").out)
+    (first,), (last,) = quick["effects"], whole["effects"]
+    assert (first["name"], first["where"]) == (last["name"], last["where"])
+    assert quick["quick"] and not quick["candidates"] and not whole["quick"]
+    assert "so far (quick)" in metrocli("diagnose", job, "--quick").out
+    assert metrocli("diagnose", write(folder, measured()), "--quick", "--require", "clean").code == 6
+    refused = metrocli("diagnose", job, "--quick", "--next", "3")
+    assert refused.code == 2 and "--quick is the first answer alone" in refused.err
+
+
+def test_a_terminal_shows_the_first_answer_while_the_rest_is_computed(
+    folder: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Console, "is_watched", True)
+    shown = metrocli("diagnose", write(folder, measured("dead-path-drift")))
+    assert "first answer: indistinct so far (quick)\n  dead-path-drift" in shown.err
+    assert shown.out.startswith("verdict: indistinct\n")
+
+
+def test_all_candidates_stand_in_the_full_report(folder: Path, metrocli: Metrocli) -> None:
+    job = write(folder, measured())
+    assert "`--full` lists them" in metrocli("diagnose", job).out
+    assert re.search(r"^candidate +where +status", metrocli("diagnose", job, "--full").out, re.MULTILINE)

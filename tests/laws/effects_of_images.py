@@ -41,10 +41,10 @@ def calibration(effect: Effect) -> Model:
         "view": view.fixed() if effect.name == "scale-of-targets" else view,
         "target": camera.target_block(points, [f"T{i}" for i in range(len(points))], False, 200.0),
     }
-    index = {"view": seen.view, "target": seen.target, "turn": seen.view % 2}
+    index = {"view": seen.view, "target": seen.target, "turn": seen.view % 2, "series": seen.view % 2}
     group = _images(camera.chain(rig, "forward"), index, seen.view)
     places = {"image": Place(blocks["view"].members, "view"), "target": Place(blocks["target"].members, "target")}
-    places["turn"] = Place(("0", "90"), "turn")
+    places |= {"turn": Place(("0", "90"), "turn"), "series": Place(("a_", "b_"), "series")}
     return with_predicted(Model(blocks, (group,), None, ("images",), places))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 from metrocli import units
@@ -10,6 +11,7 @@ from metrocli.diagnosis import status
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
+from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.hidden_change import HiddenChange
 from metrocli.diagnosis.power.average_power import ScatterCandidate
 from metrocli.effects.effect import Parameter
@@ -45,6 +47,16 @@ def candidate_lines(
         for one in design.not_tested
     ]
     return text_table(_HEAD, lines)
+
+
+def count_of_candidates(diagnosis: Diagnosis) -> str:
+    """Return how many candidates have each status, which the full report lists."""
+    named = [one.effect for one in diagnosis.findings]
+    decided = not diagnosis.ended_early
+    words = [status.status(one, named, decided) for one in diagnosis.design.candidates]
+    words += [status.Status.NOT_TESTED for _ in diagnosis.design.not_tested]
+    counts = ", ".join(f"{count} {word}" for word, count in Counter(words).items())
+    return f"candidates: {counts}; `--full` lists them with what each could hide" if counts else "no candidates"
 
 
 def _line(adjusted: AdjustedJob, design: Design, name: str, word: str, found: Sequence[Candidate]) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from metrocli import units
 from metrocli.adjust.clusters.robust import STRUCTURED
-from metrocli.cli.diagnosis_report.candidates import candidate_lines
+from metrocli.cli.diagnosis_report.candidates import candidate_lines, count_of_candidates
 from metrocli.cli.diagnosis_report.headline import LEAST_REDUCTION, headline, smooth, summary
 from metrocli.cli.diagnosis_report.laws import law_lines
 from metrocli.cli.diagnosis_report.noise import noise_lines
@@ -31,8 +31,8 @@ _LEAST_P = 1e-12
 _HEAD = ("effect", "size (± u)", "chance", "or instead", "held-out error", "log score (± std)", "changes result by")
 
 
-def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None) -> str:
-    """Return the report of a diagnosis; `extended` is the extended job that was written."""
+def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = False) -> str:
+    """Return the report of a diagnosis, `full` with all candidates; `extended` is the extended job that was written."""
     job, findings = diagnosis.job, diagnosis.findings
     parts = [[f"verdict: {headline(diagnosis)}", *summary(diagnosis)]]
     if diagnosis.mistaken is not None:
@@ -71,9 +71,14 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None) -> str:
         )
     if extended is not None:
         parts.append([f"next: run {extended.path}, {_extension(diagnosis, extended.law)}"])
-    scattered = [one.effect.name for one in diagnosis.scatters]
-    decided = not diagnosis.ended_early
-    parts.append(candidate_lines(job, diagnosis.design, [one.effect for one in findings], scattered, decided))
+    if diagnosis.quick:
+        parts.append(["Effects and wrong readings alone were looked for; without `--quick` also what else is wrong."])
+    elif full:
+        scattered = [one.effect.name for one in diagnosis.scatters]
+        decided = not diagnosis.ended_early
+        parts.append(candidate_lines(job, diagnosis.design, [one.effect for one in findings], scattered, decided))
+    else:
+        parts.append([count_of_candidates(diagnosis)])
     return "\n\n".join("\n".join(lines) for lines in parts)
 
 

@@ -87,6 +87,6 @@ def gain_between(before: State, after: State) -> Gain:
         held = []
         for one in (before, after):
             fold = Fold(one.measurement, np.flatnonzero(rows == number))
-            held.append(fold.predicted(Model(one.fixed, one.random, one.logs), one.fit))
+            held.append(fold.predicted(Model(one.fixed, one.random, one.logs)))
         pairs.append((held[0], held[1]))
     return gain_of(pairs)

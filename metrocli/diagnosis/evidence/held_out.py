@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
 from math import lgamma
+from typing import Any, cast
 
 import numpy as np
 
@@ -22,9 +23,10 @@ from metrocli.diagnosis.evidence.likelihood import Fit, Products, fit_at
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import HELD_OUT, Fixed, Random
 from metrocli.diagnosis.evidence.prices import gain_of_columns
-from metrocli.diagnosis.evidence.products import local_columns, products_of, shared_columns
+from metrocli.diagnosis.evidence.products import NEVER_HELD, local_columns, products_of, shared_columns, shared_parts
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.basis import Basis
+from metrocli.diagnosis.linear.columns import Columns
 from metrocli.diagnosis.linear.projection import VISIBLE
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.frozen import dataclass
@@ -37,6 +39,14 @@ class Model:
     fixed: tuple[Fixed, ...]
     random: tuple[Random, ...]
     logs: Array
+
+    def fitted(self, m: Measurement) -> Fit:
+        """Return the fit of the model to all rows, at its sizes, computed once."""
+        key = ("fit", *(id(one) for one in self.fixed), *(id(one) for one in self.random), self.logs.tobytes())
+        if key not in m.fits:
+            # the parts stand beside their fit, so that no other ones get their identity
+            m.fits[key] = self, fit_at(products_of(m, self.fixed, self.random), self.logs)
+        return cast("Fit", m.fits[key][1])
 
     def with_fixed(self, fixed: Iterable[Fixed]) -> Model:
         """Return the model with other fixed parts."""
@@ -82,15 +92,37 @@ class Fold:
         return mask
 
     @cached_property
+    def _held(self) -> dict[object, Any]:
+        """Cache of what the held-out rows show of candidates."""
+        return {}
+
+    def candidates(self, number: int) -> Columns:
+        """Return the columns of a family at the held-out rows, which are numbered anew."""
+        if number not in self._held:
+            self._held[number] = self.measurement.families[number].columns.of_rows(self.mask)
+        return cast("Columns", self._held[number])
+
+    def grams(self, number: int, basis: Basis) -> Array:
+        """Return the Gram matrices of a family's alternatives at the held-out rows, without what local columns take."""
+        key = number, basis.local.shape[1]
+        if key not in self._held:
+            self._held[key] = self.candidates(number).grams(basis.at(self.rows))
+        return np.asarray(self._held[key])
+
+    @cached_property
     def freedoms(self) -> float:
         """Directions of the held-out rows that their own local unknowns leave; all where single readings are out."""
         basis = self.measurement.system.basis
         return float((1 - (basis.local[self.rows] ** 2).sum(axis=1)).sum()) if self.whole else float(len(self.rows))
 
+    def shown(self, fixed: Iterable[Fixed]) -> tuple[Fixed, ...]:
+        """Return the fixed parts that other readings than those held out show: not the effect of a held-out image."""
+        return tuple(one for one in fixed if one.is_reading or one.columns[~self.mask].any())
+
     def others(self, fixed: Iterable[Fixed]) -> tuple[Fixed, ...]:
         """Return fixed parts without the errors of readings that are held out, with what takes these out."""
         m = self.measurement
-        kept = (one for one in fixed if not (one.is_reading and self.mask[m.places[one.number]].any()))
+        kept = (one for one in self.shown(fixed) if not (one.is_reading and self.mask[m.places[one.number]].any()))
         return (*kept, *self.taken_out)
 
     def products(self, model: Model) -> Products:
@@ -99,7 +131,7 @@ class Fold:
         every = products_of(m, fixed, model.random, with_unknowns=True)
         if not self.whole:
             return every
-        x = shared_columns(m, fixed, model.random)[self.rows]
+        x = shared_columns(m, fixed, model.random, rows=self.rows)
         r = m.system.residual[self.rows]
         kept = np.ones(len(every.own), dtype=bool)
         if len(kept):
@@ -112,13 +144,16 @@ class Fold:
             dof=every.dof - self.freedoms,
             own=every.own[kept],
             mixed=every.mixed[kept],
-            along=every.along[kept],
         )
 
-    def predicted(self, model: Model, all_of_it: Fit | None = None) -> Held:
-        """Return the log density of the held-out rows (multivariate t) and their errors of prediction."""
+    def predicted(self, model: Model) -> Held:
+        """Return the log density of the held-out rows (multivariate t) and their errors of prediction.
+
+        What the other readings do not show predicts nothing, so it is not in the model.
+        """
         m = self.measurement
-        everything = all_of_it or fit_at(products_of(m, model.fixed, model.random), model.logs)
+        model = model.with_fixed(self.shown(model.fixed))
+        everything = model.fitted(m)
         fit = fit_at(self.products(model), model.logs)
         ranks = sum(one.rank for one in model.fixed)
         fewer = sum(one.rank for one in self.others(model.fixed))
@@ -129,7 +164,7 @@ class Fold:
                 spared[m.places[one.number][m.places[one.number] >= 0]] = True
         shown = m.system.alike[self.rows] & ~spared[self.rows]
         if self.whole:
-            x = shared_columns(m, self.others(model.fixed), model.random)[self.rows]
+            x = shared_columns(m, self.others(model.fixed), model.random, rows=self.rows)
             errors = m.system.residual[self.rows] - x @ fit.sizes
             shares = 1 - (m.system.basis.local[self.rows] ** 2).sum(axis=1)
         else:
@@ -150,10 +185,11 @@ class Train:
     """What a model without held-out rows leaves of the candidates."""
 
     fold: Fold
+    state: State
     basis: Basis
     """Of all rows: local unknowns, and the random parts of single members"""
-    shared: Array
-    """Shared columns and the residual, free of these, (rows, p + 1)"""
+    parts: tuple[tuple[object, Array], ...]
+    """Shared columns of all rows with their keys, and last the residual, free of these"""
     fit: Fit
     freedoms: float
 
@@ -164,11 +200,10 @@ class Train:
         fit = fit_at(fold.products(model), model.logs)
         basis = replace(state.basis, shared=np.zeros((m.system.rows, 0)))
         fixed = fold.others(model.fixed)
-        x = shared_columns(m, fixed, model.random)
-        both = np.concatenate([x, m.system.residual[:, None]], axis=1)
+        parts = [*shared_parts(m, fixed, model.random), ("residual", m.system.residual[:, None])]
         if local_columns(m, model.random).shape[1]:
-            both = both - basis.combined(basis.coordinates(both))
-        return cls(fold, basis, both, fit, fit.dof - sum(one.rank for one in fixed))
+            parts = [(key, _free(state, basis, key, columns)) for key, columns in parts]
+        return cls(fold, state, basis, tuple(parts), fit, fit.dof - sum(one.rank for one in fixed))
 
     def nets(self, number: int) -> Array:
         """Return the net gain of each alternative of a family; -inf where it explains nothing."""
@@ -178,19 +213,22 @@ class Train:
         return np.where(gain > 0, gain - m.prices.of_ranks(number, q), -np.inf)
 
     def left(self, number: int) -> tuple[Array, Array]:
-        """Return the Gram matrices of a family's alternatives, and their products with the residual."""
+        """Return the Gram matrices of a family's alternatives, and their products with the residual.
+
+        Products without whole members are those of all rows, each computed once, less those of the held-out rows.
+        """
         from scipy.linalg import solve_triangular
 
-        m = self.fold.measurement
+        m, rows = self.fold.measurement, self.fold.rows
         columns, raw = m.families[number].columns, m.families[number].raw
         key = "of train", number, self.basis.local.shape[1]
         if key not in m.held:
             m.held[key] = columns.grams(self.basis)
-        gram, both = m.held[key], self.shared
+        gram, along = m.held[key], self._along(number)
         if self.fold.whole:
-            gram = gram - columns.at(self.fold.mask).grams(self.basis)
-            both = np.where(self.fold.mask[:, None], 0.0, both)
-        along = columns.products(both)
+            own = self.fold.candidates(number)
+            both = np.concatenate([one[rows] for _, one in self.parts], axis=1)
+            gram, along = gram - self.fold.grams(number, self.basis), along - own.products(both)
         count, q, p = along.shape
         flat = along[:, :, :-1].reshape(count * q, p - 1)  # no shared unknowns where all tracers are known
         half = solve_triangular(self.fit.lower, flat.T, lower=True, check_finite=False)
@@ -199,3 +237,28 @@ class Train:
         # what only the held-out rows show is zero, not the rounding of a difference
         seen = np.einsum("kqq->kq", gram) > (VISIBLE * raw) ** 2
         return gram * seen[:, :, None] * seen[:, None, :], (along[:, :, -1] - turned @ self.fit.sought) * seen
+
+    def _along(self, number: int) -> Array:
+        """Return the products of a family with the shared columns of all rows, (alternatives, parameters, p + 1)."""
+        columns, held = self.fold.measurement.families[number].columns, self.state.held
+        new = [(key, one) for key, one in self.parts if key == NEVER_HELD or ("along", number, key) not in held]
+        found = dict[object, Array]()
+        if new:
+            ends = np.cumsum([one.shape[1] for _, one in new])[:-1]
+            every = columns.products(np.concatenate([one for _, one in new], axis=1))
+            for (key, _), own in zip(new, np.split(every, ends, axis=2), strict=True):
+                if key == NEVER_HELD:
+                    found[key] = own
+                else:
+                    held["along", number, key] = own
+        each = [found[key] if key in found else held["along", number, key] for key, _ in self.parts]
+        return np.concatenate(each, axis=2)
+
+
+def _free(state: State, basis: Basis, key: object, columns: Array) -> Array:
+    """Return columns without what the random parts of single members take, computed once for a state."""
+    if key == NEVER_HELD:
+        return np.asarray(columns - basis.combined(basis.coordinates(columns)))
+    if ("free", key) not in state.held:
+        state.held["free", key] = columns - basis.combined(basis.coordinates(columns))
+    return np.asarray(state.held["free", key])

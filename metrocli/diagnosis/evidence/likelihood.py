@@ -44,9 +44,7 @@ class Products:
     own: Array
     """Of the local columns of each member, (members, k, k)"""
     mixed: Array
-    """Of these with the shared columns, (members, k, p)"""
-    along: Array
-    """Of these with the residual, (members, k)"""
+    """Of these with the shared columns, and last with the residual, (members, k, p + 1)"""
 
     @cached_property
     def counts(self) -> Array:
@@ -154,13 +152,11 @@ def fit_at(products: Products, logs: Array) -> Fit:
     half, shown = np.zeros((len(products.own), 0, 0)), np.zeros((len(products.own), 0, p + 1))
     if products.of_local.size and len(products.own):
         scale = root[products.of_local]
-        own = products.own * scale[:, None] * scale
-        own = own + np.eye(len(scale))
+        own = products.own * (scale[:, None] * scale) + np.eye(len(scale))
         lower = np.linalg.cholesky(own)
         log_det += 2 * float(np.log(np.einsum("mkk->mk", lower)).sum())
         half = np.linalg.inv(lower)
-        both = np.concatenate([products.mixed, products.along[:, :, None]], axis=2) * scale[:, None]
-        shown = half @ both
+        shown = (half * scale) @ products.mixed
         flat = shown.reshape(-1, p + 1)
         taken = flat.T @ flat
         gram = gram - taken[:p, :p]

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -81,6 +82,8 @@ class Measurement:
     """The measurement with the declared noise of all readings; None if it is this one"""
     held: dict[object, Array] = field(default_factory=dict, compare=False, repr=False)
     """Cache of columns and products"""
+    fits: dict[object, Any] = field(default_factory=dict, compare=False, repr=False)
+    """Cache of models with their fits"""
 
     @cached_property
     def squares(self) -> float:
@@ -234,9 +237,12 @@ class Measurement:
 
 
 def measurement_of(
-    job: AdjustedJob, weights: Mapping[str, Array] | None = None, like: Measurement | None = None
+    job: AdjustedJob, weights: Mapping[str, Array] | None = None, like: Measurement | None = None, quick: bool = False
 ) -> Measurement:
-    """Return a job linearised about its solution; one `like` it, of the same candidates, gives the numbers of tests."""
+    """Return a job linearised about its solution; one `like` it, of the same candidates, gives the numbers of tests.
+
+    A quick one has no random parts and no variance groups: effects and wrong readings alone are looked for in it.
+    """
     system = _with_standing(job, linearised(job.model, weights or {}))
     families, not_tested = families_of(job, system)
     every = [*families, *families_throughout(job, system)]
@@ -250,10 +256,10 @@ def measurement_of(
         system,
         tuple(families),
         not_tested,
-        tuple(_scatters(job, system, every)),
-        tuple(Knots.of(one) for one in process_bases(job, system)),
+        () if quick else tuple(_scatters(job, system, every)),
+        () if quick else tuple(Knots.of(one) for one in process_bases(job, system)),
         places,
-        tuple(variance_groups(job, system)),
+        () if quick else tuple(variance_groups(job, system)),
         prices,
     )
 

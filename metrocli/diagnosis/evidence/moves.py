@@ -14,7 +14,7 @@ from metrocli.adjust.robust import SAME
 from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import Found, correlated_errors, noisier_groups, scattered_effects
-from metrocli.diagnosis.evidence.weights import with_noise
+from metrocli.diagnosis.evidence.weights import ratios_in, with_noise
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS, READING
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA
@@ -70,14 +70,15 @@ class Move:
 
 def _with_noise(state: State, noise: Mapping[int, float]) -> State:
     """Return a state whose variance groups have a noise of their own, estimated until it stays."""
+    best, held, tried = state.score if state.measurement.noise else -np.inf, dict[int, float](), dict(noise)
     for _ in range(_ESTIMATES):
-        after = state.at(with_noise(state.measurement, noise))
-        if after.score < state.score and state.measurement.noise:
-            return state
-        state, noise = after, {number: after.ratio_of(number) for number in noise}
-        if all(1 / _STAYS < ratio < _STAYS for ratio in noise.values()):
+        score, after = ratios_in(state, tried)
+        if score < best:
             break
-    return state
+        best, held, tried = score, tried, after
+        if all(1 / _STAYS < tried[number] / ratio < _STAYS for number, ratio in held.items()):
+            break
+    return state.at(with_noise(state.measurement, held)) if held else state
 
 
 def moves(state: State, quiet: set[int] | None = None) -> list[Move]:
@@ -153,7 +154,8 @@ def readings(state: State) -> list[Move]:
     chosen: list[Fixed] = []
     for i in (i for i in order if t[i] > t[order[0]] / 4):
         one = m.reading(i)
-        if all(np.abs(other.columns.T @ m.system.seen(one.columns)).max(initial=0.0) < _APART for other in chosen):
+        seen = m.system.seen(one.columns) if chosen else one.columns
+        if all(np.abs(other.columns.T @ seen).max(initial=0.0) < _APART for other in chosen):
             chosen.append(one)
     _must_be_held(state, len(chosen))
     return [Move(float(net[order[0]]), tuple(chosen))] if chosen else []

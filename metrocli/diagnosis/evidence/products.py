@@ -12,11 +12,12 @@ from itertools import pairwise
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.evidence.likelihood import Products
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import HELD_OUT, Fixed, Random
 
-_NEVER_HELD = (HELD_OUT, (0, 0))
+NEVER_HELD = (HELD_OUT, (0, 0))
 """Key of the columns of held-out rows, of which each fold has its own"""
 
 
@@ -38,15 +39,15 @@ def within(m: Measurement, columns: Array) -> Array:
 
 def without_local(m: Measurement, key: object, columns: Array) -> Array:
     """Return columns (rows, k) without what local unknowns absorb, computed once for each key but those held out."""
-    if key == _NEVER_HELD:
+    if key == NEVER_HELD:
         return within(m, columns)
     if key not in m.held:
         m.held[key] = within(m, columns)
     return m.held[key]
 
 
-def _shared_parts(
-    m: Measurement, fixed: Sequence[Fixed], random: Sequence[Random], unknowns: bool
+def shared_parts(
+    m: Measurement, fixed: Sequence[Fixed], random: Sequence[Random], unknowns: bool = True
 ) -> list[tuple[object, Array]]:
     """Return the shared columns of unknowns, random and fixed parts with their keys, free of local unknowns.
 
@@ -56,24 +57,38 @@ def _shared_parts(
     others += [((one.sort, one.key), one.columns) for one in fixed]
     if unknowns:
         return [("unknowns", m.system.basis.shared), *((key, without_local(m, key, one)) for key, one in others)]
-    return [(("M", key), _without_unknowns(m, key, one)) for key, one in others]
+    return [*zip([("M", key) for key, _ in others], _without_unknowns(m, others), strict=True)]
 
 
-def _without_unknowns(m: Measurement, key: object, columns: Array) -> Array:
-    """Return columns (rows, k) without what the unknowns absorb, computed once for each key but those held out."""
-    if key == _NEVER_HELD or ("M", key) not in m.held:
-        left, shared = without_local(m, key, columns), m.system.basis.shared
-        left = left - shared @ (shared.T @ left)
-        if key == _NEVER_HELD:
-            return left
-        m.held["M", key] = left
-    return m.held["M", key]
+def _without_unknowns(m: Measurement, parts: Sequence[tuple[object, Array]]) -> list[Array]:
+    """Return the columns of parts without what the unknowns absorb, computed once for each key but those held out."""
+    new = [(key, one) for key, one in parts if key == NEVER_HELD or ("M", key) not in m.held]
+    found = dict[object, Array]()
+    if new:
+        left, shared = np.concatenate([without_local(m, key, one) for key, one in new], axis=1), m.system.basis.shared
+        left -= shared @ (shared.T @ left)
+        ends = np.cumsum([one.shape[1] for _, one in new])[:-1]
+        for (key, _), own in zip(new, np.split(left, ends, axis=1), strict=True):
+            if key == NEVER_HELD:
+                found[key] = own
+            else:
+                m.held["M", key] = own
+    return [found[key] if key in found else m.held["M", key] for key, _ in parts]
 
 
-def shared_columns(m: Measurement, fixed: Sequence[Fixed], random: Sequence[Random], unknowns: bool = True) -> Array:
-    """Return the shared columns of unknowns, random and fixed parts side by side, (rows, p)."""
-    parts = [one for _, one in _shared_parts(m, fixed, random, unknowns)]
-    return np.concatenate([np.zeros((m.system.rows, 0)), *parts], axis=1) if len(parts) != 1 else parts[0]
+def shared_columns(
+    m: Measurement,
+    fixed: Sequence[Fixed],
+    random: Sequence[Random],
+    unknowns: bool = True,
+    rows: Index | slice = slice(None),
+) -> Array:
+    """Return the shared columns of unknowns, random and fixed parts side by side, (rows, p), at some rows or all."""
+    parts = [one[rows] for _, one in shared_parts(m, fixed, random, unknowns)]
+    if len(parts) == 1:
+        return parts[0]
+    count = m.system.rows if isinstance(rows, slice) else len(rows)
+    return np.concatenate([np.zeros((count, 0)), *parts], axis=1)
 
 
 def _local_parts(m: Measurement, random: Sequence[Random]) -> list[tuple[object, Array]]:
@@ -97,7 +112,7 @@ def products_of(
     local = _local_parts(m, random)
     with_unknowns |= bool(local)
     residual = "residual", m.system.residual[:, None]
-    shared = [*_shared_parts(m, fixed, random, with_unknowns), residual]
+    shared = [*shared_parts(m, fixed, random, with_unknowns), residual]
     sizes = [one.shape[1] for _, one in shared]
     ends = np.cumsum([0, *sizes])
     gram = np.empty((ends[-1], ends[-1]))
@@ -131,15 +146,14 @@ def products_of(
         np.concatenate([*kinds, empty]).astype(np.intp),
         np.concatenate([*of_local, empty]).astype(np.intp),
         own,
-        mixed[:, :, :-1],
-        mixed[:, :, -1],
+        mixed,
     )
 
 
 def _product(m: Measurement, one: tuple[object, Array], other: tuple[object, Array]) -> Array:
     """Return the product of the columns of two parts, computed once for those of known keys."""
     key = "product", one[0], other[0]
-    if _NEVER_HELD in (one[0], other[0]):
+    if NEVER_HELD in (one[0], other[0]):
         return one[1].T @ other[1]
     if key not in m.held:
         m.held[key] = one[1].T @ other[1]
@@ -153,6 +167,6 @@ def _of_members(m: Measurement, one: tuple[object, Array], other: tuple[object, 
         return m.held[key]
     order, begins = m.by_member
     found = np.stack([one[1][order[a:b]].T @ other[1][order[a:b]] for a, b in pairwise(begins)])
-    if _NEVER_HELD not in (one[0], other[0]):
+    if NEVER_HELD not in (one[0], other[0]):
         m.held[key] = found
     return found

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import field
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -76,7 +76,7 @@ class Scored:
     fixed: tuple[Fixed, ...]
     random: tuple[Random, ...]
     fit: Fit
-    held: dict[object, tuple[Array, Array]] = field(default_factory=dict, compare=False, repr=False)
+    held: dict[object, Any] = field(default_factory=dict, compare=False, repr=False)
     """Cache of what is left of families"""
 
     @classmethod

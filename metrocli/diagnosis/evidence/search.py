@@ -54,15 +54,23 @@ def _with_all_effects(state: State) -> State:
 
 
 def forward(
-    state: State, most: int = _MOST, stop: Callable[[State], bool] | None = None, without: tuple[int, ...] = ()
+    state: State,
+    most: int = _MOST,
+    stop: Callable[[State], bool] | None = None,
+    without: tuple[int, ...] = (),
+    least: float = 0.0,
 ) -> State:
-    """Return the state after the moves that raise its score, each the best of those tried, until none does."""
+    """Return the state after the moves that raise its score, each the best of those tried, until none does.
+
+    `least` is the share of all that was gained by which a move must raise it.
+    """
     quiet: set[int] = set()
+    begin = state.score
     for _ in range(most):
         if state.measurement.job.budget.spent():
             break
         best = _best(state, [one for one in moves(state, quiet) if without not in one.keys])
-        if best is None or best.score <= state.score + _GAINED:
+        if best is None or best.score <= state.score + max(_GAINED, least * (state.score - begin)):
             whole = without_weak_random(state)
             if whole is state or whole.score <= state.score + _GAINED:
                 break

@@ -103,7 +103,8 @@ class State(Scored):
             else:
                 gram = (one.gram if self._alone else m.whole_grams(family)) - taken @ np.swapaxes(taken, 1, 2)
             self.held[family] = gram, right
-        return self.held[family]
+        gram, right = self.held[family]
+        return gram, right
 
     @cached_property
     def _along(self) -> Array:
@@ -125,6 +126,8 @@ class State(Scored):
 
     def taken_by(self, one: Fixed) -> Array:
         """Return columns d, (rows, rank): without a fixed part the state would leave `P + d d'` of anything."""
+        from scipy.linalg import solve_triangular
+
         ends = np.cumsum([0, *(each.rank for each in self.fixed)])
         j = next(j for j, each in enumerate(self.fixed) if each is one)
         at, lower = self.fit.fixed, self.fit.lower[self.fit.fixed :, self.fit.fixed :]
@@ -132,7 +135,8 @@ class State(Scored):
         own = slice(ends[j], ends[j + 1])
         covariance = inverse[:, own].T @ inverse[:, own]
         w = self.basis.shared[:, self.basis.shared.shape[1] - (len(self.fit.lower) - at) :] @ inverse[:, own]
-        return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), w.T).T)
+        lower = np.linalg.cholesky(covariance)
+        return np.asarray(solve_triangular(lower, w.T, lower=True, check_finite=False).T)
 
     def of_family(self, family: int, taken: Array | None = None) -> tuple[Array, Array]:
         """Return the squares that each alternative of a family explains, and its rank; without a part if it is given.

@@ -13,6 +13,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Knots
+from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.candidates import Family
 from metrocli.diagnosis.linear.projection import System
 
@@ -23,26 +24,54 @@ def with_noise(measurement: Measurement, ratios: Mapping[int, float]) -> Measure
     Rows are divided by the ratios. The likelihood of the readings then has the determinants of this change: those of
     the covariance, and of the unknowns' columns.
     """
+    factor = _factor(measurement, ratios)
+    own = _system_weighted(measurement, ratios, factor)
+    weighted = own.system
+    return replace(
+        own,
+        families=tuple(_weighted(one, weighted, factor) for one in measurement.families),
+        scatters=tuple(tuple(_weighted(one, weighted, factor) for one in own) for own in measurement.scatters),
+        knots=tuple(_knots(one, weighted, factor) for one in measurement.knots),
+    )
+
+
+def ratios_in(state: State, ratios: Mapping[int, float]) -> tuple[float, dict[int, float]]:
+    """Return the score of a state whose variance groups have other noise, and their ratios to the noise after that.
+
+    Its parts are those of the state, with other weights: candidates are not looked at.
+    """
+    m = state.measurement
+    factor = _factor(m, ratios)
+    own = _system_weighted(m, ratios, factor)
+    fixed = [replace(one, columns=one.columns * factor[:, None]) for one in state.fixed]
+    random = [replace(one, columns=one.columns * factor[:, None]) for one in state.random]
+    after = State.of(own, fixed, random, state.logs)
+    return after.score, {number: ratio * after.ratio_of(number) for number, ratio in ratios.items()}
+
+
+def _factor(measurement: Measurement, ratios: Mapping[int, float]) -> Array:
     factor = np.ones(measurement.system.rows)
     for number, ratio in ratios.items():
         factor[measurement.units[number][2]] /= ratio
+    return factor
+
+
+def _system_weighted(measurement: Measurement, ratios: Mapping[int, float], factor: Array) -> Measurement:
+    """Return a measurement whose rows are multiplied by a factor, but not its candidates."""
     system = measurement.system
     basis, log_det = system.basis.weighted(factor)
     bare = replace(system, basis=basis, scale=system.scale / factor)
-    weighted = replace(bare, residual=bare.seen(system.residual * factor))
     known = dict(measurement.noise)
     for number, ratio in ratios.items():
         known[number] = known.get(number, 1.0) * ratio
     return replace(
         measurement,
-        system=weighted,
-        families=tuple(_weighted(one, weighted, factor) for one in measurement.families),
-        scatters=tuple(tuple(_weighted(one, weighted, factor) for one in own) for own in measurement.scatters),
-        knots=tuple(_knots(one, weighted, factor) for one in measurement.knots),
+        system=replace(bare, residual=bare.seen(system.residual * factor)),
         noise=known,
         unweighted=measurement.unweighted or measurement,
         log_scale=measurement.log_scale + float(np.log(factor).sum()) - log_det / 2,
         held={},
+        fits={},
     )
 
 

@@ -169,10 +169,14 @@ class Basis:
 
         The determinant is that of the Gram matrix of the multiplied columns, by which the new basis is orthonormal.
         """
+        from scipy.linalg import solve_triangular
+
         local = self.local * factor[:, None]
         there = self.member >= 0
         gram = np.zeros((self.members + 1, local.shape[1], local.shape[1]))
-        np.add.at(gram, self.member, local[:, :, None] * local[:, None, :])
+        for i, j in combinations_with_replacement(range(local.shape[1]), 2):
+            sums = np.bincount(self.member + 1, local[:, i] * local[:, j], self.members + 1)
+            gram[:, i, j] = gram[:, j, i] = np.roll(sums, -1)
         nothing = np.einsum("mqq->mq", gram) == 0
         lower = np.linalg.cholesky(gram + np.eye(local.shape[1]) * nothing[:, :, None])
         log_det = 2 * float(np.log(np.einsum("mqq->mq", lower)).sum())
@@ -180,11 +184,11 @@ class Basis:
         own = np.where(there[:, None], np.einsum("rq,rpq->rp", local, inverse[self.member]), 0.0)
         bare = replace(self, local=own, shared=np.zeros((len(own), 0)))
         shared = self.shared * factor[:, None]
-        shared = shared - bare.combined(bare.coordinates(shared))
+        shared -= bare.combined(bare.coordinates(shared))
         if shared.shape[1]:
             lower = np.linalg.cholesky(shared.T @ shared)
             log_det += 2 * float(np.log(np.diag(lower)).sum())
-            shared = np.linalg.solve(lower, shared.T).T
+            shared = solve_triangular(lower, shared.T, lower=True, overwrite_b=True, check_finite=False).T
         return replace(bare, shared=np.ascontiguousarray(shared)), log_det
 
     def rows(self, rows: Index) -> Array:

@@ -22,11 +22,11 @@ from metrocli.instruments.fisheye_start import start_of_fisheye
 from metrocli.instruments.lenses.distortion import DISTORTION, PRISM, RATIONAL, TILT, undistort
 from metrocli.instruments.lenses.lens import plane_point
 from metrocli.table import Table
+from metrocli.tasks.calibrate_camera.image_groups import with_groups
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.readings import check_targets, readings, scale_bars
 from metrocli.tasks.calibrate_camera.settings import Camera
 from metrocli.tasks.calibrate_camera.starts import better_poses, robustly, without_strays
-from metrocli.tasks.calibrate_camera.turns import with_turns
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside, placed
@@ -77,7 +77,7 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
     model = Model(blocks, (group, *others), datum, (IMAGES,), places, nominal=nominal)
     problem = Problem(model, rig, settings.convention, size, sighted)
     started = _better_start(problem, settings)
-    started = started.with_model(with_turns(started.model, rig))
+    started = started.with_model(with_groups(started.model, rig))
     if not sighted.eccentric:
         return started
     group, found = corrected(started.images, started.blocks, started.others, datum, targets.radius)

@@ -7,11 +7,12 @@ from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, sizes
 from metrocli.effects.links.images import LensChange, TargetEccentricity
 from metrocli.effects.links.points import Growth, PlaneBend, Stretch
 from metrocli.effects.links.shifts import Shift
-from metrocli.tasks.calibrate_camera.turns import TURN
+from metrocli.tasks.calibrate_camera.image_groups import SERIES, TURN
 from metrocli.tasks.shared.images.places import IMAGE, PERSPECTIVE_BLUR, image_point, rolling_shutter
 
 _LENS = "lens"
 _FOCAL = ("f", "fx", "fy")
+_IMAGE_VARIANT = "Hastedt, Luhmann and Tecklenburg 2002, Image-variant interior orientation of digital cameras"
 
 
 def _focal_drift(by: str, condition: str, dimension: str, plausible: str, usual: str) -> Effect:
@@ -27,6 +28,22 @@ def _focal_drift(by: str, condition: str, dimension: str, plausible: str, usual:
         usual=usual,
         reveal="the first views again at the end, near and far, and the temperature of the lens with each image",
         source="Smith and Cope 2010, The effects of temperature variation on single-lens-reflex digital cameras",
+    )
+
+
+def _principal_point_of(what: str, kind: str, cause: str, confused: tuple[str, ...], reveal: str) -> Effect:
+    """Return another principal point of a group of images than that of the first group, the reference."""
+    return Effect(
+        f"{what}-principal-point",
+        cause,
+        sizes("cx cy", "pixel", "200 px"),
+        lambda block, where: LensChange(block, added=(("cx",), ("cy",))),
+        where=(kind,),
+        not_first=(kind,),
+        confused_with=confused,
+        usual="0.5 to 30 px",
+        reveal=reveal,
+        source=_IMAGE_VARIANT,
     )
 
 
@@ -138,17 +155,31 @@ EFFECTS: tuple[Effect, ...] = (
         reveal="views tilted about both axes, and the camera turned about its viewing axis",
         source="Brown 1971",
     ),
-    Effect(
-        "turned-principal-point",
+    _principal_point_of(
+        "turned",
+        TURN,
         "images taken with the camera turned have another principal point: the lens or the sensor sags in its mount",
-        sizes("cx cy", "pixel", "200 px"),
-        lambda block, where: LensChange(block, added=(("cx",), ("cy",))),
-        where=(TURN,),
-        not_first=(TURN,),
-        confused_with=("axis-skew", "aspect-ratio"),
-        usual="0.5 to 30 px",
-        reveal="images in all four directions, several of each; the lens held firmly in its mount",
-        source="Hastedt, Luhmann and Tecklenburg 2002, Image-variant interior orientation of digital cameras",
+        ("axis-skew", "aspect-ratio"),
+        "images in all four directions, several of each; the lens held firmly in its mount",
+    ),
+    _principal_point_of(
+        "series",
+        SERIES,
+        "the images of one series have another principal point: the lens was taken off, or touched, between the series",
+        ("principal-point-drift",),
+        "all images in one series; the lens held firmly in its mount",
+    ),
+    Effect(
+        "series-focal-length",
+        "the images of one series have another focal length: the lens was focused anew between the series",
+        sizes("change", "ratio", "10 percent"),
+        lambda block, where: LensChange(block, multiplied=(_FOCAL,)),
+        where=(SERIES,),
+        not_first=(SERIES,),
+        confused_with=("focal-drift",),
+        usual="1e-4 to 0.05",
+        reveal="all images in one series with a fixed focus; views with much depth",
+        source=_IMAGE_VARIANT,
     ),
     Effect(
         "target-eccentricity",

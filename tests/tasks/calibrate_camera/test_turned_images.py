@@ -11,6 +11,8 @@ import h5py
 import numpy as np
 import pytest
 
+from metrocli.tasks.calibrate_camera import image_groups
+
 Metrocli = Callable[..., Any]
 SHIFT = np.array([2.5, -1.5])
 """Of the principal point in the turned images [px]"""
@@ -31,8 +33,13 @@ def turn(a: float, b: float, c: float) -> np.ndarray:
     return np.array([[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]]) @ y @ x
 
 
-def write(folder: Path, rolls: list[float], shift: np.ndarray) -> Path:
-    """Tilted views of a flat board through a lens without distortion; every second one is turned and shifted."""
+def write(
+    folder: Path, rolls: list[float], shift: np.ndarray, focal: float = 690, name: Callable[[int], str] = "v{}".format
+) -> Path:
+    """Tilted views of a flat board through a lens without distortion; every second one is turned and shifted.
+
+    The last five views have a focal length of their own [px].
+    """
     rng = np.random.default_rng(77)
     listed = np.array([(25.0 * i, 25.0 * j, 0.0) for j in range(6) for i in range(8)])
     targets = [f"T{i:02d},{x},{y},{z}" for i, (x, y, z) in enumerate(listed.tolist())]
@@ -43,9 +50,9 @@ def write(folder: Path, rolls: list[float], shift: np.ndarray) -> Path:
         # the tilt is in the camera's frame, so that the turned images are tilted in all directions too
         rotation = turn(*rng.uniform(-0.6, 0.6, 2), 0.0) @ turn(0.0, 0.0, roll + rng.normal(0, 0.03))
         seen = (listed - [87.5, 62.5, 0]) @ rotation.T + [*rng.uniform(-15, 15, 2), 420]
-        uv = 690 * seen[:, :2] / seen[:, 2:] + [320, 240] + (shift if roll else 0.0)
+        uv = (690 if view < 7 else focal) * seen[:, :2] / seen[:, 2:] + [320, 240] + (shift if roll else 0.0)
         uv += rng.normal(0, NOISE, uv.shape)
-        rows += [f"v{view}.png,T{i:02d},{u},{v}" for i, (u, v) in enumerate(uv.tolist())]
+        rows += [f"{name(view)}.png,T{i:02d},{u},{v}" for i, (u, v) in enumerate(uv.tolist())]
     (folder / "observations.csv").write_text("\n".join(rows) + "\n")
     (folder / "job.yaml").write_text(JOB)
     return folder / "job.yaml"
@@ -77,3 +84,21 @@ def test_where_no_image_is_turned_in_steps_of_90_degrees_the_effect_has_no_place
     data = json.loads(metrocli("diagnose", write(tmp_path, rolls, np.zeros(2)), "--json").out)
     assert data["verdict"] == "clean"
     assert not [one for one in data["candidates"] if one["name"] == "turned-principal-point" and one["where"]]
+
+
+def test_a_lens_that_was_focused_anew_between_two_series_is_found(tmp_path: Path, metrocli: Metrocli) -> None:
+    def name(view: int) -> str:
+        return f"monday_{view}" if view < 7 else f"tuesday_{view}"
+
+    data = json.loads(metrocli("diagnose", write(tmp_path, [0.0], np.zeros(2), 700, name), "--json").out)
+    (effect,) = data["effects"]
+    assert (effect["name"], effect["where"]) == ("series-focal-length", {"series": "tuesday_"})
+    (size,) = effect["parameters"].values()
+    assert abs(size["value"] - 10 / 690) < 4 * size["std"] < 0.01
+
+
+def test_pauses_part_images_into_series() -> None:
+    times = np.array([0.0, 10, 20, 30, 3600, 3610, 3620])
+    names, number = image_groups._by_pauses(times)
+    assert names == ("from 0 s", "from 3600 s") and number.tolist() == [0, 0, 0, 0, 1, 1, 1]
+    assert len(image_groups._by_pauses(times[:4])[0]) == 1
