@@ -52,6 +52,7 @@ FORMATS: dict[str, Format] = {
             ("matlab", "MATLAB (cameraIntrinsics)"),
         )
     },
+    "opencv-yaml": Format("metrocli.exports.camera_models", "same as opencv", function="opencv", nearest=True),
     "sa-ascii": Format("metrocli.exports.sa_ascii", "points for SpatialAnalyzer"),
     "dcc": Format("metrocli.exports.dcc", "Digital Calibration Certificate of PTB (XML)", recorded=True),
 }

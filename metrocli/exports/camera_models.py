@@ -13,7 +13,7 @@ from metrocli.arrays import Array
 from metrocli.effects.links.lens_shape import Knots
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
-from metrocli.instruments.lenses.conventions import Converted
+from metrocli.instruments.lenses.conventions import Converted, projection_range
 from metrocli.instruments.lenses.forms import PROGRAMS, Form, nearest
 from metrocli.result import Result
 from metrocli.units.people import two_digits
@@ -68,6 +68,8 @@ def _expressed(program: str, result: Result, within: float) -> _Camera:
         fitted = ((one, nearest(lens, convention, (width, height), one, unshifted or np.asarray)) for one in forms)
         form, fit = _near([(one, fit) for one, fit in fitted if fit is not None], program, within)
         values, notes = dict(fit.values), (f"{form.title} is the nearest model of {program}: {_difference(fit)}",)
+    if convention != "backward" and (fold := projection_range(lens, (width, height), convention == "fisheye")):
+        notes += (f"beyond {fold:.0f} px from its principal point the lens folds over and has no direction",)
     shifted = {name: value + pixel * (name in ("cx", "cy")) for name, value in values.items()}
     return _Camera(form, shifted, (width, height), notes)
 
@@ -96,7 +98,7 @@ def _near(fitted: Sequence[tuple[Form, Converted]], program: str, within: float)
         return form, fit
     raise InputError(
         f"no model of {program} is within {within:g} px of this lens; the nearest is {form.title}: {_difference(fit)}. "
-        f"Allow it by e.g. --within '{fit.largest * 1.1:.1g} px', or calibrate with its parameters"
+        f"Allow it by e.g. --within '{two_digits(fit.largest * 1.1)} px', or calibrate with its parameters"
     )
 
 

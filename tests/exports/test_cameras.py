@@ -267,6 +267,12 @@ def test_what_no_model_holds_is_refused_with_its_difference() -> None:
         export("ros", Result("multilaterate", "", (), np.zeros((0, 0)), {}))
 
 
+def test_a_lens_that_folds_over_is_exported_with_its_radius() -> None:
+    (text,) = export("opencv", result({**PLAIN, "k1": -0.6}, "forward")).values()
+    assert "note: beyond 547 px from its principal point the lens folds over" in str(text)
+    assert "note" not in written("opencv", "usual")
+
+
 def test_a_backward_lens_is_approached() -> None:
     lens = {**PLAIN, "k1": 0.03, "p1": 1e-4}
     (text,) = export("opencv", result(lens, "backward"), within=0.05).values()

@@ -66,12 +66,13 @@ class _Linear:
         A polynomial may have further ones beyond its fold; where it folds before the image point, that of the fold.
         """
         lens = self.named(self.values)
-        if self.convention != "forward":
+        if self.convention == "backward":
             return np.array(ideal_point(lens, uv[0], uv[1], self.convention))
         fx, fy = focal(lens)
         centre = np.array([[lens["cx"]], [lens["cy"]]])
         away = (uv - centre) / [[fx], [fy]]
-        reached = np.array(image_point(lens, *(away[:, :, None] * _ALONG))) - centre[:, :, None]
+        tried = away[:, :, None] * _ALONG
+        reached = np.array(image_point(lens, tried[0], tried[1], self.convention == "fisheye")) - centre[:, :, None]
         radius, wanted = np.hypot(*reached), np.hypot(*(uv - centre))[:, None]
         grows = np.cumprod(np.diff(radius, axis=1, prepend=0.0) > 0, axis=1)
         last = np.maximum((grows * (radius < wanted)).sum(axis=1), 1) - 1
