@@ -78,9 +78,9 @@ def readings() -> Table:
 def idle_project(folder: Path) -> Path:
     """Write a project of many jobs whose results are up to date."""
     from metrocli import __version__
+    from metrocli.project.fingerprint import of_job
     from metrocli.project.inputs import read_with_files
     from metrocli.project.job import load
-    from metrocli.project.meaning import of_job
 
     (folder / "jobs").mkdir()
     (folder / "observations.csv").write_text("image,target,u_px,v_px\na,1,2,3\n")

@@ -28,7 +28,7 @@ from benchmarks.hidden.foreign import NOTHING, SIMULATED, Planted, planted
 from benchmarks.hidden.rates import Rate
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.evidence.folds import gain_between
-from metrocli.diagnosis.evidence.measurement import measurement_of
+from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.job_entries import as_job, scatter_as_job

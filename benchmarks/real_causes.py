@@ -57,10 +57,10 @@ class Case:
     """Names that the set has without what was done to it"""
     extended: str = ""
     """Verdict on the extended job"""
-    halves: tuple[Mapping[str, Any], ...] = ()
-    """Diagnoses of two halves of the images"""
     gains: Mapping[Named, tuple[float, float]] = field(default_factory=dict)
     """Gain of each name by the independent adjustment, and its standard error"""
+    halves: tuple[Mapping[str, Any], ...] = ()
+    """Diagnoses of two halves of the images"""
 
     @property
     def names(self) -> list[Named]:
@@ -164,7 +164,7 @@ def of_board(one: BoardSet, folder: Path) -> Iterator[Case]:
             data, seconds, _ = diagnosed(one.job(folder / f"{name}-{times:g}", changed, LENS), extend=False)
             title, halves = f"{name}-{times:g}", list[Mapping[str, Any]]()
             if times == max(TIMES) and len(board.images) >= 2 * _FEWEST:
-                mixed = rng.permutation(len(board.images))
+                mixed = np.random.default_rng([20261127, at]).permutation(len(board.images))
                 for part in (mixed[::2], mixed[1::2]):
                     job = one.job(folder / f"{title}-{part[0]}", changed.only(np.sort(part)), LENS)
                     halves.append(diagnosed(job, extend=False)[0])

@@ -30,7 +30,7 @@ from benchmarks.hidden.subjects import KINDS, Planted
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import design, needed
 from metrocli.diagnosis.diagnose import diagnose
-from metrocli.diagnosis.evidence.measurement import measurement_of
+from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.findings import Verdict
 from metrocli.diagnosis.linear.linearised import linearised

@@ -63,7 +63,7 @@ def _thinned(statistics: Mapping[str, Scalar | Mapping[str, float]]) -> tuple[st
 def _uncovered(statistics: Mapping[str, Scalar | Mapping[str, float]], verdicts: Sequence[Verdict]) -> tuple[str, ...]:
     corner = _number(statistics.get("corner_std"))
     most = _CORNER * max(_number(statistics.get("image_width")), _number(statistics.get("image_height")))
-    if not corner > most or any(one.name.removeprefix("statistics.") == "corner_std" for one in verdicts):
+    if not corner > most or any(verdict.name.removeprefix("statistics.") == "corner_std" for verdict in verdicts):
         return ()
     hull, radius = (100 * _number(statistics.get(f"coverage_{name}")) for name in ("hull", "radius"))
     return (

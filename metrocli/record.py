@@ -47,10 +47,10 @@ class Verdict:
         from metrocli.units import as_stated, format_quantity
 
         outcome = "met" if self.met else "NOT met"
-        found = format_quantity(*as_stated(self.value, self.unit, self.condition))
+        text = format_quantity(*as_stated(self.value, self.unit, self.condition))
         if self.decision:
-            return f"conformity of {self.name}, {self.condition}: {self.decision} ({found})"
-        return f"required {self.name} {self.condition}: {outcome} ({found})"
+            return f"conformity of {self.name}, {self.condition}: {self.decision} ({text})"
+        return f"required {self.name} {self.condition}: {outcome} ({text})"
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Record:
         Its inputs come first, then standards that are no files, then those of the results among its inputs.
         """
         stated: Mapping[str, str] = self.certificate.get("references", {})
-        paths = [one.path for one in self.inputs]
+        paths = [file.path for file in self.inputs]
         return [(name, stated.get(name, "")) for name in (*paths, *(one for one in stated if one not in paths))] + [
             *self.below
         ]
@@ -101,8 +101,8 @@ class Record:
     @property
     def conformity(self) -> str:
         """The worst decision on the tolerances of the job; empty without tolerances."""
-        found = {verdict.decision for verdict in self.verdicts}
-        return next((one for one in (FAIL, GUARD_BAND, PASS) if one in found), "")
+        decisions = {verdict.decision for verdict in self.verdicts}
+        return next((decision for decision in (FAIL, GUARD_BAND, PASS) if decision in decisions), "")
 
     @property
     def exit_code(self) -> int:

@@ -63,7 +63,7 @@ class Columns:
     fewest_copied: int = 0
     """Fewest rows of a copied block, where an instrument at rest repeats its readings"""
     further: tuple[str, ...] = ()
-    """Headings of further columns of numbers, which effects of one's own use: read as they are, without conversion."""
+    """Headings of further columns of numbers, which user-defined effects use: read as they are, without conversion."""
     tried: tuple[str, ...] = ()
     """Headings of columns that are read as further ones if every cell is a number: laws are sought in them."""
     every: bool = False
@@ -85,7 +85,7 @@ class Table:
     warnings: tuple[str, ...] = ()
     """Remarks of the reader that are not faults, such as an unused column."""
     further: tuple[str, ...] = ()
-    """Headings of its further columns, on which effects of one's own depend."""
+    """Headings of its further columns, on which user-defined effects depend."""
     _lists: dict[str, list[str]] = field(default_factory=dict, init=False, repr=False, compare=False)
     """Text columns as lists, once they are asked for"""
 
@@ -108,7 +108,7 @@ class Table:
         """Return the rows of tables with the same columns, one table after the other."""
         import numpy as np
 
-        return cls({name: np.concatenate([one.columns[name] for one in parts]) for name in parts[0]}, parts[0].units)
+        return cls({name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0]}, parts[0].units)
 
     def joined(self, columns: Mapping[str, Any]) -> Table:
         """Return the table with further columns, or others in place of its own, under headings as in `of`."""
@@ -174,9 +174,9 @@ class Table:
     ) -> list[Fault]:
         """Return a fault for each of the first MOST_FAULTS rows, and one fault that counts the rest."""
         rows = [int(row) for row in rows]
-        found = [self.fault_at(row, text(row), hint(row)) for row in rows[:MOST_FAULTS]]
-        rest = len(rows) - len(found)
-        return [*found, self.fault(f"and {rest} more like these")] if rest else found
+        faults = [self.fault_at(row, text(row), hint(row)) for row in rows[:MOST_FAULTS]]
+        rest = len(rows) - len(faults)
+        return [*faults, self.fault(f"and {rest} more like these")] if rest else faults
 
 
 def ascii_letters(values: Texts) -> Bytes | None:

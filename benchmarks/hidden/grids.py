@@ -13,7 +13,7 @@ import numpy.typing as npt
 from benchmarks.hidden.case import Case, Hidden
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import needed
-from metrocli.diagnosis.evidence.measurement import measurement_of
+from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.effects.wanted import Wanted
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import task as selfcal_grid

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import needed
-from metrocli.diagnosis.evidence.measurement import measurement_of
+from metrocli.diagnosis.evidence.measured_job import measurement_of
 
 
 def stated(adjusted: AdjustedJob, name: str, parameters: int) -> float:

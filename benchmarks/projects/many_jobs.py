@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 
 from metrocli.formats import hdf5
-from metrocli.project import meaning, runner
+from metrocli.project import fingerprint, runner
 from metrocli.project.running import memo
 from metrocli.project.steps import load_project
 
@@ -74,7 +74,7 @@ def _own_idle() -> dict[str, float | str]:
     *jobs, _ = (step.job for step in load_project(Path()))
     result, record = runner.compute(jobs[0])
     for job in jobs:
-        hdf5.write(job.output, result, replace(record, job_text=job.text, meaning=meaning.of_job(job)))
+        hdf5.write(job.output, result, replace(record, job_text=job.text, meaning=fingerprint.of_job(job)))
     compileall.compile_dir(str(ROOT / "metrocli"), quiet=1)  # as pip does
     found: dict[str, float | str] = {name: cpu_of([*RUN, "--quiet"]) for name in (ONE_TO_DO, "the next")}
     time.sleep(3)  # the times of younger files do not count

@@ -25,7 +25,7 @@ from metrocli import tasks  # noqa: E402
 from metrocli.cli.commands import run as metrocli  # noqa: E402
 from metrocli.effects.effect import Effect, Parameter  # noqa: E402
 from metrocli.formats import hdf5  # noqa: E402
-from metrocli.project import meaning, runner  # noqa: E402
+from metrocli.project import fingerprint, runner  # noqa: E402
 from metrocli.project.running import memo  # noqa: E402
 
 NAMES = ("a", "b", "c", "d", "e", "f")
@@ -198,7 +198,7 @@ CHANGES = (
 
 def set_version(version: str) -> None:
     """Make this process a metrocli of another version."""
-    for module in (meaning, runner, memo):
+    for module in (fingerprint, runner, memo):
         module.__version__ = version  # type: ignore[attr-defined]
 
 
@@ -223,7 +223,7 @@ def changes(count: int, seed: int = 0) -> tuple[int, int, int]:
     task = straight_line.task.TASK
     straight_line.task.TASK = replace(task, effects=(BOW,))
     settled, memo._SETTLED_NS = memo._SETTLED_NS, 20_000_000
-    before = meaning.__version__  # type: ignore[attr-defined]
+    before = fingerprint.__version__  # type: ignore[attr-defined]
     wrong = needless = other = 0
     try:
         project = Project(seed)

@@ -1,9 +1,11 @@
-"""What the site has beside the pages of docs/: its order, the README, and a gallery made by running the samples."""
+"""What the site has beside the pages of docs/: its order, the README, the effects, and a gallery of samples."""
 
 from __future__ import annotations
 
+import re
 import tempfile
 from contextlib import redirect_stderr, redirect_stdout
+from functools import cache
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,8 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 from metrocli.cli.commands import run
+from metrocli.effects.page import page
+from metrocli.tasks import KINDS
 
 ROOT = Path(__file__).parents[2]
 FIRST = (
@@ -45,6 +49,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     docs = Path(config.docs_dir)
     first = [f"{name}.md" for name in FIRST]
     sections = [{title: _pages(docs, folder)} for title, folder in SECTIONS.items()]
+    sections[list(SECTIONS).index("Effects")]["Effects"] += [f"effects/{name}.md" for name in _effects()]
     config.nav = [{"Guide": [*first[:1], PROJECT, *first[1:], GALLERY]}, *sections]
     return config
 
@@ -55,7 +60,9 @@ def _pages(docs: Path, folder: str) -> list[str]:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the README and the gallery; `extra: {samples: [...]}` limits the samples that are run."""
+    """Add the README, the effects and the gallery; `extra: {samples: [...]}` limits the samples that are run."""
+    for name, text in _effects().items():
+        files.append(File.generated(config, f"effects/{name}.md", content=text))
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     files.append(File.generated(config, PROJECT, content=readme.replace("](docs/", "](")))
     samples = config.extra.get("samples", sorted(path.name for path in (ROOT / "sample_projects").glob("*/")))
@@ -65,6 +72,15 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     head = "# Gallery\n\nThe samples, run while these pages were built; each figure by the first sample that has it.\n"
     files.append(File.generated(config, GALLERY, content="\n".join([head, *parts])))
     return files
+
+
+@cache
+def _effects() -> dict[str, str]:
+    """Return the page of each effect, whose names in code lead to each other."""
+    tables = {kind: one.task().effects for kind, one in KINDS.items()}
+    names = sorted({effect.name for effects in tables.values() for effect in effects})
+    linked = re.compile(f"`({'|'.join(names)})`")
+    return {name: linked.sub(r"[\1](\1.md)", page(name, tables)) for name in names}
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:

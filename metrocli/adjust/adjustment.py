@@ -114,8 +114,8 @@ def _in_eliminated_datum(frame: Frame, normals: Normals, inverse: Array) -> Arra
     datum is `h = H e = -A r + sum H_i n_i`, so `r' = r - E h = (I + E A) r - E sum H_i n_i`. The reduced unknowns r and
     the n_i are uncorrelated.
     """
-    found = [part.moments(frame.constraint(part.members)) for part in normals.parts]
+    moments = [part.moments(frame.constraint(part.members)) for part in normals.parts]
     e = frame.reduced
-    coupled, gram = (np.sum([one[i] for one in found], axis=0) for i in (0, 1))
+    coupled, gram = (np.sum([moment[i] for moment in moments], axis=0) for i in (0, 1))
     transform = np.eye(len(inverse)) + e @ coupled
     return np.asarray(transform @ inverse @ transform.T + e @ gram @ e.T)

@@ -73,8 +73,8 @@ class Design:
     def solve(self, right: Array) -> Array:
         """Return the covariance times `right`, `(I - Z H) Q (I - Z H)' right`, (unknowns,) or (unknowns, k)."""
         held = right - self.constraint.T @ (self.null.T @ right)
-        found = self.reduction.solve(held)
-        return found - self.null @ (self.constraint @ found)
+        solved = self.reduction.solve(held)
+        return solved - self.null @ (self.constraint @ solved)
 
     def variances(self, rows: Sparse) -> Array:
         """Return the variances of sparse linear combinations of unknowns, (n,).
@@ -166,7 +166,7 @@ class FieldSolution:
 
     def residuals(self) -> tuple[Residuals, ...]:
         """Return the residuals of each group, with redundancy and Baarda's w."""
-        redundancy, at, found = self.design.redundancy(), 0, []
+        redundancy, at, parts = self.design.redundancy(), 0, []
         for group in self.solution.groups:
             observations = group.observations
             values = group.residuals(self.solution.blocks)
@@ -175,8 +175,8 @@ class FieldSolution:
             controlled = share > 1e-6
             root = np.sqrt(np.where(controlled, share, 1.0))
             normalised = np.where(controlled, observations.whitened(values) / root, 0.0)
-            found.append(Residuals(values, observations.sigma, share, normalised))
-        return tuple(found)
+            parts.append(Residuals(values, observations.sigma, share, normalised))
+        return tuple(parts)
 
 
 def design_of(fields: Fields) -> Design:

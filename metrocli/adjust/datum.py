@@ -153,6 +153,7 @@ def _amounts(datum: Datum, block: Block, reference: Movement, moves: Movement) -
     seen = datum.members if block.all_free else datum.members[:, None] * block.free
     product = reference.gram(datum.reference, moves, block.values, seen)
     own = np.diag(reference.gram(datum.reference, reference, datum.reference, datum.members**2))
+    # relative to the size of each movement: shifts in mm and rotations in rad are compared
     share = product / np.sqrt(np.maximum(own[:, None] * own, 1e-300))
     if not np.isfinite(share).all() or np.linalg.svd(share, compute_uv=False).min() < _LOOSE:
         raise np.linalg.LinAlgError("the members of the datum leave a movement open")

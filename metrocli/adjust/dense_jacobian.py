@@ -32,12 +32,12 @@ class Unknowns:
 
     def names(self, blocks: Mapping[str, Block]) -> list[tuple[str, str, str]]:
         """Return (block, member, column) of each unknown."""
-        found = [("", "", "")] * self.size
+        labels = [("", "", "")] * self.size
         for name, columns in self.columns.items():
             for member, column in zip(*np.nonzero(columns >= 0), strict=True):
                 block = blocks[name]
-                found[columns[member, column]] = (name, block.members[member], block.columns[column])
-        return found
+                labels[columns[member, column]] = (name, block.members[member], block.columns[column])
+        return labels
 
     def spread(self, name: str, values: Array) -> Array:
         """Return values of the unknowns (size, ...) as entries of a block (members, size, ...), 0 where it is fixed."""

@@ -98,13 +98,15 @@ class Descent:
             short = fall <= small + _ROUNDING * self.cost
             last = short or self._contracts(fall, small)
             self.normals = None
-            found = self.problem.normals(moved) if self.wanted or not (last or final) else None
-            cost = found.cost if found else self.problem.cost(moved)
+            normals = self.problem.normals(moved) if self.wanted or not (last or final) else None
+            cost = normals.cost if normals else self.problem.cost(moved)
             if cost <= self.cost or (last and cost <= self.cost + small + self._rounding()):
+                # a strongly damped step is short however far the end is, so its length does not show that it is near
                 done = last and self.damping <= 1e-4
                 self.fall = 0.0 if self.damping else fall
-                self.state, self.normals, self.cost, self.damping = moved, found, cost, _relaxed(self.damping)
+                self.state, self.normals, self.cost, self.damping = moved, normals, cost, _relaxed(self.damping)
                 return Outcome.CONVERGED if done else Outcome.ITERATION_LIMIT
+            # the cost rose by a step below the tolerance: that is rounding, and the values before it stand
             if short:
                 return Outcome.CONVERGED
             self._damp()
@@ -182,6 +184,7 @@ def cholesky_solve(matrix: Array, right: Array) -> Array:
         raise np.linalg.LinAlgError("the normal equations have entries that are no numbers")
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     balanced, scaled = matrix * scale[:, None] * scale, (right.T * scale).T
+    # loading scipy takes longer than solving as few unknowns as these (docs/decisions/154-loaded-where-used.md)
     if len(matrix) <= FEW:
         np.linalg.cholesky(balanced)  # raises LinAlgError unless it is positive definite
         solved: Array = np.asarray(np.linalg.solve(balanced, scaled), dtype=float)
@@ -207,6 +210,7 @@ def _moved(
         )
     if frame is not None:
         block = state[frame.datum.block]
+        # the stiffness of `held` let the open movements take any value: the datum decides them, at the moved values
         shifts = frame.steps(state, block.values + steps.get(block.name, np.zeros_like(block.values)))
         steps |= {name: steps.get(name, 0.0) + shift for name, shift in shifts.items()}
     for name, step in steps.items():

@@ -39,11 +39,11 @@ def open_combinations(
     if _surely_determined(scaled):
         return ()
     values, vectors = np.linalg.eigh(np.nan_to_num(scaled))
-    found = []
+    combinations = []
     for value, vector in zip(values, vectors.T, strict=True):
         if value < max(1.0, _ROUNDING * values[-1]):
-            found.append(_combination(blocks, layout, vector * reach, normals, value))
-    return tuple(found)
+            combinations.append(_combination(blocks, layout, vector * reach, normals, value))
+    return tuple(combinations)
 
 
 def _surely_determined(scaled: Array) -> bool:
@@ -80,7 +80,7 @@ def _open_members(blocks: Mapping[str, Block], layout: Layout, normals: Normals)
     """Return the members of the eliminated block that their own readings do not determine."""
     if layout.eliminated is None:
         return ()
-    return tuple(found for part in normals.parts for found in _open_in(blocks[layout.eliminated], part))
+    return tuple(combination for part in normals.parts for combination in _open_in(blocks[layout.eliminated], part))
 
 
 def _open_in(block: Block, part: Part) -> list[Combination]:
@@ -93,8 +93,9 @@ def _open_in(block: Block, part: Part) -> list[Combination]:
     # 2 on the diagonal of fixed entries: above the bound of 1, so they are never called open
     scaled = matrices * reach[:, :, None] * reach[:, None, :] + np.eye(block.size) * ~free[:, None, :] * 2
     values, vectors = np.linalg.eigh(scaled)
+    # 1 is an uncertainty as large as what is plausible: beyond it linearisation has no meaning
     bad = np.flatnonzero(values[:, 0] < 1)
-    found = []
+    combinations = []
     for member in bad:
         vector = np.abs(vectors[member, :, 0]) * free[member]
         parts = [
@@ -102,8 +103,8 @@ def _open_in(block: Block, part: Part) -> list[Combination]:
             for column, share in zip(block.columns, vector / vector.max(), strict=True)
             if share > _SHARE
         ]
-        found.append(Combination(tuple(parts), _spread(float(values[member, 0]))))
-    return found
+        combinations.append(Combination(tuple(parts), _spread(float(values[member, 0]))))
+    return combinations
 
 
 def _all_determined(part: Part, reach: Array) -> bool:

@@ -61,6 +61,7 @@ def robust_start(
         return dict(state)
     share = _share(group, state, within)
     for turn in range(_ROUNDS):
+        # least absolute deviations first: the biweight ignores what is far off, so it needs a start that is near
         weights = _least_absolute(share) if turn < _ROUNDS // 2 else np.maximum(1 - (share / _TUKEY) ** 2, 0.0) ** 2
         held = _reweighted(groups, name, weights)
         control = Control(limit=8, covariance=False)
@@ -76,6 +77,7 @@ def _least_absolute(share: Array) -> Array | None:
 
 
 def _reweighted(groups: Sequence[Group], name: str, weights: Array | None) -> list[Group]:
+    # not 0: a member whose readings all have no weight would make the normal matrix singular
     kept = None if weights is None else np.maximum(weights, 1e-12)
     return [replace(group, weights=kept) if group.name == name else group for group in groups]
 
@@ -115,6 +117,7 @@ def typical(group: Group, blocks: Mapping[str, Block]) -> float:
 
 def _distances(group: Group, blocks: Mapping[str, Block]) -> Array:
     residual = group.observations.whitened(group.residuals(blocks))
+    # a reading that cannot be predicted is far off, not absent: else a start behind the camera would fit best
     distances: Array = np.nan_to_num(np.sqrt((residual**2).sum(axis=0)), nan=1e12, posinf=1e12)
     return distances
 
@@ -124,16 +127,16 @@ def critical_value(tests: int, level: float = 0.05) -> float:
     return normal_bound(level / (2 * max(tests, 1)))
 
 
-def minimal_detectable(found: Residuals, critical: float, noise: float = 1.0) -> Array:
+def minimal_detectable(residuals: Residuals, critical: float, noise: float = 1.0) -> Array:
     """Return the error of each reading that is found with 80 % power, (d, n); inf if the reading is uncontrolled.
 
     It is `(critical + 0.84) noise sigma / sqrt(r)` for the test `|w| > critical noise` (Baarda 1968), r the redundancy.
     `noise` is that of the readings in units of the declared one, as the test takes it: residuals larger than declared
     raise its bound. The chance of an exceedance on the other side is below 1e-6 and left out.
     """
-    controlled = found.redundancy > _CONTROLLED
-    root = np.sqrt(np.where(controlled, found.redundancy, 1.0))
-    return np.where(controlled, (critical + _POWER_80) * noise * found.sigma / root, np.inf)
+    controlled = residuals.redundancy > _CONTROLLED
+    root = np.sqrt(np.where(controlled, residuals.redundancy, 1.0))
+    return np.where(controlled, (critical + _POWER_80) * noise * residuals.sigma / root, np.inf)
 
 
 def as_likely(squares: Array) -> Mask:
@@ -158,21 +161,21 @@ class Suspects:
     critical: float
 
 
-def apart(found: Suspects, residuals: Residuals, members: Index) -> Index:
+def apart(suspected: Suspects, residuals: Residuals, members: Index) -> Index:
     """Return which suspects (places among them) are wrong whatever the others are, and the worst of each member.
 
     An error that causes w_j changes another w_i by at most `sqrt(h_i h_j / (r_i r_j)) w_j` with leverage h = 1 - r
     (Cauchy-Schwarz on J Q J'). So a suspect whose test exceeds the bound by more than the sum over the other suspects
     of its member can be left out together with them. `members` (n,) is the member of each reading, such as its image.
     """
-    member, tests = members[found.rows], found.tests
-    redundancy = np.maximum(residuals.redundancy[:, found.rows], 1e-6)
-    leverage, w = np.sqrt((1 - redundancy) / redundancy), np.abs(residuals.normalised[:, found.rows])
+    member, tests = members[suspected.rows], suspected.tests
+    redundancy = np.maximum(residuals.redundancy[:, suspected.rows], 1e-6)
+    leverage, w = np.sqrt((1 - redundancy) / redundancy), np.abs(residuals.normalised[:, suspected.rows])
     given = (leverage * w).sum(axis=0) * tests / np.maximum(w.max(axis=0, initial=0.0), 1e-300)
     taken = leverage.max(axis=0, initial=0.0) * (np.bincount(member, given)[member] - given if len(member) else given)
     order = np.lexsort((-tests, member))
     worst = order[np.flatnonzero(np.diff(member[order], prepend=-1))]
-    return np.union1d(worst, np.flatnonzero(tests - taken > found.critical))
+    return np.union1d(worst, np.flatnonzero(tests - taken > suspected.critical))
 
 
 @dataclass(frozen=True)
@@ -185,22 +188,24 @@ class Fit:
     """Whether the noise is declared, not estimated: then sigma0 counts as at least 1"""
 
 
-def suspects(found: Residuals, fit: Fit) -> Suspects:
+def suspects(residuals: Residuals, fit: Fit) -> Suspects:
     """Return the readings whose largest |w| is too large to be due to chance, at 5 % over all readings.
 
     Each reading is compared with the noise of the others, `s_i^2 = (v'Pv - w_i'w_i) / (dof - d)` (external
     studentisation), so a gross error cannot hide in the sigma0 that it causes. With declared noise s_i is at least 1.
     """
-    w = np.abs(found.normalised).max(axis=0)
-    rest = fit.dof - found.values.shape[0]
-    bound = critical_value(found.values.size)
+    w = np.abs(residuals.normalised).max(axis=0)
+    rest = fit.dof - residuals.values.shape[0]
+    bound = critical_value(residuals.values.size)
     if rest < 1:
         return Suspects(np.zeros(0, dtype=np.intp), np.zeros(0), bound)
-    own = np.minimum((found.normalised**2).sum(axis=0), fit.cost)
+    # rounding can make the part of one reading larger than the whole sum of squares
+    own = np.minimum((residuals.normalised**2).sum(axis=0), fit.cost)
     others = np.sqrt((fit.cost - own) / rest)
     unit = np.maximum(others, 1.0) if fit.noise_known else np.maximum(others, 1e-12)
     declared = fit.noise_known & (others <= 1.0)
-    tests = w / unit * np.where(declared, 1.0, bound / _student_bound(found.values.size, rest))
+    # compared with the noise of the others, w is Student's t: scaled so that `bound` is its bound as well
+    tests = w / unit * np.where(declared, 1.0, bound / _student_bound(residuals.values.size, rest))
     rows = np.flatnonzero(tests > bound)
     return Suspects(rows, tests[rows], bound)
 

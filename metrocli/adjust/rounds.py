@@ -74,11 +74,13 @@ def adjust_with_iterated_weights(
 def with_aspects(group: Group, aspects: Mapping[str, Aspect], blocks: Mapping[str, Block]) -> tuple[Group, float]:
     """Return the group with its aspects at the blocks' values, and the largest change of those it had before."""
     observations = group.observations
-    found = {name: aspect(blocks, observations) for name, aspect in aspects.items()}
+    conditions = {name: aspect(blocks, observations) for name, aspect in aspects.items()}
     before = observations.conditions
-    known = [name for name in found if name in before]
-    changes = [float(np.abs(found[name] - before[name]).max(initial=0.0)) for name in known]
-    return replace(group, observations=replace(observations, conditions={**before, **found})), max(changes, default=0.0)
+    known = [name for name in conditions if name in before]
+    changes = [float(np.abs(conditions[name] - before[name]).max(initial=0.0)) for name in known]
+    return replace(group, observations=replace(observations, conditions={**before, **conditions})), max(
+        changes, default=0.0
+    )
 
 
 def _with_sigma(group: Group, sigma: Array) -> Group:
@@ -127,19 +129,19 @@ class Used:
         """The rows of the readings that were left out."""
         return np.flatnonzero(self.tests)
 
-    def without(self, found: Suspects, chosen: Index) -> Used:
+    def without(self, suspects: Suspects, chosen: Index) -> Used:
         """Leave out some of the suspects (places among them), which are numbered by the readings in use."""
         tests = self.tests.copy()
-        tests[np.flatnonzero(self.kept)[found.rows[chosen]]] = found.tests[chosen]
+        tests[np.flatnonzero(self.kept)[suspects.rows[chosen]]] = suspects.tests[chosen]
         return replace(self, tests=tests)
 
 
-def worst_of(found: Suspects) -> Index:
+def worst_of(suspects: Suspects) -> Index:
     """Return the suspects (places among them) with a test of at least half the largest one.
 
     A gross error also raises the tests of good readings, but less: these are tested again without it.
     """
-    return np.flatnonzero(found.tests >= found.tests.max(initial=0.0) / 2)
+    return np.flatnonzero(suspects.tests >= suspects.tests.max(initial=0.0) / 2)
 
 
 def variance_component(found: Sequence[Residuals]) -> float:

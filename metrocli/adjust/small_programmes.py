@@ -46,10 +46,10 @@ def quadratic(hessian: Array, gradient: Array, rows: Array, bounds: Array) -> Op
     def solve(chosen: Index) -> tuple[Array, Array] | None:
         return _least_distance(turned[chosen], raised[chosen] / scale)
 
-    found = _growing(solve, lambda y: turned @ y - raised / scale, raised / scale)
-    if found is None:
+    optimum = _growing(solve, lambda y: turned @ y - raised / scale, raised / scale)
+    if optimum is None:
         return None
-    y, duals = found
+    y, duals = optimum
     return Optimum(factor.T @ (y * scale - centre), duals * scale)
 
 
@@ -71,10 +71,10 @@ def highest(rows: Array, values: Array, reach: float) -> tuple[Optimum, float]:
         return (solved.x, -solved.ineqlin.marginals) if solved.status == 0 else None
 
     start = smallest(values, 2 * _ADDED)
-    found = _growing(solve, lambda x: values + rows @ x[:-1] - x[-1], values, start)
-    if found is None:
+    optimum = _growing(solve, lambda x: values + rows @ x[:-1] - x[-1], values, start)
+    if optimum is None:
         raise NotConvergedError("the linear programme of the largest least overstock has no solution")
-    x, duals = found
+    x, duals = optimum
     return Optimum(x[:-1], duals), float((values + rows @ x[:-1]).min())
 
 

@@ -133,10 +133,10 @@ def _parabolas(cells: _Cells, parts: _Parts, moments: Array, chosen: Mask) -> _P
     basis = nodes[..., None] ** np.arange(_NODES) @ np.swapaxes(back, 1, 2)
     weight = cells.counts[numbers, None] / (basis**2).sum(axis=2)
     fitted = np.einsum("mjk,mkl,cml->cmj", basis, back, parts.right[:, numbers])
-    found = fitted + parts.mean[:, numbers, None]
+    values = fitted + parts.mean[:, numbers, None]
     where = parts.centre[numbers, None] + parts.half[numbers, None] * nodes
     index = np.repeat(cells.cell[cells.starts[numbers]], _NODES)
-    return index, where.ravel(), found.reshape(len(found), -1), weight.ravel()
+    return index, where.ravel(), values.reshape(len(values), -1), weight.ravel()
 
 
 def _as_they_are(cells: _Cells, chosen: Mask) -> _Piece:

@@ -45,7 +45,7 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
             raise UsageError("--set changes one job, and this is a project: name the job file instead")
         steps = load_project(place, accept_doubtful)
         jobs: list[JobFile] = [step.job for step in steps]
-        renewed = {absolute(one.step.job.output) for one in states(steps) if one.reason and not one.waits}
+        renewed = {absolute(state.step.job.output) for state in states(steps) if state.reason and not state.waits}
     else:
         jobs = load_parts(place, Wishes(overrides, accept_doubtful=accept_doubtful))
     faults: list[Fault] = []
@@ -60,12 +60,12 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
         raise InputError(faults)
     root = place if place.is_dir() else place.parent
     within = (root / PROJECT_FILE).is_file()
-    found = [(_name(job), _outside(job, root) if within else []) for job in jobs]
+    checked = [(_name(job), _outside(job, root) if within else []) for job in jobs]
     if as_json:
-        rows = [{"job": name, "outside": outside} for name, outside in found]
+        rows = [{"job": name, "outside": outside} for name, outside in checked]
         echo(json_text({"status": "no faults", "jobs": rows}))
     console = Console(quiet or as_json)
-    for name, outside in found:
+    for name, outside in checked:
         console.print(f"{name}: no faults")
         for path in outside:
             console.print(f"{name}: names a file outside the project: {path}")

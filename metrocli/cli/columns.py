@@ -79,7 +79,7 @@ def _column(table: Table, name: str) -> tuple[str, list[str]]:
     stds = {*filter(None, (_std_of(table, one) for one in table)), *({_ALONE} & set(table))}
     if name in stds:
         # all uncertainties of one kind in one unit: sx, sy, sz
-        alike = [one for one in stds if table.units.get(one, "") == unit]
+        alike = [std for std in stds if table.units.get(std, "") == unit]
         least = _least([std for one in alike for std in table.numbers(one).tolist()])
         size, symbol = units.column_unit(least, unit)
     else:
@@ -94,13 +94,13 @@ def _column(table: Table, name: str) -> tuple[str, list[str]]:
 
 def _std_of(table: Table, name: str) -> str | None:
     """Return the column with the uncertainties of a column `x`: `sx`, `s_x`, `x_std`, or `U_x` with k = 2."""
-    return next((one for one in (f"s{name}", f"s_{name}", f"{name}_std", f"U_{name}") if one in table), None)
+    return next((form for form in (f"s{name}", f"s_{name}", f"{name}_std", f"U_{name}") if form in table), None)
 
 
 def _least(stds: Sequence[float]) -> float:
     """Return the smallest standard uncertainty that sets digits; 0 without one."""
-    found = sorted(std for std in stds if 0 < std < math.inf)
-    return next((std for std in found if std >= _EXACT * found[len(found) // 2]), 0.0)
+    positive = sorted(std for std in stds if 0 < std < math.inf)
+    return next((std for std in positive if std >= _EXACT * positive[len(positive) // 2]), 0.0)
 
 
 def _numbers(values: Sequence[Any]) -> list[float]:

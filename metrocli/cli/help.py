@@ -13,7 +13,7 @@ COMMANDS = {
     "diagnose": "what the model of a job gets wrong, and why",
     "simulate": "the measurement that a job's model predicts",
     "plan": "what a planned measurement will determine, and a better one",
-    "effects": "the effects of a kind of job, and where own ones can act",
+    "effects": "the effects of a kind of job, and where user-defined ones can act",
     "show": "a result on the terminal",
     "gather": "estimates and uncertainties of all results of a project, as one table",
     "lineage": "where a result comes from, back to the measurements",

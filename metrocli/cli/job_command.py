@@ -76,7 +76,7 @@ def _carry_out(kind: str, path: Path, console: Console, wanted: dict[str, Any]) 
         raise UsageError(f"--output {wanted['output']}: the name of a result file ends in .h5")
     accept = wanted["accept_doubtful"]
     job = load(path, Wishes(wanted["overrides"], wanted["output"], kind, accept_doubtful=accept))
-    question = next((one.name for one in KINDS[kind].questions if wanted[one.name]), None)
+    question = next((question.name for question in KINDS[kind].questions if wanted[question.name]), None)
     if wanted["dry_run"]:
         if not wanted["force"]:
             refuse_foreign(job.output, kind)

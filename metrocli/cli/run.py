@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from metrocli.project.pipeline import Order, Report
-    from metrocli.project.running.crew import Crew
+    from metrocli.project.running.executor import Executor
     from metrocli.project.staleness import State
     from metrocli.project.steps import Step
 
@@ -101,27 +101,27 @@ def _run(steps: Sequence[Step], order: Order, console: Console, jobs: int, sched
     from metrocli.project import pipeline
 
     watched = has_terminal() and not (console.quiet or console.verbose)
-    with live_table(len(steps), watched) as table, _crew(console, jobs, scheduler, steps) as crew:
+    with live_table(len(steps), watched) as table, _executor(console, jobs, scheduler, steps) as executor:
 
         def finished(report: Report) -> None:
             with table.end(report.step.name, report.action):
                 _print_report(report, console)
 
-        reports = pipeline.run(steps, order, crew, finished, lambda step: table.begin(step.name))
+        reports = pipeline.run(steps, order, executor, finished, lambda step: table.begin(step.name))
     ran = any(report.action == pipeline.Action.RAN for report in reports)
     if any(report.exit_code for report in reports) or (watched and ran):
         _print_count(reports, console, f", in {time_text(table.seconds)}" if watched else "")
     return reports
 
 
-def _crew(console: Console, jobs: int, scheduler: str, steps: Sequence[Step]) -> AbstractContextManager[Crew]:
-    from metrocli.project.running.crew import Alone, processes
+def _executor(console: Console, jobs: int, scheduler: str, steps: Sequence[Step]) -> AbstractContextManager[Executor]:
+    from metrocli.project.running.executor import InThisProcess, processes
 
     if scheduler:
         from metrocli.project.running.cluster import on_cluster
 
         return on_cluster(scheduler, [step.job for step in steps])
-    return nullcontext(Alone(console)) if jobs == 1 else processes(jobs)
+    return nullcontext(InThisProcess(console)) if jobs == 1 else processes(jobs)
 
 
 def _dry_run(found: Sequence[State], console: Console, as_json: bool) -> int:

@@ -33,31 +33,31 @@ def command(result: Path, name: str | None, units: str, as_json: bool, **asked: 
     from metrocli.cli.look.inches import INCHES, in_units
     from metrocli.formats import csv, hdf5
 
-    found, record = hdf5.read(result)
+    stored, record = hdf5.read(result)
     wanted = [f"--{one}" for one in QUESTIONS if asked[one] is not None] + ["--table"] * (name is not None)
     if len(wanted) > 1:
         raise UsageError(f"{' and '.join(wanted)}: one question at a time")
     if units == INCHES and as_json:
         raise UsageError("--units inch is for people and tables; --json is in mm")
-    stated = in_units(found, units)
+    stated = in_units(stored, units)
     if wanted:
         print_reasons(result, record)
     if name is not None:
-        if name not in found.tables:
-            raise UsageError(f"{result} has no table '{name}'; {suggestion(name, found.tables)}")
+        if name not in stored.tables:
+            raise UsageError(f"{result} has no table '{name}'; {suggestion(name, stored.tables)}")
         table = stated.tables[name]
         echo(summary.json_of_table(table) if as_json else csv.to_text(table), nl=as_json, as_is=True)
         return 0
     question = next((one for one in QUESTIONS if asked[one] is not None), None)
     if question is not None:
-        echo(_answer(found, question, asked[question] or (), units, as_json))
+        echo(_answer(stored, question, asked[question] or (), units, as_json))
         return 0
     if as_json:
-        echo(summary.json_of(found, record, result))
+        echo(summary.json_of(stored, record, result))
         return 0
     echo(terminal.result_text(stated, record, result))
-    echo(f"tables: {', '.join(found.tables) or 'none'}")
-    for line in found.warnings:
+    echo(f"tables: {', '.join(stored.tables) or 'none'}")
+    for line in stored.warnings:
         echo(f"warning: {line}", err=True)
     return 0
 
@@ -73,5 +73,5 @@ def _answer(result: Result, question: str, values: tuple[str, ...], units: str, 
     estimates = KINDS[result.kind].task().result_answers[question](result, values)
     if not as_json:
         return terminal.estimates_text(estimates_in(estimates, units))
-    found = [{"name": estimate.name, **summary.of_estimate(estimate)} for estimate in estimates]
-    return summary.as_json(found if len(found) > 1 else found[0])
+    entries = [{"name": estimate.name, **summary.of_estimate(estimate)} for estimate in estimates]
+    return summary.as_json(entries if len(entries) > 1 else entries[0])

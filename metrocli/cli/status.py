@@ -26,13 +26,13 @@ def command(project: Path, accept_doubtful: bool, as_json: bool) -> int:
     from metrocli.project.staleness import states
     from metrocli.project.steps import load_project
 
-    found = list(states(load_project(project, accept_doubtful)))
+    current = list(states(load_project(project, accept_doubtful)))
     if as_json:
         from metrocli.cli.summary import as_json as json_text
 
-        echo(json_text({"jobs": [state_data(one) for one in found]}))
+        echo(json_text({"jobs": [state_data(state) for state in current]}))
         return 0
-    for state in found:
+    for state in current:
         unfit = state.record if state.label and state.label.exit_code and not state.reason else None
         missed = [verdict.name for verdict in unfit.verdicts if not verdict.met] if unfit else []
         unmet = f" (not met: {', '.join(missed)})" if missed else ""

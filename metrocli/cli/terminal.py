@@ -70,8 +70,8 @@ def estimates_text(estimates: Sequence[Estimate], job_text: str = "") -> str:
     groups: dict[tuple[str, str], list[Estimate]] = {}
     for estimate in estimates:
         groups.setdefault(_alike(estimate), []).append(estimate)
-    found = {alike: _unit(group, job_text) for alike, group in groups.items()}
-    rows = columns_text([_estimate_row(estimate, *found[_alike(estimate)]) for estimate in estimates])
+    unit_by_group = {alike: _unit(group, job_text) for alike, group in groups.items()}
+    rows = columns_text([_estimate_row(estimate, *unit_by_group[_alike(estimate)]) for estimate in estimates])
     return f"value {units.SPREAD}:\n{rows}"
 
 

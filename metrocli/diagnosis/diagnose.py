@@ -18,7 +18,7 @@ from metrocli.diagnosis.detectability import Design, design
 from metrocli.diagnosis.evidence.folds import gain_between, gains
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified, identified
-from metrocli.diagnosis.evidence.measurement import measurement_of
+from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.parts import SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.evidence.search import pruned

@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.identified import all_identified
-from metrocli.diagnosis.evidence.measurement import measurement_of
+from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.search import forward, pruned, swapped
 from metrocli.diagnosis.evidence.state import State

@@ -1,4 +1,4 @@
-"""Places where effects of one's own can act: the quantities of a kind's chains, with the variables known there."""
+"""Places where user-defined effects can act: the quantities of a kind's chains, with the variables known there."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ OfPlace = Callable[[str], tuple[Variable, ...]]
 
 @dataclass(frozen=True)
 class Acting:
-    """A quantity on which effects of one's own can act."""
+    """A quantity on which user-defined effects can act."""
 
     name: str
     """The value of `acts_on`, such as length or point-in-machine"""
@@ -68,18 +68,18 @@ class Acting:
 
     def variables_at(self, where: Mapping[str, str]) -> dict[str, Variable]:
         """Return the variables by name that expressions can use at a place (kind of place to name)."""
-        found = list(self.variables)
+        variables = list(self.variables)
         for key, of_place in self.of_place.items():
             if key in where:
-                found += of_place(where[key])
+                variables += of_place(where[key])
         if any(key in where for key in self.split):
-            found[0] = component(self.name, self.units[0], self.at(where)[1])
-        return {one.name: one for one in found}
+            variables[0] = component(self.name, self.units[0], self.at(where)[1])
+        return {variable.name: variable for variable in variables}
 
     def all_units(self) -> dict[str, str]:
         """Return the unit of every variable by name, also of those that exist only at a place of some kind."""
-        more = [one for of_place in self.of_place.values() for one in of_place("xy")]
-        return {one.name: one.unit for one in (*self.variables, *more)}
+        more = [variable for of_place in self.of_place.values() for variable in of_place("xy")]
+        return {variable.name: variable.unit for variable in (*self.variables, *more)}
 
     def at(self, where: Mapping[str, str]) -> tuple[Quantity, int]:
         """Return the quantity on which an effect acts at a place, and its component if that is only one of several."""
@@ -171,13 +171,13 @@ def _polar(beam: Array, what: str) -> tuple[Array, Array]:
 
 
 def _seen_from(start: str, what: str, value: Array, local: Local) -> Step:
-    found, by_beam = _polar(_beam(start, value, local), what)
+    polar, by_beam = _polar(_beam(start, value, local), what)
     by_block = {}
     if start:
-        by_start = np.zeros((1, local.blocks[start].size, len(found)))
+        by_start = np.zeros((1, local.blocks[start].size, len(polar)))
         by_start[0, :3] = -by_beam
         by_block[start] = by_start
-    return Step(found[None], by_beam[None], by_block)
+    return Step(polar[None], by_beam[None], by_block)
 
 
 def seen_from(start: str = "", names: Sequence[str] = ("distance", "azimuth", "elevation")) -> tuple[Variable, ...]:

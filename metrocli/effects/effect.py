@@ -125,8 +125,12 @@ class Effect:
     """Kinds of place whose first name is the reference for the others, so that the effect cannot act there"""
     confused_with: tuple[str, ...] = ()
     """Names of effects with a similar signature"""
+    formula: str = ""
+    """What it changes, in the symbols of docs/instruments; t and T count from the earliest reading"""
+    note: str = ""
+    """What else a reader of its page must know: what absorbs it, a remedy, the size of a common cause"""
     usual: str = ""
-    """Sizes that the cause usually has, as its page states them, such as "0.1 to 5 ppm"; empty if none are known"""
+    """Sizes that the cause usually has, such as "0.1 to 5 ppm"; empty if none are known"""
     reveal: str = ""
     """What to measure to detect it, or to separate it from the effects in `confused_with`"""
     source: str = ""
@@ -146,9 +150,9 @@ class Effect:
     noise: str = ""
     """Key under `noise:` of a job that declares the standard deviation of its sizes at all places; empty if none"""
     definition: str = ""
-    """For an effect of one's own: its definition, one line of YAML"""
+    """For a user-defined effect: its definition, one line of YAML"""
     lacks: str = ""
-    """For an effect of one's own: what the data lack to test it, such as "needs a column load"; empty if nothing"""
+    """For a user-defined effect: what the data lack to test it, such as "needs a column load"; empty if nothing"""
 
     @property
     def keys(self) -> tuple[str, ...]:

@@ -44,23 +44,25 @@ def estimates(added: Sequence[Added], solution: Adjusted) -> tuple[Estimate, ...
 
     If several effects share a label, the second is named `dead-path-jump.LT2 2.step` and so on, as in /effects.
     """
-    found = []
-    for label, one in _labelled(one for one in _own(added) if not one.std):
-        block, std = solution.blocks[one.block], solution.std(one.block)
-        for at, p in enumerate(one.effect.parameters):
-            if p.name in one.columns:
+    rows = []
+    for label, addition in _labelled(addition for addition in _own(added) if not addition.std):
+        block, std = solution.blocks[addition.block], solution.std(addition.block)
+        for at, p in enumerate(addition.effect.parameters):
+            if p.name in addition.columns:
                 value, spread = float(block.values[-1, at]), float(std[-1, at])
-                found.append(Estimate(f"{label}.{p.name}", value, spread, p.unit, p.dimension))
-    return tuple(found)
+                rows.append(Estimate(f"{label}.{p.name}", value, spread, p.unit, p.dimension))
+    return tuple(rows)
 
 
 def absorbed(added: Sequence[Added], solution: Solution, datum: Datum | None) -> tuple[Added, ...]:
     """Return the effects that make a model undetermined: fixing any one of them would make it determined."""
     return tuple(
-        one
-        for one in _own(added)
+        addition
+        for addition in _own(added)
         if covariance_at(
-            {**solution.blocks, one.block: solution.blocks[one.block].fixed()}.values(), solution.groups, datum
+            {**solution.blocks, addition.block: solution.blocks[addition.block].fixed()}.values(),
+            solution.groups,
+            datum,
         ).outcome.good
     )
 
@@ -68,9 +70,9 @@ def absorbed(added: Sequence[Added], solution: Solution, datum: Datum | None) ->
 def true_values(model: Model) -> dict[str, float]:
     """Return the true parameters of all effects in a simulated model, by the names of their estimates."""
     return {
-        f"{label}.{p.name}": float(model.blocks[one.block].values[-1, model.blocks[one.block].column(p.name)])
-        for label, one in _labelled(one for one in model.added if not one.std)
-        for p in one.effect.all_parameters
+        f"{label}.{p.name}": float(model.blocks[addition.block].values[-1, model.blocks[addition.block].column(p.name)])
+        for label, addition in _labelled(addition for addition in model.added if not addition.std)
+        for p in addition.effect.all_parameters
     }
 
 
@@ -79,58 +81,58 @@ def free_blocks(added: Sequence[Added]) -> tuple[str, ...]:
 
     Effects at all places of a kind have no estimates, only a table in /effects.
     """
-    return tuple(one.block for one in _own(added) if not one.std)
+    return tuple(addition.block for addition in _own(added) if not addition.std)
 
 
 def tables(added: Sequence[Added], solution: Adjusted) -> tuple[dict[str, Table], dict[str, Array]]:
     """Return the contents of /effects: the parameters of each effect, estimated and applied, and their covariance."""
-    found: dict[str, Table] = {}
+    by_name: dict[str, Table] = {}
     arrays: dict[str, Array] = {}
-    for label, one in _labelled(added):
-        block = solution.blocks[one.block]
-        if one.effect.definition:
-            found[f"effects/{label}/definition"] = Table({"define": np.array([one.effect.definition])})
-        if one.std:
-            found[f"effects/{label}/parameters"] = _everywhere(one, block, solution.std(one.block))
+    for label, addition in _labelled(added):
+        block = solution.blocks[addition.block]
+        if addition.effect.definition:
+            by_name[f"effects/{label}/definition"] = Table({"define": np.array([addition.effect.definition])})
+        if addition.std:
+            by_name[f"effects/{label}/parameters"] = _everywhere(addition, block, solution.std(addition.block))
             continue
-        chosen = [block.column(p.name) for p in one.effect.all_parameters]
+        chosen = [block.column(p.name) for p in addition.effect.all_parameters]
         row = len(block.members) - 1
         places = row * block.size + np.array(chosen)
         scale = block.space.by_step(block.values).ravel()[places]
-        covariance = solution.covariance_or_raise().of(one.block)[np.ix_(places, places)] * scale[:, None] * scale
+        covariance = solution.covariance_or_raise().of(addition.block)[np.ix_(places, places)] * scale[:, None] * scale
         columns = {
-            "name": np.array([p.name for p in one.effect.all_parameters]),
+            "name": np.array([p.name for p in addition.effect.all_parameters]),
             "value": block.values[row, chosen],
             "std": np.sqrt(np.maximum(np.diag(covariance), 0.0)),
-            "unit": np.array([p.unit for p in one.effect.all_parameters]),
-            "estimated": np.array([p.name in one.columns for p in one.effect.all_parameters]),
+            "unit": np.array([p.unit for p in addition.effect.all_parameters]),
+            "estimated": np.array([p.name in addition.columns for p in addition.effect.all_parameters]),
         }
-        found[f"effects/{label}/parameters"], arrays[f"effects/{label}/covariance"] = Table(columns), covariance
-    return found, arrays
+        by_name[f"effects/{label}/parameters"], arrays[f"effects/{label}/covariance"] = Table(columns), covariance
+    return by_name, arrays
 
 
-def _everywhere(one: Added, block: Block, std: Array) -> Table:
+def _everywhere(addition: Added, block: Block, std: Array) -> Table:
     """Return the parameters of an effect that acts at all places, place by place."""
-    count, names = len(block.members) - 1, [p.name for p in one.effect.parameters]
+    count, names = len(block.members) - 1, [p.name for p in addition.effect.parameters]
     chosen = [block.column(name) for name in names]
     columns = {
-        one.effect.keys[0]: np.repeat(np.array(block.members[1:]), len(names)),
+        addition.effect.keys[0]: np.repeat(np.array(block.members[1:]), len(names)),
         "name": np.tile(np.array(names), count),
         "value": block.values[1:, chosen].ravel(),
         "std": std[1:, chosen].ravel(),
-        "unit": np.tile(np.array([p.unit for p in one.effect.parameters]), count),
+        "unit": np.tile(np.array([p.unit for p in addition.effect.parameters]), count),
         "estimated": np.ones(count * len(names), dtype=bool),
     }
     return Table(columns)
 
 
 def _own(added: Sequence[Added]) -> list[Added]:
-    return [one for one in added if one.effect.link is not None]
+    return [addition for addition in added if addition.effect.link is not None]
 
 
 def _labelled(added: Iterable[Added]) -> Iterator[tuple[str, Added]]:
     """Yield each effect with a unique label."""
     seen: Counter[str] = Counter()
-    for one in added:
-        seen[one.label] += 1
-        yield one.label if seen[one.label] == 1 else f"{one.label} {seen[one.label]}", one
+    for addition in added:
+        seen[addition.label] += 1
+        yield addition.label if seen[addition.label] == 1 else f"{addition.label} {seen[addition.label]}", addition

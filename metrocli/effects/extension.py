@@ -38,22 +38,24 @@ def extended(model: Model, wanted: Iterable[Wanted]) -> Model:
         return model
     faults: list[Fault] = []
     model = with_conditions(model)
-    for one in wanted:
-        own = _misplaced(model, one)
-        effect = None if own else _form(model, one)
-        if effect is not None and one.std:
-            model = with_effect_everywhere(model, effect, one.std)
+    for request in wanted:
+        own = _misplaced(model, request)
+        effect = None if own else _form(model, request)
+        if effect is not None and request.std:
+            model = with_effect_everywhere(model, effect, request.std)
         elif effect is not None:
-            values = {key: _number(model, effect, key, value) for key, value in one.values.items()}
-            model = with_effect(model, effect, [tuple(one.where[key] for key in effect.keys)], values)
-        elif not own and one.std and not model.places[one.forms[0].keys[0]].index:
-            key = one.forms[0].keys[0]
-            hint = f"write one entry for each {key}: {{name: {one.name}, {key}: {model.places[key].names[0]}}}"
-            own.append(one.node.fault(f"{one.name} takes no `std`: a reading does not concern one {key} alone", hint))
+            values = {key: _number(model, effect, key, value) for key, value in request.values.items()}
+            model = with_effect(model, effect, [tuple(request.where[key] for key in effect.keys)], values)
+        elif not own and request.std and not model.places[request.forms[0].keys[0]].index:
+            key = request.forms[0].keys[0]
+            hint = f"write one entry for each {key}: {{name: {request.name}, {key}: {model.places[key].names[0]}}}"
+            own.append(
+                request.node.fault(f"{request.name} takes no `std`: a reading does not concern one {key} alone", hint)
+            )
         elif not own:
-            reasons = dict.fromkeys(lacking(model, form, one.where) for form in one.forms)
-            hint = "" if _UNTOUCHED in reasons else one.forms[0].remedy
-            own.append(one.node.fault(f"{one.name} {', or '.join(reasons)}", hint))
+            reasons = dict.fromkeys(lacking(model, form, request.where) for form in request.forms)
+            hint = "" if _UNTOUCHED in reasons else request.forms[0].remedy
+            own.append(request.node.fault(f"{request.name} {', or '.join(reasons)}", hint))
         faults.extend(own)
     if faults:
         raise InputError(faults)
@@ -66,7 +68,7 @@ def with_conditions(model: Model) -> Model:
     `elapsed` needs the times of the readings, `warming` their temperatures. Both count from the earliest reading of all
     and keep their values if readings are left out later.
     """
-    with_time = [one.observations.conditions for one in model.readings if "t" in one.observations.conditions]
+    with_time = [group.observations.conditions for group in model.readings if "t" in group.observations.conditions]
     start = min((float(c["t"].min()) for c in with_time if c["t"].size), default=0.0)
     first = next((float(c["temp"][np.argmin(c["t"])]) for c in with_time if "temp" in c and start in c["t"]), None)
     groups = []
@@ -91,8 +93,8 @@ def _nominal(model: Model, group: Group) -> dict[str, Array]:
         return {}
     known = ((observations.index[name], at) for name, at in model.nominal.items() if name in observations.index)
     # a reading may use a second point, such as that under its station
-    found = (at[index if index.ndim == 1 else index[0]] for index, at in known)
-    return {axis: values for places in found for axis, values in zip(NOMINAL, places.T, strict=True)}
+    coordinates = (at[index if index.ndim == 1 else index[0]] for index, at in known)
+    return {axis: values for places in coordinates for axis, values in zip(NOMINAL, places.T, strict=True)}
 
 
 def can_act(model: Model, effect: Effect, where: Mapping[str, str]) -> bool:

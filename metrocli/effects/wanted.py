@@ -66,11 +66,11 @@ class Wanted:
 
 def read(table: Sequence[Effect], nodes: Sequence[Node], faults: list[Fault]) -> tuple[Wanted, ...]:
     """Return the effects that the nodes name; append to `faults` each wrong name, key or value."""
-    found = [_read(table, node, faults) for node in nodes]
-    listed = tuple(wanted for wanted in found if wanted is not None)
-    for number, one in enumerate(listed):
-        if any(one.same_as(other) for other in listed[:number]):
-            faults.append(one.node.fault(f"{one.name} is listed twice", "leave one of them out"))
+    requested = [_read(table, node, faults) for node in nodes]
+    listed = tuple(wanted for wanted in requested if wanted is not None)
+    for number, entry in enumerate(listed):
+        if any(entry.same_as(other) for other in listed[:number]):
+            faults.append(entry.node.fault(f"{entry.name} is listed twice", "leave one of them out"))
     return listed
 
 
@@ -132,7 +132,7 @@ def _as(effect: Effect, node: Node) -> tuple[dict[str, Any], list[Fault]]:
         if written.text not in specs:
             message = f"unknown key '{written.text}' of {effect.name}"
             faults.append(written.fault(message, suggestion(written.text, specs)))
-    required = [*(key for key in effect.where if key != "by"), *(one.name for one in effect.scanned)]
+    required = [*(key for key in effect.where if key != "by"), *(parameter.name for parameter in effect.scanned)]
     for key in required:
         if node.get(key) is None:
             hint = f"write {key}: {specs[key].expects}" + ("; metrocli diagnose finds it" if effect.scanned else "")
@@ -150,15 +150,17 @@ def planted(wanted: Iterable[Wanted]) -> tuple[Wanted, ...]:
 
     Effects that the job only estimates are left out. Raises InputError if an effect on the command line lacks a value.
     """
-    missing = [(one, [p.name for p in one.forms[0].parameters if p.name not in one.values]) for one in wanted]
+    missing = [
+        (request, [p.name for p in request.forms[0].parameters if p.name not in request.values]) for request in wanted
+    ]
     faults = [
-        one.node.fault(f"{one.name}: {', '.join(names)} missing", _to_plant(one))
-        for one, names in missing
-        if names and one.node.line is None
+        parameter.node.fault(f"{parameter.name}: {', '.join(names)} missing", _to_plant(parameter))
+        for parameter, names in missing
+        if names and parameter.node.line is None
     ]
     if faults:
         raise InputError(faults)
-    return tuple(one for one, names in missing if not names)
+    return tuple(parameter for parameter, names in missing if not names)
 
 
 def _to_plant(wanted: Wanted) -> str:
@@ -195,5 +197,9 @@ def _schema(effect: Effect) -> Schema:
     properties |= {parameter.name: parameter.spec.schema() for parameter in effect.all_parameters}
     if effect.by:
         properties["by"] = {"enum": [effect.by]}
-    required = ["name", *(key for key in effect.where if key != "by"), *(one.name for one in effect.scanned)]
+    required = [
+        "name",
+        *(key for key in effect.where if key != "by"),
+        *(parameter.name for parameter in effect.scanned),
+    ]
     return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}

@@ -1,4 +1,10 @@
-"""Export results in other formats. Each format is one module here and one entry in FORMATS."""
+"""Export results in other formats. Each format is one module here and one entry in FORMATS.
+
+- `csv_errors`, `sa_ascii`, `camera_models`: tables, points, cameras
+- compensation tables: `error_tables` or `volumetric` (what the measurement determined) -> one module a control ->
+  `compensation`, which reads the files back and moves the machine as the control would
+- `dcc`: a certificate, of `dcc_quantities` and `dcc_elements`
+"""
 
 from __future__ import annotations
 

@@ -178,11 +178,11 @@ def _imaginary(x: Jet) -> Jet:
 
 def _power(x: Any, p: float) -> tuple[Any, ...]:
     """Return x**p and its derivatives; a factor 0 times an infinite power counts as 0, as for x**2 at 0."""
-    found, factor = [], 1.0
+    factors, factor = [], 1.0
     for order in range(4):
-        found.append(factor * np.power(x, p - order) if factor else np.zeros_like(x))
+        factors.append(factor * np.power(x, p - order) if factor else np.zeros_like(x))
         factor *= p - order
-    return tuple(found)
+    return tuple(factors)
 
 
 def _sqrt(x: Any) -> tuple[Any, ...]:

@@ -84,12 +84,12 @@ def _atom(symbol: str, whole: str) -> tuple[float, Powers]:
 
 
 def _powers(text: str) -> Powers:
-    found = {}
+    powers = {}
     for word in text.split():
         match = re.fullmatch(r"([A-Za-z]+)(-?[0-9]*)", word)
         assert match is not None, word
-        found[match[1]] = Fraction(int(match[2] or 1))
-    return _sorted(found)
+        powers[match[1]] = Fraction(int(match[2] or 1))
+    return _sorted(powers)
 
 
 def _sorted(powers: Mapping[str, Fraction]) -> Powers:
@@ -110,11 +110,11 @@ def written(text: str, unit: str, word: str) -> Compound | None:
     for line in (line.partition("#")[0] for line in text.splitlines()):
         for symbol in _STATED.findall(line) if re.search(rf"\b{re.escape(word)}\b", line) else ():
             try:
-                found = compound(symbol)
+                known = compound(symbol)
             except units.QuantityError:
                 continue
-            if found.powers == wanted:
-                return found
+            if known.powers == wanted:
+                return known
     return None
 
 

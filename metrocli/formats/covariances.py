@@ -27,7 +27,7 @@ def contradictions(result: Result) -> list[str]:
 
 
 def _faults(result: Result) -> Iterator[tuple[str, str]]:
-    stds = np.array([one.std for one in result.estimates], dtype=float)
+    stds = np.array([estimate.std for estimate in result.estimates], dtype=float)
     if (stds < 0).any():
         yield "parameters", "have a negative standard uncertainty"
     if result.covariance.shape != (len(stds), len(stds)):

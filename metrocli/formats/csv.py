@@ -110,12 +110,12 @@ def _find(raw: Raw, columns: Columns) -> tuple[dict[str, tuple[int, units.Unit |
     places: dict[str, tuple[int, units.Unit | None]] = {}
     for column in columns.columns:
         forms = _forms(column)
-        found = [name for name in forms if name in raw.header]
-        if len(found) == 1:
-            places[column.name] = (raw.header.index(found[0]), forms[found[0]])
-        elif found:
-            at = raw.header.index(found[1])
-            message = f"two columns hold the same quantity: {' and '.join(found)}"
+        present = [name for name in forms if name in raw.header]
+        if len(present) == 1:
+            places[column.name] = (raw.header.index(present[0]), forms[present[0]])
+        elif present:
+            at = raw.header.index(present[1])
+            message = f"two columns hold the same quantity: {' and '.join(present)}"
             faults.append(raw.fault(message, raw.header_line, at, "keep one of them"))
         else:
             faults.extend(_absent(raw, column, tuple(forms), columns))

@@ -17,8 +17,8 @@ _NUMBER = re.compile(r"[-+]?[0-9]*\.?[0-9]*(?:[eE][-+]?[0-9]+)?|[-+]?(?:inf|nan)
 
 def separator_of(line: str) -> str | None:
     """Return the separator that a line for Excel names, such as `sep=;`; None for any other line."""
-    found = _SEPARATOR.fullmatch(line)
-    return found[1] if found else None
+    match = _SEPARATOR.fullmatch(line)
+    return match[1] if match else None
 
 
 def later_header(lines: Sequence[tuple[int, str]]) -> int | None:
@@ -27,7 +27,7 @@ def later_header(lines: Sequence[tuple[int, str]]) -> int | None:
     `lines` are those that are rows, with their numbers. A header has names only and no empty cell. It has as many cells
     as the row after it, and more than the first line.
     """
-    separator = max(",;\t", key=lambda one: sum(line.count(one) for _, line in lines[-_LOOKED_AT:]))
+    separator = max(",;\t", key=lambda mark: sum(line.count(mark) for _, line in lines[-_LOOKED_AT:]))
     width = lines[-1][1].count(separator)
     for (number, line), (_, after) in pairwise(lines[1:_LOOKED_AT]):
         cells = line.split(separator)

@@ -80,10 +80,10 @@ class PlainCells(Sequence[Sequence[str]]):
         """Return the letters of each cell of a column, with zeros after a short one, (rows, letters)."""
         width, length = max(self.longest(column), 1), self.length[column]
         windows = np.lib.stride_tricks.sliding_window_view(self.letters, width)
-        found: npt.NDArray[np.uint8] = windows[self.start[column]]
+        letters: npt.NDArray[np.uint8] = windows[self.start[column]]
         if (length != width).any():
-            found *= np.arange(width) < length[:, None]
-        return found
+            letters *= np.arange(width) < length[:, None]
+        return letters
 
 
 def plain_cells(rows: str, separator: str, columns: int) -> PlainCells | None:

@@ -44,17 +44,17 @@ def read_bytes(path: Path, what: str = "a file", shown: str = "", most: int = MO
         message = "there is no such file" if missing else f"cannot be read: {error.strerror}"
         raise InputError([Fault(message, shown)]) from error
     try:
-        found = os.fstat(handle)
-        if stat.S_ISDIR(found.st_mode):
+        status = os.fstat(handle)
+        if stat.S_ISDIR(status.st_mode):
             raise InputError([Fault(f"this is a folder, not {what}", shown)])
-        if not stat.S_ISREG(found.st_mode):
+        if not stat.S_ISREG(status.st_mode):
             raise InputError([Fault(f"this is a pipe or a device, not {what}", shown)])
-        if found.st_size > most:
-            raise InputError([Fault(f"the file has {found.st_size} bytes; {what} has at most {most}", shown)])
+        if status.st_size > most:
+            raise InputError([Fault(f"the file has {status.st_size} bytes; {what} has at most {most}", shown)])
         with open(handle, "rb", closefd=False) as file:
             # not `most` at once: the buffer is taken as large as asked for, which a limit on memory may forbid
-            data = file.read(found.st_size + 1)
-            if len(data) > found.st_size:
+            data = file.read(status.st_size + 1)
+            if len(data) > status.st_size:
                 data += file.read(most + 1 - len(data))
     except OSError as error:
         raise InputError([Fault(f"cannot be read: {error.strerror}", shown)]) from error
@@ -86,14 +86,14 @@ def written_aside(path: Path) -> Iterator[Path]:
 @contextmanager
 def folder_made(folder: Path) -> Iterator[None]:
     """Make a folder, and those above it, if need be; of those that were made the empty ones go at the end."""
-    absent = [one for one in (folder, *folder.parents) if not os.path.lexists(one)]
+    absent = [parent for parent in (folder, *folder.parents) if not os.path.lexists(parent)]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         yield
     finally:
         with suppress(OSError):
-            for one in absent:
-                one.rmdir()
+            for parent in absent:
+                parent.rmdir()
 
 
 @contextmanager
@@ -125,7 +125,9 @@ def write_bytes(path: Path, *parts: bytes) -> None:
 
 def refuse_unwritable(path: Path) -> None:
     """Raise InputError if no file can be written at `path`, or its folder cannot be made; nothing is tried."""
-    there = next(one for one in path.absolute().parents if os.path.exists(one))  # False where a folder is closed
+    there = next(
+        parent for parent in path.absolute().parents if os.path.exists(parent)
+    )  # False where a folder is closed
     if not there.is_dir():
         raise InputError([Fault(f"cannot be written: {there} is a file, not a folder", str(path))])
     if not os.access(there, os.W_OK | os.X_OK):

@@ -49,9 +49,9 @@ def content_of(label: Label, body: memoryview, shown: str) -> tuple[Result, Reco
         raise InputError([Fault(f"the result file is damaged: {error}", shown)]) from error
     if result.kind != label.kind or record.status != label.status:
         raise InputError([Fault("the label of the result file contradicts its content", shown)])
-    found = contradictions(result)
-    if found:
-        raise InputError([Fault(f"the result file is damaged: {message}", shown) for message in found])
+    contradiction = contradictions(result)
+    if contradiction:
+        raise InputError([Fault(f"the result file is damaged: {message}", shown) for message in contradiction])
     return result, record
 
 
@@ -97,8 +97,10 @@ def _refuse_unusual(data: h5py.Dataset) -> None:
     if data.shape is None or data.nbytes > data.id.get_storage_size():
         raise ValueError(f"{data.name} has a shape, but not the values for it")
     types = [data.dtype[name] for name in data.dtype.names] if data.dtype.names else [data.dtype]
-    if any(one.kind not in "biufSO" or one.hasobject != (h5py.check_string_dtype(one) is not None and one.kind == "O")
-           for one in types):  # fmt: skip
+    if any(
+        kind.kind not in "biufSO" or kind.hasobject != (h5py.check_string_dtype(kind) is not None and kind.kind == "O")
+        for kind in types
+    ):
         raise ValueError(f"{data.name} holds values of a type that results do not have")
     if data.dtype.hasobject and (data.dtype.names or data.size > _MOST_TEXTS):
         raise ValueError(f"{data.name} holds more texts than a result has")
@@ -110,7 +112,7 @@ def _read_result(file: h5py.File, shown: str) -> Result:
     dimensions = map(str, file["parameters"].attrs.get("dimensions", [""] * count))
     rows = zip(columns["name"], columns["value"], columns["std"], columns["unit"], dimensions, strict=True)
     estimates = tuple(Estimate(str(n), float(v), float(s), str(u), d) for n, v, s, u, d in rows)
-    unknown = {one.dimension for one in estimates} - {"", SCALE, *units.DIMENSIONS}
+    unknown = {estimate.dimension for estimate in estimates} - {"", SCALE, *units.DIMENSIONS}
     if unknown:
         raise ValueError(f"unknown dimensions of estimates: {', '.join(sorted(unknown))}")
     tables, arrays = _Held("table ", shown), _Held("array ", shown)
@@ -170,18 +172,18 @@ def _read_record(file: h5py.File, label: Label) -> Record:
         certificate=_certificate(file),
     )
     listed = [(row["path"], row["sha256"]) for row in _rows(file["inputs"])]
-    if listed != [(one.path, one.sha256) for one in label.inputs]:
+    if listed != [(file.path, file.sha256) for file in label.inputs]:
         raise ValueError("the inputs of the label are not those of the file")
     return record
 
 
 def _certificate(file: h5py.File) -> dict[str, Any]:
     """Return what the job states for a certificate; raise TypeError if a key holds what no job states there."""
-    found: dict[str, Any] = json.loads(file["certificate"].asstr()[()]) if "certificate" in file else {}
-    parts = [one if name in _PARTS and isinstance(one, dict) else {name: one} for name, one in found.items()]
+    certificate: dict[str, Any] = json.loads(file["certificate"].asstr()[()]) if "certificate" in file else {}
+    parts = [one if name in _PARTS and isinstance(one, dict) else {name: one} for name, one in certificate.items()]
     if not all(isinstance(text, str) and name not in _PARTS for part in parts for name, text in part.items()):
         raise TypeError("the certificate holds what no job states")
-    return found
+    return certificate
 
 
 def _verdict(name: str, condition: str, value: float, unit: str, met: bool, decision: str = "") -> Verdict:
@@ -198,8 +200,8 @@ def _read_table(data: h5py.Dataset) -> Table:
     rows = data[()]
     names = rows.dtype.names or ()
     columns = {name: _column(rows[name]) for name in names}
-    found = [str(unit) for unit in data.attrs["units"]]
-    return Table(columns, {name: unit for name, unit in zip(names, found, strict=True) if unit})
+    symbols = [str(unit) for unit in data.attrs["units"]]
+    return Table(columns, {name: unit for name, unit in zip(names, symbols, strict=True) if unit})
 
 
 def _column(values: Any) -> Any:

@@ -99,14 +99,14 @@ def _may_replace(path: Path, data: bytes, listed: Mapping[str, Collection[str]])
 
 def _listed(folder: Path) -> dict[str, set[str]]:
     """Return the digests of the files of a folder by their names, several where a call was killed."""
-    found: dict[str, set[str]] = {}
+    digests: dict[str, set[str]] = {}
     try:
         lines = (folder / LIST).read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
         return {}
     for digest, _, name in (line.partition("  ") for line in lines):
-        found.setdefault(name, set()).add(digest)
-    return found
+        digests.setdefault(name, set()).add(digest)
+    return digests
 
 
 def _digest(data: bytes) -> str:

@@ -87,10 +87,10 @@ def is_remains(head: bytes) -> bool:
 
 
 def _first_line(*rest: bytes | memoryview) -> bytes:
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for part in rest:
-        found.update(part)
-    return f"{FORMAT} {VERSION} sha256 {found.hexdigest()}\n".encode()
+        digest.update(part)
+    return f"{FORMAT} {VERSION} sha256 {digest.hexdigest()}\n".encode()
 
 
 def _start_of_body(length: int) -> int:
@@ -100,8 +100,8 @@ def _start_of_body(length: int) -> int:
 def _label_of(held: dict[str, Any]) -> Label:
     names = ("kind", "status", "metrocli_version", "meaning", "content", "job_file")
     texts = {name: held[name] for name in names}
-    inputs = tuple(InputFile(**one) for one in held["inputs"])
-    words = [*texts.values(), *(part for one in inputs for part in (one.path, one.sha256, one.content))]
+    inputs = tuple(InputFile(**file) for file in held["inputs"])
+    words = [*texts.values(), *(part for file in inputs for part in (file.path, file.sha256, file.content))]
     if not all(isinstance(word, str) for word in words):
         raise TypeError("a text is missing")
     return Label(**texts, inputs=inputs, exit_code=int(held["exit_code"]), warned=bool(held["warned"]))

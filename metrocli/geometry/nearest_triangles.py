@@ -163,12 +163,12 @@ class Search:
         rows, faces = [near.row[others]], [near.face[others]]
         for part in np.split(np.arange(len(search)), np.flatnonzero(np.diff(np.cumsum(counts) // _PAIRS)) + 1):
             chosen = search[part]
-            row, found = self._inside(points[chosen], radius[part])
-            best, least, second, size = self._compared(points[chosen], row, found)
+            row, nearest = self._inside(points[chosen], radius[part])
+            best, least, second, size = self._compared(points[chosen], row, nearest)
             face[chosen], margin[chosen] = best, np.minimum(second, bound[part]) - least
             kept = size <= (least + 2 * near.clear)[row]
             rows.append(chosen[row[kept]])
-            faces.append(found[kept])
+            faces.append(nearest[kept])
         row = np.concatenate(rows)
         order = np.argsort(row, kind="stable")
         base = near.points.copy()

@@ -80,10 +80,10 @@ def euler_by_vector(rotation: Array) -> Array:
     From `d = Rz Ry x' da + Rz y' db + z' dg`: the inverse of the matrix of the three axes of turning.
     """
     _, beta, gamma = np.moveaxis(euler_from_rotation(rotation), -1, 0)
-    zero, one = np.zeros_like(beta), np.ones_like(beta)
+    zero, ones = np.zeros_like(beta), np.ones_like(beta)
     cb, sb, cg, sg = np.cos(beta), np.sin(beta), np.cos(gamma), np.sin(gamma)
     turning = np.stack(
-        [np.stack([cg * cb, -sg, zero], -1), np.stack([sg * cb, cg, zero], -1), np.stack([-sb, zero, one], -1)], -2
+        [np.stack([cg * cb, -sg, zero], -1), np.stack([sg * cb, cg, zero], -1), np.stack([-sb, zero, ones], -1)], -2
     )
     return np.linalg.inv(turning)
 

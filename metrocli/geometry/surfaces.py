@@ -86,8 +86,8 @@ class Surfaces:
     @classmethod
     def of(cls, surfaces: Sequence[Surface]) -> Surfaces:
         """Return the surfaces side by side."""
-        columns = [np.array([getattr(one, name) for one in surfaces], dtype=float) for name in cls._numbers()]
-        return cls(tuple(one.name for one in surfaces), *columns)
+        columns = [np.array([getattr(surface, name) for surface in surfaces], dtype=float) for name in cls._numbers()]
+        return cls(tuple(surface.name for surface in surfaces), *columns)
 
     @staticmethod
     def _numbers() -> tuple[str, ...]:

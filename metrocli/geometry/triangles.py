@@ -164,10 +164,10 @@ class Triangles:
         at_corner[self.faces[face]] = True
         around = np.flatnonzero(at_corner[self.faces].any(axis=1))
         keys = self.faces * len(self.faces) + self._facets_of[:, None]
-        found, number = np.unique(keys[around], return_inverse=True)
+        kept, number = np.unique(keys[around], return_inverse=True)
         angle = self._angles(around)
         sums = [np.bincount(number.ravel(), (angle * self.normals[around, k, None]).ravel()) for k in range(3)]
-        of_corner = np.stack(sums, axis=1, dtype=np.float64)[np.searchsorted(found, keys[face])]
+        of_corner = np.stack(sums, axis=1, dtype=np.float64)[np.searchsorted(kept, keys[face])]
         of_corner = of_corner / np.maximum(np.linalg.norm(of_corner, axis=2), 1e-300)[:, :, None]
         to_corner = self.corners[face] - places[:, None]
         against = np.cross(to_corner[:, NEXT], to_corner[:, NEXT[NEXT]])
@@ -178,10 +178,10 @@ class Triangles:
     @cached_property
     def _at_rim(self) -> Mask:
         """Which vertices lie on an edge without a neighbour (m,)."""
-        found = np.zeros(len(self.vertices), dtype=bool)
+        rim = np.zeros(len(self.vertices), dtype=bool)
         face, corner = np.divmod(self.open_edges, 3)
-        found[self.faces[face, corner]] = found[self.faces[face, NEXT[corner]]] = True
-        return found
+        rim[self.faces[face, corner]] = rim[self.faces[face, NEXT[corner]]] = True
+        return rim
 
     def at_rim(self, face: Index, feature: Index) -> Mask:
         """Return whether a feature of each triangle is an edge without a neighbour, or an end of one (n,)."""

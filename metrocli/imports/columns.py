@@ -149,15 +149,15 @@ def _rows(lines: Lines, mapping: Mapping) -> tuple[list[tuple[int, Sequence[str]
     Raises InputError for rows with another number of cells than the first.
     """
     start = mapping.header if isinstance(mapping.header, int) and mapping.header else 1
-    found = list(lines.without(mapping.comment, start))
-    if not found:
+    kept = list(lines.without(mapping.comment, start))
+    if not kept:
         raise InputError([lines.fault("the file has no rows")])
-    separator = _SEPARATORS.get(mapping.separator or "") or _separator(found[0][1], mapping.decimal == "comma")
-    rows = [(n, _cells(line, separator)) for n, line in found]
-    width, other = len(rows[0][1]), _separator(found[0][1], False)
-    if width == 1 and mapping.separator and found[0][1].count(other):
+    separator = _SEPARATORS.get(mapping.separator or "") or _separator(kept[0][1], mapping.decimal == "comma")
+    rows = [(n, _cells(line, separator)) for n, line in kept]
+    width, other = len(rows[0][1]), _separator(kept[0][1], False)
+    if width == 1 and mapping.separator and kept[0][1].count(other):
         name = next(name for name, sign in _SEPARATORS.items() if sign == other)
-        fault = lines.fault(f"no {mapping.separator} is in this line", found[0][0], f"write `separator: {name}`")
+        fault = lines.fault(f"no {mapping.separator} is in this line", kept[0][0], f"write `separator: {name}`")
         raise InputError([fault])
     wrong = [lines.fault(f"{len(cells)} cells instead of {width}", n) for n, cells in rows if len(cells) != width]
     if wrong:
@@ -223,8 +223,8 @@ def _faults_of(column: Column, source: Source, node: Node, names: Sequence[str])
     known = {unit.symbol for unit in units.DIMENSIONS[column.dimension].units}
     if source.unit not in known:
         phrase = units.DIMENSIONS[column.dimension].phrase
-        found = "has no unit" if source.unit is None else f"has the unit '{source.unit}'"
-        yield node.fault(f"{column.name} is {phrase} and {found}", f"one of {', '.join(sorted(known))}")
+        reason = "has no unit" if source.unit is None else f"has the unit '{source.unit}'"
+        yield node.fault(f"{column.name} is {phrase} and {reason}", f"one of {', '.join(sorted(known))}")
 
 
 def _heading(column: Column, source: Source) -> str:
@@ -273,7 +273,7 @@ def proposed(lines: Lines) -> str:
 
 def _read(lines: Lines, cells: Sequence[tuple[int, str]], column: Column, comma: bool) -> tuple[list[str], list[Fault]]:
     """Return the cells of a column, each with its line number, with the digits of the file, and what is wrong there."""
-    found, faults = [], []
+    texts, faults = [], []
     for number, text in cells:
         plain = text.replace(",", ".") if comma and column.dimension != TEXT else text
         if not text and not column.may_be_empty:
@@ -286,5 +286,5 @@ def _read(lines: Lines, cells: Sequence[tuple[int, str]], column: Column, comma:
         elif text and column.dimension != TEXT and not is_number(plain):
             hint = "write `decimal: comma` in the mapping" if "," in plain else "expected a number"
             faults.append(lines.fault(f"{column.name}: '{text}' is not a number", number, hint))
-        found.append(plain)
-    return found, faults
+        texts.append(plain)
+    return texts, faults

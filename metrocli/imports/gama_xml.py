@@ -40,17 +40,17 @@ def files(lines: Lines, wishes: Wishes) -> Imported:
     if network is None:
         raise InputError([lines.fault("there is no <network>", None, "expected: the XML input of gama-local")])
     reader = _Reader(lines, network)
-    found = reader.read()
+    survey = reader.read()
     if reader.faults:
         raise InputError(reader.faults)
     note = f"from {lines.file} (gama-xml)"
-    return {name: to_csv(header, rows, note) for name, (header, rows) in found.items() if rows}
+    return {name: to_csv(header, rows, note) for name, (header, rows) in survey.items() if rows}
 
 
 def _bare(root: Element) -> Element:
     """Return the tree with names of elements without their namespace."""
-    for one in root.iter():
-        one.tag = one.tag.rpartition("}")[2]
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]
     return root
 
 
@@ -82,26 +82,26 @@ class _Reader:
         """Return header and rows of each file."""
         points, shots, heights = list[tuple[str, ...]](), list[_Shot](), list[tuple[str, ...]]()
         stations: list[tuple[str, ...]] = []
-        sets = [one for section in self.network.iter("points-observations") for one in section.iter("obs")]
+        sets = [element for section in self.network.iter("points-observations") for element in section.iter("obs")]
         often = Counter(one.get("from", "") for one in sets)
         number: Counter[str] = Counter()
         for section in self.network.iter("points-observations"):
-            for one in section:
-                if one.tag == "point":
-                    points += self._point(one)
-                elif one.tag == "obs":
-                    name = one.get("from", "")
+            for element in section:
+                if element.tag == "point":
+                    points += self._point(element)
+                elif element.tag == "obs":
+                    name = element.get("from", "")
                     number[name] += 1
                     station = f"{name}-{number[name]}" if often[name] > 1 else f"S{name}"
-                    shots += self._set(section, one, station, stations)
-                elif one.tag == "height-differences":
-                    heights += self._heights(one)
+                    shots += self._set(section, element, station, stations)
+                elif element.tag == "height-differences":
+                    heights += self._heights(element)
                 else:
-                    self._refuse(f"<{one.tag}> is not read")
+                    self._refuse(f"<{element.tag}> is not read")
         hz = "hz" if self.clockwise else "az"
         columns = (f"{hz}_gon", f"sigma_{hz}_mgon", "zd_gon", "sigma_zd_mgon", "d_m", "sigma_d_mm")
         keys = ("hz", "sigma_hz", "zd", "sigma_zd", "d", "sigma_d")
-        rows = [(one.station, one.target, *(one.cells.get(key, "") for key in keys), one.height) for one in shots]
+        rows = [(shot.station, shot.target, *(shot.cells.get(key, "") for key in keys), shot.height) for shot in shots]
         return {
             "readings.csv": (("station", "point", *columns, "th_m"), rows),
             "stations.csv": (_STATIONS, stations),
@@ -109,73 +109,73 @@ class _Reader:
             "heights.csv": (("from", "to", "dh_m", "sigma_mm"), heights),
         }
 
-    def _point(self, one: Element) -> Iterator[tuple[str, ...]]:
+    def _point(self, element: Element) -> Iterator[tuple[str, ...]]:
         """Yield a listed point: a fixed coordinate has the standard deviation 0, an adjusted one none."""
-        if not all(one.get(axis) for axis in "xyz"):
+        if not all(element.get(axis) for axis in "xyz"):
             return
-        place, sigma = {"z": one.get("z", "")}, {"z": "0" if "z" in one.get("fix", "").lower() else ""}
+        place, sigma = {"z": element.get("z", "")}, {"z": "0" if "z" in element.get("fix", "").lower() else ""}
         for axis, letter in zip("xy", self.axes, strict=True):
             ours, sign = _TOWARDS[letter]
-            value = self._number(one.get(axis, ""), one)
+            value = self._number(element.get(axis, ""), element)
             place[ours] = str(value * sign)
-            sigma[ours] = "0" if axis in one.get("fix", "").lower() else ""
-        yield one.get("id", ""), *(place[axis] for axis in "xyz"), *(sigma[axis] for axis in "xyz")
+            sigma[ours] = "0" if axis in element.get("fix", "").lower() else ""
+        yield element.get("id", ""), *(place[axis] for axis in "xyz"), *(sigma[axis] for axis in "xyz")
 
     def _set(self, section: Element, obs: Element, station: str, stations: list[tuple[str, ...]]) -> Iterator[_Shot]:
         """Yield the readings of an observation set, target by target, and add its station to the list."""
-        found: dict[tuple[str, str], _Shot] = {}
-        heights = {one.get("from_dh", obs.get("from_dh", "0")) for one in obs}
+        shots: dict[tuple[str, str], _Shot] = {}
+        heights = {observation.get("from_dh", obs.get("from_dh", "0")) for observation in obs}
         if len(heights) > 1:
             self._refuse(f"the set from {obs.get('from')} has several heights of its instrument", "one set for each")
-        for one in obs:
-            if one.tag not in _READ or one.get("from", obs.get("from")) != obs.get("from"):
-                self._refuse(f"<{one.tag}> in the set from {obs.get('from')} is not read")
+        for observation in obs:
+            if observation.tag not in _READ or observation.get("from", obs.get("from")) != obs.get("from"):
+                self._refuse(f"<{observation.tag}> in the set from {obs.get('from')} is not read")
                 continue
-            name, default = _READ[one.tag]
-            target, height = one.get("to", ""), one.get("to_dh", "")
-            shot = found.get((target, height))
+            name, default = _READ[observation.tag]
+            target, height = observation.get("to", ""), observation.get("to_dh", "")
+            shot = shots.get((target, height))
             if shot is None or name in shot.cells:
-                shot = found[target, height] = _Shot(station, target, height, {})
+                shot = shots[target, height] = _Shot(station, target, height, {})
                 yield shot
-            shot.cells[name] = self._value(one, name)
-            shot.cells[f"sigma_{name}"] = self._spread(one, name, section.get(default, ""))
+            shot.cells[name] = self._value(observation, name)
+            shot.cells[f"sigma_{name}"] = self._spread(observation, name, section.get(default, ""))
         high = next(iter(heights), "0")
         stations.append((station, INSTRUMENT, obs.get("from", ""), str(self._number(high, obs) * 1000), "0"))
 
-    def _value(self, one: Element, name: str) -> str:
+    def _value(self, element: Element, name: str) -> str:
         """Return an angle in gon, or a distance in m."""
-        text = one.get("val", "")
+        text = element.get("val", "")
         if name == "d" or "-" not in text.lstrip("-+"):
-            self._number(text, one)
+            self._number(text, element)
             return text
-        parts = [self._number(part, one) for part in text.lstrip("-+").split("-")]
+        parts = [self._number(part, element) for part in text.lstrip("-+").split("-")]
         degrees = parts[0] + parts[1] / 60 + (parts[2] / 3600 if len(parts) > 2 else Decimal(0))
         return str((-degrees if text.startswith("-") else degrees) * 10 / 9)
 
-    def _spread(self, one: Element, name: str, default: str) -> str:
+    def _spread(self, element: Element, name: str, default: str) -> str:
         """Return the standard deviation in mm, or in mgon: 10 cc, or 0.324 arcsec a cc."""
-        text = one.get("stdev", default)
+        text = element.get("stdev", default)
         if not text:
-            self._refuse(f"<{one.tag}> to {one.get('to')} has no stdev")
+            self._refuse(f"<{element.tag}> to {element.get('to')} has no stdev")
             return ""
         if name == "d":
             parts = [float(part) for part in text.split()]
-            away = float(self._number(one.get("val", ""), one)) / 1000
+            away = float(self._number(element.get("val", ""), element)) / 1000
             more = parts[1] * away ** (parts[2] if len(parts) > 2 else 1.0) if len(parts) > 1 else 0.0
             return str(parts[0] + more) if more else text.split()[0]
-        in_seconds = "-" in one.get("val", "").lstrip("-+")
-        return str(self._number(text, one) / (Decimal("3.24") if in_seconds else 10))
+        in_seconds = "-" in element.get("val", "").lstrip("-+")
+        return str(self._number(text, element) / (Decimal("3.24") if in_seconds else 10))
 
     def _heights(self, group: Element) -> Iterator[tuple[str, ...]]:
-        for one in group:
-            if one.tag != "dh" or not one.get("stdev"):
-                self._refuse(f"<{one.tag}> of height differences without stdev is not read")
+        for element in group:
+            if element.tag != "dh" or not element.get("stdev"):
+                self._refuse(f"<{element.tag}> of height differences without stdev is not read")
                 continue
-            yield one.get("from", ""), one.get("to", ""), one.get("val", ""), one.get("stdev", "")
+            yield element.get("from", ""), element.get("to", ""), element.get("val", ""), element.get("stdev", "")
 
-    def _number(self, text: str, one: Element) -> Decimal:
+    def _number(self, text: str, element: Element) -> Decimal:
         try:
             return Decimal(text.strip())
         except InvalidOperation:
-            self._refuse(f"<{one.tag}>: '{text}' is not a number")
+            self._refuse(f"<{element.tag}>: '{text}' is not a number")
             return Decimal(1)

@@ -64,7 +64,7 @@ def _wrong(cells: list[str]) -> str:
 def _distinct(names: list[tuple[str, ...]]) -> list[str]:
     """Return the shortest names that are distinct: the target, else with its group, else with its collection."""
     for parts in (1, 2, 3):
-        found = ["::".join(name[-parts:]) for name in names]
-        if len(set(found)) == len(found):
+        short = ["::".join(name[-parts:]) for name in names]
+        if len(set(short)) == len(short):
             break
-    return found
+    return short

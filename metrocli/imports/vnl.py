@@ -21,7 +21,7 @@ _LEVEL = "level"
 def files(lines: Lines, wishes: Wishes) -> Imported:
     """Return observations.csv; raises InputError that lists all faults of the lines."""
     remarks = ((n, line) for n, line in enumerate(lines.lines, 1) if line.startswith("#"))
-    legend = next((one for one in remarks if not one[1].startswith(("##", "#!"))), None)
+    legend = next((remark for remark in remarks if not remark[1].startswith(("##", "#!"))), None)
     names = legend[1][1:].split() if legend else []
     absent = [name for name in _WANTED if name not in names]
     if legend is None or absent:
@@ -42,19 +42,19 @@ def files(lines: Lines, wishes: Wishes) -> Imported:
             faults.append(lines.fault(f"the coordinate '{wrong}' is not a number", number, "expected pixels, or - -"))
             continue
         corners.setdefault(image, []).append(None if lost else place)
-    found = {image: each for image, each in corners.items() if any(each)}
-    faults += _incomplete(lines, {image: len(each) for image, each in found.items()})
+    images = {image: each for image, each in corners.items() if any(each)}
+    faults += _incomplete(lines, {image: len(each) for image, each in images.items()})
     if faults:
         raise InputError(shortened(faults))
     rows = [
         (image, str(number), *place)
-        for image, each in found.items()
+        for image, each in images.items()
         for number, place in enumerate(each)
         if place is not None
     ]
-    skipped = sum(each.count(None) for each in found.values())
+    skipped = sum(each.count(None) for each in images.values())
     notes = [f"{skipped} corners that the file calls not found are left out (level - or below 0)"] if skipped else []
-    empty = len(corners) - len(found)
+    empty = len(corners) - len(images)
     notes += [f"{empty} images have no corner and are left out"] if empty else []
     header = ("image", "target", "u_px", "v_px")
     return {"observations.csv": to_csv(header, rows, f"from {lines.file} (vnl)", notes)}

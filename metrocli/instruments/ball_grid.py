@@ -90,8 +90,8 @@ class WithMachineError:
 
     def step(self, value: Array, local: Local) -> Step:
         """Return `x + G(site)`, (3, n), with derivatives of 1 by both."""
-        one = np.eye(3)[:, :, None]
-        return Step(value + local.rows(MACHINE), one, {MACHINE: one} if MACHINE in local.wanted else {})
+        identity = np.eye(3)[:, :, None]
+        return Step(value + local.rows(MACHINE), identity, {MACHINE: identity} if MACHINE in local.wanted else {})
 
 
 @dataclass(frozen=True)
@@ -145,12 +145,12 @@ def view_block(views: Sequence[View], values: Array) -> Block:
 
 def hollow(views: Sequence[View], view: Index, balls: Index, pitch: float) -> Array:
     """Return the condition `HOLLOW` of readings (n,) of balls (n, 3)."""
-    found = np.empty(len(balls))
+    offsets = np.empty(len(balls))
     for n, one in enumerate(views):
         rows = view == n
         square: Array = ((balls[rows] @ one.turn.T)[:, :2] ** 2).sum(axis=1) * pitch**2
-        found[rows] = square - (square.mean() if square.size else 0.0)
-    return found
+        offsets[rows] = square - (square.mean() if square.size else 0.0)
+    return offsets
 
 
 def numbers_at(known: Index, wanted: Index) -> Index:

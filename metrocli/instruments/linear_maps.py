@@ -73,9 +73,9 @@ def _medians(values: Array, view: Index, views: int) -> Array:
     order = np.lexsort((values, view))
     counts = np.bincount(view, minlength=views)
     middle = np.cumsum(counts) - counts + counts // 2
-    found = np.zeros(views)
-    found[counts > 0] = values[order][middle[counts > 0]]
-    return found
+    medians = np.zeros(views)
+    medians[counts > 0] = values[order][middle[counts > 0]]
+    return medians
 
 
 def _sampled(points: Array, rays: Array, view: Index, views: int) -> Array:

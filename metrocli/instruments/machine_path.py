@@ -122,12 +122,12 @@ class Path:
 
     def since_turns(self, leg: Index, along: Array) -> dict[str, Array]:
         """Return the distance of each axis since it turned at distances along legs, (n,) each, as conditions."""
-        found = {}
+        ways = {}
         for axis, side, part in zip("xyz", self.last_moves(), self.direction.T, strict=True):
             after = since_turn(part * self.lengths, side)
             if after is not None:
-                found[SINCE.format(axis=axis)] = after[leg] - np.abs(part[leg]) * (self.lengths[leg] - along)
-        return found
+                ways[SINCE.format(axis=axis)] = after[leg] - np.abs(part[leg]) * (self.lengths[leg] - along)
+        return ways
 
     def last_moves(self) -> Array:
         """Return the sign of the last movement of each axis on each leg, (3, legs); 0 where it has not moved yet."""

@@ -142,8 +142,8 @@ class Oriented(OfBlock):
         """Return the point `Rz(-gamma) v`, (3, n), with its derivatives."""
         gamma = local.rows(self.block)[0]
         c, s = np.cos(gamma), np.sin(gamma)
-        zero, one = np.zeros_like(c), np.ones_like(c)
-        back = np.stack([np.stack([c, s, zero]), np.stack([-s, c, zero]), np.stack([zero, zero, one])])
+        zero, ones = np.zeros_like(c), np.ones_like(c)
+        back = np.stack([np.stack([c, s, zero]), np.stack([-s, c, zero]), np.stack([zero, zero, ones])])
         moved = _times(back, value)
         by_gamma = np.stack([moved[1], -moved[0], np.zeros_like(moved[0])])[:, None]
         return Step(moved, back, {self.block: by_gamma})

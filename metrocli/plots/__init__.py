@@ -1,6 +1,8 @@
 """Figures of results. Each figure is one module here and one entry in FIGURES; only this package loads matplotlib.
 
-Those in `beside` also show what stands beside the result: its diagnosis, an earlier result, its lineage.
+A figure has `data(result)`, plain values, and `draw(canvas, data)`. `readings` gives the residuals of any result
+in one form, `places` its points; `noise_bands` has what pure noise may do, `magnify` what is left out, `style` the
+look. Those in `beside` also show what stands beside the result: its diagnosis, an earlier result, its lineage.
 """
 
 from __future__ import annotations

@@ -74,27 +74,29 @@ def data(result: Result, about: str) -> Against | None:
 
 
 def _radial(result: Result) -> list[Panel]:
-    found = image_residuals(result)
-    if found is None:
+    residuals = image_residuals(result)
+    if residuals is None:
         return []
-    radius, along, across = radial(found, result)
+    radius, along, across = radial(residuals, result)
     sides = (("along the radius", along), ("across the radius", across))
-    return _panels([(name, radius, w, found.name) for name, w in sides])
+    return _panels([(name, radius, w, residuals.name) for name, w in sides])
 
 
 def _others(result: Result, about: str) -> list[Panel]:
     sets = []
-    for one in residuals_of(result):
-        covariates = {"order": np.arange(1.0, len(one.w) + 1), **one.covariates}
+    for residual in residuals_of(result):
+        covariates = {"order": np.arange(1.0, len(residual.w) + 1), **residual.covariates}
         if about in covariates:
-            name = " ".join(filter(None, [one.kind, f"residual {one.part.strip('_')}" if one.part else ""]))
-            sets.append((name, covariates[about], one.w, one.name))
+            name = " ".join(
+                filter(None, [residual.kind, f"residual {residual.part.strip('_')}" if residual.part else ""])
+            )
+            sets.append((name, covariates[about], residual.w, residual.name))
     return _panels(sets)
 
 
 def _panels(sets: Sequence[tuple[str, Array, Array, Callable[[int], str]]]) -> list[Panel]:
     """Return a panel for each set of residuals that others check; together they have at most `MOST` marks."""
-    checked = [one for one in sets if np.isfinite(one[2]).any()]
+    checked = [residuals for residuals in sets if np.isfinite(residuals[2]).any()]
     count = sum(int(np.isfinite(one[2]).sum()) for one in checked)
     return [panel_of(*one, MOST // len(checked), count) for one in checked]
 
@@ -111,20 +113,20 @@ def panel_of(name: str, covariate: Array, w: Array, named: Callable[[int], str],
     return Panel(name, covariate, w, trend(covariate, w), thinned(covariate, w, marks), text, most)
 
 
-def height(found: Against) -> float:
+def height(shown: Against) -> float:
     """Return the height of the figure in inches."""
-    return 2.5 + 1.9 * (len(found.panels) - 1)
+    return 2.5 + 1.9 * (len(shown.panels) - 1)
 
 
-def draw(canvas: Canvas, found: Against) -> str:
+def draw(canvas: Canvas, shown: Against) -> str:
     """Draw the figure and return its caption."""
-    panels = canvas.axes(len(found.panels), 1, sharex=found.about != "order")
-    for axes, panel in zip(panels, found.panels, strict=True):
+    panels = canvas.axes(len(shown.panels), 1, sharex=shown.about != "order")
+    for axes, panel in zip(panels, shown.panels, strict=True):
         draw_panel(axes, panel, canvas.theme)
-        axes.locator_params(axis="x", integer=found.about == "order")
-    panels[-1].set_xlabel(LABELS[found.about])
+        axes.locator_params(axis="x", integer=shown.about == "order")
+    panels[-1].set_xlabel(LABELS[shown.about])
     panels[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
-    return _caption(found)
+    return _caption(shown)
 
 
 def draw_panel(axes: Axes, panel: Panel, theme: Theme) -> None:
@@ -174,13 +176,13 @@ def _envelope(axes: Axes, t: Trend, colour: str) -> None:
         axes.errorbar(t.middles, [0.0], yerr=t.bounds, color=colour, lw=4, label="pure noise")
 
 
-def _caption(found: Against) -> str:
+def _caption(shown: Against) -> str:
     parts = [CAPTION]
-    for panel in found.panels:
+    for panel in shown.panels:
         bins, wrong = len(panel.trend.beyond), len(panel.beyond)
         where = f"{panel.name}: " if panel.name else ""
         text = f"{where}{bins} of {len(panel.trend.means)} means and {wrong} of {len(panel.w)} readings are outside."
         parts.append(text[0].upper() + text[1:])
-    first = found.panels[0]
-    kept = f"lowest and highest of each of {MOST // len(found.panels) // 4} strips, the others at equal steps"
+    first = shown.panels[0]
+    kept = f"lowest and highest of each of {MOST // len(shown.panels) // 4} strips, the others at equal steps"
     return " ".join(filter(None, [*parts, words(len(first.rows), len(first.w), kept)]))

@@ -50,16 +50,16 @@ def data(result: Result, about: str) -> tuple[Chart, ...] | None:
     return tuple(charts) or None
 
 
-def height(found: tuple[Chart, ...]) -> float:
+def height(charts: tuple[Chart, ...]) -> float:
     """Return the height of the figure in inches."""
-    return sum(0.26 * len(chart.names) + 0.75 for chart in found) + 0.2
+    return sum(0.26 * len(chart.names) + 0.75 for chart in charts) + 0.2
 
 
-def draw(canvas: Canvas, found: tuple[Chart, ...]) -> str:
+def draw(canvas: Canvas, charts: tuple[Chart, ...]) -> str:
     """Draw the figure and return its caption."""
     theme = canvas.theme
-    heights = [len(chart.names) + 2.0 for chart in found]
-    for axes, chart in zip(canvas.axes(len(found), 1, height_ratios=heights), found, strict=True):
+    heights = [len(chart.names) + 2.0 for chart in charts]
+    for axes, chart in zip(canvas.axes(len(charts), 1, height_ratios=heights), charts, strict=True):
         rows = np.arange(len(chart.names))
         axes.barh(rows, chart.shares, height=0.66, color=theme.first)
         axes.plot(chart.together, rows, "-o", ms=3.5, lw=1, color=theme.second, label="this and all above")

@@ -80,15 +80,15 @@ def _series(table: Table) -> Iterator[Series]:
             yield Series(name, table.units.get(name, ""), values[kept], stds[kept], known, (low, high))
 
 
-def height(found: tuple[Series, ...]) -> float:
+def height(series: tuple[Series, ...]) -> float:
     """Return the height of the figure in inches."""
-    return 1.5 * min(len(found), _MOST) + 0.4
+    return 1.5 * min(len(series), _MOST) + 0.4
 
 
-def draw(canvas: Canvas, found: tuple[Series, ...]) -> str:
+def draw(canvas: Canvas, series: tuple[Series, ...]) -> str:
     """Draw the charts and return their caption."""
     theme = canvas.theme
-    shown = found[:_MOST]
+    shown = series[:_MOST]
     all_axes = canvas.axes(len(shown), 1, sharex=True)
     for axes, one in zip(all_axes, shown, strict=True):
         number, low, high = np.arange(1, len(one.values) + 1), *one.limits
@@ -106,17 +106,17 @@ def draw(canvas: Canvas, found: tuple[Series, ...]) -> str:
     if len(parts) <= _LABELLED:
         all_axes[-1].set_xticks(np.arange(1, len(parts) + 1), parts, rotation=90 if len(parts) > 8 else 0)
     all_axes[-1].set_xlabel("part, in the order of the list")
-    left = f" The first {_MOST} of {len(found)} estimates are shown." if len(found) > _MOST else ""
+    left = f" The first {_MOST} of {len(series)} estimates are shown." if len(series) > _MOST else ""
     dashed = " Dashed: limits of the tolerance." if any(np.isfinite(one.tolerance).any() for one in shown) else ""
     points = "Points: estimates with two standard uncertainties. Line: mean."
-    if not any(one.limited for one in found):
+    if not any(one.limited for one in series):
         return f"{points} Control limits need {LEAST} parts.{dashed}{left}"
-    band = f"Band: the mean plus and minus 2.66 mean moving ranges (ISO 7870-2); {_count(found)}"
+    band = f"Band: the mean plus and minus 2.66 mean moving ranges (ISO 7870-2); {_count(series)}"
     return f"{points} {band}{dashed}{left}"
 
 
-def _count(found: tuple[Series, ...]) -> str:
+def _count(series: tuple[Series, ...]) -> str:
     several = [
-        f"{listed([one.parts[i] for i in one.outside], _NAMED)} with {one.name}" for one in found if len(one.outside)
+        f"{listed([one.parts[i] for i in one.outside], _NAMED)} with {one.name}" for one in series if len(one.outside)
     ]
     return f"outside are {'; '.join(several)} (diamonds)." if several else "no part is outside."

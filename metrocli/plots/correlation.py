@@ -50,40 +50,42 @@ def data(result: Result, about: str) -> Correlation | None:
     return Correlation(names, matrix[np.ix_(kept, kept)], len(rows))
 
 
-def height(found: Correlation) -> float:
+def height(correlation: Correlation) -> float:
     """Return the height of the figure in inches."""
-    return float(np.clip(0.33 * len(found.names) + 1.3, 2.6, 6.2))
+    return float(np.clip(0.33 * len(correlation.names) + 1.3, 2.6, 6.2))
 
 
-def draw(canvas: Canvas, found: Correlation) -> str:
+def draw(canvas: Canvas, correlation: Correlation) -> str:
     """Draw the figure and return its caption."""
     (axes,), bar = canvas.axes_and_bar()
-    count = len(found.names)
+    count = len(correlation.names)
     axes.grid(False)
     axes.spines[:].set_visible(False)
-    drawn = axes.pcolormesh(found.matrix, cmap=BOTH_SIDES, vmin=-1, vmax=1, edgecolor=canvas.theme.surface, lw=0.6)
+    drawn = axes.pcolormesh(
+        correlation.matrix, cmap=BOTH_SIDES, vmin=-1, vmax=1, edgecolor=canvas.theme.surface, lw=0.6
+    )
     axes.set_aspect("equal")
     axes.invert_yaxis()
-    ticks, names = np.arange(count) + 0.5, [shortened(name, LETTERS) for name in found.names]
+    ticks, names = np.arange(count) + 0.5, [shortened(name, LETTERS) for name in correlation.names]
     size = 8.0 if count <= 20 else 7.0 if count <= 32 else 4.5
     axes.set_xticks(ticks, names, rotation=90, fontsize=size)
     axes.set_yticks(ticks, names, fontsize=size)
     axes.tick_params(length=0)
     if count <= _WITH_NUMBERS:
-        for (i, j), number in np.ndenumerate(found.matrix):
+        for (i, j), number in np.ndenumerate(correlation.matrix):
             if i != j:
                 colour = "#fdfdfd" if abs(number) > 0.75 else "#0c0c0c"
                 x, y = j + 0.5, i + 0.5
                 written = axes.text(x, y, _short(number), ha="center", va="center", fontsize=6.5, color=colour)
                 written.set_in_layout(False)  # it is inside the axes
     canvas.colour_bar(drawn, bar, "coefficient of correlation")
-    high = int((np.abs(np.triu(found.matrix, 1)) > HIGH).sum())
-    first, second, value = found.largest
+    high = int((np.abs(np.triu(correlation.matrix, 1)) > HIGH).sum())
+    first, second, value = correlation.largest
     beyond = f"{high} pair exceeds" if high == 1 else f"{high or 'No'} pairs exceed"
     text = f"{beyond} {HIGH} in size; the largest is {value:+.3f} of {first} and {second}."
-    if count == found.estimates:
+    if count == correlation.estimates:
         return text
-    return f"{text} {count} of {found.estimates} estimates are shown, those with the largest correlations."
+    return f"{text} {count} of {correlation.estimates} estimates are shown, those with the largest correlations."
 
 
 def _short(value: float) -> str:

@@ -55,8 +55,12 @@ def data(result: Result, about: str) -> Errors | None:
         size = _PER_MM if table.units.get("value") == "mm" else _MICRO
         value, std = table.numbers("value") * size, table.numbers("std") * size
         curves.append(Curve(error, table.numbers("position"), value, _K * std, status.get(error, "")))
-    square = [one for one in result.estimates if one.name in ("A0Z", "B0Z", "C0Y") and np.isfinite(one.value)]
-    return Errors(tuple(curves), tuple((one.name, one.value * _MICRO, _K * one.std * _MICRO) for one in square))
+    square = [
+        estimate
+        for estimate in result.estimates
+        if estimate.name in ("A0Z", "B0Z", "C0Y") and np.isfinite(estimate.value)
+    ]
+    return Errors(tuple(curves), tuple((error.name, error.value * _MICRO, _K * error.std * _MICRO) for error in square))
 
 
 def _order(name: str) -> tuple[int, str, str]:
@@ -66,23 +70,23 @@ def _order(name: str) -> tuple[int, str, str]:
     return kind, error[1] if kind == 2 else "", error
 
 
-def height(found: Errors) -> float:
+def height(errors: Errors) -> float:
     """Return the height of the figure in inches."""
-    return 1.55 * len(_panels(found)) / 3 + 0.5
+    return 1.55 * len(_panels(errors)) / 3 + 0.5
 
 
-def _panels(found: Errors) -> list[list[Curve]]:
+def _panels(errors: Errors) -> list[list[Curve]]:
     """Return the curves of each panel: rows are the direction of the error, columns the axis that moves."""
     wanted = [f"E{direction}{axis}" for direction in "XYZABC" for axis in "XYZ"]
-    by_name = {curve.name: curve for curve in found.curves}
+    by_name = {curve.name: curve for curve in errors.curves}
     rows = [wanted[k : k + 3] for k in range(0, 18, 3)]
     kept = [row for row in rows if any(name in by_name for name in row)]
     return [[by_name[name]] if name in by_name else [] for row in kept for name in row]
 
 
-def draw(canvas: Canvas, found: Errors) -> str:
+def draw(canvas: Canvas, errors: Errors) -> str:
     """Draw the figure and return its caption."""
-    theme, panels = canvas.theme, _panels(found)
+    theme, panels = canvas.theme, _panels(errors)
     rows = len(panels) // 3
     all_axes = canvas.axes(rows, 3, sharex="col")
     for k, (axes, curves) in enumerate(zip(all_axes, panels, strict=True)):
@@ -107,17 +111,17 @@ def draw(canvas: Canvas, found: Errors) -> str:
         if row == rows - 1 or not any(panels[k + 3 :: 3]):
             axes.set_xlabel(f"{'XYZ'[column]} (mm)")
             axes.tick_params(labelbottom=True)
-    return _caption(found)
+    return _caption(errors)
 
 
-def _caption(found: Errors) -> str:
+def _caption(errors: Errors) -> str:
     parts = [
         "Rows: direction of the error; columns: axis that moves. Band: expanded uncertainty, k = 2 "
         "(often thinner than the line)."
     ]
-    if any(curve.status == "together" for curve in found.curves):
+    if any(curve.status == "together" for curve in errors.curves):
         parts.append("Dashed: determined only together with errors that are not, so valid for the measured tools only.")
-    square = [f"{name} {value:.1f} ± {spread:.1f} µrad" for name, value, spread in found.squareness]
+    square = [f"{name} {value:.1f} ± {spread:.1f} µrad" for name, value, spread in errors.squareness]
     if square:
         parts.append(f"Squareness (k = 2): {', '.join(square)}.")
     return " ".join(parts)

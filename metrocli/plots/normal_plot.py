@@ -26,22 +26,22 @@ class Shown:
 
 def data(result: Result, about: str) -> Shown | None:
     """Return the normal plot of all readings that others check; None with fewer than three."""
-    w = [one.w[one.checked] for one in residuals_of(result)]
+    w = [residual.w[residual.checked] for residual in residuals_of(result)]
     together = np.concatenate(w) if w else np.zeros(0)
     if len(together) < 3:
         return None
-    found = normal_plot(together)
-    return Shown(found, thinned(found.expected, found.ordered), float(np.sqrt(np.mean(together**2))))
+    plotted = normal_plot(together)
+    return Shown(plotted, thinned(plotted.expected, plotted.ordered), float(np.sqrt(np.mean(together**2))))
 
 
-def height(found: Shown) -> float:
+def height(shown: Shown) -> float:
     """Return the height of the figure in inches."""
     return 3.6
 
 
-def draw(canvas: Canvas, found: Shown) -> str:
+def draw(canvas: Canvas, shown: Shown) -> str:
     """Draw the figure and return its caption."""
-    theme, plot, rows = canvas.theme, found.plot, found.rows
+    theme, plot, rows = canvas.theme, shown.plot, shown.rows
     axes = canvas.axes()[0]
     expected, ordered = plot.expected[rows], plot.ordered[rows]
     low, high = plot.low[rows], plot.high[rows]
@@ -57,7 +57,7 @@ def draw(canvas: Canvas, found: Shown) -> str:
     axes.legend(loc="upper left")
     count = len(plot.ordered)
     text = (
-        f"{count} readings; the root mean square of w is {found.std:.3g} where 1 is expected. {plot.outside} are "
+        f"{count} readings; the root mean square of w is {shown.std:.3g} where 1 is expected. {plot.outside} are "
         "outside the band, which holds all with 95 % if there is noise only. A steeper line is larger noise, bent ends "
         "are wrong readings."
     )

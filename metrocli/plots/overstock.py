@@ -50,34 +50,34 @@ def data(result: Result, about: str = "") -> Overstock | None:
     return Overstock(surfaces, least, K * spread, mean, largest, at, float(minimum), kept, len(table))
 
 
-def height(found: Overstock) -> float:
+def height(overstock: Overstock) -> float:
     """Return the height of the figure in inches."""
-    return 0.24 * len(found.surfaces) + 1.1
+    return 0.24 * len(overstock.surfaces) + 1.1
 
 
-def draw(canvas: Canvas, found: Overstock) -> str:
+def draw(canvas: Canvas, overstock: Overstock) -> str:
     """Draw the figure and return its caption."""
-    theme, axes, rows = canvas.theme, canvas.axes()[0], np.arange(len(found.surfaces))
-    axes.hlines(rows, found.least, found.largest, color=theme.band, lw=7)
-    axes.plot(found.mean, rows, "|", ms=9, mew=1.6, color=theme.ink, label="mean")
+    theme, axes, rows = canvas.theme, canvas.axes()[0], np.arange(len(overstock.surfaces))
+    axes.hlines(rows, overstock.least, overstock.largest, color=theme.band, lw=7)
+    axes.plot(overstock.mean, rows, "|", ms=9, mew=1.6, color=theme.ink, label="mean")
     axes.errorbar(
-        found.least, rows, xerr=found.spread, fmt="o", ms=4.5, capsize=3, lw=1.2, color=theme.first,
+        overstock.least, rows, xerr=overstock.spread, fmt="o", ms=4.5, capsize=3, lw=1.2, color=theme.first,
         label="least ± U (k = 2)",
     )  # fmt: skip
-    if found.left_out:
-        row = {name: k for k, name in enumerate(found.surfaces)}
-        at = [(value, row[surface]) for surface, value in found.left_out]
+    if overstock.left_out:
+        row = {name: k for k, name in enumerate(overstock.surfaces)}
+        at = [(value, row[surface]) for surface, value in overstock.left_out]
         axes.plot(*np.transpose(at), "D", ms=5, mew=0, color=theme.second, label="left out")
-    axes.axvline(found.minimum, color=theme.second, lw=1.2, ls=(0, (4, 3)), label="minimum")
-    axes.set_yticks(rows, [shortened(name, LETTERS) for name in found.surfaces])
+    axes.axvline(overstock.minimum, color=theme.second, lw=1.2, ls=(0, (4, 3)), label="minimum")
+    axes.set_yticks(rows, [shortened(name, LETTERS) for name in overstock.surfaces])
     axes.invert_yaxis()
     axes.margins(0.05, 0.6 / len(rows))
     axes.set_xlabel("overstock (mm)")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4)
-    least = f"{found.least[0]:.3f} mm at {found.least_at[0]}, {found.surfaces[0]}"
+    least = f"{overstock.least[0]:.3f} mm at {overstock.least_at[0]}, {overstock.surfaces[0]}"
     parts = [f"Bar: from least to largest; U of the least is that of its point. The least of all is {least}."]
-    if found.left_out:
+    if overstock.left_out:
         parts.append("Points that were left out are chips or flash.")
-    if len(found.surfaces) < found.of:
-        parts.append(f"{len(found.surfaces)} of {found.of} surfaces are shown, those with the least.")
+    if len(overstock.surfaces) < overstock.of:
+        parts.append(f"{len(overstock.surfaces)} of {overstock.of} surfaces are shown, those with the least.")
     return " ".join(parts)

@@ -86,35 +86,35 @@ def _extent(at: Array) -> float:
     return float(np.ptp(at, axis=0).max())
 
 
-def height(found: PartResiduals) -> float:
+def height(residuals: PartResiduals) -> float:
     """Return the height of the figure in inches."""
-    wide, high = np.ptp(found.at[:, found.plane], axis=0)
+    wide, high = np.ptp(residuals.at[:, residuals.plane], axis=0)
     return float(np.clip(5.2 * high / max(wide, 1e-9) + 0.9, 2.6, 6.0))
 
 
-def draw(canvas: Canvas, found: PartResiduals) -> str:
+def draw(canvas: Canvas, residuals: PartResiduals) -> str:
     """Draw the figure and return its caption."""
     (axes,), bar = canvas.axes_and_bar()
     axes.set_aspect("equal")
-    i, j = found.plane
-    x, y = found.at[:, i], found.at[:, j]
-    largest = max(2.0, float(found.rms.max()))
+    i, j = residuals.plane
+    x, y = residuals.at[:, i], residuals.at[:, j]
+    largest = max(2.0, float(residuals.rms.max()))
     drawn = axes.scatter(
-        x, y, c=found.rms, s=16, cmap=SIZES, vmin=0, vmax=largest, zorder=3,
+        x, y, c=residuals.rms, s=16, cmap=SIZES, vmin=0, vmax=largest, zorder=3,
         linewidths=OUTLINE, edgecolors=canvas.theme.muted,
     )  # fmt: skip
     moved = ""
-    if found.vectors is not None:
-        vectors = found.vectors * found.magnification
-        arrows(axes, found.at[:, found.plane], vectors[:, found.plane], canvas.theme.first)
-        sizes = np.linalg.norm(found.vectors, axis=1)
-        longest = f"{length_in_words(float(sizes.max()))} at {found.names[int(np.argmax(sizes))]}"
-        factor = in_words(found.magnification)
+    if residuals.vectors is not None:
+        vectors = residuals.vectors * residuals.magnification
+        arrows(axes, residuals.at[:, residuals.plane], vectors[:, residuals.plane], canvas.theme.first)
+        sizes = np.linalg.norm(residuals.vectors, axis=1)
+        longest = f"{length_in_words(float(sizes.max()))} at {residuals.names[int(np.argmax(sizes))]}"
+        factor = in_words(residuals.magnification)
         moved = f"Arrows: residuals of the lengths, summed along the beams, magnified {factor}; longest {longest}. "
-    worst = int(np.argmax(found.rms))
+    worst = int(np.argmax(residuals.rms))
     ground = {"facecolor": canvas.theme.surface, "edgecolor": "none", "alpha": 0.8, "pad": 0.4}
     look = {"color": canvas.theme.second, "fontweight": "bold", "zorder": 5, "bbox": ground}
-    labels.name(axes, found.names[worst], found.at[:, found.plane], worst, _NEAREST, **look)
+    labels.name(axes, residuals.names[worst], residuals.at[:, residuals.plane], worst, _NEAREST, **look)
     axes.plot(x[worst], y[worst], "o", ms=9, mfc="none", mec=canvas.theme.second, mew=1.4, zorder=4)
     axes.margins(0.12)
     axes.set_xlabel(f"{_AXES[i]} (mm)")
@@ -122,6 +122,8 @@ def draw(canvas: Canvas, found: PartResiduals) -> str:
     canvas.colour_bar(drawn, bar, "rms of w")
     text = (
         f"{moved}Colour: root mean square of the normalised residuals at the point, 1 if there is noise only; "
-        f"the largest is {found.rms[worst]:.3g} at {found.names[worst]}."
+        f"the largest is {residuals.rms[worst]:.3g} at {residuals.names[worst]}."
     )
-    return " ".join(filter(None, [text, words(len(found.at), found.points, "the largest of each cell", "points")]))
+    return " ".join(
+        filter(None, [text, words(len(residuals.at), residuals.points, "the largest of each cell", "points")])
+    )

@@ -30,7 +30,7 @@ class Places:
 
 def places_of(result: Result) -> tuple[Places, ...]:
     """Return the points of a result with deviations and covariances, then its instruments."""
-    found = [
+    parts = [
         _points(result),
         *_grids(result),
         _volume(result),
@@ -39,7 +39,7 @@ def places_of(result: Result) -> tuple[Places, ...]:
     ]
     cameras = _instruments(result, "views", "image") if result.statistics.get("rig") == "network" else None
     return tuple(
-        one for one in (*found, cameras, *_about_board(result), *_launch(result)) if one is not None and len(one.at)
+        one for one in (*parts, cameras, *_about_board(result), *_launch(result)) if one is not None and len(one.at)
     )
 
 

@@ -38,7 +38,7 @@ def data(result: Result, about: str) -> tuple[Line, ...] | None:
     if table is None or targets is None or not len(table):
         return None
     names = [np.array(targets.texts(key)) for key in ("axis", "at", "line")]
-    found = []
+    lines = []
     for row in range(len(table)):
         key = [table.texts(name)[row] for name in ("axis", "at", "line")]
         own = np.logical_and.reduce([column == one for column, one in zip(names, key, strict=True)])
@@ -47,19 +47,19 @@ def data(result: Result, about: str) -> tuple[Line, ...] | None:
         letters = _FIGURES if both else _ONE_WAY
         figures = tuple((letter, float(table.numbers(letter)[row]) * _PER_MM) for letter in letters)
         name = ", ".join(filter(None, key[1:]))
-        found.append(Line(key[0], name, targets.numbers("position")[own], up, down, s_up, s_down, figures))
-    return tuple(found) or None
+        lines.append(Line(key[0], name, targets.numbers("position")[own], up, down, s_up, s_down, figures))
+    return tuple(lines) or None
 
 
-def height(found: tuple[Line, ...]) -> float:
+def height(lines: tuple[Line, ...]) -> float:
     """Return the height of the figure in inches."""
-    return 2.1 * len(found) + 0.4
+    return 2.1 * len(lines) + 0.4
 
 
-def draw(canvas: Canvas, found: tuple[Line, ...]) -> str:
+def draw(canvas: Canvas, lines: tuple[Line, ...]) -> str:
     """Draw the figure and return its caption."""
     theme = canvas.theme
-    for axes, line in zip(canvas.axes(len(found), 1), found, strict=True):
+    for axes, line in zip(canvas.axes(len(lines), 1), lines, strict=True):
         sides = (("up ↑", line.up, line.s_up, theme.first, "o"), ("down ↓", line.down, line.s_down, theme.second, "s"))
         for name, mean, spread, colour, marker in sides:
             if not np.isfinite(mean).any():

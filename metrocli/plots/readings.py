@@ -98,8 +98,8 @@ def _of_table(table: Table, kind: str) -> Iterator[Residuals]:
 
 def _covariates(table: Table) -> dict[str, Array]:
     """Return what residuals may depend on, by the end of the figure's name."""
-    found = {"time": "t", "temperature": "temp", "length": "reading", "x": "x", "y": "y", "z": "z"}
-    held = {name: table.numbers(column) for name, column in found.items() if _is_number(table, column)}
+    columns = {"time": "t", "temperature": "temp", "length": "reading", "x": "x", "y": "y", "z": "z"}
+    held = {name: table.numbers(column) for name, column in columns.items() if _is_number(table, column)}
     if "component" in table or table.units.get("reading") != "mm":  # a coordinate, or an angle
         held.pop("length", None)
     return {name: values for name, values in held.items() if np.ptp(values) > 0}
@@ -157,16 +157,16 @@ _VECTORS = ("reading", "residual", "normalised")
 _MARGIN = 1.05
 
 
-def radial(found: ImageResiduals, result: Result) -> tuple[Array, Array, Array]:
+def radial(residuals: ImageResiduals, result: Result) -> tuple[Array, Array, Array]:
     """Return radius (n,) px, and w of each reading along the radius and across it, (n,) each.
 
     The centre is the principal point (cx, cy) if the result has it, else the centre of the image. With e the unit
     vector from the centre, along is w·e and across is w·(-e_y, e_x).
     """
     known = {estimate.name: estimate.value for estimate in result.estimates}
-    middle = [(size - 1) / 2 for size in found.size]
+    middle = [(size - 1) / 2 for size in residuals.size]
     centre = np.array([known.get("cx", middle[0]), known.get("cy", middle[1])])
-    away = found.places - centre
+    away = residuals.places - centre
     radius = np.hypot(*away.T)
     e = np.where(radius[:, None] > 0, away / np.maximum(radius, 1e-300)[:, None], [1.0, 0.0])
-    return radius, (found.w * e).sum(axis=1), found.w[:, 1] * e[:, 0] - found.w[:, 0] * e[:, 1]
+    return radius, (residuals.w * e).sum(axis=1), residuals.w[:, 1] * e[:, 0] - residuals.w[:, 0] * e[:, 1]

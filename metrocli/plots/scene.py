@@ -43,39 +43,41 @@ class Scene:
     @property
     def all_at(self) -> Array:
         """Every place, (n, 3) mm."""
-        return np.concatenate([one.at for one in self.places])
+        return np.concatenate([place.at for place in self.places])
 
 
 def data(result: Result, about: str) -> Scene | None:
     """Return the places with magnifications: vectors are a tenth of the picture, ellipsoids too if there are few."""
-    found = places_of(result)
-    if sum(len(one.at) for one in found) < 2:
+    places = places_of(result)
+    if sum(len(place.at) for place in places) < 2:
         return None
-    kept = tuple(map(_largest, found))
-    size = float(np.linalg.norm(np.ptp(np.concatenate([one.at for one in kept]), axis=0)))
-    vectors = [np.linalg.norm(one.vectors, axis=1).max() for one in kept if one.vectors is not None]
-    variances = [np.trace(one.covariance, axis1=1, axis2=2) for one in kept if one.covariance is not None]
-    spreads = [_K * np.sqrt(one[np.isfinite(one)].max(initial=0.0)) for one in variances]
-    most = max(len(one.at) for one in kept)
+    kept = tuple(map(_largest, places))
+    size = float(np.linalg.norm(np.ptp(np.concatenate([place.at for place in kept]), axis=0)))
+    vectors = [np.linalg.norm(place.vectors, axis=1).max() for place in kept if place.vectors is not None]
+    variances = [np.trace(place.covariance, axis1=1, axis2=2) for place in kept if place.covariance is not None]
+    spreads = [_K * np.sqrt(variance[np.isfinite(variance)].max(initial=0.0)) for variance in variances]
+    most = max(len(place.at) for place in kept)
     room = _SHARE * size * min(1.0, (_ROOMY / most) ** (1 / 3))
     factors = [
         magnification(float(max(sizes, default=0.0)), length)
         for sizes, length in ((vectors, _SHARE * size), (spreads, room))
     ]
-    left_out = sum(len(one.at) for one in found) - sum(len(one.at) for one in kept)
+    left_out = sum(len(place.at) for place in places) - sum(len(place.at) for place in kept)
     return Scene(kept, factors[0], factors[1], left_out)
 
 
-def _largest(one: Places) -> Places:
+def _largest(place: Places) -> Places:
     """Return the place with the longest vector in each cell of the space, or places at equal steps, in their order."""
-    if len(one.at) <= _MOST:
-        return one
-    if one.vectors is None:
-        rows = np.linspace(0, len(one.at) - 1, _MOST).astype(np.intp)
+    if len(place.at) <= _MOST:
+        return place
+    if place.vectors is None:
+        rows = np.linspace(0, len(place.at) - 1, _MOST).astype(np.intp)
     else:
-        rows = thinned_vectors(one.at, np.linalg.norm(one.vectors, axis=1), _MOST)
-    chosen = [None if values is None else values[rows] for values in (one.vectors, one.covariance)]
-    return Places(one.kind, tuple(one.names[row] for row in rows), one.at[rows], chosen[0], one.vector_name, chosen[1])
+        rows = thinned_vectors(place.at, np.linalg.norm(place.vectors, axis=1), _MOST)
+    chosen = [None if values is None else values[rows] for values in (place.vectors, place.covariance)]
+    return Places(
+        place.kind, tuple(place.names[row] for row in rows), place.at[rows], chosen[0], place.vector_name, chosen[1]
+    )
 
 
 def view(turn: float = TURN, tilt: float = TILT) -> Array:
@@ -96,45 +98,45 @@ def outline(covariance: Array, rows: Array) -> tuple[Array, Array, Array]:
     return half[:, 1], half[:, 0], np.arctan2(axes[:, 1, 1], axes[:, 0, 1])
 
 
-def height(found: Scene) -> float:
+def height(scene: Scene) -> float:
     """Return the height of the figure in inches."""
-    wide, high = np.ptp(found.all_at @ view()[:2].T, axis=0)
+    wide, high = np.ptp(scene.all_at @ view()[:2].T, axis=0)
     return float(np.clip(5.6 * high / max(wide, 1e-9) + 0.9, 3.0, 6.0))
 
 
-def draw(canvas: Canvas, found: Scene) -> str:
+def draw(canvas: Canvas, scene: Scene) -> str:
     """Draw the figure and return its caption."""
     axes, theme, rows = canvas.axes()[0], canvas.theme, view()
-    everything, first = found.all_at @ rows[:2].T, 0
+    everything, first = scene.all_at @ rows[:2].T, 0
     bare(axes)
     axes.set_xticks([])
     axes.set_yticks([])
     axes.set_aspect("equal")
-    for one, colour, marker in zip(found.places, theme.cycle, MARKERS, strict=False):
-        flat = one.at @ rows[:2].T
-        _draw_spread(axes, one, flat, found.ellipsoids, rows, theme.muted)
-        if one.vectors is not None:
-            arrows(axes, flat, one.vectors @ rows[:2].T * found.vectors, colour, 0.002)
-        few = len(one.names) <= _NAMED
-        size = 6.0 if few else 4.0 if len(one.names) <= _MANY else 2.2
-        axes.plot(*flat.T, marker, ms=size, mew=0, color=colour, label=one.kind)
+    for place, colour, marker in zip(scene.places, theme.cycle, MARKERS, strict=False):
+        flat = place.at @ rows[:2].T
+        _draw_spread(axes, place, flat, scene.ellipsoids, rows, theme.muted)
+        if place.vectors is not None:
+            arrows(axes, flat, place.vectors @ rows[:2].T * scene.vectors, colour, 0.002)
+        few = len(place.names) <= _NAMED
+        size = 6.0 if few else 4.0 if len(place.names) <= _MANY else 2.2
+        axes.plot(*flat.T, marker, ms=size, mew=0, color=colour, label=place.kind)
         if few:
-            for name, row in zip(one.names, range(first, first + len(flat)), strict=True):
+            for name, row in zip(place.names, range(first, first + len(flat)), strict=True):
                 labels.name(axes, name, everything, row, 1)
         first += len(flat)
     axes.margins(0.1)
     axes.autoscale_view()
-    _draw_scale(axes, found, rows, theme.ink, theme.muted)
-    if len(found.places) > 1:
-        axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(found.places), borderaxespad=0.2)
-    return _caption(found)
+    _draw_scale(axes, scene, rows, theme.ink, theme.muted)
+    if len(scene.places) > 1:
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(scene.places), borderaxespad=0.2)
+    return _caption(scene)
 
 
-def _draw_spread(axes: Axes, one: Places, flat: Array, factor: float, rows: Array, colour: str) -> None:
-    if one.covariance is None:
+def _draw_spread(axes: Axes, place: Places, flat: Array, factor: float, rows: Array, colour: str) -> None:
+    if place.covariance is None:
         return
-    usable = np.isfinite(one.covariance).all(axis=(1, 2))
-    long, short, angle = outline(one.covariance[usable], rows)
+    usable = np.isfinite(place.covariance).all(axis=(1, 2))
+    long, short, angle = outline(place.covariance[usable], rows)
     size = 2 * _K * factor
     drawn = EllipseCollection(
         size * long, size * short, np.degrees(angle), units="xy", offsets=flat[usable],
@@ -143,9 +145,9 @@ def _draw_spread(axes: Axes, one: Places, flat: Array, factor: float, rows: Arra
     axes.add_collection(drawn)
 
 
-def _draw_scale(axes: Axes, found: Scene, rows: Array, ink: str, muted: str) -> None:
+def _draw_scale(axes: Axes, scene: Scene, rows: Array, ink: str, muted: str) -> None:
     """Draw the axes x, y, z with a round length at the lower left corner of all places."""
-    at = found.all_at
+    at = scene.all_at
     length = round_size(0.25 * float(np.ptp(at, axis=0).max()))
     flat = at @ rows[:2].T
     spans = np.ptp(flat, axis=0)
@@ -163,20 +165,22 @@ def _draw_scale(axes: Axes, found: Scene, rows: Array, ink: str, muted: str) -> 
     axes.autoscale_view()
 
 
-def _caption(found: Scene) -> str:
-    shown = in_a_row([one.kind for one in found.places])
+def _caption(scene: Scene) -> str:
+    shown = in_a_row([place.kind for place in scene.places])
     still = "in the still picture the three arrows have the stated length along x, y and z"
     parts = [f"Parallel projection: {shown}; {still}."]
-    for one in found.places:
-        if one.vectors is not None:
-            sizes = np.linalg.norm(one.vectors, axis=1)
+    for place in scene.places:
+        if place.vectors is not None:
+            sizes = np.linalg.norm(place.vectors, axis=1)
             worst = int(np.argmax(sizes))
-            largest = f"{length_in_words(float(sizes[worst]))} at {one.names[worst]}"
-            parts.append(f"Vectors: {one.vector_name}, magnified {in_words(found.vectors)}; the longest is {largest}.")
-        if one.covariance is not None:
-            factor = in_words(found.ellipsoids)
-            parts.append(f"Ellipsoids ({one.kind}): two standard deviations along each axis, magnified {factor}.")
-    if found.left_out:
-        longest = "; the longest vector of each cell stays" if any(x.vectors is not None for x in found.places) else ""
-        parts.append(f"{found.left_out} points are left out{longest}.")
+            largest = f"{length_in_words(float(sizes[worst]))} at {place.names[worst]}"
+            parts.append(
+                f"Vectors: {place.vector_name}, magnified {in_words(scene.vectors)}; the longest is {largest}."
+            )
+        if place.covariance is not None:
+            factor = in_words(scene.ellipsoids)
+            parts.append(f"Ellipsoids ({place.kind}): two standard deviations along each axis, magnified {factor}.")
+    if scene.left_out:
+        longest = "; the longest vector of each cell stays" if any(x.vectors is not None for x in scene.places) else ""
+        parts.append(f"{scene.left_out} points are left out{longest}.")
     return " ".join(parts)

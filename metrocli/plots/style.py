@@ -130,13 +130,13 @@ class Canvas:
         room: they are then at its left.
         """
         grid = self.figure.add_gridspec(rows, columns + 1, width_ratios=[1.0] * columns + [0.035 * columns])
-        found: list[Axes] = []
+        axes: list[Axes] = []
         for k in range(count):
-            first = found[0] if found else None
-            found.append(self.figure.add_subplot(grid[divmod(k, columns)], sharex=first, sharey=first, anchor="NW"))
+            first = axes[0] if axes else None
+            axes.append(self.figure.add_subplot(grid[divmod(k, columns)], sharex=first, sharey=first, anchor="NW"))
         bar = self.figure.add_subplot(grid[:, -1])
-        bar.set_axes_locator(partial(_beside, found))
-        return found, bar
+        bar.set_axes_locator(partial(_beside, axes))
+        return axes, bar
 
     def colour_bar(self, drawn: Any, place: Axes, label: str) -> None:
         """Add the scale of colours."""
@@ -164,10 +164,10 @@ def arrows(axes: Axes, at: Array, vectors: Array, colour: str, width: float = 0.
 
 def _beside(panels: list[Axes], bar: Axes, renderer: Any) -> Bbox:
     """Return the place of a scale of colours: where its room is, as high as the panels together."""
-    for one in panels:
-        one.apply_aspect()
-    whole, room = Bbox.union([one.get_position() for one in panels]), bar.get_position(original=True)
-    gap = room.x0 - max(one.get_position(original=True).x1 for one in panels)
+    for panel in panels:
+        panel.apply_aspect()
+    whole, room = Bbox.union([panel.get_position() for panel in panels]), bar.get_position(original=True)
+    gap = room.x0 - max(panel.get_position(original=True).x1 for panel in panels)
     return Bbox.from_bounds(whole.x1 + gap, whole.y0, room.width, whole.height)
 
 
@@ -253,11 +253,11 @@ def png(canvas: Canvas) -> bytes:
     """Return a figure as the bytes of a PNG image of 256 colours, a third of the size of one of all colours."""
     from PIL import Image  # matplotlib needs it for its images
 
-    drawn, found = BytesIO(), BytesIO()
+    drawn, written = BytesIO(), BytesIO()
     canvas.figure.savefig(drawn, format="png", dpi=150, metadata=_without_date("png"))
     few = Image.open(drawn).convert("RGB").quantize(256, dither=Image.Dither.NONE)
-    few.save(found, "png", optimize=True)
-    return found.getvalue()
+    few.save(written, "png", optimize=True)
+    return written.getvalue()
 
 
 def _without_date(form: str) -> dict[str, Any]:

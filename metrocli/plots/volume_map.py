@@ -47,10 +47,10 @@ class VolumeMap:
 
 def data(result: Result, about: str) -> VolumeMap | None:
     """Return the map: of errors from a machine or a ball grid, of uncertainty also from report-uncertainty."""
-    found = _table(result, about)
-    if found is None:
+    table = _table(result, about)
+    if table is None:
         return None
-    what, at, components = found
+    what, at, components = table
     size = np.linalg.norm(components, axis=1)
     kept = np.isfinite(size)
     if not kept.any():
@@ -88,26 +88,26 @@ def _table(result: Result, about: str) -> tuple[str, Array, Array] | None:
     return None
 
 
-def _columns(found: VolumeMap) -> int:
-    return min(3, len(found.layers))
+def _columns(volume: VolumeMap) -> int:
+    return min(3, len(volume.layers))
 
 
-def height(found: VolumeMap) -> float:
+def height(volume: VolumeMap) -> float:
     """Return the height of the figure in inches."""
-    columns = _columns(found)
-    wide, high = np.ptp(found.layers[0].at, axis=0)
+    columns = _columns(volume)
+    wide, high = np.ptp(volume.layers[0].at, axis=0)
     one = float(np.clip(5.0 / columns * high / max(wide, 1e-9), 1.0, 4.0)) + 0.5
-    return one * -(-len(found.layers) // columns) + 0.6
+    return one * -(-len(volume.layers) // columns) + 0.6
 
 
-def draw(canvas: Canvas, found: VolumeMap) -> str:
+def draw(canvas: Canvas, volume: VolumeMap) -> str:
     """Draw the figure and return its caption."""
-    columns = _columns(found)
-    rows = -(-len(found.layers) // columns)
-    panels, bar = canvas.axes_and_bar(rows, columns, len(found.layers))
-    largest = max(float(layer.size.max()) for layer in found.layers)
+    columns = _columns(volume)
+    rows = -(-len(volume.layers) // columns)
+    panels, bar = canvas.axes_and_bar(rows, columns, len(volume.layers))
+    largest = max(float(layer.size.max()) for layer in volume.layers)
     drawn = None
-    for axes, layer in zip(panels, found.layers, strict=True):
+    for axes, layer in zip(panels, volume.layers, strict=True):
         axes.set_aspect("equal")
         axes.set_title(f"z = {layer.z:g} mm", fontsize=8.5)
         drawn = axes.scatter(
@@ -115,7 +115,7 @@ def draw(canvas: Canvas, found: VolumeMap) -> str:
             linewidths=OUTLINE, edgecolors=canvas.theme.muted,
         )  # fmt: skip
         if layer.vectors is not None:
-            arrows(axes, layer.at, layer.vectors * found.magnification, canvas.theme.ink, 0.008)
+            arrows(axes, layer.at, layer.vectors * volume.magnification, canvas.theme.ink, 0.008)
         axes.margins(0.14)
         axes.locator_params(nbins=4)
     for k, axes in enumerate(panels):
@@ -124,19 +124,19 @@ def draw(canvas: Canvas, found: VolumeMap) -> str:
         axes.set_xlabel("x (mm)" if at_bottom else "")
         axes.tick_params(labelleft=at_left, labelbottom=at_bottom)
     # short, since the scale of a flat volume is low: the caption has the rest
-    canvas.colour_bar(drawn, bar, "error (µm)" if found.about == ERROR else "u (µm)")
-    return _caption(found)
+    canvas.colour_bar(drawn, bar, "error (µm)" if volume.about == ERROR else "u (µm)")
+    return _caption(volume)
 
 
-def _caption(found: VolumeMap) -> str:
-    where = ", ".join(f"{axis} = {value:g}" for axis, value in zip("xyz", found.largest_at, strict=True))
-    parts = [f"For {found.what}."]
-    if found.about == ERROR:
-        factor = in_words(found.magnification)
+def _caption(volume: VolumeMap) -> str:
+    where = ", ".join(f"{axis} = {value:g}" for axis, value in zip("xyz", volume.largest_at, strict=True))
+    parts = [f"For {volume.what}."]
+    if volume.about == ERROR:
+        factor = in_words(volume.magnification)
         parts.append(f"Arrows: the error in x and y, magnified {factor}; colour: its length in space.")
     else:
         parts.append("Colour: root of the sum of the variances of x, y and z.")
-    parts.append(f"The largest is {found.largest * _PER_MM:.3g} µm at {where} mm.")
-    if found.heights > len(found.layers):
-        parts.append(f"{len(found.layers)} of {found.heights} heights are shown.")
+    parts.append(f"The largest is {volume.largest * _PER_MM:.3g} µm at {where} mm.")
+    if volume.heights > len(volume.layers):
+        parts.append(f"{len(volume.layers)} of {volume.heights} heights are shown.")
     return " ".join(parts)

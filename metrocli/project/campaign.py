@@ -56,8 +56,8 @@ class ForEach:
         return BAD
 
     def schema(self) -> Schema:
-        one: Schema = {"anyOf": [{"type": "string"}, {"type": "array", "minItems": 1}]}
-        return {"type": "object", "additionalProperties": one, "minProperties": 1, "maxProperties": 1}
+        shape: Schema = {"anyOf": [{"type": "string"}, {"type": "array", "minItems": 1}]}
+        return {"type": "object", "additionalProperties": shape, "minProperties": 1, "maxProperties": 1}
 
 
 def parts_of(root: Node) -> tuple[Part, ...]:
@@ -127,7 +127,7 @@ def _bound(node: Node, part: Part, faults: list[Fault]) -> Node:
             node.fault(f"{node.path}: no part has '{{{name}}}'", suggestion(name, part.values))
             for name in names if name not in part.values
         ]  # fmt: skip
-        text = _NAME.sub(lambda found: part.values.get(found[1], ""), node.text)
+        text = _NAME.sub(lambda match: part.values.get(match[1], ""), node.text)
         return replace(node, text=text, part=part.shown) if names else node
     items = tuple(_bound(item, part, faults) for item in node.items)
     return replace(node, items=items, entries=tuple((k, _bound(v, part, faults)) for k, v in node.entries))

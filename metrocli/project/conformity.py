@@ -17,14 +17,14 @@ OVER_LIMIT = "length_error_over_limit"
 
 def decisions(result: Result, reported: bool) -> Iterator[Verdict]:
     """Yield the decision on each tolerance of a result; where it is only `reported`, each counts as met."""
-    for one in result.estimates:
-        tolerance: Mapping[str, Any] = result.details.get(one.name, {}).get("tolerance", {})
+    for estimate in result.estimates:
+        tolerance: Mapping[str, Any] = result.details.get(estimate.name, {}).get("tolerance", {})
         if "zone" in tolerance:
             decided = _DECISIONS.get(tolerance["zone"], GUARD_BAND)
             low, high = tolerance["limits"]
             ends = [f"{end:.10g}" if math.isfinite(end) else "no limit" for end in (low, high)]
-            within = f"{' to '.join(ends)} {one.unit}".strip()
-            yield Verdict(one.name, within, one.value, one.unit, reported or decided != FAIL, decided)
+            within = f"{' to '.join(ends)} {estimate.unit}".strip()
+            yield Verdict(estimate.name, within, estimate.value, estimate.unit, reported or decided != FAIL, decided)
     over = result.statistics.get(OVER_LIMIT)
     if isinstance(over, float):
         met, what = over <= 1, "largest over its limit, <= 1"

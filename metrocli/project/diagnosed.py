@@ -160,8 +160,7 @@ def write_extended(
     the kind has that. Where the job cannot be adjusted with that law, the next simpler one with which it can stands in
     it, or none. Returns None if nothing changes.
     Raises InputError if the file there is no extended job or was edited since it was written, unless forced. Parameters
-    that the readings do not determine separately are 0. In another folder, the relative paths of the inputs are changed
-    to lead to the same files.
+    that the readings do not determine separately are 0. In another folder, the paths lead to the same files.
     """
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
     confirmed = any(one.confirmed for one in diagnosis.findings)
@@ -278,14 +277,10 @@ def _with_model(job: JobFile, declared: Node, model: str) -> Node:
 
 def _relocated(node: Node, old: Path, new: Path) -> Node:
     """Return a node with its paths, relative to `old`, rewritten relative to `new`."""
-    if os.path.abspath(old) == os.path.abspath(new):
+    if os.path.abspath(old) == os.path.abspath(new) or (node.kind == "scalar" and Path(node.text).is_absolute()):
         return node
     if node.kind == "scalar":
-        return (
-            node
-            if Path(node.text).is_absolute()
-            else replace(node, text=Path(os.path.relpath(old / node.text, new)).as_posix())
-        )
+        return replace(node, text=Path(os.path.relpath(old / node.text, new)).as_posix())
     items = (_relocated(item, old, new) for item in node.items)
     entries = ((key, _relocated(value, old, new)) for key, value in node.entries)
     return replace(node, items=tuple(items), entries=tuple(entries))

@@ -83,7 +83,7 @@ class _Effects:
 
 
 class _Definitions:
-    """The value of `define:`, a list of effects of one's own (`metrocli.effects.own`)."""
+    """The value of `define:`, a list of user-defined effects (`metrocli.effects.own`)."""
 
     expects = "a list such as [{name: range-zero, acts_on: length, adds: r0, parameters: {...}}]"
 
@@ -144,8 +144,8 @@ class Heading:
     job: str = setting(_KindOfJob(), "kind of job")
     title: str = setting(Text(), "title of the result", default="")
     effects: tuple[Node, ...] = setting(_Effects(), "extensions of the model, by name", default=())
-    define: tuple[Node, ...] = setting(_Definitions(), "effects of one's own", default=())
-    effects_from: Node | None = setting(FileBeside(), "file with effects of one's own under `define:`", default=None)
+    define: tuple[Node, ...] = setting(_Definitions(), "user-defined effects", default=())
+    effects_from: Node | None = setting(FileBeside(), "file with user-defined effects under `define:`", default=None)
     ranges: Mapping[str, Node] = setting(Ranges(), "largest values of columns in CSV files, by name", default={})
     require: tuple[Requirement, ...] = setting(Requirements(), "acceptance criteria", default=())
     conformity: str = setting(

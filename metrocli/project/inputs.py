@@ -10,7 +10,7 @@ from typing import Any
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats.file_bytes import FileBytes, read_bytes
-from metrocli.project import meaning
+from metrocli.project import fingerprint
 from metrocli.project.job import JobFile
 from metrocli.project.named_files import Input
 from metrocli.record import USABLE, InputFile
@@ -75,13 +75,13 @@ def _unfit(item: Input, path: Path) -> Fault | None:
 def _read(item: Input, folder: Path) -> tuple[Any, list[InputFile]]:
     """Return the content of an input, and the record of its files with paths relative to a folder."""
     if item.bytes is not None:
-        return item.held, [_recorded(item.bytes, folder, meaning.digest(item.held, folder))]
+        return item.held, [_recorded(item.bytes, folder, fingerprint.digest(item.held, folder))]
     if isinstance(item.spec, ImageFiles):
         from metrocli.formats import images
 
-        found = images.read_images(list(item.paths))
-        read_as = zip(found.paths, found.digests, found.lengths, strict=True)
-        return found, [_file(path, folder, digest, length, digest) for path, digest, length in read_as]
+        pictures = images.read_images(list(item.paths))
+        read_as = zip(pictures.paths, pictures.digests, pictures.lengths, strict=True)
+        return pictures, [_file(path, folder, digest, length, digest) for path, digest, length in read_as]
     if isinstance(item.value, Mapping):
         read = {name: _read_one(item.spec.value, path, item, folder) for name, path in item.value.items()}
         return {name: one for name, (one, _) in read.items()}, [file for _, file in read.values()]
@@ -95,7 +95,7 @@ def _read_one(spec: Any, path: Path, item: Input, folder: Path) -> tuple[Any, In
 
         held = read_bytes(path, "a CSV file")
         table = csv.read(path, spec.columns, held=held)
-        return table, _recorded(held, folder, meaning.of_table(table))
+        return table, _recorded(held, folder, fingerprint.of_table(table))
     if isinstance(spec, MeshFile):
         from metrocli.formats import own_files as meshes
 
@@ -125,17 +125,17 @@ def input_files(job: JobFile) -> tuple[InputFile, ...]:
 def content_now(job: JobFile, path: str) -> str:
     """Return the digest of the content of an input as read now, by its path in the record; "" if it has faults."""
     for item in job.inputs:
-        if path in {_relative(one, job.folder) for one in item.paths}:
+        if path in {_relative(file, job.folder) for file in item.paths}:
             try:
-                return next((one.content for one in _read(item, job.folder)[1] if one.path == path), "")
+                return next((file.content for file in _read(item, job.folder)[1] if file.path == path), "")
             except InputError:
                 return ""
     return next((one.content for one in _of_own(job) if one.path == path), "")
 
 
 def _of_own(job: JobFile) -> tuple[InputFile, ...]:
-    """Return the record of the files with effects of one's own, as they were read with the job."""
-    return tuple(_recorded(one.bytes, job.folder, meaning.of_yaml(one.root)) for one in job.own.files.values())
+    """Return the record of the files with user-defined effects, as they were read with the job."""
+    return tuple(_recorded(file.bytes, job.folder, fingerprint.of_yaml(file.root)) for file in job.own.files.values())
 
 
 def _recorded(held: FileBytes, folder: Path, content: str) -> InputFile:

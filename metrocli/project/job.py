@@ -47,29 +47,29 @@ class JobFile:
     """What the command line asked for when it was loaded"""
 
     own: Own = field(default_factory=Own)
-    """Effects of one's own, which extend the table of the kind"""
+    """User-defined effects, which extend the table of the kind"""
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All files that it reads beside its own text: inputs, and effects of one's own."""
+        """All files that it reads beside its own text: inputs, and user-defined effects."""
         return (*(path for item in self.inputs for path in item.paths), *self.own.files)
 
     @property
     def stated_in(self) -> tuple[Path, ...]:
         """The files that state the job: its own, the list of its part, and a project that names effects for it."""
         parts = self.wishes.part.list if self.wishes.part is not None else None
-        return tuple(one for one in (self.file, parts.path if parts else None, self.own.project) if one is not None)
+        return tuple(path for path in (self.file, parts.path if parts else None, self.own.project) if path is not None)
 
     @property
     def effects_of_packages(self) -> tuple[str, ...]:
         """The names of the effects of packages that it uses."""
-        return tuple(sorted({one.name for one in self.effects} & self.own.packages.keys()))
+        return tuple(sorted({effect.name for effect in self.effects} & self.own.packages.keys()))
 
     @property
     def packages(self) -> tuple[Package, ...]:
         """The packages whose effects it uses."""
         used = (self.own.packages[name] for name in self.effects_of_packages)
-        return tuple({one.state: one for one in used}.values())
+        return tuple({package.state: package for package in used}.values())
 
     @property
     def accept_doubtful(self) -> bool:
@@ -168,7 +168,7 @@ def _read(root: Node, path: Path, wishes: Wishes, faults: list[Fault]) -> _Read:
 
 
 def _with_effects(job: _Read, path: Path, wishes: Wishes, faults: list[Fault]) -> tuple[_Read, tuple[Wanted, ...], Own]:
-    """Return a job that reads the columns of its own effects, the effects that it wants, and its own."""
+    """Return a job that reads the columns of its user-defined effects, the effects that it wants, and its own."""
     task, files = tasks.KINDS[job.kind].task(), [(item.spec, item.paths) for item in job.inputs]
     further = cache(lambda: columns.variables(files, numeric))
     places = cache(lambda: columns.with_variables(task.places, further(), columns.refused(files, numeric)))

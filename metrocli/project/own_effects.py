@@ -1,4 +1,4 @@
-"""Effects of one's own: those of a job, of the files that it and its project name, and of installed packages."""
+"""User-defined effects: those of a job, of the files that it and its project name, and of installed packages."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Package:
 
 @dataclass(frozen=True)
 class Own:
-    """Effects of one's own, and the files and packages that define them."""
+    """User-defined effects, and the files and packages that define them."""
 
     effects: tuple[Effect, ...] = ()
     files: Mapping[Path, YamlFile] = field(default_factory=dict)
@@ -98,7 +98,7 @@ def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> Own:
     by_project = _of_project(sought[-1], given.files)
     for node in filter(None, (heading.effects_from, by_project)):
         path = path_beside(node)
-        if path.resolve() in {one.resolve() for one in files}:
+        if path.resolve() in {file.resolve() for file in files}:
             continue
         effects = of_file(path, given, taken, faults, node)
         with suppress(InputError):  # which is among the faults by now
@@ -132,9 +132,9 @@ def _of_project(place: Path, read_before: YamlFiles) -> Node | None:
 def _project_files_above(folder: Path) -> Iterator[Path]:
     """Yield where a project file of a folder may be, the nearest first, up to the first that there is."""
     here = folder.absolute()
-    for one in (here, *here.parents):
-        yield one / PROJECT_FILE
-        if (one / PROJECT_FILE).is_file():
+    for parent in (here, *here.parents):
+        yield parent / PROJECT_FILE
+        if (parent / PROJECT_FILE).is_file():
             return
 
 

@@ -18,7 +18,7 @@ from metrocli.record import NOT_MET, USABLE, Record
 
 if TYPE_CHECKING:
     from metrocli.project.runner import Done
-    from metrocli.project.running.crew import Crew, Outcome
+    from metrocli.project.running.executor import Executor, Outcome
 
 
 class Action(StrEnum):
@@ -67,7 +67,7 @@ class Order:
 def run(
     steps: Sequence[Step],
     order: Order,
-    crew: Crew,
+    executor: Executor,
     finished: Callable[[Report], Any],
     begun: Callable[[Step], Any] = lambda step: None,
 ) -> list[Report]:
@@ -81,7 +81,7 @@ def run(
         refuse_lost(steps)
     for folder in {step.job.output.parent for step in steps}:
         sweep(folder)
-    return _Run(steps, order, crew, (begun, finished)).reports_in_order()
+    return _Run(steps, order, executor, (begun, finished)).reports_in_order()
 
 
 class _Run:
@@ -91,10 +91,10 @@ class _Run:
         self,
         steps: Sequence[Step],
         order: Order,
-        crew: Crew,
+        executor: Executor,
         heard: tuple[Callable[[Step], Any], Callable[[Report], Any]],
     ) -> None:
-        self.order, self.crew = order, crew
+        self.order, self.executor = order, executor
         self.begun, self.finished = heard
         self.steps = {step.name: step for step in steps}
         self.reports: dict[str, Report] = {}
@@ -105,15 +105,15 @@ class _Run:
         """Jobs that need nothing more, as a heap: the first of the project comes first"""
         self.users: dict[str, list[str]] = {}
         for name, needs in self.unmet.items():
-            for one in needs:
-                self.users.setdefault(one, []).append(name)
+            for need in needs:
+                self.users.setdefault(need, []).append(name)
 
     def reports_in_order(self) -> list[Report]:
         while self.ready or self.working:
-            while self.ready and len(self.working) < self.crew.places:
+            while self.ready and len(self.working) < self.executor.places:
                 self.judge(self.steps[heappop(self.ready)[1]])
             if self.working:
-                for name, outcome in self.crew.finished():
+                for name, outcome in self.executor.finished():
                     self.report(_written(self.working.pop(name), outcome))
         return [self.reports[name] for name in self.steps]
 
@@ -134,7 +134,7 @@ class _Run:
             return self.report(Report(step, Action.FAILED, state.reason, error.exit_code, error=str(error)))
         self.working[step.name] = state
         self.begun(step)
-        self.crew.begin(step.name, step.job, self.order.strict)
+        self.executor.begin(step.name, step.job, self.order.strict)
 
     def report(self, report: Report) -> None:
         name = report.step.name
@@ -182,5 +182,5 @@ _WORST_FIRST = (1, 3, 4, 5, NOT_MET)
 
 def worst(exit_codes: Iterable[int]) -> int:
     """Return the exit code of a project: the worst of its jobs, in the order 1, 3, 4, 5, 6; 0 if all are done."""
-    found = set(exit_codes) - {0}
-    return min(found, key=_WORST_FIRST.index, default=0)
+    codes = set(exit_codes) - {0}
+    return min(codes, key=_WORST_FIRST.index, default=0)

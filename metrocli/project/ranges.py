@@ -87,7 +87,7 @@ def ranges_of(wanted: Mapping[str, Node], specs: Iterable[Any], faults: list[Fau
     tables = [spec for spec in specs if isinstance(spec, TableFile)]
     columns = {column.name: column.dimension for spec in tables for column in spec.columns.columns}
     columns = {name: dimension for name, dimension in columns.items() if dimension in units.DIMENSIONS}
-    found = {}
+    ranges = {}
     for name, node in wanted.items():
         if name not in columns:
             message = f"ranges: no file of this job has a column '{name}' with a unit"
@@ -100,12 +100,12 @@ def ranges_of(wanted: Mapping[str, Node], specs: Iterable[Any], faults: list[Fau
             continue
         usual = units.range_of(columns[name])
         if 0 < size <= units.LARGEST:
-            found[name] = units.Range(usual.low if usual.low != -usual.high else -size, size)
+            ranges[name] = units.Range(usual.low if usual.low != -usual.high else -size, size)
         else:
             faults.append(
                 node.fault(f"{node.path}: {node.text} is not the size of a number", "write a size above zero")
             )
-    return found
+    return ranges
 
 
 def within(spec: Any, ranges: Mapping[str, units.Range]) -> Any:

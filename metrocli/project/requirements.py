@@ -69,7 +69,7 @@ class Requirement:
                 return self._limit_in(unit)
             except units.QuantityError as error:
                 wrong.append(error)
-        faults.extend(self.node.fault(f"{self.node.path}: {one.message}", one.hint) for one in wrong[:1])
+        faults.extend(self.node.fault(f"{self.node.path}: {fault.message}", fault.hint) for fault in wrong[:1])
         return None
 
     def _limit_in(self, unit: str) -> float:
@@ -93,12 +93,12 @@ def by_names(known: Mapping[str, str], names: Mapping[str, Collection[str]]) -> 
 
     A figure whose braces stand for something else stays as it is.
     """
-    found: dict[str, str] = {}
+    conditions: dict[str, str] = {}
     for figure, unit in known.items():
         braces = _BRACES.findall(figure)
         key = braces[0][1:-1] if len(braces) == 1 else ""
-        found |= {figure.replace(braces[0], name): unit for name in names[key]} if key in names else {figure: unit}
-    return found
+        conditions |= {figure.replace(braces[0], name): unit for name in names[key]} if key in names else {figure: unit}
+    return conditions
 
 
 def units_among(name: str, known: Mapping[str, str]) -> list[str]:
@@ -158,12 +158,12 @@ class Requirements:
             faults.append(node.fault(f"{node.path}: this is not a mapping", f"expected {self.expects}"))
             return BAD
         parts = [(key.text, part) for key, value in node.entries for part in (value.items or (value,))]
-        found = [_requirement(name, part, faults) for name, part in parts]
-        return BAD if None in found else tuple(found)
+        requirements = [_requirement(name, part, faults) for name, part in parts]
+        return BAD if None in requirements else tuple(requirements)
 
     def schema(self) -> Schema:
-        one: Schema = {"type": "string", "pattern": rf"^\s*(<=|>=|==|<|>)\s*{_NUMBER}\s*(\S*)\s*$"}
-        return {"type": "object", "additionalProperties": {"anyOf": [one, {"type": "array", "items": one}]}}
+        shape: Schema = {"type": "string", "pattern": rf"^\s*(<=|>=|==|<|>)\s*{_NUMBER}\s*(\S*)\s*$"}
+        return {"type": "object", "additionalProperties": {"anyOf": [shape, {"type": "array", "items": shape}]}}
 
 
 def _requirement(name: str, node: Node, faults: list[Fault]) -> Requirement | None:

@@ -22,7 +22,7 @@ from metrocli.formats.images import ImageFiles
 from metrocli.frozen import dataclass
 from metrocli.plan import Plan
 from metrocli.progress import SILENT, Named, Progress
-from metrocli.project import meaning
+from metrocli.project import fingerprint
 from metrocli.project.conformity import decisions
 from metrocli.project.inputs import read_inputs, read_with_files, unfit_inputs
 from metrocli.project.job import JobFile, figures_of
@@ -111,10 +111,10 @@ def compute(
     place = Path(os.path.relpath(file.file, file.output.parent)).as_posix()
     certificate = file.heading.certificate.stated() if file.heading.certificate is not None else {}
     record = Record(
-        file.text, files, __version__, created, verdicts, doubts, meaning.of_job(file), job_file=place,
+        file.text, files, __version__, created, verdicts, doubts, fingerprint.of_job(file), job_file=place,
         certificate=certificate,
     )  # fmt: skip
-    return result, replace(record, content=meaning.of_result(result, record))
+    return result, replace(record, content=fingerprint.of_result(result, record))
 
 
 def counting(held: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
@@ -237,7 +237,7 @@ def _placed(file: JobFile) -> Iterator[None]:
     except InputError as error:
         if all(fault.file for fault in error.faults):
             raise
-        raise InputError([replace(one, file=one.file or str(file.file)) for one in error.faults]) from error
+        raise InputError([replace(fault, file=fault.file or str(file.file)) for fault in error.faults]) from error
 
 
 def answer(file: JobFile, question: str) -> Table:
@@ -287,5 +287,5 @@ def _verdicts(file: JobFile, result: Result) -> tuple[Verdict, ...]:
     verdicts = [requirement.verdict(result, faults) for requirement in file.heading.require]
     if faults:
         raise InputError(faults)
-    found = [verdict for verdict in verdicts if verdict is not None]
-    return (*found, *decisions(result, file.heading.conformity == "report"))
+    decided = [verdict for verdict in verdicts if verdict is not None]
+    return (*decided, *decisions(result, file.heading.conformity == "report"))

@@ -12,7 +12,7 @@ from metrocli.errors import Fault, InputError
 from metrocli.formats import hdf5
 from metrocli.formats.seal import Label
 from metrocli.frozen import dataclass
-from metrocli.project import meaning, yaml_text
+from metrocli.project import fingerprint, yaml_text
 from metrocli.project.inputs import content_now, input_files
 from metrocli.project.job import JobFile
 from metrocli.project.named_files import absolute
@@ -92,26 +92,26 @@ def _label(job: JobFile) -> tuple[Label | None, str]:
 
 def _difference(job: JobFile, label: Label, running: Collection[Path]) -> str:
     """Return what changed since the result was made; empty if nothing did. Outputs of `running` jobs do not count."""
-    if not meaning.same_version(label.metrocli_version):
+    if not fingerprint.same_version(label.metrocli_version):
         return f"the result was made by metrocli {label.metrocli_version}; this is metrocli {__version__}"
-    if label.meaning != meaning.of_job(job):
+    if label.meaning != fingerprint.of_job(job):
         changed = _changed_settings(job) or [_unseen(job)]
     else:
-        known = [one for one in label.inputs if absolute(job.folder / one.path) not in running]
-        found = [one for one in input_files(job) if absolute(job.folder / one.path) not in running]
-        changed = meaning.changed_inputs(known, found, lambda path: content_now(job, path))
+        known = [file for file in label.inputs if absolute(job.folder / file.path) not in running]
+        files = [file for file in input_files(job) if absolute(job.folder / file.path) not in running]
+        changed = fingerprint.changed_inputs(known, files, lambda path: content_now(job, path))
     return f"{changed[0]}{f' (and {len(changed) - 1} more)' if len(changed) > 1 else ''}" if changed else ""
 
 
 def _changed_settings(job: JobFile) -> list[str]:
     _, record = hdf5.read_record(job.output)
     before = yaml_text.parse(record.job_text, "the job of the result", job.folder)
-    return meaning.changed_settings(before, yaml_text.parse(job.text, str(job.file), job.folder))
+    return fingerprint.changed_settings(before, yaml_text.parse(job.text, str(job.file), job.folder))
 
 
 def _unseen(job: JobFile) -> str:
     """Return what changed where the text of a job states all values as before."""
-    names = [one.name for one in job.packages]
+    names = [package.name for package in job.packages]
     return f"the package {names[0]}, whose effects the job uses, changed" if names else "the job file changed"
 
 
@@ -127,9 +127,9 @@ def refuse_lost(steps: Sequence[Step]) -> None:
         label = _label(step.job)[0] if step.job.inputs or step.job.own.files else None
         if label is None:
             continue
-        paths = [one.path for one in label.inputs if absolute(step.job.folder / one.path) not in made]
+        paths = [file.path for file in label.inputs if absolute(step.job.folder / file.path) not in made]
         lost = [path for path in paths if not (step.job.folder / path).is_file()]
-        if lost and label.meaning != meaning.of_job(step.job):
+        if lost and label.meaning != fingerprint.of_job(step.job):
             lost = [path for path in lost if _still_named(step.job, path)]
         hint = "restore it, or run without it by --force"
         faults += [
@@ -141,8 +141,10 @@ def refuse_lost(steps: Sequence[Step]) -> None:
 
 def _still_named(job: JobFile, path: str) -> bool:
     """Return whether a pattern of a job would match a file, given from the folder of the job."""
-    patterns = (one for item in job.inputs for one in item.patterns)
-    places = ((os.path.abspath(job.folder / path) if one.is_absolute() else path, str(one)) for one in patterns)
+    patterns = (pattern for item in job.inputs for pattern in item.patterns)
+    places = (
+        (os.path.abspath(job.folder / path) if pattern.is_absolute() else path, str(pattern)) for pattern in patterns
+    )
     return any(fnmatchcase(place, pattern.replace("**/", "*")) for place, pattern in places)
 
 

@@ -28,7 +28,7 @@ class ProjectFile:
 
     jobs: tuple[str, ...] = setting(ListOf(Text(), distinct=True), "job files, relative to this file")
     project: str = setting(Text(), "name of the project", default="")
-    effects_from: Node | None = setting(FileBeside(), "file with effects of one's own, for all its jobs", default=None)
+    effects_from: Node | None = setting(FileBeside(), "file with user-defined effects, for all its jobs", default=None)
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def load_project(place: Path, accept_doubtful: bool = False) -> tuple[Step, ...]
     if project is BAD:
         raise InputError(faults)
     listed = [one for node in root.at("jobs").items for one in _one_or_many(node, files, faults)]
-    made = {absolute(output) for one in listed if (output := _peek_output(one)) is not None}
+    made = {absolute(output) for job in listed if (output := _peek_output(job)) is not None}
     jobs: dict[str, JobFile] = {}
     for one in listed:
         wishes = Wishes(made=made, accept_doubtful=accept_doubtful, part=one.part, files=files)
@@ -119,27 +119,27 @@ def _one_or_many(node: Node, files: YamlFiles, faults: list[Fault]) -> list[_Lis
     return [_Listed(node, root, part) for part in parts] or [_Listed(node, root)]
 
 
-def _peek_output(one: _Listed) -> Path | None:
+def _peek_output(job: _Listed) -> Path | None:
     """Return the output of a job, None if it has faults (they are reported when it is loaded)."""
-    if one.root is None:
+    if job.root is None:
         return None
-    output = one.root.get("output")
+    output = job.root.get("output")
     if output is None:
-        stem = one.path.stem
-        return one.path.parent / "results" / f"{stem}.h5"
+        stem = job.path.stem
+        return job.path.parent / "results" / f"{stem}.h5"
     try:
-        alone = replace(one.root, entries=((output, output),))
-        return path_beside(bound(alone, one.part).entries[0][1] if one.part else output)
+        alone = replace(job.root, entries=((output, output),))
+        return path_beside(bound(alone, job.part).entries[0][1] if job.part else output)
     except InputError:
         return None
 
 
-def _load_one(one: _Listed, wishes: Wishes, jobs: dict[str, JobFile], faults: list[Fault]) -> None:
-    if not one.path.is_file():
-        faults.append(one.node.fault(f"no such job file: {one.path}"))
+def _load_one(job: _Listed, wishes: Wishes, jobs: dict[str, JobFile], faults: list[Fault]) -> None:
+    if not job.path.is_file():
+        faults.append(job.node.fault(f"no such job file: {job.path}"))
         return
     try:
-        jobs[one.name] = load(one.path, wishes)
+        jobs[job.name] = load(job.path, wishes)
     except InputError as error:
         faults.extend(fault for fault in error.faults if fault not in faults[-MOST_FAULTS:])
 
@@ -170,12 +170,12 @@ def _ordered(listed: Sequence[_Listed], needs: Mapping[str, tuple[str, ...]]) ->
 
     Raises InputError if jobs need each other in a circle.
     """
-    place = {one.name: number for number, one in enumerate(listed) if one.name in needs}
+    place = {job.name: number for number, job in enumerate(listed) if job.name in needs}
     unmet = {name: set(before) for name, before in needs.items()}
     users: dict[str, list[str]] = {}
     for name, before in needs.items():
-        for one in before:
-            users.setdefault(one, []).append(name)
+        for job in before:
+            users.setdefault(job, []).append(name)
     ready = [(place[name], name) for name, before in unmet.items() if not before]
     heapq.heapify(ready)
     ordered: list[str] = []
@@ -188,7 +188,7 @@ def _ordered(listed: Sequence[_Listed], needs: Mapping[str, tuple[str, ...]]) ->
                 heapq.heappush(ready, (place[user], user))
     if len(ordered) < len(place):
         chain = _cycle(next(name for name in place if unmet[name]), needs, set(ordered))
-        at = next(one for one in listed if one.name == chain[0])
+        at = next(job for job in listed if job.name == chain[0])
         raise InputError([at.node.fault(f"these jobs need each other's results: {' <- '.join(chain)}")])
     return ordered
 
@@ -223,13 +223,13 @@ def selected(steps: Sequence[Step], only: Sequence[str], start: str | None) -> t
 
 def _named(steps: Sequence[Step], name: str) -> set[str]:
     place = absolute(Path(name))
-    found = {
+    names = {
         step.name
         for step in steps
         if name in (step.name, step.name.partition("[")[0])
         or place in (absolute(step.job.file), absolute(step.job.output))
     }
-    if not found:
+    if not names:
         hint = suggestion(name, [step.name for step in steps[:100]])
         raise UsageError(f"the project has no job '{name}'; {hint}")
-    return found
+    return names

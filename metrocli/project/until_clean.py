@@ -82,9 +82,9 @@ def until_clean(
     while True:
         gained = replace(
             last,
-            findings=tuple(one for one in last.findings if one.gain.shown),
-            scatters=tuple(one for one in last.scatters if one.gain.shown),
-            laws=tuple(one for one in last.laws if one.chosen and one.gain.shown),
+            findings=tuple(finding for finding in last.findings if finding.gain.shown),
+            scatters=tuple(scatter for scatter in last.scatters if scatter.gain.shown),
+            laws=tuple(law for law in last.laws if law.chosen and law.gain.shown),
         )
         end = _end(last, gained, len(extensions) == most)
         if end is not None:
@@ -93,7 +93,7 @@ def until_clean(
         number = len(extensions) + 1
         path = job.file.with_name(f"{job.file.stem}.step{number}.yaml")
         result = job.output.with_name(f"{job.output.stem}.step{number}.h5")
-        simpler = tuple(one for one in last.laws if one.gain.shown) if gained.laws else ()
+        simpler = tuple(law for law in last.laws if law.gain.shown) if gained.laws else ()
         extended = write_extended(current, replace(gained, laws=simpler), path, force, result)
         # the laws with which the job cannot be adjusted are none
         law = None if extended is None else extended.law
@@ -129,7 +129,7 @@ def _adds(gained: Diagnosis) -> bool:
 def _extension(path: Path, done: Done, gained: Diagnosis) -> Extension:
     names, levels, gains = zip(*_parts(gained), strict=True)
     before, after = max(gain.before for gain in gains), min(gain.after for gain in gains)
-    shifts = [one.shift for one in gained.findings] + [one.shift for one in gained.scatters]
+    shifts = [finding.shift for finding in gained.findings] + [scatter.shift for scatter in gained.scatters]
     return Extension(path, done, names, max(levels), before, after, max(shifts, default=None))
 
 
@@ -145,8 +145,8 @@ def _parts(gained: Diagnosis) -> Iterator[tuple[str, float, Gain]]:
     """Yield what is added: in words, with its level and its gain."""
     for finding in gained.findings:
         yield str(finding.effect.alternative), float(np.exp(finding.effect.log_level)), finding.gain
-    for one in gained.scatters:
-        yield f"{one.effect.name} everywhere", float(np.exp(one.log_level)), one.gain
+    for scatter in gained.scatters:
+        yield f"{scatter.effect.name} everywhere", float(np.exp(scatter.log_level)), scatter.gain
     for law in gained.laws:
         place = " ".join(name for _, name in law.terms[0].spot.where)
         yield f"law {'; '.join(written(law).adds.values())} {place}".strip(), law.p_value, law.gain

@@ -76,9 +76,9 @@ def parse(text: str, file: str, folder: Path, repeated: list[Fault] | None = Non
     then be reported together with the faults of the content.
     """
     source = Source(file, tuple(text.splitlines()), folder)
-    found = _CONTROL.search(text)
-    if found is not None:
-        control = found.start()
+    match = _CONTROL.search(text)
+    if match is not None:
+        control = match.start()
         line = text.count("\n", 0, control) + 1
         column = control - text.rfind("\n", 0, control)
         raise InputError([Fault("the file holds a control character; it is not a text file", file, line, column)])
@@ -255,7 +255,7 @@ def _word(node: Node) -> str:
         return "{}" if node.kind == "mapping" else "[]"
     if not node.quoted and not _NOT_PLAIN.match(node.text):
         return node.text
-    return _ESCAPED.sub(lambda found: f"\\u{ord(found[0]):04x}", json.dumps(node.text, ensure_ascii=False))
+    return _ESCAPED.sub(lambda match: f"\\u{ord(match[0]):04x}", json.dumps(node.text, ensure_ascii=False))
 
 
 @dataclass(frozen=True)
@@ -288,7 +288,7 @@ class YamlFiles:
 
     def root(self, path: Path) -> Node:
         """Return the root of a file; raises InputError also for repeated keys."""
-        found = self.read(path)
-        if found.repeated:
-            raise InputError(found.repeated)
-        return found.root
+        root = self.read(path)
+        if root.repeated:
+            raise InputError(root.repeated)
+        return root.root

@@ -38,7 +38,9 @@ def row_of(result: Result, estimate: Estimate, text: str = "") -> tuple[str, str
         _, unit = units.readable(spread, estimate.dimension)
         size = units.find_unit(unit, estimate.dimension).inside(1.0)
     elif estimate.unit == "rad":
-        size, unit = units.column_unit(max(abs(one.value) for one in result.estimates if one.unit == "rad"), "rad")
+        size, unit = units.column_unit(
+            max(abs(estimate.value) for estimate in result.estimates if estimate.unit == "rad"), "rad"
+        )
     elif unit and not estimate.dimension:
         size, unit = compound_unit(estimate, text)
     value, uncertainty = units.rounded(estimate.value / size, spread / size)
@@ -75,7 +77,7 @@ def verdict(content: Content) -> tuple[str, str]:
         return BAD, "Doubtful: do not use this result."
     if record.status not in USABLE:
         return BAD, "The result does not meet its requirements."
-    out = [one.name for one in record.verdicts if one.decision == FAIL]
+    out = [decision.name for decision in record.verdicts if decision.decision == FAIL]
     if out:
         return BAD, f"Fail: {listed(out)} {'is' if len(out) == 1 else 'are'} out of tolerance."
     held = content.diagnosis
@@ -85,7 +87,7 @@ def verdict(content: Content) -> tuple[str, str]:
     limits = _limits(data)
     if limits:
         return WARNED, f"Done, but {limits}."
-    near = [one.name for one in record.verdicts if one.decision == GUARD_BAND]
+    near = [decision.name for decision in record.verdicts if decision.decision == GUARD_BAND]
     if near:
         return WARNED, f"Done; neither conformity nor non-conformity is shown, in the guard band: {listed(near)}."
     count, done = len(content.result.warnings), "Pass: all tolerances are met" if record.conformity else "Done"
@@ -96,27 +98,27 @@ def verdict(content: Content) -> tuple[str, str]:
 
 def worst(result: Result) -> Iterator[str]:
     """Yield the worst reading, and the places with the largest deviation and the largest uncertainty."""
-    sets = [one for one in residuals_of(result) if one.checked.any()]
+    sets = [residual for residual in residuals_of(result) if residual.checked.any()]
     if sets:
-        sizes = [np.nan_to_num(np.abs(one.w)) for one in sets]
+        sizes = [np.nan_to_num(np.abs(residuals.w)) for residuals in sets]
         which = max(range(len(sets)), key=lambda k: sizes[k].max())
-        w, bound = float(sizes[which].max()), largest_of(sum(int(one.checked.sum()) for one in sets))
+        w, bound = float(sizes[which].max()), largest_of(sum(int(residuals.checked.sum()) for residuals in sets))
         alike = [sets[which].name(int(row)) for row in np.flatnonzero(sizes[which] >= (1 - _EQUAL) * w)]
         several, each = ("s", " each, so none can be singled out") if len(alike) > 1 else ("", "")
         chance = "more than noise reaches in 5 % of measurements" if w > bound else "as noise may be"
         size = f"|w| = {w:.2f} standard deviations{each}"
         yield f"Reading{several} {listed(alike, 4)}: {size}; {chance} (bound {bound:.2f})."
-    for one in places_of(result):
-        if one.vectors is not None:
-            sizes_of = np.linalg.norm(one.vectors, axis=1)
+    for place in places_of(result):
+        if place.vectors is not None:
+            sizes_of = np.linalg.norm(place.vectors, axis=1)
             k = int(np.argmax(sizes_of))
-            yield f"Largest {one.vector_name}: {length_in_words(float(sizes_of[k]))} at {one.names[k]}."
-        if one.covariance is not None and len(one.at) > 1:
-            spread = np.sqrt(np.trace(one.covariance, axis1=1, axis2=2))
+            yield f"Largest {place.vector_name}: {length_in_words(float(sizes_of[k]))} at {place.names[k]}."
+        if place.covariance is not None and len(place.at) > 1:
+            spread = np.sqrt(np.trace(place.covariance, axis1=1, axis2=2))
             known = np.where(np.isfinite(spread), spread, -1.0)
             k = int(np.argmax(known))
             size = length_in_words(K * float(known[k]))
-            yield f"Least known of the {one.kind}: {one.names[k]}, {size} in space (k = 2)."
+            yield f"Least known of the {place.kind}: {place.names[k]}, {size} in space (k = 2)."
     yield from _largest_shares(result)
     stock = overstock.data(result)
     if stock is not None:
@@ -127,10 +129,10 @@ def worst(result: Result) -> Iterator[str]:
 
 def _largest_shares(result: Result) -> Iterator[str]:
     """Yield the place of a volume that is known least, and the largest contributor to each of the first measurands."""
-    found = volume_map.data(result, volume_map.UNCERTAINTY) if "map" in result.tables else None
-    if found is not None:
-        x, y, z = found.largest_at
-        size = length_in_words(K * found.largest)
+    volume = volume_map.data(result, volume_map.UNCERTAINTY) if "map" in result.tables else None
+    if volume is not None:
+        x, y, z = volume.largest_at
+        size = length_in_words(K * volume.largest)
         yield f"Least known of the volume: ({x:g}, {y:g}, {z:g}) mm, {size} in space (k = 2)."
     for chart in (budget.data(result, "") or ())[:_MEASURANDS]:
         yield f"Largest contributor to {chart.measurand}: {chart.names[0]}, {chart.shares[0]:.0f} % of the variance."
@@ -224,7 +226,7 @@ def _effect(effect: Mapping[str, Any]) -> str:
     sizes = sizes_in_words(effect.get("parameters", {}))
     shift = (effect.get("gain") or {}).get("result_shift") or {}
     changes = micro(f"changes the result by {two_digits(shift['value'])} {shift['unit']}") if shift.get("value") else ""
-    rivals = [_named(one) for one in effect.get("alternatives", ())]
+    rivals = [_named(alternative) for alternative in effect.get("alternatives", ())]
     instead = f"or instead {listed(rivals, _SHOWN)}" if rivals else ""
     return f"{_named(effect)}: {'; '.join(filter(None, [sizes, changes, instead]))}"
 
@@ -251,11 +253,13 @@ def _left(data: Mapping[str, Any]) -> Iterator[str]:
         size = left.get("size") or {}
         much = micro(f", {two_digits(size['value'])} {size['unit']} (root mean square)") if size.get("value") else ""
         yield f"Structure left: varies with {in_a_row(left['depends_on'])}{where}{much}"
-    for one in data.get("processes", ()):
-        each = f" of each {one['of_each']} by itself" if one.get("of_each") else ""
-        size = micro(f"{two_digits(one['std']['value'])} {one['std']['unit']}")
-        counts = "is in the uncertainties here" if one.get("in_uncertainties") else "is not in the uncertainties here"
+    for process in data.get("processes", ()):
+        each = f" of each {process['of_each']} by itself" if process.get("of_each") else ""
+        size = micro(f"{two_digits(process['std']['value'])} {process['std']['unit']}")
+        counts = (
+            "is in the uncertainties here" if process.get("in_uncertainties") else "is not in the uncertainties here"
+        )
         counted = f"{size} (standard deviation); counts as noise, and {counts}"
-        yield f"Error that varies smoothly with {one['depends_on']}{each}: {counted}"
+        yield f"Error that varies smoothly with {process['depends_on']}{each}: {counted}"
     if noise.get("as_declared") is False:
         yield f"Noise: {noise['ratio']:.2g} times what was declared, for which the uncertainties here are"

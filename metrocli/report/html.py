@@ -48,9 +48,11 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "",
     """Return a table that scrolls on its own where it is wide; columns in `numbers` are aligned to the right."""
 
     def cells(kind: str, row: Sequence[str]) -> Html:
-        return joined(tag(kind, one, class_="n" if k in numbers else "") for k, one in enumerate(row))
+        return joined(tag(kind, cell, class_="n" if k in numbers else "") for k, cell in enumerate(row))
 
-    headings = joined(tag("th", one, scope="col", class_="n" if k in numbers else "") for k, one in enumerate(head))
+    headings = joined(
+        tag("th", heading, scope="col", class_="n" if k in numbers else "") for k, heading in enumerate(head)
+    )
     body = joined(tag("tr", cells("td", row)) for row in rows)
     above = tag("caption", caption) if caption else EMPTY
     whole = tag("table", above, tag("thead", tag("tr", headings)), tag("tbody", body))
@@ -76,8 +78,8 @@ def marked(text: str) -> Html:
 
 def listed(items: Iterable[str]) -> Html:
     """Return items as a list, nothing without any; what is between backticks in them is code."""
-    found = joined(tag("li", marked(one)) for one in items)
-    return tag("ul", found) if found else EMPTY
+    entries = joined(tag("li", marked(entry)) for entry in items)
+    return tag("ul", entries) if entries else EMPTY
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ class Content:
 
 
 def stated(result: Result, record: Record) -> str:
-    """Return the text of the job and the definitions of effects of one's own: where the user states units."""
+    """Return the text of the job and the definitions of user-defined effects: where the user states units."""
     defined = (table.texts("define") for name, table in result.tables.items() if name.endswith("/definition"))
     return "\n".join([record.job_text, *(text for texts in defined for text in texts)])
 
@@ -121,5 +123,5 @@ def compound_unit(estimate: Estimate, text: str) -> tuple[float, str]:
         return 1.0, estimate.unit
     from metrocli.expressions.dimensions import written
 
-    found = written(text, estimate.unit, estimate.name.rpartition(".")[2])
-    return (1.0, estimate.unit) if found is None else (found.factor, found.text)
+    unit = written(text, estimate.unit, estimate.name.rpartition(".")[2])
+    return (1.0, estimate.unit) if unit is None else (unit.factor, unit.text)

@@ -66,11 +66,11 @@ def _figure(name: str, data: Any) -> Html:
 
 def control_charts(name: str, table: Table) -> Html:
     """Return the control charts of a job with many parts from their gathered table; nothing for few parts."""
-    found = control_chart.series_of(table)
-    if not found:
+    series = control_chart.series_of(table)
+    if not series:
         return EMPTY
-    with style.canvas(name, control_chart.height(found), style.LIGHT) as canvas:
-        caption = control_chart.draw(canvas, found)
+    with style.canvas(name, control_chart.height(series), style.LIGHT) as canvas:
+        caption = control_chart.draw(canvas, series)
         style.arrange(canvas)
         text = style.svg(canvas)
         title = f"Control charts of {name}"
@@ -82,15 +82,15 @@ def control_charts(name: str, table: Table) -> Html:
 
 def inline(text: str, name: str, label: str) -> Html:
     """Return an SVG for the inside of a page: names made distinct, colours by their role, as wide as there is room."""
-    found = text[text.index("<svg") :]
-    found = re.sub(r"<metadata>.*?</metadata>", "", found, flags=re.DOTALL)
-    found = _ID.sub(rf"\g<1>{_PLAIN.sub('-', name)}-", found)
+    svg = text[text.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = _ID.sub(rf"\g<1>{_PLAIN.sub('-', name)}-", svg)
     for role, colour in roles(style.LIGHT).items():
-        found = found.replace(colour, variable(role))
-    size = re.search(r'viewBox="[^"]*"', found)
+        svg = svg.replace(colour, variable(role))
+    size = re.search(r'viewBox="[^"]*"', svg)
     title = tag("title", label)
     opened = f'<svg {size[0] if size else ""} role="img" xmlns:xlink="http://www.w3.org/1999/xlink">{title}'
-    return Html(re.sub(r"<svg.*?>", lambda _: opened, found, count=1, flags=re.DOTALL))
+    return Html(re.sub(r"<svg.*?>", lambda _: opened, svg, count=1, flags=re.DOTALL))
 
 
 def _dark(name: str, data: Any) -> bytes:
@@ -116,17 +116,17 @@ def _turning(scene: Scene) -> dict[str, Any]:
     """Return the data of a view that turns: places from their middle, vectors and ellipsoids in true size."""
     at = scene.all_at
     middle = (at.min(axis=0) + at.max(axis=0)) / 2
-    tips = [one.at + scene.vectors * one.vectors for one in scene.places if one.vectors is not None]
+    tips = [place.at + scene.vectors * place.vectors for place in scene.places if place.vectors is not None]
     reach = float(np.linalg.norm(np.concatenate([at, *tips]) - middle, axis=1).max())
     kinds = []
-    for one in scene.places:
-        kind: dict[str, Any] = {"kind": one.kind, "at": _rounded(one.at - middle)}
-        if len(one.names) <= _NAMED:
-            kind["names"] = [shortened(name, style.LETTERS) for name in one.names]
-        if one.vectors is not None:
-            kind["vectors"] = _rounded(one.vectors)
-        if one.covariance is not None and np.isfinite(one.covariance).all():
-            kind["covariance"] = _rounded(4 * one.covariance)
+    for place in scene.places:
+        kind: dict[str, Any] = {"kind": place.kind, "at": _rounded(place.at - middle)}
+        if len(place.names) <= _NAMED:
+            kind["names"] = [shortened(name, style.LETTERS) for name in place.names]
+        if place.vectors is not None:
+            kind["vectors"] = _rounded(place.vectors)
+        if place.covariance is not None and np.isfinite(place.covariance).all():
+            kind["covariance"] = _rounded(4 * place.covariance)
         kinds.append(kind)
     return {
         "turn": float(TURN), "tilt": float(TILT), "size": 2 * reach or 1.0, "kinds": kinds,
@@ -147,5 +147,5 @@ def _as_json(value: Any) -> Html:
 
 def shown(result: Result, path: str, beside: Beside = ALONE) -> tuple[Html, bool]:
     """Return all figures of a result in the file `path`, and whether one of them turns."""
-    found = list(figures(result, path, beside))
-    return joined(content for _, content in found), any(name == "scene" for name, _ in found)
+    drawn = list(figures(result, path, beside))
+    return joined(content for _, content in drawn), any(name == "scene" for name, _ in drawn)

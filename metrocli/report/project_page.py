@@ -44,17 +44,19 @@ class Entry:
 
 def project_page(name: str, entries: Sequence[Entry], charts: Sequence[Html] = ()) -> str:
     """Return the page of a project as HTML, with control charts of its jobs that have many parts."""
-    stale = [one for one in entries if one.stale]
-    bad = [one for one in entries if not one.stale and one.status not in USABLE]
-    out = [one for one in entries if not one.stale and one.conformity in (FAIL, GUARD_BAND)]
-    complete = [one for one in entries if not one.stale and one.status in USABLE]
-    lacking = [one for one in complete if one.verdict not in ("", "clean")]
+    stale = [entry for entry in entries if entry.stale]
+    bad = [entry for entry in entries if not entry.stale and entry.status not in USABLE]
+    out = [entry for entry in entries if not entry.stale and entry.conformity in (FAIL, GUARD_BAND)]
+    complete = [entry for entry in entries if not entry.stale and entry.status in USABLE]
+    lacking = [entry for entry in complete if entry.verdict not in ("", "clean")]
     words = "All results are up to date and done."
     if stale or bad or lacking or out:
         counts = (stale, _STALE), (bad, _UNFIT), (out, _IN_TOLERANCE), (lacking, _LACKING)
         words = " ".join(_count(some, len(entries), what) for some, what in counts if some)
-    head = ["job", "state", "kind", "title", *(["needs"] if any(one.needs for one in entries) else [])]
-    rows = [(_link(one), _state(one), one.kind, one.title, ", ".join(one.needs))[: len(head)] for one in entries]
+    head = ["job", "state", "kind", "title", *(["needs"] if any(entry.needs for entry in entries) else [])]
+    rows = [
+        (_link(entry), _state(entry), entry.kind, entry.title, ", ".join(entry.needs))[: len(head)] for entry in entries
+    ]
     parts = [
         tag("p", "metrocli project", class_="muted"),
         tag("h1", name),
@@ -77,45 +79,50 @@ def _count(some: Sequence[Entry], of: int, what: str) -> str:
     return f"{len(some)} of {of} results {'is' if len(some) == 1 else 'are'} not {what}."
 
 
-def _link(one: Entry) -> Html:
-    return tag("a", one.name, href=one.page) if one.page else joined([one.name])
+def _link(entry: Entry) -> Html:
+    return tag("a", entry.name, href=entry.page) if entry.page else joined([entry.name])
 
 
-def _state(one: Entry) -> Html:
-    if one.stale:
-        return tag("span", f"not up to date: {one.stale}", class_="stale")
-    diagnosed = f"; diagnosis: {one.verdict}" if one.verdict else ""
-    decided = f", {one.conformity}" if one.conformity not in ("", one.status) else ""
-    return tag("span", f"up to date, {one.status}{decided}{diagnosed}", class_="" if one.fit else "stale")
+def _state(entry: Entry) -> Html:
+    if entry.stale:
+        return tag("span", f"not up to date: {entry.stale}", class_="stale")
+    diagnosed = f"; diagnosis: {entry.verdict}" if entry.verdict else ""
+    decided = f", {entry.conformity}" if entry.conformity not in ("", entry.status) else ""
+    return tag("span", f"up to date, {entry.status}{decided}{diagnosed}", class_="" if entry.fit else "stale")
 
 
 def ranks(entries: Sequence[Entry]) -> dict[str, int]:
     """Return for each job the number of jobs before it on its longest way from the measurements."""
-    found: dict[str, int] = {}
-    for one in entries:  # in the order in which they run
-        found[one.name] = 1 + max((found[name] for name in one.needs), default=0)
-    return found
+    rank: dict[str, int] = {}
+    for entry in entries:  # in the order in which they run
+        rank[entry.name] = 1 + max((rank[name] for name in entry.needs), default=0)
+    return rank
 
 
 def _lineage(entries: Sequence[Entry]) -> Html:
     """Return the graph of files and jobs, from left to right, and the same as a list."""
     rank = ranks(entries)
-    files = list(dict.fromkeys(path for one in entries for path in one.inputs))
+    files = list(dict.fromkeys(path for entry in entries for path in entry.inputs))
     columns = [
         files,
-        *([one.name for one in entries if rank[one.name] == n] for n in range(1, max(rank.values(), default=0) + 1)),
+        *(
+            [entry.name for entry in entries if rank[entry.name] == n]
+            for n in range(1, max(rank.values(), default=0) + 1)
+        ),
     ]
     place = {name: (column, row) for column, names in enumerate(columns) for row, name in enumerate(names)}
     boxes = [
         _box(name, *place[name], one) for name, one in [(path, None) for path in files] + [(e.name, e) for e in entries]
     ]
-    lines = [_line(place[source], place[one.name]) for one in entries for source in (*one.inputs, *one.needs)]
+    lines = [_line(place[source], place[entry.name]) for entry in entries for source in (*entry.inputs, *entry.needs)]
     wide = len(columns) * (_WIDE + _GAP) - _GAP + 2
     high = max(map(len, columns), default=1) * _HIGH
     size = f"0 0 {wide} {high}"
     title = tag("title", "Files and jobs; the list below has the same")
     drawn = tag("svg", title, *lines, *boxes, viewBox=size, role="img", style=f"min-width:{_LEAST * wide:.0f}px")
-    items = [tag("li", f"{one.name} takes {', '.join((*one.needs, *one.inputs)) or 'no file'}") for one in entries]
+    items = [
+        tag("li", f"{entry.name} takes {', '.join((*entry.needs, *entry.inputs)) or 'no file'}") for entry in entries
+    ]
     return joined([tag("figure", scrolling(drawn), style=f"max-width:{wide}px"), tag("ul", *items)])
 
 

@@ -60,11 +60,11 @@ def _estimates(content: Content) -> Html:
     result = content.stated or content.result
     if not result.estimates:
         return EMPTY
-    estimates = sorted(result.estimates, key=lambda one: not _of_effect(result, one))
-    factors = [f"{result.expanded(one)[1]:.3g}" for one in estimates]
+    estimates = sorted(result.estimates, key=lambda estimate: not _of_effect(result, estimate))
+    factors = [f"{result.expanded(estimate)[1]:.3g}" for estimate in estimates]
     text = stated(result, content.record)
     head: tuple[str, ...] = ("estimate", "value", f"U (k = {factors[0]})", "unit")
-    rows: list[tuple[str, ...]] = [row_of(result, one, text) for one in estimates]
+    rows: list[tuple[str, ...]] = [row_of(result, estimate, text) for estimate in estimates]
     if len(set(factors)) > 1:
         head = ("estimate", "value", "U", "unit", "k")
         rows = [(*row, k) for row, k in zip(rows, factors, strict=True)]
@@ -87,7 +87,7 @@ def _of_effect(result: Result, estimate: Estimate) -> bool:
 
 def _facts(content: Content) -> Html:
     bad = list(worst(content.result)) or ["This result has no readings or places to compare."]
-    required = [str(one) for one in content.record.verdicts] or ["No acceptance criterion in the job."]
+    required = [str(decision) for decision in content.record.verdicts] or ["No acceptance criterion in the job."]
     columns = (("Worst", bad), ("Diagnosis", list(diagnosed(content))), ("Acceptance", required))
     return joined(part for name, lines in columns for part in (tag("h2", name), listed(lines)))
 
@@ -132,7 +132,7 @@ def _number(value: object) -> str:
 
 def _provenance(content: Content) -> Html:
     record = content.record
-    files = [(one.path, f"{one.bytes}", one.sha256) for one in record.inputs]
+    files = [(file.path, f"{file.bytes}", file.sha256) for file in record.inputs]
     made = f"{content.path}, made {record.created} by metrocli {record.metrocli_version}."
     return joined(
         [
@@ -150,7 +150,7 @@ def _provenance(content: Content) -> Html:
 
 def _traceability(content: Content) -> Iterator[str]:
     """Yield what the result rests on, what the measurement does not control, and what its uncertainties are of."""
-    files = [one.path for one in content.record.inputs]
+    files = [file.path for file in content.record.inputs]
     if files:
         digests = "digest is" if len(files) == 1 else "digests are"
         yield f"The result rests on {listed_words(files)}, whose {digests} below."

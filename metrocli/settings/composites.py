@@ -126,9 +126,9 @@ class Either:
     def _telling(self, node: Node, shaped: Sequence[Spec], attempts: Sequence[list[Fault]]) -> list[Fault]:
         """Return the faults of the alternative probably meant: text that begins like a number is a quantity."""
         numeric = node.kind == "scalar" and node.text[:1] in set("+-.0123456789")
-        for spec, found in zip(shaped, attempts, strict=True):
+        for spec, attempt in zip(shaped, attempts, strict=True):
             if len(shaped) == 1 or (numeric and isinstance(spec, Quantity | Number | Whole)):
-                return found
+                return attempt
         return [node.fault(f"{node.path}: {described(node)}", f"expected {self.expects}")]
 
     def schema(self) -> Schema:

@@ -65,12 +65,12 @@ def settings_of(section: type) -> Mapping[str, tuple[Setting, bool]]:
 
 @cache
 def _settings_of(section: type) -> Mapping[str, tuple[Setting, bool]]:
-    found = {}
+    values = {}
     for item in dataclasses.fields(section):
         spec, description, key = item.metadata["setting"]
         required = item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING
-        found[item.name] = (Setting(spec, description, key or item.name), required)
-    return found
+        values[item.name] = (Setting(spec, description, key or item.name), required)
+    return values
 
 
 @dataclass(frozen=True)
@@ -145,9 +145,9 @@ def _checked(value: Any, node: Node, faults: list[Fault]) -> Any:
     """
     check = getattr(value, "faults", None)
     said = list(check()) if check else []
-    found = [item if isinstance(item, Fault) else node.at(item[0]).fault(*item[1:]) for item in said]
-    faults.extend(found)
-    return BAD if found else value
+    listed = [item if isinstance(item, Fault) else node.at(item[0]).fault(*item[1:]) for item in said]
+    faults.extend(listed)
+    return BAD if listed else value
 
 
 def sections_schema(sections: Sequence[type]) -> Schema:

@@ -48,8 +48,8 @@ class Spec(Protocol):
 
 
 def refuse(spec: Spec, node: Node, faults: list[Fault], reason: str = "", hint: str | None = None) -> Any:
-    found = reason or described(node)
-    faults.append(node.fault(f"{node.path}: {found}", hint or f"expected {spec.expects}"))
+    text = reason or described(node)
+    faults.append(node.fault(f"{node.path}: {text}", hint or f"expected {spec.expects}"))
     return BAD
 
 

@@ -33,31 +33,31 @@ def eight_bit(picture: Picture) -> npt.NDArray[np.uint8]:
 def ellipses(picture: Picture, polarity: str) -> list[Ellipse]:
     """Return the ellipse-like blobs of a polarity (dark, bright, either), each once, as starts for `ellipses.fit`."""
     grey = eight_bit(picture)
-    found: list[Ellipse] = []
+    candidates: list[Ellipse] = []
     for wanted in ("dark", "bright") if polarity == "either" else (polarity,):
         turned = grey if wanted == "bright" else 255 - grey
         for mask in _masks(np.asarray(turned, np.uint8)):
-            found += _in_mask(mask)
-    return _distinct(found)
+            candidates += _in_mask(mask)
+    return _distinct(candidates)
 
 
-def clearest(picture: Picture, found: list[Ellipse], most: int) -> list[Ellipse]:
+def clearest(picture: Picture, candidates: list[Ellipse], most: int) -> list[Ellipse]:
     """Return at most so many of the ellipses, in their order: those with the largest product of contrast and size.
 
     Contrast is that of the centre pixel against eight pixels around the ellipse.
     """
-    if len(found) <= most:
-        return found
+    if len(candidates) <= most:
+        return candidates
     height, width = picture.shape
     angle = np.arange(8) * (np.pi / 4)
-    u, v, long, short = np.array([(one.u, one.v, one.long, one.short) for one in found]).T
+    u, v, long, short = np.array([(ellipse.u, ellipse.v, ellipse.long, ellipse.short) for ellipse in candidates]).T
     away = 1.5 * long[:, None] + 1
     around_u = np.clip(np.rint(u[:, None] + away * np.cos(angle)), 0, width - 1).astype(int)
     around_v = np.clip(np.rint(v[:, None] + away * np.sin(angle)), 0, height - 1).astype(int)
     inner = picture[np.rint(v).astype(int), np.rint(u).astype(int)].astype(float)
     contrast = np.abs(inner - picture[around_v, around_u].mean(axis=1))
     kept = np.sort(np.argsort(-contrast * short, kind="stable")[:most])
-    return [found[row] for row in kept]
+    return [candidates[row] for row in kept]
 
 
 def _masks(grey: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.uint8]]:
@@ -75,7 +75,7 @@ def _in_mask(mask: npt.NDArray[np.uint8]) -> list[Ellipse]:
     """Return the ellipses among the contours whose centre pixel is set; holes and rings of the mask are left out."""
     contours = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]
     height, width = mask.shape
-    found = []
+    candidates = []
     for contour in contours:
         if len(contour) < 6:
             continue
@@ -84,8 +84,8 @@ def _in_mask(mask: npt.NDArray[np.uint8]) -> list[Ellipse]:
             continue
         u, v = round(ellipse.u), round(ellipse.v)
         if 0 <= u < width and 0 <= v < height and mask[v, u]:
-            found.append(ellipse)
-    return found
+            candidates.append(ellipse)
+    return candidates
 
 
 def _of_contour(contour: npt.NDArray[np.int32]) -> Ellipse | None:
@@ -107,11 +107,11 @@ def _of_contour(contour: npt.NDArray[np.int32]) -> Ellipse | None:
     return Ellipse(m["m10"] / area, m["m01"] / area, float(long) + 0.5, float(short) + 0.5, float(angle))
 
 
-def _distinct(found: list[Ellipse]) -> list[Ellipse]:
+def _distinct(candidates: list[Ellipse]) -> list[Ellipse]:
     """Return one ellipse of each group with nearly the same centre and size: several masks show the same blob."""
     cells: dict[tuple[int, int], list[Ellipse]] = {}
     kept = []
-    for ellipse in found:
+    for ellipse in candidates:
         cell = int(ellipse.u // 2), int(ellipse.v // 2)
         around = (
             other for du in (-1, 0, 1) for dv in (-1, 0, 1) for other in cells.get((cell[0] + du, cell[1] + dv), ())

@@ -57,12 +57,12 @@ def _other_board(pattern: Pattern, seen: Picture, markers: int) -> str:
 
     Where markers are found, their layout is another one; else they are of another dictionary.
     """
-    found = 0
+    count = 0
     for other, write in _layouts(pattern) if markers >= FEWEST else _dictionaries(pattern):
         ids = cv2.aruco.CharucoDetector(_board(other)).detectBoard(seen)[1]
-        found = 0 if ids is None else len(ids)
-        if found >= FEWEST:
-            return f"with `{write}` there are {found}"
+        count = 0 if ids is None else len(ids)
+        if count >= FEWEST:
+            return f"with `{write}` there are {count}"
     hint = "check columns, rows and dictionary" if markers else "check the dictionary, or is there no board?"
     return f"{markers} markers of {pattern.dictionary} are found: {hint}"
 

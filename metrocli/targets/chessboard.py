@@ -73,9 +73,9 @@ def _coarse(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
     if factor > 1:
         size = (grey.shape[1] // factor, grey.shape[0] // factor)
         smaller = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-        found = _searched(pattern, np.asarray(smaller, dtype=np.uint8))
-        if found is not None:
-            return np.asarray((found + 0.5) * np.divide(grey.shape[::-1], size) - 0.5)
+        corners = _searched(pattern, np.asarray(smaller, dtype=np.uint8))
+        if corners is not None:
+            return np.asarray((corners + 0.5) * np.divide(grey.shape[::-1], size) - 0.5)
     return _searched(pattern, grey) if factor == 1 or grey.size <= MOST_PIXELS else None
 
 

@@ -167,16 +167,16 @@ def is_good(fitted: Fitted | None) -> bool:
 
 def fit_all(picture: Picture, starts: Iterable[Ellipse], reach: float = np.inf) -> list[Fitted]:
     """Return the good fits, each once, even if several starts lead to the same ellipse."""
-    found: list[Fitted] = []
+    fits: list[Fitted] = []
     for start in starts:
-        if any(_leads_to(start, other.ellipse) for other in found):
+        if any(_leads_to(start, other.ellipse) for other in fits):
             continue
         fitted = fit(picture, start, reach)
         if fitted is None or not is_good(fitted):
             continue
-        if not any(_is_near(fitted.ellipse, other.ellipse) for other in found):
-            found.append(fitted)
-    return found
+        if not any(_is_near(fitted.ellipse, other.ellipse) for other in fits):
+            fits.append(fitted)
+    return fits
 
 
 def _pixels(picture: Picture, start: Ellipse, reach: float) -> tuple[Array, Array]:
@@ -281,6 +281,6 @@ def _axes_of(shape: Array, blur: float) -> tuple[Array, float]:
 
 def of_ellipses(targets: Sequence[str], fits: Sequence[Fitted], reason: str = "") -> Sightings:
     """Return sightings of fitted ellipses."""
-    found = [(*fit.ellipse.centre, fit.sigma, fit.ellipse.long, fit.ellipse.short, fit.ellipse.angle) for fit in fits]
-    table = np.array(found, dtype=float).reshape(-1, 6)
+    rows = [(*fit.ellipse.centre, fit.sigma, fit.ellipse.long, fit.ellipse.short, fit.ellipse.angle) for fit in fits]
+    table = np.array(rows, dtype=float).reshape(-1, 6)
     return Sightings(tuple(targets), table[:, :2], table[:, 2], table[:, 3:5], table[:, 5], reason)

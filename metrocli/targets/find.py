@@ -63,5 +63,5 @@ MODULES = {
 def find(pattern: Pattern, picture: Picture) -> Sightings:
     """Return the targets in a grey image (height, width) of 8 or 16 bits, or nothing with the reason."""
     module = import_module(f"metrocli.targets.{MODULES[pattern.type]}")
-    found: Sightings = module.find(pattern, picture)
-    return found
+    sightings: Sightings = module.find(pattern, picture)
+    return sightings

@@ -40,11 +40,11 @@ def _linear(plane: Array, uv: Array) -> Array:
     """Return the linear equations (2n, 9) of a homography from plane (n, 2) to image (n, 2)."""
     x, y = plane.T
     u, v = uv.T
-    one, zero = np.ones_like(x), np.zeros_like(x)
+    ones, zero = np.ones_like(x), np.zeros_like(x)
     return np.concatenate(
         [
-            np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1),
-            np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1),
+            np.stack([x, y, ones, zero, zero, zero, -u * x, -u * y, -u], axis=1),
+            np.stack([zero, zero, zero, x, y, ones, -v * x, -v * y, -v], axis=1),
         ]
     )
 
@@ -121,8 +121,8 @@ def _normalised(points: Array) -> tuple[Array, Array]:
 def _pairs(steps: Whole, by: tuple[int, int]) -> tuple[Whole, Whole]:
     """Return the pairs of rows a and b with steps[b] = steps[a] + by."""
     place = {tuple(step): row for row, step in enumerate(steps.tolist())}
-    found = [(row, place.get((x + by[0], y + by[1]))) for (x, y), row in place.items()]
-    rows = np.array([(a, b) for a, b in found if b is not None], dtype=np.int64).reshape(-1, 2)
+    pairs = [(row, place.get((x + by[0], y + by[1]))) for (x, y), row in place.items()]
+    rows = np.array([(a, b) for a, b in pairs if b is not None], dtype=np.int64).reshape(-1, 2)
     return rows[:, 0], rows[:, 1]
 
 

@@ -165,7 +165,7 @@ def bends(corners: Array) -> Array:
 def _fit_all(picture: Picture, corners: Array, curvature: Array, window: float) -> tuple[Array, Array]:
     down, right = np.gradient(corners, axis=(0, 1))
     across = np.stack([right, down], axis=-1)
-    found, sigma = np.empty_like(corners), np.empty(corners.shape[:2])
+    centres, sigma = np.empty_like(corners), np.empty(corners.shape[:2])
     for place in np.ndindex(*sigma.shape):
-        found[place], sigma[place] = fit(picture, corners[place], across[place], curvature[place], window)
-    return found, sigma
+        centres[place], sigma[place] = fit(picture, corners[place], across[place], curvature[place], window)
+    return centres, sigma

@@ -1,6 +1,9 @@
 """The kinds of job.
 
-Each kind is one package here, named as the kind with _ instead of -, and one line in the table `_PACKAGES`.
+Each kind is one package here, named as the kind with _ instead of -, and one line in the table `_PACKAGES`. In
+each, as far as it needs them: `settings` (keys, files) -> `readings` (observations) -> `problem` (blocks and
+groups) -> `solve` -> `report` (the result), called by `task`; `plan`, `simulation`, `diagnosis`, `effects`
+besides. `shared` has what two need.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ class Task(Generic[S, F]):
     effects: tuple[Effect, ...] = ()
     """Effects that its model can leave out, and that a job can add"""
     places: tuple[Acting, ...] = ()
-    """Quantities on which effects of one's own can act"""
+    """Quantities on which user-defined effects can act"""
     answers: Mapping[str, Callable[[Job[S, F]], Table]] = field(default_factory=dict)
     """Function for each question of the job, by name"""
     result_answers: Mapping[str, Callable[[Result, Sequence[str]], tuple[Estimate, ...]]] = field(default_factory=dict)

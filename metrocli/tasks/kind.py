@@ -58,18 +58,18 @@ class Kind:
 
     def settings(self) -> type:
         """Import and return the dataclass of the settings in a job file."""
-        found: type = self._module("settings").Settings
-        return found
+        settings: type = self._module("settings").Settings
+        return settings
 
     def task(self) -> Task[Any, Any]:
         """Import and return its functions."""
-        found: Task[Any, Any] = self._module("task").TASK
-        return found
+        task: Task[Any, Any] = self._module("task").TASK
+        return task
 
     def figures(self, settings: Any) -> dict[str, str]:
         """Return the figures that results of a job with these settings can have, as `metrocli.tasks.shared.figures`."""
-        found: dict[str, str] = self._module("settings").figures(settings)
-        return found
+        figures: dict[str, str] = self._module("settings").figures(settings)
+        return figures
 
     def job_of(self, *values: str) -> str:
         """Return the text of the job that the values of the options `described` and the name of its output give."""

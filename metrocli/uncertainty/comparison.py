@@ -1,4 +1,4 @@
-"""Two results held against each other: differences by name, their uncertainty, E_n, and one test of all together."""
+"""Two results compared: differences by name, their uncertainty, E_n, and one test of all together."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Comparison:
     @property
     def max_en(self) -> float:
         """Largest E_n."""
-        return max((one.en for one in self.compared), default=0.0)
+        return max((quantity.en for quantity in self.compared), default=0.0)
 
 
 @dataclass(frozen=True)
@@ -136,19 +136,19 @@ def compare(first: Result, second: Result) -> Comparison:
     expanded = np.sqrt(np.maximum(each[0] ** 2 + each[1] ** 2 - 2 * k[0] * k[1] * np.diag(joint), 0.0))
     # entries that the gauge holds at zero have neither a difference nor an uncertainty
     alive = np.flatnonzero((std > 0) | (difference != 0))
-    found = [
+    compared = [
         Compared(*common[i], float(difference[i]), float(std[i]), one.units[rows[i]], float(expanded[i]))
         for i in alive.tolist()
     ]
     points = _coordinates(first), _coordinates(second)
-    found += list(_points(*points))
-    if not common and not found:
+    compared += list(_points(*points))
+    if not common and not compared:
         raise InputError("the results have nothing in common: no estimate, table or point of the same name")
     moving = alive[std[alive] > 0]
     chi2, dof = _tested(difference[moving], covariance[np.ix_(moving, moving)])
     apart = {" ".join(name).strip() for name in set(one.names) ^ set(other.names)}
     apart |= {f"{group} {name.rpartition('.')[0]}" for group, name in set(points[0]) ^ set(points[1])}
-    return Comparison(tuple(found), chi2, dof, _joint_dof(parts, moving), tuple(sorted(apart)), counted)
+    return Comparison(tuple(compared), chi2, dof, _joint_dof(parts, moving), tuple(sorted(apart)), counted)
 
 
 def _by_shared(first: Result, second: Result, common: list[tuple[str, str]]) -> tuple[tuple[str, ...], Array]:
@@ -173,7 +173,7 @@ def _digests(result: Result) -> dict[str, str]:
 
 def _owed(result: Result, name: str, common: list[tuple[str, str]]) -> Array:
     """Return what the common quantities of a result owe to an input (n, k); nothing but estimates does."""
-    place = {("estimates", one.name): i for i, one in enumerate(result.estimates)}
+    place = {("estimates", estimate.name): i for i, estimate in enumerate(result.estimates)}
     factors = np.asarray(result.arrays[OWED + name])
     nothing = np.zeros(factors.shape[1])
     return np.array([factors[place[one]] if one in place else nothing for one in common]).reshape(-1, len(nothing))
@@ -203,7 +203,7 @@ def _of(result: Result) -> _Values:
     if TABLES_COVARIANCE in result.arrays:
         names, values, units, covariance = _entries(result)
         blocks.append(covariance)
-    estimates = [i for i, one in enumerate(result.estimates) if ("estimates", one.name) not in names]
+    estimates = [i for i, estimate in enumerate(result.estimates) if ("estimates", estimate.name) not in names]
     called = _called(result)
     names += [("estimates", called.get(result.estimates[i].name, result.estimates[i].name)) for i in estimates]
     values += [result.estimates[i].value for i in estimates]
@@ -214,7 +214,7 @@ def _of(result: Result) -> _Values:
     for block in blocks:
         joint[at : at + len(block), at : at + len(block)] = block
         at += len(block)
-    stated = {one.name for one in result.estimates}
+    stated = {estimate.name for estimate in result.estimates}
     dof = [result.degrees_of_freedom(name if group == "estimates" and name in stated else "") for group, name in names]
     return _Values(tuple(names), np.array(values), joint, tuple(units), np.array(dof, dtype=float))
 
@@ -237,7 +237,7 @@ def _called(result: Result) -> dict[str, str]:
 
 def _entries(result: Result) -> tuple[list[tuple[str, str]], list[float], list[str], Array]:
     """Return the entries of error tables; those of a table that is not determined are left out."""
-    listed, square = result.tables[ENTRIES], {one.name: one for one in result.estimates}
+    listed, square = result.tables[ENTRIES], {estimate.name: estimate for estimate in result.estimates}
     names: list[tuple[str, str]] = []
     values, units, rows = [], [], []
     known = dict(zip(result.tables["errors"].texts("error"), result.tables["errors"].texts("status"), strict=True))
@@ -264,11 +264,11 @@ def _coordinates(result: Result) -> dict[tuple[str, str], Quantity]:
     if table is None or not {"point", "x", "y", "z", "sx"} <= set(table):
         return {}
     dof = result.degrees_of_freedom()
-    found: dict[tuple[str, str], Quantity] = {}
+    coordinates: dict[tuple[str, str], Quantity] = {}
     for axis in "xyz":
         rows = zip(table.texts("point"), table.numbers(axis).tolist(), table.numbers(f"s{axis}").tolist(), strict=True)
-        found |= {(POINTS, f"{name}.{axis}"): Quantity(value, std, "mm", dof) for name, value, std in rows}
-    return found
+        coordinates |= {(POINTS, f"{name}.{axis}"): Quantity(value, std, "mm", dof) for name, value, std in rows}
+    return coordinates
 
 
 def _points(first: dict[tuple[str, str], Quantity], second: dict[tuple[str, str], Quantity]) -> Iterator[Compared]:

@@ -76,11 +76,11 @@ def length_errors(deviations: Sequence[Deviation], check: Table, limit: Permitte
         hint = "expected a length above zero, or an MPE with a constant part, such as '1.5 um + 3 um/m'"
         raise InputError(check.faults_at(without, lambda _: "the MPE of this length is zero", lambda _: hint))
     return tuple(
-        LengthError(one.name, -one.value, limit.at(length), COVERAGE[0] * spread)
-        for one, length, spread in zip(deviations, lengths, sigma, strict=True)
+        LengthError(deviation.name, -deviation.value, limit.at(length), COVERAGE[0] * spread)
+        for deviation, length, spread in zip(deviations, lengths, sigma, strict=True)
     )
 
 
 def ratio(errors: Sequence[LengthError]) -> float:
     """Return the largest `(|E| + U) / MPE`: the lengths conform if it is at most 1."""
-    return max(one.share for one in errors)
+    return max(error.share for error in errors)

@@ -70,9 +70,9 @@ def propagate(models: Mapping[str, Expression], inputs: Inputs) -> Propagated:
     Second order (JCGM 100, 5.1.2 note, with correlations): `y = f + tr(H V)/2`,
     `u^2 = g'Vg + tr(HVHV)/2 + sum_i (Vg)_i sum_jk f_ijk V_jk`.
     """
-    found = {name: _attempt(model, inputs) for name, model in models.items()}
-    slopes = np.array([linear.sensitivities for linear in found.values()])
-    return Propagated(found, slopes @ inputs.covariance @ slopes.T)
+    attempts = {name: _attempt(model, inputs) for name, model in models.items()}
+    slopes = np.array([linear.sensitivities for linear in attempts.values()])
+    return Propagated(attempts, slopes @ inputs.covariance @ slopes.T)
 
 
 _ROUNDING = 1e-14

@@ -67,7 +67,7 @@ class Repeated:
     @property
     def max_drift_en(self) -> float:
         """Largest E_n of a drift."""
-        return max((one.en for one in self.drifts), default=0.0)
+        return max((drift.en for drift in self.drifts), default=0.0)
 
 
 def repeated(results: Sequence[Result], times: Sequence[float]) -> Repeated:

@@ -51,7 +51,7 @@ class Repetition:
     @property
     def max_ratio(self) -> float:
         """Largest ratio of scatter and stated uncertainty."""
-        return max(one.ratio for one in self.quantities)
+        return max(quantity.ratio for quantity in self.quantities)
 
 
 def repetition(results: Sequence[Result]) -> Repetition:
@@ -60,13 +60,13 @@ def repetition(results: Sequence[Result]) -> Repetition:
     `sigma^2 = sum (x_k - mean)^2 / (sets - 1)`. Points in a frame of their own are laid onto those of the first set by
     shift and turn; those in a machine are taken as they are. Raises InputError for two kinds, or nothing in common.
     """
-    kinds = sorted({one.kind for one in results})
+    kinds = sorted({result.kind for result in results})
     if len(kinds) > 1:
         raise InputError(f"results of different kinds are no repeated sets: {', '.join(kinds)}")
-    found = (*_estimates(results), *_lengths(results), *_points(results))
-    if not found:
+    quantities = (*_estimates(results), *_lengths(results), *_points(results))
+    if not quantities:
         raise InputError("the results have nothing in common: no estimate, test length or point of the same name")
-    return Repetition(len(results), found)
+    return Repetition(len(results), quantities)
 
 
 def _quantity(group: str, name: str, values: Array, std: Array, unit: str) -> Repeated:
@@ -75,7 +75,7 @@ def _quantity(group: str, name: str, values: Array, std: Array, unit: str) -> Re
 
 
 def _estimates(results: Sequence[Result]) -> Iterator[Repeated]:
-    every = [{one.name: one for one in result.estimates} for result in results]
+    every = [{estimate.name: estimate for estimate in result.estimates} for result in results]
     for name, first in every[0].items():
         if all(name in one for one in every):
             values, std = (np.array([getattr(one[name], what) for one in every]) for what in ("value", "std"))
@@ -84,9 +84,9 @@ def _estimates(results: Sequence[Result]) -> Iterator[Repeated]:
 
 def _lengths(results: Sequence[Result]) -> Iterator[Repeated]:
     """Yield the measured lengths between the ends of test lengths."""
-    if not all(LENGTHS in one.tables for one in results):
+    if not all(LENGTHS in result.tables for result in results):
         return
-    tables = [one.tables[LENGTHS] for one in results]
+    tables = [result.tables[LENGTHS] for result in results]
     every = [
         {
             f"{a} - {b}": (size, std)
@@ -104,18 +104,18 @@ def _lengths(results: Sequence[Result]) -> Iterator[Repeated]:
 
 def _points(results: Sequence[Result]) -> Iterator[Repeated]:
     """Yield each coordinate, pooled over the points that all sets have."""
-    tables = [one.tables.get(POINTS) for one in results]
+    tables = [result.tables.get(POINTS) for result in results]
     if any(table is None or not {"point", "x", "y", "z", "sx"} <= set(table) for table in tables):
         return
     places = [
-        dict(zip(one.texts("point"), np.c_[one.stacked("xyz"), one.stacked(("sx", "sy", "sz"))], strict=True))
-        for one in tables
-        if one is not None
+        dict(zip(table.texts("point"), np.c_[table.stacked("xyz"), table.stacked(("sx", "sy", "sz"))], strict=True))
+        for table in tables
+        if table is not None
     ]
-    common = [name for name in places[0] if all(name in one for one in places)]
+    common = [name for name in places[0] if all(name in place for place in places)]
     if len(common) < FEWEST:
         return
-    every = np.array([[one[name] for name in common] for one in places])
+    every = np.array([[place[name] for name in common] for place in places])
     at = every[:, :, :3]
     if not in_machine(results[0]):
         at = np.array([poses.apply(poses.fit_pose(one, at[0]), one) for one in at])

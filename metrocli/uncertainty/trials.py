@@ -192,19 +192,19 @@ class NoOutcomeError(UndeterminedError):
     """Error for trials in which a model has no value."""
 
 
-def _refuse_lost(found: Array, plan: Plan) -> None:
-    lost = ~(np.abs(found) < LARGEST)
+def _refuse_lost(values: Array, plan: Plan) -> None:
+    lost = ~(np.abs(values) < LARGEST)
     if lost.any():
         row = int(np.argmax(lost.any(axis=1)))
         raise NoOutcomeError(
-            f"{int(lost[row].sum())} of {found.shape[1]} trials of '{plan.models[row].text}' have no value: a root or "
+            f"{int(lost[row].sum())} of {values.shape[1]} trials of '{plan.models[row].text}' have no value: a root or "
             f"logarithm of a negative number, a division by zero, or a number above {LARGEST:g}.\n"
             "  A distribution reaches beyond what the model allows: bound it (uniform, triangular), or change the model"
         )
 
 
-def spread_of(found: Array, probability: float) -> Array:
+def spread_of(values: Array, probability: float) -> Array:
     """Return mean, standard deviation and interval ends of one chunk, (4, m)."""
-    ordered = np.sort(found, axis=1)
+    ordered = np.sort(values, axis=1)
     ends = np.array([Sorted(row).symmetric(probability) for row in ordered]).T
-    return np.vstack([found.mean(axis=1), found.std(axis=1, ddof=1), ends])
+    return np.vstack([values.mean(axis=1), values.std(axis=1, ddof=1), ends])

@@ -41,45 +41,47 @@ class Verdict:
     reasons: tuple[str, ...]
 
 
-def judge(found: Judged, digits: int) -> Verdict:
+def judge(judged: Judged, digits: int) -> Verdict:
     """Return the verdict: valid if the interval ends differ by at most half of the last digit of u (JCGM 101, 8.1).
 
     Otherwise the verdict lists reasons: a non-linear model (share of the second order, shift of the mean), a
     distribution that is not normal (k by Monte Carlo), or quantities with few degrees of freedom.
     """
-    if found.std == found.mc_std == 0:
+    if judged.std == judged.mc_std == 0:
         return Verdict(True, ())
-    allowed = tolerance_of(found.std or found.mc_std, digits)
-    low = abs(found.value - found.U - found.interval[0])
-    high = abs(found.value + found.U - found.interval[1])
+    allowed = tolerance_of(judged.std or judged.mc_std, digits)
+    low = abs(judged.value - judged.U - judged.interval[0])
+    high = abs(judged.value + judged.U - judged.interval[1])
     valid = low <= allowed and high <= allowed
-    return Verdict(valid, () if valid else tuple(_reasons(found)))
+    return Verdict(valid, () if valid else tuple(_reasons(judged)))
 
 
-def _reasons(found: Judged) -> Sequence[str]:
+def _reasons(judged: Judged) -> Sequence[str]:
     lines = []
-    if found.std == 0:
+    if judged.std == 0:
         return ["the model has no first-order sensitivity at the best estimates; only its higher orders act"]
-    if found.nonlinear > _NOTABLE:
-        lines.append(f"the model is not linear: the second order makes {100 * found.nonlinear:.0f} % of the variance")
-    shift = found.mean - found.value
-    if abs(shift) > 2 * _NOTABLE * found.std:
-        lines.append(f"the mean is shifted by {shift / found.std:+.2f} u against the value at the best estimates")
-    if found.mc_std > found.second_std * (1 + _NOTABLE):
-        more = found.mc_std / found.second_std
-        few = "few degrees of freedom" if math.isfinite(found.dof) else "higher orders act, as of a pole near the value"
+    if judged.nonlinear > _NOTABLE:
+        lines.append(f"the model is not linear: the second order makes {100 * judged.nonlinear:.0f} % of the variance")
+    shift = judged.mean - judged.value
+    if abs(shift) > 2 * _NOTABLE * judged.std:
+        lines.append(f"the mean is shifted by {shift / judged.std:+.2f} u against the value at the best estimates")
+    if judged.mc_std > judged.second_std * (1 + _NOTABLE):
+        more = judged.mc_std / judged.second_std
+        few = (
+            "few degrees of freedom" if math.isfinite(judged.dof) else "higher orders act, as of a pole near the value"
+        )
         lines.append(f"the std of the trials is {more:.2f} times the second-order u: {few}")
-    if found.mc_std > 0:
-        half = (found.interval[1] - found.interval[0]) / 2
-        factor = half / found.mc_std
-        if abs(factor / found.normal_factor - 1) > _NOTABLE / 2:
-            normal = f"a normal one needs {found.normal_factor:.2f}"
+    if judged.mc_std > 0:
+        half = (judged.interval[1] - judged.interval[0]) / 2
+        factor = half / judged.mc_std
+        if abs(factor / judged.normal_factor - 1) > _NOTABLE / 2:
+            normal = f"a normal one needs {judged.normal_factor:.2f}"
             lines.append(f"the distribution is not normal: it needs k = {factor:.2f}, {normal}")
-        skew = (found.interval[1] + found.interval[0]) / 2 - found.mean
+        skew = (judged.interval[1] + judged.interval[0]) / 2 - judged.mean
         if abs(skew) > 2 * _NOTABLE * half:
             lines.append(
-                f"the distribution is skew: the middle of its interval lies {skew / found.mc_std:+.2f} u from its mean"
+                f"the distribution is skew: the middle of its interval lies {skew / judged.mc_std:+.2f} u from its mean"
             )
-        if not lines and not math.isclose(found.U, half, rel_tol=_NOTABLE / 2):
-            lines.append(f"U is {found.U / half:.3f} times the half-width of the coverage interval")
+        if not lines and not math.isclose(judged.U, half, rel_tol=_NOTABLE / 2):
+            lines.append(f"U is {judged.U / half:.3f} times the half-width of the coverage interval")
     return lines or ["the intervals differ by slightly more than the significant digits allow"]

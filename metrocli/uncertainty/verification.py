@@ -1,4 +1,4 @@
-"""A result held against independent measurements of points or lengths: deviations, their uncertainty, and E_n."""
+"""A result compared with independent measurements of points or lengths: deviations, their uncertainty, and E_n."""
 
 from __future__ import annotations
 
@@ -90,21 +90,21 @@ class Verification:
     @property
     def inside(self) -> float:
         """Share of the deviations within their expanded uncertainty, 0 to 1."""
-        return float(np.mean([one.en <= 1.0 for one in self.deviations]))
+        return float(np.mean([deviation.en <= 1.0 for deviation in self.deviations]))
 
     @property
     def max_en(self) -> float:
         """Largest E_n."""
-        return max(one.en for one in self.deviations)
+        return max(deviation.en for deviation in self.deviations)
 
     @property
     def largest_k(self) -> float:
         """Largest coverage factor of all U, as a multiple of that for infinitely many degrees of freedom."""
-        return max(one.k / COVERAGE[max(len(one.vector), 1) - 1] for one in self.deviations)
+        return max(deviation.k / COVERAGE[max(len(deviation.vector), 1) - 1] for deviation in self.deviations)
 
     @property
     def _values(self) -> Array:
-        return np.array([one.value for one in self.deviations])
+        return np.array([deviation.value for deviation in self.deviations])
 
 
 def columns_for(result: Result, header: Collection[str]) -> Columns:
@@ -138,8 +138,8 @@ def verify(result: Result, check: Table, aligned: bool = False) -> Verification:
     dof = result.degrees_of_freedom()
     if "length" in check:
         first, second = predicted.listed(result, check, ("from", "to"))
-        found = Verification(_lengths(check, first, second, dof))
-        return replace(found, mistake=_shifted_lengths(found))
+        verification = Verification(_lengths(check, first, second, dof))
+        return replace(verification, mistake=_shifted_lengths(verification))
     if "mx" in check:
         places, measured = predicted.reached(result, check), check.stacked(("mx", "my", "mz"))
     else:
@@ -153,22 +153,24 @@ def verify(result: Result, check: Table, aligned: bool = False) -> Verification:
     covariance, predicted_part = left(places, own), left(places, places.own)
     traces = (np.trace(one, axis1=1, axis2=2) for one in (predicted_part, covariance))
     deviations = _points(check.texts("point"), measured - places.values, covariance, effective(dof, *traces))
-    found = Verification(deviations, laid)
+    verification = Verification(deviations, laid)
     tools = predicted.tool_vectors(result, check) if "mx" in check else np.zeros_like(read)
-    return replace(found, mistake=_without_tool(found, check, read, places.values, tools) or _shifted(found))
+    return replace(
+        verification, mistake=_without_tool(verification, check, read, places.values, tools) or _shifted(verification)
+    )
 
 
-def _explained(found: Verification, left: Array) -> bool:
+def _explained(verification: Verification, left: Array) -> bool:
     """Return whether deviations too large are small beside what they are once a mistake is mended, left (n, ...)."""
-    many = len(found.deviations) >= _ENOUGH and found.max_en > 1.0
-    return many and float(np.abs(left).max()) < _MENDED * found.largest
+    many = len(verification.deviations) >= _ENOUGH and verification.max_en > 1.0
+    return many and float(np.abs(left).max()) < _MENDED * verification.largest
 
 
-def _without_tool(found: Verification, check: Table, measured: Array, onto: Array, tools: Array) -> str:
+def _without_tool(verification: Verification, check: Table, measured: Array, onto: Array, tools: Array) -> str:
     """Return the sentence about measured points that are without the vectors of their tools (n, 3), or nothing."""
     without = onto - tools
-    left = np.linalg.norm((_laid(check, measured, without) if found.laid else measured) - without, axis=1)
-    if not _explained(found, left):
+    left = np.linalg.norm((_laid(check, measured, without) if verification.laid else measured) - without, axis=1)
+    if not _explained(verification, left):
         return ""
     return (
         "the measured points leave out the vector of the tool, which the prediction contains (x + T + d): without it "
@@ -176,12 +178,12 @@ def _without_tool(found: Verification, check: Table, measured: Array, onto: Arra
     )
 
 
-def _shifted(found: Verification) -> str:
+def _shifted(verification: Verification) -> str:
     """Return the sentence about points that are all off by one vector, or nothing."""
-    vectors = np.array([one.vector for one in found.deviations])
+    vectors = np.array([deviation.vector for deviation in verification.deviations])
     shift = vectors.mean(axis=0)
     left = np.linalg.norm(vectors - shift, axis=1)
-    if not _explained(found, left):
+    if not _explained(verification, left):
         return ""
     place = ", ".join(f"{value:.4g}" for value in shift)
     return (
@@ -191,11 +193,11 @@ def _shifted(found: Verification) -> str:
     )
 
 
-def _shifted_lengths(found: Verification) -> str:
+def _shifted_lengths(verification: Verification) -> str:
     """Return the sentence about lengths that are all off by one constant, or nothing."""
-    values = np.array([one.value for one in found.deviations])
+    values = np.array([deviation.value for deviation in verification.deviations])
     left = values - values.mean()
-    if not _explained(found, left):
+    if not _explained(verification, left):
         return ""
     return (
         f"all lengths are off by {values.mean():.4g} mm: without it the largest deviation would be "
@@ -212,9 +214,9 @@ def _laid(check: Table, measured: Array, onto: Array) -> Array:
     for points in (measured, onto):
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
         if len(points) < 3 or spread[1] <= _FLAT * spread[0]:
-            found = f"{len(points)} points" if len(points) < 3 else "the points lie on one line, which"
+            reason = f"{len(points)} points" if len(points) < 3 else "the points lie on one line, which"
             hint = "expected three points off one line; `--aligned` takes points in the frame of the result"
-            raise InputError([check.fault(f"{found} cannot be laid onto the prediction", hint)])
+            raise InputError([check.fault(f"{reason} cannot be laid onto the prediction", hint)])
     return poses.apply(poses.fit_pose(measured, onto), measured)
 
 

@@ -132,7 +132,9 @@ def written_unit(text: str, dimension: str, word: str) -> str:
     own = _stated(named, DIMENSIONS[dimension])
     if own or "/" not in DIMENSIONS[dimension].unit:
         return next(iter(own), "")
-    shared = {s for one in DIMENSIONS.values() if one.unit != DIMENSIONS[dimension].unit for s in one.symbols}
+    shared = {
+        s for symbols in DIMENSIONS.values() if symbols.unit != DIMENSIONS[dimension].unit for s in symbols.symbols
+    }
     return next((symbol for symbol in _stated(lines, DIMENSIONS[dimension]) if symbol not in shared), "")
 
 
@@ -146,9 +148,9 @@ def as_stated(value: float, unit: str, condition: str) -> tuple[float, str]:
 
 
 def _stated(lines: list[str], dimension: Dimension) -> list[str]:
-    forms = "|".join(re.escape(one) for one in sorted(_typed_forms(dimension), key=len, reverse=True))
+    forms = "|".join(re.escape(form) for form in sorted(_typed_forms(dimension), key=len, reverse=True))
     quantity = re.compile(rf"(?<![\w.]){_NUMBER}\s*({forms})(?![\w/])")
-    return [plain_symbol(found) for line in lines for found in quantity.findall(line)]
+    return [plain_symbol(match) for line in lines for match in quantity.findall(line)]
 
 
 def suffixes(dimension: str) -> dict[str, Unit]:

@@ -71,8 +71,8 @@ def readable(value: float, dimension: str) -> tuple[float, str]:
 
 
 def _nearest_to_3(value: float, dimension: str, symbols: tuple[str, ...]) -> tuple[float, str]:
-    found = [(find_unit(symbol, dimension).outside(value), symbol) for symbol in symbols]
-    return min(found, key=lambda one: abs(math.log10(abs(one[0])) - 0.5))
+    scaled = [(find_unit(symbol, dimension).outside(value), symbol) for symbol in symbols]
+    return min(scaled, key=lambda one: abs(math.log10(abs(one[0])) - 0.5))
 
 
 def column_unit(largest: float, unit: str) -> tuple[float, str]:

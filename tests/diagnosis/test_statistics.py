@@ -20,7 +20,8 @@ from metrocli.diagnosis.detectability import design
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.evidence.counting import effective_number_of_tests
 from metrocli.diagnosis.evidence.identified import determined
-from metrocli.diagnosis.evidence.measurement import Measurement, measurement_of
+from metrocli.diagnosis.evidence.measured_job import measurement_of
+from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.moves import moves
 from metrocli.diagnosis.evidence.search import forward
 from metrocli.diagnosis.evidence.state import State

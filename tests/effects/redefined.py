@@ -1,4 +1,4 @@
-"""Effects of the catalogue written as effects of one's own: one line of `define:` for each."""
+"""Effects of the catalogue written as user-defined effects: one line of `define:` for each."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Redefined:
 
     @property
     def at(self) -> tuple[str, ...]:
-        """The place of the own effect."""
+        """The place of the user-defined effect."""
         return self.built if self.own is None else self.own
 
 

@@ -1,4 +1,4 @@
-"""Further columns of the data as variables of effects of one's own, in each kind of job."""
+"""Further columns of the data as variables of user-defined effects, in each kind of job."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Effects of one's own: what a definition may be, its faults with their places, and how jobs and files use it."""
+"""User-defined effects: what a definition may be, its faults with their places, and how jobs and files use it."""
 
 from __future__ import annotations
 
@@ -383,7 +383,7 @@ def test_the_command_lists_each_effect_once_and_where_own_ones_have_sizes_of_the
         assert len(set(forms)) == len(forms), name
         assert run(["effects", name]) == 0
         text = capsys.readouterr().out
-        effects, places = text.split("own effects act on")
+        effects, places = text.split("user-defined effects act on")
         rows = effects.splitlines()
         assert len(set(rows) - {""}) == len([row for row in rows if row])
         for place in kind["places"]:

@@ -1,24 +1,24 @@
-"""Every effect of every table: right derivatives, nothing at 0, found again from data it was planted in, and a page."""
+"""Every effect of every table: right derivatives, nothing at 0, found again from data it was planted in, and explained."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from laws.effects_of_kinds import MEASURED, instance_of, size
-from places import DOCS
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.arrays import Array
 from metrocli.effects.effect import DRIVERS, Effect
 from metrocli.effects.extension import with_effect
 from metrocli.effects.model import Model
+from metrocli.effects.page import page
 from metrocli.tasks import KINDS
 from metrocli.units import DIMENSIONS
 
-PAGES = DOCS / "effects"
 TABLES = {kind.name: effects for kind in KINDS.values() if (effects := kind.task().effects)}
 ENTRIES = [(kind, at) for kind, effects in TABLES.items() for at in range(len(effects))]
 NAMES = [
@@ -71,12 +71,6 @@ def test_each_kind_with_effects_is_under_the_laws() -> None:
 
 
 EFFECTS = [(kind, effect) for kind, effects in TABLES.items() for effect in effects]
-HEADINGS = ("## Cause", "## Formula", "## Size", "## Confused with", "## What to measure", "## Source")
-
-
-@cache
-def page_of(effect: Effect) -> str:
-    return (PAGES / f"{effect.name}.md").read_text(encoding="utf-8")
 
 
 def is_complete(effect: Effect) -> bool:
@@ -93,9 +87,12 @@ def is_complete(effect: Effect) -> bool:
 
 
 def states_usual_sizes(effect: Effect) -> bool:
-    size = " ".join(page_of(effect).partition("## Size")[2].partition("## ")[0].split())
     least, most = effect.usual_sizes or (0.0, 1.0)
-    return effect.usual in size and 0 <= least < most and bool(effect.usual or effect.of_one_reading)
+    return 0 <= least < most and bool(effect.usual or effect.of_one_reading)
+
+
+def names_parameters(effect: Effect) -> bool:
+    return all(re.search(rf"\b{p.name}\b", effect.formula) for p in effect.parameters)
 
 
 def test_each_entry_is_complete() -> None:
@@ -112,24 +109,22 @@ def test_effects_that_they_are_confused_with_exist() -> None:
     assert not unknown
 
 
-def test_each_has_a_page() -> None:
+def test_each_formula_names_all_parameters() -> None:
+    assert not [(kind, effect.name) for kind, effect in EFFECTS if not names_parameters(effect)]
+
+
+def test_each_states_usual_sizes() -> None:
+    assert not [(kind, effect.name) for kind, effect in EFFECTS if not states_usual_sizes(effect)]
+
+
+def test_the_page_of_an_effect_has_all_that_its_entries_state() -> None:
     lacking = [
-        (effect.name, word)
+        (effect.name, words)
         for kind, effect in EFFECTS
-        for word in (
-            kind,
-            *(p.name for p in effect.all_parameters),
-            *effect.confused_with,
-            *effect.where,
-            *HEADINGS,
-        )
-        if word not in page_of(effect)
+        for words in (f"For {kind}:", effect.cause[1:], effect.usual, effect.reveal, effect.note, effect.source)
+        if words not in page(effect.name, TABLES)
     ]
     assert not lacking
-
-
-def test_each_page_states_the_usual_sizes() -> None:
-    assert not [(kind, effect.name) for kind, effect in EFFECTS if not states_usual_sizes(effect)]
 
 
 def test_at_zero_it_changes_nothing(entry: tuple[str, Effect]) -> None:

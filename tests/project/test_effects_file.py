@@ -1,4 +1,4 @@
-"""A file with effects of one's own is an input of the jobs that it serves: staleness, memo, depfile and cluster."""
+"""A file with user-defined effects is an input of the jobs that it serves: staleness, memo, depfile and cluster."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import pytest
 from metrocli.nodes import Node
 from metrocli.project import own_effects, yaml_text
 from metrocli.project.job import load
-from metrocli.project.running import crew
+from metrocli.project.running import executor
 from metrocli.project.running.cluster import carry_out, pack
 from metrocli.project.running.memo import remember, unmoved_jobs
 from metrocli.project.steps import load_project
@@ -62,14 +62,14 @@ def test_values_of_the_file_count_and_comments_do_not(shop: Path, metrocli: Metr
 def test_what_is_edited_while_a_job_waits_is_not_recorded_as_used(
     shop: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lab, computed = shop / "lab-effects.yaml", crew.compute
+    lab, computed = shop / "lab-effects.yaml", executor.compute
 
     def edited_first(*arguments: Any) -> Any:
         lab.write_text(lab.read_text().replace("adds: pull*azimuth", "adds: 2*pull*azimuth"))
         return computed(*arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(crew, "compute", edited_first)
+        patch.setattr(executor, "compute", edited_first)
         assert metrocli("run", "--force").code == 0
     assert _will_run(metrocli), "the job ran with the effect as it was before"
 

@@ -20,11 +20,11 @@ from resealing import resealed
 from metrocli.errors import InputError
 from metrocli.formats import file_bytes as aside
 from metrocli.formats import hdf5, images
-from metrocli.project import meaning, runner
+from metrocli.project import fingerprint, runner
 from metrocli.project.job import load
 from metrocli.project.pipeline import worst
 from metrocli.project.runner import carry_out
-from metrocli.project.running import crew
+from metrocli.project.running import executor
 from metrocli.table import Table
 
 HEAD = "metrocli: 1\njob: straight-line\nnoise: 0.1 mm\n"
@@ -369,7 +369,7 @@ def test_too_little_memory_is_no_defect(
     def too_large(*arguments: Any) -> Any:
         raise MemoryError
 
-    for module in (crew, runner):
+    for module in (executor, runner):
         monkeypatch.setattr(module, "compute", too_large)
     done = metrocli(*command)
     assert (done.code, "Traceback" in done.err) == (3, False)
@@ -387,10 +387,10 @@ def test_every_sample_has_a_meaning_that_comments_do_not_change(tmp_path: Path) 
         other = copy / "jobs" / path.name
         other.write_text("# copied\n" + other.read_text())
         try:
-            first = meaning.of_job(load(path))
+            first = fingerprint.of_job(load(path))
         except InputError:
             continue  # the results that it uses are not there yet
-        assert meaning.of_job(load(other)) == first
+        assert fingerprint.of_job(load(other)) == first
 
 
 @pytest.mark.parametrize("edited", [False, True])

@@ -91,7 +91,7 @@ def test_another_version_runs_everything(
     project: Path, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     metrocli("run")
-    for module in ("meaning", "running.memo"):
+    for module in ("fingerprint", "running.memo"):
         monkeypatch.setattr(f"metrocli.project.{module}.__version__", "9.9")
     assert "the result was made by metrocli 0" in metrocli("status").out
 

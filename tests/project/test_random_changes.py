@@ -24,6 +24,6 @@ def test_damaged_bits_are_not_believed_and_healed() -> None:
 
 def test_the_account_sees_a_lie(monkeypatch: pytest.MonkeyPatch) -> None:
     """If neither jobs nor inputs counted, results would be wrongly up to date."""
-    monkeypatch.setattr("metrocli.project.meaning.changed_inputs", lambda *arguments: [])
-    monkeypatch.setattr("metrocli.project.meaning.of_job", lambda job: "any")
+    monkeypatch.setattr("metrocli.project.fingerprint.changed_inputs", lambda *arguments: [])
+    monkeypatch.setattr("metrocli.project.fingerprint.of_job", lambda job: "any")
     assert pipeline.changes(8, seed=1)[0] > 0

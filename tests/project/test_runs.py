@@ -17,8 +17,8 @@ import pytest
 from benchmarks.projects.hard_ends import groups_at_work
 from metrocli.errors import InputError
 from metrocli.formats import hdf5
-from metrocli.project.running import crew, memo
-from metrocli.project.running.crew import processes
+from metrocli.project.running import executor, memo
+from metrocli.project.running.executor import processes
 from metrocli.project.running.files import locked
 from metrocli.project.steps import load_project
 
@@ -362,7 +362,7 @@ class TestMemo:
     ) -> None:
         monkeypatch.setattr("metrocli.project.running.memo._SETTLED_NS", 10**12)
         Path(memo.NAME).unlink()
-        job, computed = Path("jobs/c.yaml"), crew.compute
+        job, computed = Path("jobs/c.yaml"), executor.compute
 
         def edited_meanwhile(*arguments: Any) -> Any:
             job.write_text(job.read_text().replace("2 um", "3 um"))
@@ -370,7 +370,7 @@ class TestMemo:
 
         job.write_text(job.read_text().replace("1 um", "2 um"))
         with monkeypatch.context() as patch:
-            patch.setattr(crew, "compute", edited_meanwhile)
+            patch.setattr(executor, "compute", edited_meanwhile)
             assert metrocli("run").code == 0
         assert not Path(memo.NAME).exists()
         assert "-> 3 um" in metrocli("run").out
@@ -382,7 +382,7 @@ class TestMemo:
     def test_a_project_nearer_to_a_job_that_goes_during_the_run_ends_it(
         self, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        nearer, computed = Path("jobs/metrocli.yaml"), crew.compute
+        nearer, computed = Path("jobs/metrocli.yaml"), executor.compute
         nearer.write_text("jobs: [a.yaml]\n")
         assert metrocli("run").code == 0
         assert memo.unmoved_jobs("metrocli.yaml") is not None
@@ -393,7 +393,7 @@ class TestMemo:
 
         Path("results/d.h5").unlink()
         with monkeypatch.context() as patch:
-            patch.setattr(crew, "compute", gone_meanwhile)
+            patch.setattr(executor, "compute", gone_meanwhile)
             assert metrocli("run").code == 0
         assert memo.unmoved_jobs("metrocli.yaml") is None
 
@@ -406,14 +406,14 @@ def test_an_output_that_is_a_broken_link_is_refused_in_words(project: Path, metr
 
 
 def test_a_process_that_dies_costs_only_that_its_jobs_are_computed_again(project: Path) -> None:
-    with processes(2) as crew:
+    with processes(2) as executor:
         for step in load_project(project):
             if not step.needs:
-                crew.begin(step.name, step.job, False)
-        next(iter(crew._pool._processes.values())).kill()
+                executor.begin(step.name, step.job, False)
+        next(iter(executor._pool._processes.values())).kill()
         found: dict[str, Any] = {}
         while len(found) < 2:
-            found |= dict(crew.finished())
+            found |= dict(executor.finished())
     assert {name: one.exit_code for name, one in found.items()} == {"jobs/a.yaml": 0, "jobs/c.yaml": 0}, found
 
 

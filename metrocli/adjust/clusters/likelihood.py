@@ -37,10 +37,10 @@ class Likelihood:
     @classmethod
     def of(cls, clusters: Sequence[Seen], first: slice, square: float, dof: float) -> Likelihood:
         """Return the likelihood from what each cluster sees; `first` are the coordinates of the first unknowns."""
-        parts = [acting(one, first) for one in clusters]
-        seen = np.concatenate([one.rows.T @ u for one, (u, _) in zip(clusters, parts, strict=True)], axis=1)
+        parts = [acting(cluster, first) for cluster in clusters]
+        seen = np.concatenate([cluster.rows.T @ u for cluster, (u, _) in zip(clusters, parts, strict=True)], axis=1)
         strength = np.concatenate([one for _, one in parts])
-        residual = np.concatenate([u.T @ one.residual for one, (u, _) in zip(clusters, parts, strict=True)])
+        residual = np.concatenate([u.T @ cluster.residual for cluster, (u, _) in zip(clusters, parts, strict=True)])
         # information other than of the directions seen is 1, and adds nothing
         return cls(np.asarray(np.linalg.qr(seen, mode="r")), strength, residual, square, dof)
 
@@ -66,11 +66,11 @@ def most_likely(known: Likelihood) -> Excess:
         level, size = np.expm1(logs)
         return Excess(float(level), float(size / unit))
 
-    found = minimize(
+    optimum = minimize(
         lambda logs: known.misfit(excess(logs)),
         np.full(2, _START),
         method="L-BFGS-B",
         bounds=[(0.0, _MOST)] * 2,
         options={"ftol": _TOLERANCE / known.dof},
     )
-    return excess(found.x)
+    return excess(optimum.x)

@@ -108,8 +108,8 @@ def cluster_robust(solution: Solution, clusters: Clusters) -> ClusterRobust:
     if rows is not None:
         layout, white = solution.covariance_or_raise().layout, _without_datum(solution)
         sample = Sample.of(white, rows, _first(rows, layout, clusters), solution.dof, clusters.grows)
-        found = replace(solution, covariance=_of_members(solution, white, sample))
-        return ClusterRobust(found, solution, sample, layout)
+        robust = replace(solution, covariance=_of_members(solution, white, sample))
+        return ClusterRobust(robust, solution, sample, layout)
     layout = without_elimination(solution.blocks)
     must_be_few(layout.width)
     rows = rows_of(solution, clusters.of, clusters.free)
@@ -167,10 +167,10 @@ def _joint(solution: Solution, layout: Layout) -> Array:
 
 def _of_blocks(layout: Layout, names: Sequence[str]) -> Mask:
     """Return which unknowns are those of some blocks, (unknowns,)."""
-    found = np.zeros(layout.width, dtype=bool)
+    mask = np.zeros(layout.width, dtype=bool)
     for name in names:
-        found[columns_of(layout, name)] = True
-    return found
+        mask[columns_of(layout, name)] = True
+    return mask
 
 
 def columns_of(layout: Layout, name: str) -> Index:

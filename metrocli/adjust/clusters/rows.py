@@ -56,8 +56,8 @@ class Rows:
     def _counts(self) -> Index:
         """How many clusters use each unknown."""
         counts = np.zeros(self.width, dtype=np.intp)
-        for one in self.of_clusters:
-            counts[one.columns] += 1
+        for cluster in self.of_clusters:
+            counts[cluster.columns] += 1
         return counts
 
 
@@ -108,15 +108,15 @@ def rows_without_members(solution: Solution, clusters: Mapping[str, Index]) -> R
 def rows_of_table(jacobian: Sparse, residual: Array, cluster: Index) -> Rows:
     """Return rows from the derivatives (rows, unknowns) and residuals (rows,); `cluster` (rows,) is -1 in others."""
     parts = {at: np.flatnonzero(cluster == at) for at in np.unique(cluster).tolist()}
-    found = {at: _dense(jacobian[rows], residual[rows]) for at, rows in parts.items()}
-    of_clusters = tuple(one for at, one in found.items() if at >= 0)
-    return Rows(int(jacobian.shape[1]), of_clusters, (found[-1],) if -1 in found else (), together=True)
+    dense = {at: _dense(jacobian[rows], residual[rows]) for at, rows in parts.items()}
+    of_clusters = tuple(one for at, one in dense.items() if at >= 0)
+    return Rows(int(jacobian.shape[1]), of_clusters, (dense[-1],) if -1 in dense else (), together=True)
 
 
 def numbers_of(clusters: Mapping[str, Index]) -> list[int]:
     """Return the numbers of all clusters."""
-    found: list[int] = np.unique(np.concatenate([np.unique(index) for index in clusters.values()])).tolist()
-    return found
+    numbers: list[int] = np.unique(np.concatenate([np.unique(index) for index in clusters.values()])).tolist()
+    return numbers
 
 
 def _dense(jacobian: Sparse, residual: Array) -> Cluster:
@@ -127,16 +127,16 @@ def _dense(jacobian: Sparse, residual: Array) -> Cluster:
 def _clusters_of_members(solution: Solution, clusters: Mapping[str, Index], name: str) -> Index | None:
     """Return the cluster of each member of a block; None if one is used by several, or by no cluster."""
     block = solution.blocks[name]
-    found = np.full(len(block.members), -1, dtype=np.intp)
+    cluster = np.full(len(block.members), -1, dtype=np.intp)
     used = [
         (np.ravel(group.observations.index[name]), clusters[group.name])
         for group in solution.groups
         if group.name in clusters and name in group.chain.blocks
     ]
     for members, index in used:
-        found[members] = index
-    alike = all((found[members] == index).all() for members, index in used)
-    return found if alike and (found >= 0)[block.free.any(axis=1)].all() else None
+        cluster[members] = index
+    alike = all((cluster[members] == index).all() for members, index in used)
+    return cluster if alike and (cluster >= 0)[block.free.any(axis=1)].all() else None
 
 
 def _without_member(linear: Linear, solution: Solution, rows: Index) -> Cluster:

@@ -64,19 +64,21 @@ class Sample:
         root, parts = _root(white, first[shared])
         numbers = np.cumsum(shared) - 1
         seen, own = [], []
-        for one in rows.of_clusters:
-            common = shared[one.columns]
-            at = numbers[one.columns[common]]
-            basis, triangle = np.linalg.qr(one.jacobian[:, ~common])
-            coupling = basis.T @ one.jacobian[:, common]
-            seen.append(Seen.of((one.jacobian[:, common] - basis @ coupling) @ root[at], one.residual))
+        for cluster in rows.of_clusters:
+            common = shared[cluster.columns]
+            at = numbers[cluster.columns[common]]
+            basis, triangle = np.linalg.qr(cluster.jacobian[:, ~common])
+            coupling = basis.T @ cluster.jacobian[:, common]
+            seen.append(Seen.of((cluster.jacobian[:, common] - basis @ coupling) @ root[at], cluster.residual))
             inverse = np.linalg.inv(triangle)
             by_shared = np.zeros((len(triangle), len(root)))
             by_shared[:, at] = -inverse @ coupling
-            own.append(Own(one.columns[~common], inverse @ inverse.T, by_shared))
-        known = [one.jacobian @ root[numbers[one.columns]] for one in rows.others]
-        prior = np.sum([one.T @ one for one in known], axis=0) if known else np.zeros((root.shape[1],) * 2)
-        square = float(sum(one.residual @ one.residual for one in (*rows.of_clusters, *rows.others)))
+            own.append(Own(cluster.columns[~common], inverse @ inverse.T, by_shared))
+        known = [cluster.jacobian @ root[numbers[cluster.columns]] for cluster in rows.others]
+        prior = (
+            np.sum([jacobian.T @ jacobian for jacobian in known], axis=0) if known else np.zeros((root.shape[1],) * 2)
+        )
+        square = float(sum(cluster.residual @ cluster.residual for cluster in (*rows.of_clusters, *rows.others)))
         apart = first[shared].any()
         excess = most_likely(Likelihood.of(seen, parts[0], square, dof)) if apart else Excess()
         return cls(shared, root, parts, spreads(seen, parts[0], excess, prior), tuple(own), prior, excess, grows)
@@ -84,17 +86,17 @@ class Sample:
     @cached_property
     def target(self) -> Array:
         """The covariance that the errors expected of the clusters give, `sum F' Omega F`."""
-        return np.asarray(np.sum([one.information for one in self.clusters], axis=0))
+        return np.asarray(np.sum([cluster.information for cluster in self.clusters], axis=0))
 
     @cached_property
     def white(self) -> float:
         """Sum of the variances that white noise of the clusters gives, `tr sum F'F`."""
-        return float(sum((one.seen.sizes**2).sum() for one in self.clusters))
+        return float(sum((cluster.seen.sizes**2).sum() for cluster in self.clusters))
 
     @cached_property
     def found(self) -> Array:
         """The covariance that the errors of the clusters give as they are, `sum change change'` (CR2)."""
-        changes = np.array([one.change for one in self.clusters])
+        changes = np.array([cluster.change for cluster in self.clusters])
         return np.asarray(changes.T @ changes)
 
     @cached_property
@@ -118,7 +120,7 @@ class Sample:
     @cached_property
     def alone(self) -> Array:
         """The covariance that independent errors give to what only one cluster determines."""
-        return np.asarray(np.sum([one.seen.alone @ one.seen.alone.T for one in self.clusters], axis=0))
+        return np.asarray(np.sum([cluster.seen.alone @ cluster.seen.alone.T for cluster in self.clusters], axis=0))
 
     @cached_property
     def shape(self) -> Array:
@@ -134,7 +136,7 @@ class Sample:
     @cached_property
     def share(self) -> float:
         """Share of that shape in the covariance (Ledoit and Wolf 2004)."""
-        squares, m = np.array([one.change @ one.change for one in self.clusters]), len(self.clusters)
+        squares, m = np.array([cluster.change @ cluster.change for cluster in self.clusters]), len(self.clusters)
         scatter = float((squares**2).sum() - (self.found**2).sum() / m)
         apart = float(((self.found - self.shape) ** 2).sum())
         return min(scatter / apart, 1.0) if apart > 0 else 1.0
@@ -143,6 +145,7 @@ class Sample:
         """Return the covariance of the coordinates: shrunk, with the priors, and in no direction below 1."""
         matrix = (1 - self.share) * self.found + self.share * self.shape + self.prior + self.of_own * self.alone
         values, vectors = np.linalg.eigh(matrix)
+        # 1 is the covariance for independent errors in these coordinates: no standard uncertainty falls below it
         return np.asarray((vectors * np.maximum(values, 1.0)) @ vectors.T)
 
     def of_shared(self) -> Array:
@@ -155,15 +158,15 @@ class Sample:
         v = self.of_shared()
         if len(common) == len(self.shared):
             return v
-        columns = np.concatenate([one.columns for one in self.own])
-        by_shared = np.concatenate([one.by_shared for one in self.own])
+        columns = np.concatenate([unknowns.columns for unknowns in self.own])
+        by_shared = np.concatenate([unknowns.by_shared for unknowns in self.own])
         mixed = by_shared @ v
         full = np.zeros((len(self.shared),) * 2)
         full[np.ix_(common, common)] = v
         full[np.ix_(columns, common)], full[np.ix_(common, columns)] = mixed, mixed.T
         full[np.ix_(columns, columns)] = mixed @ by_shared.T
-        for one in self.own:
-            full[np.ix_(one.columns, one.columns)] += self.of_own * one.noise
+        for unknowns in self.own:
+            full[np.ix_(unknowns.columns, unknowns.columns)] += self.of_own * unknowns.noise
         return (full + full.T) / 2
 
     def dof(self, columns: Index) -> Array:
@@ -179,11 +182,11 @@ class Sample:
         weights = np.array([(lines[part] ** 2).sum(axis=0) for part in self.parts])
         by_part = [self._dof(lines, part, factor) for part, factor in zip(self.parts, self.factors, strict=True)]
         of_own = min(alone for _, alone in by_part)
-        found = np.full(len(columns), of_own)
-        shared = np.choose(weights.argmax(axis=0), [one for one, _ in by_part])
+        dofs = np.full(len(columns), of_own)
+        shared = np.choose(weights.argmax(axis=0), [dofs for dofs, _ in by_part])
         alone = (lines * (self.alone @ lines)).sum(axis=0) > _MOSTLY
-        found[self.shared[columns]] = np.where(alone, of_own, shared)
-        return found
+        dofs[self.shared[columns]] = np.where(alone, of_own, shared)
+        return dofs
 
     def _dof(self, lines: Array, part: slice, factor: float) -> tuple[Array, float]:
         """Return the degrees of freedom of the variances along lines (coordinates, k), and of the factor of a part."""

@@ -121,11 +121,11 @@ def acting(seen: Seen, first: slice) -> tuple[Array, Array]:
 
 def spreads(clusters: Sequence[Seen], first: slice, excess: Excess, prior: Array) -> tuple[Spread, ...]:
     """Return what the errors of clusters change; `prior` is the information of rows whose errors are independent."""
-    directions = [acting(one, first) for one in clusters]
+    directions = [acting(cluster, first) for cluster in clusters]
     expected = [np.eye(len(u)) + (u * excess.at(strength)) @ u.T for u, strength in directions]
-    parts = [one.rows.T @ omega @ one.rows for one, omega in zip(clusters, expected, strict=True)]
+    parts = [cluster.rows.T @ omega @ cluster.rows for cluster, omega in zip(clusters, expected, strict=True)]
     whole = np.sum(parts, axis=0) + prior
-    return tuple(Spread.of(one, omega, whole) for one, omega in zip(clusters, expected, strict=True))
+    return tuple(Spread.of(cluster, omega, whole) for cluster, omega in zip(clusters, expected, strict=True))
 
 
 def products(clusters: Sequence[Spread], whole: Array, lines: Array, part: slice) -> tuple[Array, Array, float]:
@@ -138,8 +138,8 @@ def products(clusters: Sequence[Spread], whole: Array, lines: Array, part: slice
     """
     # a = R X, b = R P, y = R Y with P = X G - Y and R'R = v' E v, so that R C_cd R' = a_c b_d' - y_c a_d'
     x_lines, y_lines, a, b, y = [], [], [], [], []
-    for one in clusters:
-        v, (x, by_errors) = one.seen.directions, one.levers
+    for cluster in clusters:
+        v, (x, by_errors) = cluster.seen.directions, cluster.levers
         inside = v.T @ lines
         x_lines.append(v @ (x @ inside))
         y_lines.append(v @ (by_errors.T @ inside))
@@ -157,8 +157,8 @@ def products(clusters: Sequence[Spread], whole: Array, lines: Array, part: slice
     lengths = np.einsum("cil,ij,cjl->l", g, aa, g, optimize=True) + np.einsum("cil,ij,cjl->l", h, yy, h, optimize=True)
     lengths -= 2 * np.einsum("cil,ij,cjl->l", g, ay, h, optimize=True)
     norms = float((aa * bb).sum() - 2 * (ay * ab.T).sum() + (yy * aa).sum())
-    for c, one in enumerate(clusters):
-        itself = one.information
+    for c, cluster in enumerate(clusters):
+        itself = cluster.information
         along = itself @ lines
         pairs[:, c, c] = (lines * along).sum(axis=0)
         lengths += (along[part] ** 2).sum(axis=0) - ((a[c] @ g[c] - y[c] @ h[c]) ** 2).sum(axis=0)

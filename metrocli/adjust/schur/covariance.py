@@ -65,9 +65,9 @@ class Covariance:
     def members(self, name: str) -> Array:
         """Return the covariance of each member of a block, (members, size, size), the same array each time."""
         if name not in self._members:
-            found = self._of_members(name)
-            found.setflags(write=False)
-            self._members[name] = found
+            covariance = self._of_members(name)
+            covariance.setflags(write=False)
+            self._members[name] = covariance
         return self._members[name]
 
     def _of_members(self, name: str) -> Array:
@@ -113,13 +113,15 @@ class Covariance:
         if name != self.layout.eliminated:
             return np.moveaxis(self.pairs(name, index, name, other), -1, 0)
         members = self.eliminated
-        found = members.weights[index] @ self.reduced @ np.swapaxes(members.weights[other], 1, 2)
+        covariance = members.weights[index] @ self.reduced @ np.swapaxes(members.weights[other], 1, 2)
         if members.gauge is not None:
             moves, share = members.gauge.moves, members.share
-            found = (
-                found - moves[index] @ np.swapaxes(share[other], 1, 2) - share[index] @ np.swapaxes(moves[other], 1, 2)
+            covariance = (
+                covariance
+                - moves[index] @ np.swapaxes(share[other], 1, 2)
+                - share[index] @ np.swapaxes(moves[other], 1, 2)
             )
-        return self.factor * found
+        return self.factor * covariance
 
     @cached_property
     def _cross(self) -> Array:

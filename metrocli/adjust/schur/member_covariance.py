@@ -111,12 +111,12 @@ class MemberCovariance:
         full = np.empty((self.shape[1], *shape))
         for part, tile in zip(self.parts, self.tiles, strict=False):
             chosen = [j for j, piece in enumerate(tile.pieces) if piece.place == place]
-            found = part.with_readings(self.reduced, chosen)
+            variances = part.with_readings(self.reduced, chosen)
             if self.gauge is not None:
                 # the other terms of the gauge are movements times J, which no reading sees
                 moves, seen = self.gauge.moves_of(part.members), part.seen_by(self.gauge.share_of(part), chosen)
-                found = [q - np.einsum("ksf,fdmk->sdmk", moves, h) for q, h in zip(found, seen, strict=True)]
-            for j, values in zip(chosen, found, strict=True):
+                variances = [q - np.einsum("ksf,fdmk->sdmk", moves, h) for q, h in zip(variances, seen, strict=True)]
+            for j, values in zip(chosen, variances, strict=True):
                 full[:, :, tile.pieces[j].rows] = values.reshape(*values.shape[:2], -1)
         return full
 

@@ -140,12 +140,12 @@ class EliminatedTile:
         s, k = self.free.shape
         columns = [part.own.swapaxes(1, 2).reshape(-1, s, k) for part in self.rows]
         self.factor, spare = complement(columns[0] if len(columns) == 1 else np.concatenate(columns))
-        found, at = [], 0
+        parts, at = [], 0
         for part, column in zip(self.rows, columns, strict=True):
             mine = spare[at : at + len(column)].swapaxes(0, 1)
-            found.append(mine.reshape(len(mine), *part.residual.shape))
+            parts.append(mine.reshape(len(mine), *part.residual.shape))
             at += len(column)
-        return found
+        return parts
 
     @property
     def diagonal(self) -> Array:
@@ -239,7 +239,7 @@ class EliminatedTile:
             return self._with_few_readings(reduced, chosen)
         own = [self.whitened(part) for part in self.rows]
         product, between = shared(self._combined(len(self.free), own), reduced)
-        found, at = [], 0
+        parts, at = [], 0
         for i, (part, u) in enumerate(zip(self.rows, own, strict=True)):
             total = u + np.einsum("abk,bdmk->admk", between, u) if i in chosen else None
             for beside in part.beside:
@@ -249,8 +249,8 @@ class EliminatedTile:
                     mine = np.broadcast_to(mine, (u.shape[2], *mine.shape[1:]))
                     total -= np.einsum("mcak,dcmk->admk", mine, beside.jacobian)
             if total is not None:
-                found.append(self.backward(total))
-        return found
+                parts.append(self.backward(total))
+        return parts
 
     def _with_few_readings(self, reduced: Array, chosen: Sequence[int]) -> list[Array]:
         spare = self._spare()
@@ -276,7 +276,7 @@ class EliminatedTile:
 
         With U of the reading itself: `U'U + U' Y Q Y' U - 2 U' Y Q K' + K Q K'`.
         """
-        found, at = [], 0
+        parts, at = [], 0
         for part, u in zip(self.rows, own, strict=True):
             total = np.einsum("admk,admk->dmk", u, u)
             for a in range(len(u)):
@@ -292,5 +292,5 @@ class EliminatedTile:
             for first in part.beside:
                 for second in part.beside:
                     total += adjusted_variance(first, second, reduced)
-            found.append(total)
-        return found
+            parts.append(total)
+        return parts

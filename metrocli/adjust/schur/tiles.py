@@ -76,13 +76,13 @@ def _tiled(
     groups: Sequence[Group], blocks: Mapping[str, Block], eliminated: str, touching: Sequence[int]
 ) -> list[Tile]:
     orders = [_Order.of(groups[i], i, blocks, eliminated) for i in touching]
-    found = [order for order in orders if order is not None]
-    if len(found) < len(orders) or not found:
+    kept = [order for order in orders if order is not None]
+    if len(kept) < len(orders) or not kept:
         return []
-    alike = _alike(found)
-    if len(alike) > 2 and sum(len(order.rows) for order in found) < WORTH_TILES * len(alike):
+    alike = _alike(kept)
+    if len(alike) > 2 and sum(len(order.rows) for order in kept) < WORTH_TILES * len(alike):
         return []
-    return [tile for members in alike for tile in _tiles(found, groups, members, eliminated)]
+    return [tile for members in alike for tile in _tiles(kept, groups, members, eliminated)]
 
 
 def chunks_of(group: Group, place: int, layout: Layout) -> list[Piece]:

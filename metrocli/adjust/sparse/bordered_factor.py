@@ -156,9 +156,9 @@ def _factored(matrix: Sparse, places: Array, largest: float) -> tuple[SparseChol
     """
     fronts = dissect(matrix, places)
     try:
-        found = factor(matrix, fronts)
-        if found.weakest**2 > _SINGULAR * largest:
-            return found, np.zeros((matrix.shape[0], 0))
+        factored = factor(matrix, fronts)
+        if factored.weakest**2 > _SINGULAR * largest:
+            return factored, np.zeros((matrix.shape[0], 0))
     except np.linalg.LinAlgError:
         pass
     everywhere = np.full(matrix.shape[0], _STIFFNESS * largest)
@@ -198,11 +198,11 @@ def _open(matrix: Sparse, net: SparseCholesky, largest: float) -> _Opened:
         vectors = rng.normal(size=(matrix.shape[0], count))
         for _ in range(4):
             vectors = _orthonormal(net.solve(vectors), pieces)
-        found = list(_lowest(matrix, vectors, pieces, largest))
-        if sum(each.shape[1] for each in found) > _MOST:
+        directions = list(_lowest(matrix, vectors, pieces, largest))
+        if sum(each.shape[1] for each in directions) > _MOST:
             raise OpenDesignError(f"more than {_MOST} directions are open")
-        if all(each.shape[1] < count or len(each) <= count for each in found):
-            return [(piece, own) for piece, own in zip(pieces, found, strict=True) if own.shape[1]]
+        if all(each.shape[1] < count or len(each) <= count for each in directions):
+            return [(piece, own) for piece, own in zip(pieces, directions, strict=True) if own.shape[1]]
         count *= 3
 
 

@@ -141,7 +141,7 @@ def dissect(matrix: Sparse, places: Array) -> list[Front]:
     fronts: list[Front] = []
     _dissected(_graph(matrix, places), np.arange(len(places)), fronts)
     turn = _turns(fronts, len(places))
-    return [Front(_sorted(one.pivots, turn), _sorted(one.border, turn), one.children) for one in fronts]
+    return [Front(_sorted(front.pivots, turn), _sorted(front.border, turn), front.children) for front in fronts]
 
 
 def connected(matrix: Sparse) -> list[Index]:

@@ -1,4 +1,4 @@
-"""metrocli effects: the effects that a kind of job knows, and where effects of one's own can act."""
+"""metrocli effects: the effects that a kind of job knows, the page of one, and where user-defined effects can act."""
 
 from __future__ import annotations
 
@@ -22,57 +22,77 @@ if TYPE_CHECKING:
     from metrocli.tasks.kind import Kind
 
 
-@click.command("effects", help="List the effects of a kind of job, own ones included, and where own ones can act.")
-@click.argument("kind", required=False, metavar="[KIND]", shell_complete=offering(kinds))
+@click.command("effects", help="List the effects of a kind of job and where user-defined ones can act, or explain one.")
+@click.argument("kind", required=False, metavar="[KIND|NAME]", shell_complete=offering(kinds))
 @click.option("--from", "source", type=click.Path(path_type=Path), metavar="FILE", help="A file with `define:`.")
-@click.option("--check", is_flag=True, help="Test own effects, and those of packages, against the laws of effects.")
+@click.option(
+    "--check", is_flag=True, help="Test user-defined effects, of files and packages, against the laws of effects."
+)
 @options.JSON
 def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -> int:
-    """Print the tables of one kind or of all; raise InputError with every fault of the own effects."""
+    """Print the tables of one kind or of all, or one effect; raise InputError with every fault of user-defined ones."""
     from metrocli.cli import summary
 
     if kind is not None and kind not in KINDS:
-        raise UsageError(f"no kind of job '{kind}'; {suggestion(kind, KINDS)}")
-    chosen = {kind: KINDS[kind]} if kind else {name: one for name, one in KINDS.items() if one.task().places}
-    found = {name: (one, _own(name, source)) for name, one in chosen.items()}
+        echo(_explained(kind, as_json))
+        return 0
+    chosen = {kind: KINDS[kind]} if kind else {name: kind for name, kind in KINDS.items() if kind.task().places}
+    by_kind = {name: (one, _own(name, source)) for name, one in chosen.items()}
     if check:
-        faults, count = _faults(found)
+        faults, count = _faults(by_kind)
         if faults:
             raise InputError(faults)
     if as_json:
-        data = {name: _data(one, own) for name, (one, own) in found.items()}
+        data = {name: _data(one, own) for name, (one, own) in by_kind.items()}
         echo(summary.as_json(data[kind] if kind else {"kinds": data}))
         return 0
     if check:
-        echo("\n".join([f"{count} effects of one's own obey the laws", *_in_data(found)]))
+        echo("\n".join([f"{count} user-defined effects obey the laws", *_in_data(by_kind)]))
         return 0
-    echo("\n\n".join(_text(one, own) for one, own in found.values()))
+    echo("\n\n".join(_text(one, own) for one, own in by_kind.values()))
     return 0
 
 
+def _explained(name: str, as_json: bool) -> str:
+    """Return the page of an effect, or its entry in each kind that has it."""
+    from metrocli.cli import summary
+    from metrocli.effects.page import page
+
+    tables = {kind: one.task().effects for kind, one in KINDS.items()}
+    names = dict.fromkeys(effect.name for effects in tables.values() for effect in effects)
+    if name not in names:
+        raise UsageError(f"no kind of job and no effect '{name}'; {suggestion(name, [*KINDS, *names])}")
+    if not as_json:
+        return page(name, tables).rstrip()
+    entries = {
+        kind: [_effect(effect, False) for effect in effects if effect.name == name] for kind, effects in tables.items()
+    }
+    return summary.as_json({kind: entry for kind, entry in entries.items() if entry})
+
+
 def _own(kind: str, source: Path | None) -> list[Effect]:
-    """Return the own effects of a kind: those of a file, else of the project of the working folder, and of packages."""
+    """Return the user-defined effects of a kind: of a file, else of the project of this folder, and of packages."""
     from metrocli.project.own_effects import Defining, of_file, of_packages, of_project
     from metrocli.project.yaml_text import YamlFiles
     from metrocli.settings import path_beside
 
     task = KINDS[kind].task()
     taken = {effect.name for effect in task.effects}
-    found = list(of_packages(kind))
+    effects = list(of_packages(kind))
     files = YamlFiles()
     node = None if source is not None else of_project(Path(), files)
     path = source if node is None else path_beside(node)
     faults: list[Fault] = []
     if path is not None:
         given = Defining(kind, path, lambda: task.places, files)
-        found += of_file(path, given, taken | {effect.name for effect in found}, faults, node)
+        effects += of_file(path, given, taken | {effect.name for effect in effects}, faults, node)
     if faults:
         raise InputError(faults)
-    return found
+    return effects
 
 
 def _faults(found: dict[str, tuple[Kind, list[Effect]]]) -> tuple[list[Any], int]:
-    """Return a fault for each law that an own effect breaks, and the number of effects."""
+    """Return a fault for each law that a user-defined effect breaks, and the number of effects."""
     from metrocli.effects.own.trials import broken
 
     faults = [
@@ -85,7 +105,7 @@ def _faults(found: dict[str, tuple[Kind, list[Effect]]]) -> tuple[list[Any], int
 
 
 def _in_data(found: dict[str, tuple[Kind, list[Effect]]]) -> list[str]:
-    """Return a line for each own effect that only data with further columns can test."""
+    """Return a line for each user-defined effect that only data with further columns can test."""
     return [
         f"{effect.name}: {effect.lacks}; the units of its expression are tested with the data of a job ({name})"
         for name, (_, own) in found.items()
@@ -95,14 +115,14 @@ def _in_data(found: dict[str, tuple[Kind, list[Effect]]]) -> list[str]:
 
 
 def _data(kind: Kind, own: Sequence[Effect]) -> dict[str, Any]:
-    found = [_effect(one, False) for one in kind.task().effects]
+    entries = [_effect(effect, False) for effect in kind.task().effects]
     return {
         # an effect that acts in one of several frames, as the job has it, is one entry
         "effects": [
-            *(one for number, one in enumerate(found) if one not in found[:number]),
-            *(_effect(one, True) for one in own),
+            *(entry for number, entry in enumerate(entries) if entry not in entries[:number]),
+            *(_effect(effect, True) for effect in own),
         ],
-        "places": [_place(one) for one in kind.task().places],
+        "places": [_place(place) for place in kind.task().places],
     }
 
 
@@ -113,9 +133,14 @@ def _effect(effect: Effect, own: bool) -> dict[str, Any]:
         "where": list(effect.where),
         "by": effect.by or None,
         "parameters": {
-            one.name: {"unit": one.unit, "plausible": one.plausible, "scanned": one in effect.scanned}
-            for one in effect.all_parameters
+            parameter.name: {
+                "unit": parameter.unit,
+                "plausible": parameter.plausible,
+                "scanned": parameter in effect.scanned,
+            }
+            for parameter in effect.all_parameters
         },
+        **{key: getattr(effect, key) for key in ("formula", "usual", "reveal", "note", "source")},
         "own": own,
     }
 
@@ -137,9 +162,11 @@ def _text(kind: Kind, own: Sequence[Effect]) -> str:
 
     task = kind.task()
     rows = [["effect", "where", "parameters", ""]]
-    rows += [[*one, ""] for one in dict.fromkeys(map(_row, task.effects))] + [[*_row(one), "own"] for one in own]
-    places = [["own effects act on", "where", "components", "variables"]]
-    places += [_place_row(one) for one in task.places]
+    rows += [[*effect, ""] for effect in dict.fromkeys(map(_row, task.effects))] + [
+        [*_row(effect), "own"] for effect in own
+    ]
+    places = [["user-defined effects act on", "where", "components", "variables"]]
+    places += [_place_row(place) for place in task.places]
     return f"{kind.name}\n\n{columns_text(rows)}\n\n{columns_text(places)}"
 
 
@@ -150,7 +177,11 @@ def _place_row(acting: Acting) -> list[str]:
 
 def _row(effect: Effect) -> tuple[str, str, str]:
     where = " ".join([*effect.keys, *([f"by {effect.by}"] if effect.by else [])])
-    return effect.name, where, ", ".join(_with_unit(one.name, one.unit) for one in effect.all_parameters)
+    return (
+        effect.name,
+        where,
+        ", ".join(_with_unit(parameter.name, parameter.unit) for parameter in effect.all_parameters),
+    )
 
 
 def _with_unit(name: str, unit: str) -> str:

@@ -72,16 +72,16 @@ def command(
 
         echo(proposed(lines))
         return 0
-    found = imported(form, lines, Wishes(root, unit))
+    texts = imported(form, lines, Wishes(root, unit))
     folder = file.parent if out is None else out
-    for name in found:
+    for name in texts:
         if inside(folder, name).resolve() == file.resolve():
             raise InputError(
                 [Fault(f"would overwrite {file}, the file it reads", str(file), hint="give a folder: --out DIR")]
             )
-    written = list(write_all({inside(folder, name): text.encode() for name, text in found.items()}, force))
+    written = list(write_all({inside(folder, name): text.encode() for name, text in texts.items()}, force))
     console = Console(quiet)
-    for name, text in found.items():
+    for name, text in texts.items():
         notes = [line.removeprefix(NOTE) for line in text.splitlines()[:_FIRST] if line.startswith(NOTE)]
         for note in notes:
             console.warning(f"{name}: {note}")

@@ -87,10 +87,10 @@ def _nodes(origin: Origin) -> list[Node]:
     home = origin.path.parent.parent
     return [
         Node(
-            name_from(home, one),
-            one.label.kind if one.label else "",
-            one.state == AS_READ and (one.label is None or one.label.status == DONE),
-            tuple(dict.fromkeys(name_from(home, below) for below in one.origins)),
+            name_from(home, file),
+            file.label.kind if file.label else "",
+            file.state == AS_READ and (file.label is None or file.label.status == DONE),
+            tuple(dict.fromkeys(name_from(home, below) for below in file.origins)),
         )
-        for one in files_of(origin)
+        for file in files_of(origin)
     ]

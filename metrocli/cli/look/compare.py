@@ -1,4 +1,4 @@
-"""metrocli compare: two results of one kind held against each other, or repeated calibrations."""
+"""metrocli compare: two results of one kind compared, or repeated calibrations."""
 
 from __future__ import annotations
 
@@ -44,49 +44,58 @@ def command(
 
     wanted = requirement.read(require, FIGURES)
     (one, of_one), (other, of_other) = held(first), held(second)
-    found, shared = compare(one, other), _shared(of_one, of_other)
-    echo(summary.as_json(_figures(found, shared)) if as_json else _text(found, shared))
-    return 0 if wanted is None else wanted.exit_code(found)
+    comparison, shared = compare(one, other), _shared(of_one, of_other)
+    echo(summary.as_json(_figures(comparison, shared)) if as_json else _text(comparison, shared))
+    return 0 if wanted is None else wanted.exit_code(comparison)
 
 
 def _shared(first: Record, second: Record) -> list[str]:
     """Return the paths of the inputs of the first result that the second was made from too, by content."""
-    known = {one.sha256 for one in second.inputs}
-    return [one.path for one in first.inputs if one.sha256 in known]
+    known = {file.sha256 for file in second.inputs}
+    return [file.path for file in first.inputs if file.sha256 in known]
 
 
-def _figures(found: Comparison, shared: list[str]) -> dict[str, Any]:
+def _figures(comparison: Comparison, shared: list[str]) -> dict[str, Any]:
     groups: dict[str, dict[str, Any]] = {"estimates": {}, "points": {}}
-    for one in found.compared:
-        row = {"difference": one.difference, "std": one.std, "unit": one.unit, "en": one.en}
-        if one.group in groups:
-            groups[one.group][one.name] = row
+    for quantity in comparison.compared:
+        row = {"difference": quantity.difference, "std": quantity.std, "unit": quantity.unit, "en": quantity.en}
+        if quantity.group in groups:
+            groups[quantity.group][quantity.name] = row
         else:
-            groups.setdefault("tables", {}).setdefault(one.group, {})[one.name] = row
-    figures = {"chi2": found.chi2, "dof": found.dof, "p_value": found.p_value, "max_en": found.max_en}
+            groups.setdefault("tables", {}).setdefault(quantity.group, {})[quantity.name] = row
+    figures = {
+        "chi2": comparison.chi2,
+        "dof": comparison.dof,
+        "p_value": comparison.p_value,
+        "max_en": comparison.max_en,
+    }
     return {
         **groups,
         **figures,
         "shared": shared,
-        "counted_once": list(found.counted_once),
-        "only_in_one": list(found.only_in_one),
+        "counted_once": list(comparison.counted_once),
+        "only_in_one": list(comparison.only_in_one),
     }
 
 
-def _text(found: Comparison, shared: list[str]) -> str:
+def _text(comparison: Comparison, shared: list[str]) -> str:
     from metrocli import units
     from metrocli.cli.columns import worst_rows
 
     rows = [["quantity", "B - A (± u)", "E_n"]]
-    for one in sorted(found.compared, key=lambda one: -one.en):
-        name = one.name if one.group == "estimates" else f"{one.group} {one.name}"
-        rows.append([name, units.format_quantity(one.difference, one.unit, one.std), f"{one.en:.2f}"])
+    for quantity in sorted(comparison.compared, key=lambda quantity: -quantity.en):
+        name = quantity.name if quantity.group == "estimates" else f"{quantity.group} {quantity.name}"
+        rows.append(
+            [name, units.format_quantity(quantity.difference, quantity.unit, quantity.std), f"{quantity.en:.2f}"]
+        )
     lines = worst_rows(rows)
-    lines.append(f"{len(found.compared)} quantities, largest E_n {found.max_en:.2f}")
-    lines.append(f"all together: chi2 {found.chi2:.4g} of {found.dof} degrees of freedom, p {found.p_value:.3g}")
+    lines.append(f"{len(comparison.compared)} quantities, largest E_n {comparison.max_en:.2f}")
+    lines.append(
+        f"all together: chi2 {comparison.chi2:.4g} of {comparison.dof} degrees of freedom, p {comparison.p_value:.3g}"
+    )
     independent = "the uncertainties count as independent"
-    if found.counted_once:
-        once = f"what they share by {', '.join(found.counted_once)} counts once"
+    if comparison.counted_once:
+        once = f"what they share by {', '.join(comparison.counted_once)} counts once"
         lines.append(
             f"{once}; other inputs count as independent" + (f": both have {', '.join(shared)}" if shared else "")
         )
@@ -94,6 +103,6 @@ def _text(found: Comparison, shared: list[str]) -> str:
         lines.append(f"both are made from {', '.join(shared)}; {independent} all the same")
     else:
         lines.append(f"the results have no input in common; {independent}")
-    if found.only_in_one:
-        lines.append(f"determined in one of them only: {listed(found.only_in_one)}")
+    if comparison.only_in_one:
+        lines.append(f"determined in one of them only: {listed(comparison.only_in_one)}")
     return "\n".join(lines)

@@ -20,7 +20,7 @@ INCHES = "inch"
 
 def in_inches(result: Result) -> Result:
     """Return a result whose lengths in mm are in inches: estimates, tables and the RMS; notes stay as they are."""
-    lengths = {one.name for one in result.estimates if one.unit == "mm"}
+    lengths = {estimate.name for estimate in result.estimates if estimate.unit == "mm"}
     return replace(
         result,
         estimates=tuple(map(_estimate, result.estimates)),
@@ -40,10 +40,10 @@ def estimates_in(estimates: Iterable[Estimate], units: str) -> tuple[Estimate, .
     return tuple(map(_estimate, estimates)) if units == INCHES else tuple(estimates)
 
 
-def _estimate(one: Estimate) -> Estimate:
-    if one.unit != "mm":
-        return one
-    return replace(one, value=one.value / INCH, std=one.std / INCH, unit=_SYMBOL, dimension="")
+def _estimate(estimate: Estimate) -> Estimate:
+    if estimate.unit != "mm":
+        return estimate
+    return replace(estimate, value=estimate.value / INCH, std=estimate.std / INCH, unit=_SYMBOL, dimension="")
 
 
 def _expanded(details: Mapping[str, Any]) -> Mapping[str, Any]:

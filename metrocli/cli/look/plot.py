@@ -40,15 +40,15 @@ def command(result: Path, name: str | None, save: Path | None, as_json: bool, **
     from metrocli.formats import hdf5
     from metrocli.formats.own_files import write_all
 
-    found, record = hdf5.read(result)
+    stored, record = hdf5.read(result)
     given = wanted["diagnosis"]
     beside = beside_of(result, _of_this(diagnosis_of(result, given, record), given), wanted["before"])
     if name is None:
         if save is not None:
             raise UsageError("--save needs the name of a figure; without a name and --save, plot lists them")
-        return _list(found, beside, as_json)
+        return _list(stored, beside, as_json)
     path = save or result.with_name(f"{result.stem}.{name}.svg")
-    data = _drawn(found, name, path, beside, wanted["dark"])
+    data = _drawn(stored, name, path, beside, wanted["dark"])
     return print_files(write_all({path: data}, wanted["force"]), as_json, wanted["quiet"])
 
 
@@ -56,7 +56,7 @@ def _list(result: Result, beside: Beside, as_json: bool) -> int:
     """Print the names of the figures that a result can show."""
     from metrocli import plots
 
-    summaries = {one: plots.FIGURES[one].summary for one in plots.names_of(result, beside)}
+    summaries = {figure: plots.FIGURES[figure].summary for figure in plots.names_of(result, beside)}
     if as_json:
         from metrocli.cli.summary import as_json as json_text
 
@@ -79,9 +79,9 @@ def _drawn(result: Result, name: str, path: Path, beside: Beside, dark: bool) ->
         return drawn.read_bytes()
 
 
-def _of_this(found: Diagnosis | None, given: Path | None) -> Diagnosis | None:
+def _of_this(diagnosis: Diagnosis | None, given: Path | None) -> Diagnosis | None:
     """Return a diagnosis; raise InputError if one that was given is of another job, or of other inputs."""
-    if given is not None and found is not None and not found.of_this:
+    if given is not None and diagnosis is not None and not diagnosis.of_this:
         hint = "diagnose the job of this result again"
         raise InputError([Fault("this is the diagnosis of another job, or of other inputs", str(given), hint=hint)])
-    return found
+    return diagnosis

@@ -27,13 +27,13 @@ def series(files: tuple[Path, ...], days: str | None, require: str | None, as_js
 
     wanted = requirement.read(require, OF_SERIES)
     times, time = _times(days, len(files))
-    found = repeated([held(file)[0] for file in files], times)
+    calibrations = repeated([held(file)[0] for file in files], times)
     echo(
-        summary.as_json(_figures_of_series(found, files, times, time))
+        summary.as_json(_figures_of_series(calibrations, files, times, time))
         if as_json
-        else _text_of_series(found, files, time)
+        else _text_of_series(calibrations, files, time)
     )
-    return 0 if wanted is None else wanted.exit_code(found)
+    return 0 if wanted is None else wanted.exit_code(calibrations)
 
 
 def _times(days: str | None, number: int) -> tuple[list[float], str]:
@@ -66,21 +66,21 @@ def _figures_of_series(found: Repeated, files: tuple[Path, ...], times: list[flo
     return {"calibrations": calibrations, "drift": drift, "pooled": pooled, **figures}
 
 
-def _text_of_series(found: Repeated, files: tuple[Path, ...], time: str) -> str:
+def _text_of_series(calibrations: Repeated, files: tuple[Path, ...], time: str) -> str:
     from metrocli import units
     from metrocli.cli.columns import columns_text, worst_rows
 
     rows = [["quantity", f"drift per {time} (± u)", "E_n"]]
-    for one in sorted(found.drifts, key=lambda one: -one.en):
-        name = one.name if one.group == "estimates" else f"{one.group} {one.name}"
-        rows.append([name, units.format_quantity(one.rate, one.unit, one.std), f"{one.en:.2f}"])
+    for drift in sorted(calibrations.drifts, key=lambda drift: -drift.en):
+        name = drift.name if drift.group == "estimates" else f"{drift.group} {drift.name}"
+        rows.append([name, units.format_quantity(drift.rate, drift.unit, drift.std), f"{drift.en:.2f}"])
     scatter = [["group", "pooled standard deviation", "stated", "degrees of freedom"]]
-    for group in found.pooled:
+    for group in calibrations.pooled:
         times, symbol = units.column_unit(group.expected, group.unit)
         sizes = (f"{value / times:.3g} {symbol}".rstrip() for value in (group.std, group.expected))
         scatter.append([group.group, *sizes, f"{group.dof}"])
     against = [["against the first", "largest E_n"]]
-    against += [[str(file), f"{en:.2f}"] for file, en in zip(files[1:], found.against_first, strict=True)]
+    against += [[str(file), f"{en:.2f}"] for file, en in zip(files[1:], calibrations.against_first, strict=True)]
     return "\n".join([*worst_rows(rows), "", columns_text(scatter), "", columns_text(against)])
 
 
@@ -92,28 +92,44 @@ def sets(files: tuple[Path, ...], days: str | None, require: str | None, as_json
     from metrocli.uncertainty.repeated_sets import repetition
 
     wanted = requirement.read(require, OF_SETS)
-    found = repetition([held(file)[0] for file in files])
-    echo(summary.as_json(_figures_of_sets(found)) if as_json else _text_of_sets(found))
-    return 0 if wanted is None else wanted.exit_code(found)
+    repeats = repetition([held(file)[0] for file in files])
+    echo(summary.as_json(_figures_of_sets(repeats)) if as_json else _text_of_sets(repeats))
+    return 0 if wanted is None else wanted.exit_code(repeats)
 
 
-def _figures_of_sets(found: Repetition) -> dict[str, Any]:
-    groups: dict[str, Any] = {"sets": found.sets}
-    for one in found.quantities:
-        row = {"mean": one.mean, "sigma": one.sigma, "std": one.std, "unit": one.unit, "ratio": one.ratio}
-        groups.setdefault(one.group, {})[one.name] = row
-    return {**groups, "max_ratio": found.max_ratio}
+def _figures_of_sets(repeats: Repetition) -> dict[str, Any]:
+    groups: dict[str, Any] = {"sets": repeats.sets}
+    for quantity in repeats.quantities:
+        row = {
+            "mean": quantity.mean,
+            "sigma": quantity.sigma,
+            "std": quantity.std,
+            "unit": quantity.unit,
+            "ratio": quantity.ratio,
+        }
+        groups.setdefault(quantity.group, {})[quantity.name] = row
+    return {**groups, "max_ratio": repeats.max_ratio}
 
 
-def _text_of_sets(found: Repetition) -> str:
+def _text_of_sets(repeats: Repetition) -> str:
     from metrocli import units
     from metrocli.cli.columns import worst_rows
 
     rows = [["quantity", "mean (± sigma)", "sigma", "stated", "sigma/stated"]]
-    for one in sorted(found.quantities, key=lambda one: -one.ratio):
-        name = one.name if one.group == "estimates" else f"{one.group} {one.name}"
-        mean = "" if math.isnan(one.mean) else units.format_quantity(one.mean, one.unit, one.sigma)
-        rows.append([name, mean, f"{one.sigma:.3g} {one.unit}", f"{one.std:.3g} {one.unit}", f"{one.ratio:.2f}"])
+    for quantity in sorted(repeats.quantities, key=lambda quantity: -quantity.ratio):
+        name = quantity.name if quantity.group == "estimates" else f"{quantity.group} {quantity.name}"
+        mean = "" if math.isnan(quantity.mean) else units.format_quantity(quantity.mean, quantity.unit, quantity.sigma)
+        rows.append(
+            [
+                name,
+                mean,
+                f"{quantity.sigma:.3g} {quantity.unit}",
+                f"{quantity.std:.3g} {quantity.unit}",
+                f"{quantity.ratio:.2f}",
+            ]
+        )
     lines = worst_rows(rows, by="sigma/stated")
-    lines.append(f"{found.sets} sets, {len(found.quantities)} quantities, largest sigma/stated {found.max_ratio:.2f}")
+    lines.append(
+        f"{repeats.sets} sets, {len(repeats.quantities)} quantities, largest sigma/stated {repeats.max_ratio:.2f}"
+    )
     return "\n".join(lines)

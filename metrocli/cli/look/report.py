@@ -97,8 +97,8 @@ def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: st
     from metrocli.report.html import Content
     from metrocli.report.result_page import result_page
 
-    found, record = hdf5.read(result)
-    stated = in_units(found, units)
+    stored, record = hdf5.read(result)
+    stated = in_units(stored, units)
     tables = {}
     for one in stated.shown:
         if one.name in stated.tables and len(stated.tables[one.name]):
@@ -108,7 +108,7 @@ def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: st
     held = diagnosis_of(result, diagnosis, record)
     job = name or (_from(home, result.parent / record.job_file) if record.job_file else "JOB.yaml")
     record = with_standards(result, record)
-    return result_page(Content(found, record, _from(home, result), tables, held, job, beside_of(result, held), stated))
+    return result_page(Content(stored, record, _from(home, result), tables, held, job, beside_of(result, held), stated))
 
 
 def _project(place: Path, out: Path | None, units: str, done: Counter) -> dict[Path, str]:
@@ -119,12 +119,12 @@ def _project(place: Path, out: Path | None, units: str, done: Counter) -> dict[P
 
     file = project_file(place)
     index = out or file.parent / "report" / "index.html"
-    found, pages = list(states(load_project(place))), dict[Path, str]()
-    outputs = [state.step.job.output for state in found]
+    current, pages = list(states(load_project(place))), dict[Path, str]()
+    outputs = [state.step.job.output for state in current]
     made = {output.resolve() for output in outputs}
     entries = []
-    for count, state in enumerate(found):
-        done(count, len(found))
+    for count, state in enumerate(current):
+        done(count, len(current))
         step, page, verdict = state.step, "", ""
         with suppress(InputError):  # a result that is absent or damaged has no page; its state names the reason
             text = _page(step.job.output, None, file.parent, units, step.name)
@@ -139,7 +139,7 @@ def _project(place: Path, out: Path | None, units: str, done: Counter) -> dict[P
             Entry(step.name, step.job.kind, title, status, state.reason, step.needs, own, page, decided, verdict)
         )
     name = name_of_project(place) or file.parent.resolve().name
-    return {index: project_page(name, entries, list(_charts(found, file.parent))), **pages}
+    return {index: project_page(name, entries, list(_charts(current, file.parent))), **pages}
 
 
 def _verdict(result: Path, record: Record | None) -> str:
@@ -154,7 +154,9 @@ def _charts(found: Sequence[State], home: Path) -> Iterator[Html]:
     from metrocli.report.pictures import control_charts
 
     several = [state for state in found if state.step.job.wishes.part is not None and state.label is not None]
-    for file, states in groupby(sorted(several, key=lambda one: str(one.step.job.file)), lambda one: one.step.job.file):
+    for file, states in groupby(
+        sorted(several, key=lambda state: str(state.step.job.file)), lambda state: state.step.job.file
+    ):
         drawn = control_charts(_from(home, file), table_of(states))
         if drawn:
             yield drawn

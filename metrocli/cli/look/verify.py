@@ -1,4 +1,4 @@
-"""metrocli verify: a result held against independent measurements."""
+"""metrocli verify: a result compared with independent measurements."""
 
 from __future__ import annotations
 
@@ -50,17 +50,17 @@ def command(result: Path, check: Path, aligned: bool, mpe: str | None, require: 
     calibrated, _ = held(result)
     header = taken_apart(read_text(check, str(check)), str(check)).header
     table = csv.read(check, columns_for(calibrated, header))
-    found = verify(calibrated, table, aligned)
-    tested = () if limit is None else length_errors(found.deviations, table, limit)
-    for remark in [*_remarks(calibrated, table), *([found.mistake] if found.mistake else [])]:
+    verification = verify(calibrated, table, aligned)
+    tested = () if limit is None else length_errors(verification.deviations, table, limit)
+    for remark in [*_remarks(calibrated, table), *([verification.mistake] if verification.mistake else [])]:
         echo(f"warning: {remark}", err=True)
     if as_json:
-        echo(summary.as_json(_figures(found) | _length_figures(tested)))
+        echo(summary.as_json(_figures(verification) | _length_figures(tested)))
     else:
-        echo("\n".join([_text(found, calibrated.degrees_of_freedom()), *_length_text(tested)]))
+        echo("\n".join([_text(verification, calibrated.degrees_of_freedom()), *_length_text(tested)]))
     if wanted is None:
         return 0
-    return wanted.exit_code(_Ratio(_largest(tested)) if wanted.figure == "mpe_ratio" else found)
+    return wanted.exit_code(_Ratio(_largest(tested)) if wanted.figure == "mpe_ratio" else verification)
 
 
 def _remarks(result: Result, check: Table) -> list[str]:
@@ -74,13 +74,19 @@ def _remarks(result: Result, check: Table) -> list[str]:
     return remarks
 
 
-def _figures(found: Verification) -> dict[str, Any]:
+def _figures(verification: Verification) -> dict[str, Any]:
     rows = []
-    for one in found.deviations:
-        row = {"point": one.name, "deviation": one.value, "unit": "mm", "U": one.expanded, "en": one.en}
-        rows.append(row | ({"vector": one.vector} if one.vector else {}))
+    for deviation in verification.deviations:
+        row = {
+            "point": deviation.name,
+            "deviation": deviation.value,
+            "unit": "mm",
+            "U": deviation.expanded,
+            "en": deviation.en,
+        }
+        rows.append(row | ({"vector": deviation.vector} if deviation.vector else {}))
     names = ("mean", "rms", "largest", "inside", "max_en")
-    return {"points": rows, **{name: getattr(found, name) for name in names}}
+    return {"points": rows, **{name: getattr(verification, name) for name in names}}
 
 
 @dataclass(frozen=True)
@@ -101,14 +107,14 @@ def _length_figures(tested: Sequence[LengthError]) -> dict[str, Any]:
         return {}
     rows = [
         {
-            "length": one.name,
-            "error": one.error,
+            "length": length.name,
+            "error": length.error,
             "unit": "mm",
-            "mpe": one.permitted,
-            "U": one.test,
-            "conforms": one.conforms,
+            "mpe": length.permitted,
+            "U": length.test,
+            "conforms": length.conforms,
         }
-        for one in tested
+        for length in tested
     ]
     return {"length_errors": rows, "mpe_ratio": _largest(tested)}
 
@@ -120,8 +126,14 @@ def _length_text(tested: Sequence[LengthError]) -> Iterator[str]:
     if not tested:
         return
     rows = [["length", "error [um]", "MPE [um]", "U [um]", "conforms"]]
-    for one in sorted(tested, key=lambda one: -one.share):
-        rows.append([one.name, *(f"{_um(value):.3f}" for value in (one.error, one.permitted, one.test)), one.conforms])
+    for length in sorted(tested, key=lambda length: -length.share):
+        rows.append(
+            [
+                length.name,
+                *(f"{_um(value):.3f}" for value in (length.error, length.permitted, length.test)),
+                length.conforms,
+            ]
+        )
     yield ""
     yield from worst_rows(rows)
     yield "errors are indicated minus calibrated (ISO 10360-2:2009); U is that of the calibrated length, k = 2"
@@ -137,21 +149,25 @@ def _um(length: float) -> float:
     return find_unit("um", "length").outside(length)
 
 
-def _text(found: Verification, dof: float) -> str:
+def _text(verification: Verification, dof: float) -> str:
     from metrocli.cli.columns import worst_rows
 
     rows = [["point", "deviation [um]", "U [um]", "E_n"]]
-    for one in sorted(found.deviations, key=lambda one: -one.en):
-        rows.append([one.name, f"{_um(one.value):.3f}", f"{_um(one.expanded):.3f}", f"{one.en:.2f}"])
+    for deviation in sorted(verification.deviations, key=lambda deviation: -deviation.en):
+        rows.append(
+            [deviation.name, f"{_um(deviation.value):.3f}", f"{_um(deviation.expanded):.3f}", f"{deviation.en:.2f}"]
+        )
     lines = worst_rows(rows)
-    if found.laid:
+    if verification.laid:
         lines.append("the points are laid onto the prediction by a shift and a turn (--aligned: as they are)")
-    mean, rms, largest = (f"{_um(value):.4g} um" for value in (found.mean, found.rms, found.largest))
-    lines.append(f"{len(found.deviations)} deviations: mean {mean}, rms {rms}, largest {largest}")
-    if found.largest_k > 1.0:
+    mean, rms, largest = (
+        f"{_um(value):.4g} um" for value in (verification.mean, verification.rms, verification.largest)
+    )
+    lines.append(f"{len(verification.deviations)} deviations: mean {mean}, rms {rms}, largest {largest}")
+    if verification.largest_k > 1.0:
         lines.append(
             f"the result has {dof:.3g} degrees of freedom: "
-            f"U has the t factor, up to {found.largest_k:.3g} times that of many"
+            f"U has the t factor, up to {verification.largest_k:.3g} times that of many"
         )
-    lines.append(f"inside U: {100 * found.inside:.3g} %, largest E_n {found.max_en:.2f}")
+    lines.append(f"inside U: {100 * verification.inside:.3g} %, largest E_n {verification.max_en:.2f}")
     return "\n".join(lines)

@@ -25,20 +25,22 @@ def command(first: Path, second: Path, as_json: bool) -> int:
     from metrocli.cli import columns, summary
     from metrocli.project.provenance.comparison import between
 
-    found = between(first, second)
+    differences = between(first, second)
     if as_json:
-        echo(summary.as_json(asdict(found)))
+        echo(summary.as_json(asdict(differences)))
         return 0
-    if found.same:
+    if differences.same:
         echo("the results are the same, bit for bit")
     rows = [["estimate", "from", "to", "unit", "moved by"]]
-    rows += [[m.name, _written(m, m.before), _written(m, m.after), m.unit, f"{m.stds:.3g} std"] for m in found.moved]
-    if found.moved:
+    rows += [
+        [m.name, _written(m, m.before), _written(m, m.after), m.unit, f"{m.stds:.3g} std"] for m in differences.moved
+    ]
+    if differences.moved:
         echo(columns.columns_text(rows))
-    for heading, lines in (("", found.only), ("setting ", found.settings), ("", found.inputs)):
+    for heading, lines in (("", differences.only), ("setting ", differences.settings), ("", differences.inputs)):
         for line in lines:
             echo(f"{heading}{line}")
-    if not found.same and not (found.moved or found.only):
+    if not differences.same and not (differences.moved or differences.only):
         echo("no estimate moved; tables or other figures differ")
     return 0
 

@@ -22,13 +22,13 @@ def command(result: Path, form: str) -> int:
     """Print the lineage; each file with its digest and whether it still has the content that was read."""
     from metrocli.project.provenance.lineage import shortened, trace
 
-    found = trace(result)
+    origin = trace(result)
     if form == "json":
         from metrocli.cli.summary import as_json
 
-        echo(as_json(_as_data(found)))
+        echo(as_json(_as_data(origin)))
     else:
-        lines = {"text": _text, "mermaid": _mermaid, "dot": _dot}[form](shortened(found))
+        lines = {"text": _text, "mermaid": _mermaid, "dot": _dot}[form](shortened(origin))
         echo("\n".join(lines))
     return 0
 
@@ -71,7 +71,7 @@ def _mermaid(origin: Origin) -> Iterator[str]:
 
     nodes = _nodes(origin)
     yield "graph LR"
-    yield from (f'  {short}["{_plain(_caption(one))}"]' for short, one in nodes.values())
+    yield from (f'  {short}["{_plain(_caption(node))}"]' for short, node in nodes.values())
     for below, result in links_of(origin):
         yield f'  {nodes[below.path][0]} -->|"{_plain(_name(result.job))}"| {nodes[result.path][0]}'
 
@@ -87,7 +87,7 @@ def _dot(origin: Origin) -> Iterator[str]:
     nodes = _nodes(origin)
     yield "digraph lineage {"
     yield "  rankdir=LR"
-    yield from (f'  {short} [label="{_caption(one)}"]' for short, one in nodes.values())
+    yield from (f'  {short} [label="{_caption(node)}"]' for short, node in nodes.values())
     for below, result in links_of(origin):
         yield f'  {nodes[below.path][0]} -> {nodes[result.path][0]} [label="{_name(result.job)}"]'
     yield "}"

@@ -37,9 +37,9 @@ def tables(context: click.Context, parameter: click.Parameter, begun: str) -> li
     from metrocli.formats import hdf5
 
     # click leaves the arguments of a line whose last option has no value yet where it keeps those that nobody wants
-    given = [Path(one) for one in (context.params.get("result"), *context.args) if one is not None]
+    given = [Path(path) for path in (context.params.get("result"), *context.args) if path is not None]
     try:
-        found, _ = hdf5.read(given[0])
+        result, _ = hdf5.read(given[0])
     except (InputError, IndexError):
         return []
-    return [name for name in found.tables if name.startswith(begun)]
+    return [name for name in result.tables if name.startswith(begun)]

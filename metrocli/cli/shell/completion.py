@@ -14,7 +14,7 @@ def command(context: click.Context, shell: str) -> int:
     """Print the script, which asks `metrocli` itself for the words to choose from."""
     from click.shell_completion import get_completion_class
 
-    found = get_completion_class(shell)
-    assert found is not None, shell
-    click.echo(found(context.find_root().command, {}, "metrocli", "_METROCLI_COMPLETE").source())
+    completion = get_completion_class(shell)
+    assert completion is not None, shell
+    click.echo(completion(context.find_root().command, {}, "metrocli", "_METROCLI_COMPLETE").source())
     return 0

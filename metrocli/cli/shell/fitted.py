@@ -43,7 +43,7 @@ def coloured(text: str) -> str:
 
 def _coloured_line(line: str) -> str:
     for words, colour in _COLOURS:
-        line = words.sub(lambda found, colour=colour: f"{colour}{found[0]}{_PLAIN}", line)  # type: ignore[misc]
+        line = words.sub(lambda match, colour=colour: f"{colour}{match[0]}{_PLAIN}", line)  # type: ignore[misc]
     return line
 
 
@@ -120,5 +120,5 @@ def _columns(lines: Sequence[str]) -> list[list[str]]:
     width = max(map(len, lines))
     padded = [line.ljust(width) for line in lines]
     used = "".join(" " if all(line[k] == " " for line in padded) else "x" for k in range(width))
-    spans = [found.span() for found in re.finditer("x+(?: x+)*", used)]
+    spans = [match.span() for match in re.finditer("x+(?: x+)*", used)]
     return [[line[start:end] for line in padded] for start, end in spans]

@@ -5,7 +5,7 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import field, replace
 from functools import cached_property
 from typing import Any
@@ -15,7 +15,6 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.evidence.functions import process_bases
 from metrocli.diagnosis.evidence.parts import (
     CORRELATED,
     EFFECT,
@@ -31,29 +30,18 @@ from metrocli.diagnosis.evidence.parts import (
     fixed,
     kernel,
 )
-from metrocli.diagnosis.evidence.prices import OF_ALL, OF_UNITS, PRIOR, Prices, counted, price_of_variance
-from metrocli.diagnosis.evidence.unknown import unknown_families
+from metrocli.diagnosis.evidence.prices import OF_ALL, OF_UNITS, PRIOR, Prices, price_of_variance
 from metrocli.diagnosis.linear.basis import Basis
-from metrocli.diagnosis.linear.candidates import Alternative, Family, NotTested, families_of, families_throughout
-from metrocli.diagnosis.linear.linearised import linearised
+from metrocli.diagnosis.linear.candidates import Alternative, Family, NotTested
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.noise import variance_groups
 from metrocli.frozen import dataclass
 
 LENGTHS = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4)
 """Lengths of correlation that are tried, as shares of the largest range of a unit: what is slower is a drift"""
 _RESOLVED = 0.6
 """Least length of correlation, in distances of the knots"""
-_PLACES = 6
-"""Fewest places of an effect that acts at all of them at once"""
-_MOST = 2e10
-"""Largest product of rows and squared columns for that"""
-_REDUNDANT = 1e-3
-"""Smallest redundancy of a reading whose error shows"""
 _MOST_DENSE = 10_000_000
 """Numbers of the columns of a family that are held as one table"""
-SEED = 20
 
 
 @dataclass(frozen=True)
@@ -234,73 +222,3 @@ class Measurement:
         keys = {key: values[at] for key, values in observations.keys.items()}
         single = len(observations.readings) > 1 and self.places.shape[1] == 1
         return keys | ({"component": observations.components[component]} if single else {})
-
-
-def measurement_of(
-    job: AdjustedJob, weights: Mapping[str, Array] | None = None, like: Measurement | None = None, quick: bool = False
-) -> Measurement:
-    """Return a job linearised about its solution; one `like` it, of the same candidates, gives the numbers of tests.
-
-    A quick one has no random parts and no variance groups: effects and wrong readings alone are looked for in it.
-    """
-    system = _with_standing(job, linearised(job.model, weights or {}))
-    families, not_tested = families_of(job, system)
-    every = [*families, *families_throughout(job, system)]
-    families += unknown_families(job, system)
-    places = _places(system, job)
-    readings = int((1 - system.basis.squares(places[:, 0]) > _REDUNDANT).sum())
-    same = like is not None and [one.form for one in like.families] == [one.form for one in families]
-    prices = like.prices if same and like else counted(system, families, readings, np.random.default_rng(SEED))
-    return Measurement(
-        job,
-        system,
-        tuple(families),
-        not_tested,
-        () if quick else tuple(_scatters(job, system, every)),
-        () if quick else tuple(Knots.of(one) for one in process_bases(job, system)),
-        places,
-        () if quick else tuple(variance_groups(job, system)),
-        prices,
-    )
-
-
-def _places(system: System, job: AdjustedJob) -> Index:
-    """Return the rows of each reading that may be wrong; of single components, those of each by itself."""
-    groups = [group for group in system.model.readings if group.name not in job.certified]
-    most = max(len(group.observations.readings) for group in groups)
-    parts = []
-    for group in groups:
-        d, n = group.observations.readings.shape
-        rows = system.first[group.name] + d * np.arange(n)[:, None] + np.arange(d)
-        parts.append(np.pad(rows, ((0, 0), (0, most - d)), constant_values=-1))
-    found = np.concatenate(parts)
-    return found[found >= 0][:, None] if job.single_components else found
-
-
-def _scatters(job: AdjustedJob, system: System, families: Sequence[Family]) -> list[tuple[Family, ...]]:
-    """Return the families of each effect that usually acts at all its places, if it has enough of them."""
-    from metrocli.effects.extension import can_act_everywhere
-
-    by_name: dict[str, list[Family]] = {}
-    for family in families:
-        effect = family.alternatives[0].effect if family.alternatives else None
-        if effect is not None and effect.of_all and can_act_everywhere(system.model, effect):
-            by_name.setdefault(family.name, []).append(family)
-    found = []
-    for own in by_name.values():
-        places = sum(one.columns.count for one in own)
-        columns = sum(one.columns.count * one.columns.parameters for one in own)
-        if places >= _PLACES and system.rows * columns**2 <= _MOST:
-            found.append(tuple(own))
-    return found
-
-
-def _with_standing(job: AdjustedJob, system: System) -> System:
-    """Return a system with the residuals that it would have without the effects at fixed sizes in its model.
-
-    Their contribution is linear about their sizes theta: `r + G theta`.
-    """
-    residual = system.residual
-    for one in job.standing:
-        residual = residual + signature(job.model, system, one.effect, one.instance, {}) @ np.array(one.sizes)
-    return replace(system, residual=system.seen(residual)) if job.standing else system

@@ -11,7 +11,7 @@ from itertools import islice
 import numpy as np
 
 from metrocli.adjust.robust import SAME
-from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed
+from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.variances import Found, correlated_errors, noisier_groups, scattered_effects
 from metrocli.diagnosis.evidence.weights import ratios_in, with_noise
@@ -58,6 +58,12 @@ class Move:
     def keys(self) -> tuple[tuple[int, ...], ...]:
         """Keys of the parts that enter."""
         return (*(one.key for one in self.fixed), *(() if self.found is None else (self.found.key,)))
+
+    def is_like(self, part: Fixed | Random) -> bool:
+        """Return whether a part enters, or a correlated error over the same covariate of another length."""
+        if isinstance(part, Random) and part.kind == CORRELATED and self.found is not None:
+            return self.found.kind == CORRELATED and self.found.key[0] == part.key[0]
+        return part.key in self.keys
 
     def made(self, state: State) -> State:
         """Return the state after the move."""

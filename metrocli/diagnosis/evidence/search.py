@@ -57,7 +57,7 @@ def forward(
     state: State,
     most: int = _MOST,
     stop: Callable[[State], bool] | None = None,
-    without: tuple[int, ...] = (),
+    without: Fixed | Random | None = None,
     least: float = 0.0,
 ) -> State:
     """Return the state after the moves that raise its score, each the best of those tried, until none does.
@@ -69,7 +69,7 @@ def forward(
     for _ in range(most):
         if state.measurement.job.budget.spent():
             break
-        best = _best(state, [one for one in moves(state, quiet) if without not in one.keys])
+        best = _best(state, [one for one in moves(state, quiet) if without is None or not one.is_like(without)])
         if best is None or best.score <= state.score + max(_GAINED, least * (state.score - begin)):
             whole = without_weak_random(state)
             if whole is state or whole.score <= state.score + _GAINED:
@@ -97,12 +97,12 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
             tried += [(move.made(named), move)] if named is not state else []
         if not state.random and move.fixed:
             break
-    best = max((one for one, _ in tried), key=lambda one: one.score)
+    best, chosen = max(tried, key=lambda one: one[0].score)
     alike = [(one, move) for one, move in tried if one.score > best.score - _ALIKE]
     # a sigma that the job states explains as much as an effect at all places: it is what can be corrected
     given = [one for one, move in alike if move.given]
-    # so can an effect, and noise of its place does not say what is wrong there
-    names = [one for one, move in alike if move.fixed] if best.measurement is not state.measurement else []
+    # so can an effect: noise of its place, or a correlated error, does not say what is wrong there
+    names = [] if chosen.is_cause else [one for one, move in alike if move.is_cause]
     return next(iter([*given, *names]), best)
 
 
@@ -154,10 +154,8 @@ def swapped(state: State) -> State:
             own = state.score - less.score
             if own > _CERTAIN or _others_in_turn(less, one) < own / 2:
                 continue
-            other = forward(less, 3, without=one.key)
-            # noise of a place does not say what is wrong there
-            noisier = len(other.measurement.noise) > len(state.measurement.noise)
-            if other.score > state.score + (_ALIKE if noisier else _GAINED):
+            other = forward(less, 3, without=one)
+            if other.score > state.score + _margin(state, other):
                 better = other
                 break
         if better is None:
@@ -166,12 +164,23 @@ def swapped(state: State) -> State:
     return state
 
 
+def _margin(state: State, other: State) -> float:
+    """Return by how much the score of another state has to exceed that of a state, to stand in its place.
+
+    Noise of a place, or a correlated error, does not say what is wrong: a state with more effects is preferred to one
+    that explains the readings alike.
+    """
+    if len(other.measurement.noise) > len(state.measurement.noise) or len(other.named) < len(state.named):
+        return _ALIKE
+    return -_ALIKE if len(other.named) > len(state.named) else _GAINED
+
+
 def _others_in_turn(state: State, but: Fixed | Random) -> float:
     """Return the net gain of the first moves of a state, without those of the part that it has lost.
 
     What a correlated error of another length or covariate explains instead would change no name.
     """
-    found = [one for one in moves(state) if one.net > 0 and but.key not in one.keys]
+    found = [one for one in moves(state) if one.net > 0 and not one.is_like(but)]
     if isinstance(but, Random) and but.kind == CORRELATED:
         found = found if any(one.is_cause for one in found[:_TRIED]) else []
     return sum(one.net for one in found[:_TRIED])

@@ -1,4 +1,4 @@
-"""An effect of one's own: expressions in parameters and variables are added to components of a quantity."""
+"""A user-defined effect: expressions in parameters and variables are added to components of a quantity."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from metrocli.frozen import dataclass
 
 
 class NoValueAtReadingError(InputError):
-    """An effect of one's own has no value, or no derivative, at a reading."""
+    """A user-defined effect has no value, or no derivative, at a reading."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,13 @@ class OwnTerms(AtQuantity):
     @property
     def blocks(self) -> tuple[str, ...]:
         """The blocks on which its variables depend, and its own block."""
-        return (*dict.fromkeys(name for one in self.variables for name in one.blocks), self.block)
+        return (*dict.fromkeys(name for variable in self.variables for name in variable.blocks), self.block)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the quantity (d, n); raises NoValueAtReadingError if an expression has no value at a reading."""
         d, n = len(value), local.observations.count
         rows, last = local.rows(self.block), local.members(self.block)[-1]
-        known = {one.name: one.at(value, local) for one in self.variables}
+        known = {variable.name: variable.at(value, local) for variable in self.variables}
         values = {name: step.value[0] for name, step in known.items()}
         values |= {name: rows[number] for number, name in enumerate(self.parameters)}
         # the row for readings elsewhere has no scanned values; those of the places are the same at all of them

@@ -1,1 +1,1 @@
-"""Effects of one's own: definitions in a job or file, read and tested as they become entries of a table."""
+"""User-defined effects: definitions in a job or file, read and tested as they become entries of a table."""

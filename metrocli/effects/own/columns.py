@@ -1,4 +1,4 @@
-"""Further columns of numbers in the files of the readings: variables of effects of one's own."""
+"""Further columns of numbers in the files of the readings: variables of user-defined effects."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def variables(files: Iterable[tuple[Any, Sequence[Path]]], numeric: Numeric) -> 
     A heading such as `load_kg` is the variable `load` in kg; one that does not end in a unit is a plain number of the
     whole name. Of two headings with the same name only the first one is a variable.
     """
-    found: dict[str, Variable] = {}
+    by_name: dict[str, Variable] = {}
     for spec, paths in files:
         for heading in _headings(spec, chain.from_iterable(map(numeric, paths))) if _of_readings(spec) else ():
             name, unit = _taken_apart(heading)
             if WORD.fullmatch(name) and name not in (*FUNCTIONS, *CONSTANTS):
-                found.setdefault(name, measured(name, heading, unit))
-    return tuple(found.values())
+                by_name.setdefault(name, measured(name, heading, unit))
+    return tuple(by_name.values())
 
 
 def refused(files: Iterable[tuple[Any, Sequence[Path]]], numeric: Numeric) -> dict[str, str]:
@@ -45,15 +45,15 @@ def refused(files: Iterable[tuple[Any, Sequence[Path]]], numeric: Numeric) -> di
 
     They are headings with other characters than letters, digits and `_`, and names of constants such as `pi`.
     """
-    found: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     for spec, paths in files:
         for path in paths if _of_readings(spec) else ():
             for heading in _headings(spec, numeric(path)):
                 name, unit = _words_of(heading)
                 if name and (name in CONSTANTS or not WORD.fullmatch(heading)):
                     better = f"{'my_' if name in CONSTANTS else ''}{name}{unit}"
-                    found.setdefault(name, f"row 1 of {path.name}: write the heading '{heading}' as {better}")
-    return found
+                    reasons.setdefault(name, f"row 1 of {path.name}: write the heading '{heading}' as {better}")
+    return reasons
 
 
 def _words_of(heading: str) -> tuple[str, str]:
@@ -61,7 +61,7 @@ def _words_of(heading: str) -> tuple[str, str]:
     if WORD.fullmatch(heading):
         name, _ = _taken_apart(heading)
         return name, heading[len(name) :]
-    name, _, rest = (one.strip() for one in _OTHER.sub(" ", heading).partition(" "))
+    name, _, rest = (part.strip() for part in _OTHER.sub(" ", heading).partition(" "))
     try:
         return name, f"_{rest}" if rest and compound(rest) else ""
     except units.QuantityError:
@@ -77,11 +77,11 @@ def with_variables(
     """
     return tuple(
         replace(
-            one,
-            variables=(*one.variables, *(each for each in more if each.name not in one.all_units())),
+            place,
+            variables=(*place.variables, *(each for each in more if each.name not in place.all_units())),
             refused=not_usable or {},
         )
-        for one in places
+        for place in places
     )
 
 
@@ -90,7 +90,7 @@ def reading(spec: Any, more: Iterable[Variable], effects: Iterable[Effect]) -> A
     if not _of_readings(spec):
         return spec
     needed = {need for effect in effects for need in effect.needs}
-    further = tuple(need for one in more for need in one.needs if need in needed)
+    further = tuple(need for column in more for need in column.needs if need in needed)
     return TableFile(replace(spec.columns, further=further)) if further else spec
 
 
@@ -98,7 +98,7 @@ def reading_all(spec: Any, more: Iterable[Variable]) -> Any:
     """Return the specification of a file of which all further columns are read whose cells are all numbers."""
     if not _of_readings(spec):
         return spec
-    return TableFile(replace(spec.columns, tried=tuple(need for one in more for need in one.needs)))
+    return TableFile(replace(spec.columns, tried=tuple(need for column in more for need in column.needs)))
 
 
 def _of_readings(spec: Any) -> bool:
@@ -106,7 +106,7 @@ def _of_readings(spec: Any) -> bool:
     if not isinstance(spec, TableFile):
         return False
     columns = spec.columns
-    return bool(columns.measured) or any(one.name == _TIME for one in columns.columns)
+    return bool(columns.measured) or any(column.name == _TIME for column in columns.columns)
 
 
 def _headings(spec: TableFile, there: Iterable[str]) -> Iterator[str]:

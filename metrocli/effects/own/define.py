@@ -1,4 +1,4 @@
-"""From the definition of an effect of one's own to an entry of the table, with all faults at their places."""
+"""From the definition of a user-defined effect to an entry of the table, with all faults at their places."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def read(
     `taken` are the names of its other effects. Appends a fault for each mistake. An unknown variable is a mistake in an
     effect that is `required`, by its name; any other effect with one `lacks` a column of the data.
     """
-    names, found = set(taken), list[Effect]()
+    names, effects = set(taken), list[Effect]()
     for node in nodes:
         given = Section(Definition).read(node, faults)
         if given is BAD:
@@ -61,8 +61,8 @@ def read(
         faults.extend(reader.faults)
         names.add(given.name.value)
         if effect is not None:
-            found.append(effect)
-    return found
+            effects.append(effect)
+    return effects
 
 
 @dataclass
@@ -96,7 +96,8 @@ class _Reader:
             return None
         sample = {key: _SAMPLE.get(key) or next(iter(acting.split.get(key, {"": None}))) for key in where}
         own = {*self.given.parameters, *self.given.scan}
-        known = {n: one for n, one in acting.variables_at(sample).items() if not (one.of_data and n in own)}
+        every = acting.variables_at(sample)
+        known = {name: variable for name, variable in every.items() if not (variable.of_data and name in own)}
         for fault in not_free((self.given.parameters, self.given.scan), known, where):
             self._fault(*fault)
         used = self._used(known, acting.refused)
@@ -118,7 +119,7 @@ class _Reader:
         if self.faults:
             return None
         first = wave or ()  # amplitude and phase of a wave come first
-        ordered = sorted(parameters, key=lambda one: first.index(one.name) if one.name in first else len(first))
+        ordered = sorted(parameters, key=lambda p: first.index(p.name) if p.name in first else len(first))
         template = acting.variables_at(sample | ({"axis": "{axis}"} if "axis" in where else {}))
         return replace(
             plain,
@@ -142,29 +143,29 @@ class _Reader:
 
     def _acting(self) -> Acting | None:
         wanted = self.given.acts_on.value
-        found = next((one for one in self.places if one.name == wanted), None)
-        if found is None:
-            known = [one.name for one in self.places]
+        acting = next((place for place in self.places if place.name == wanted), None)
+        if acting is None:
+            known = [place.name for place in self.places]
             hint = suggestion(wanted, known) if known else "this kind of job has no effects"
             self._fault("acts_on", f"there is no quantity '{wanted}'", hint)
             return None
         for name in self.given.adds:
-            allowed = components(found, [one.value for one in self.given.where])
+            allowed = components(acting, [place.value for place in self.given.where])
             if name not in allowed:
                 what = f"there is no component '{name}'" if name else f"{wanted} is a vector"
                 self._fault(f"adds.{name}" if name else "adds", what, f"write {shape(allowed)}")
-        return found
+        return acting
 
     def _where(self, acting: Acting) -> tuple[str, ...]:
-        for number, one in enumerate(self.given.where):
-            if one.value in [before.value for before in self.given.where[:number]]:
-                self.faults.append(one.node.fault(f"{one.node.path}: '{one.value}' is there twice", "leave it out"))
-            elif one.value not in acting.where:
-                hint = suggestion(one.value, acting.where) if acting.where else "leave it out"
-                self.faults.append(
-                    one.node.fault(f"{one.node.path}: no effect on {acting.name} has a '{one.value}'", hint)
-                )
-        return tuple(one.value for one in self.given.where)
+        for number, place in enumerate(self.given.where):
+            if place.value in [before.value for before in self.given.where[:number]]:
+                twice = f"{place.node.path}: '{place.value}' is there twice"
+                self.faults.append(place.node.fault(twice, "leave it out"))
+            elif place.value not in acting.where:
+                hint = suggestion(place.value, acting.where) if acting.where else "leave it out"
+                absent = f"{place.node.path}: no effect on {acting.name} has a '{place.value}'"
+                self.faults.append(place.node.fault(absent, hint))
+        return tuple(place.value for place in self.given.where)
 
     def _parameter(self, name: str, given: Given) -> Parameter:
         unit = self._unit(f"parameters.{name}.unit", given.unit.value)
@@ -232,7 +233,7 @@ class _Reader:
             self._fault(f"{key}.{name}", f"the parameter '{name}' changes nothing", "use it in `adds`, or leave it out")
 
     def _units(self, acting: Acting, used: Mapping[str, Variable]) -> None:
-        named = {name: compound(one.unit) for name, one in used.items()}
+        named = {name: compound(variable.unit) for name, variable in used.items()}
         named |= {name: compound(given.unit.value) for name, given in self.given.parameters.items()}
         named |= {name: scan.low.unit for name, scan in self.given.scan.items()}
         for name, model in self.given.adds.items():
@@ -290,9 +291,9 @@ class _Reader:
                 acting.at(where)[0],
                 name,
                 tuple((acting.numbers(key, where), expression) for key, expression in adds.items()),
-                tuple(one.name for one in parameters),
-                tuple(one.name for one in scanned),
-                tuple(known[one] for one in used),
+                tuple(parameter.name for parameter in parameters),
+                tuple(parameter.name for parameter in scanned),
+                tuple(known[name] for name in used),
                 wave is not None,
             )
 

@@ -1,4 +1,4 @@
-"""One definition of an effect of one's own: its names, parameters and texts."""
+"""One definition of a user-defined effect: its names, parameters and texts."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ def not_free(
 def constants_of_data(expression: str, refused: Mapping[str, str]) -> Iterator[ExpressionError]:
     """Yield an error for each constant in an expression that is the name of a column too; `refused` has the remedy."""
     for name, value in CONSTANTS.items():
-        found = re.search(rf"\b{name}\b", expression)
-        if found is not None and name in refused:
+        match = re.search(rf"\b{name}\b", expression)
+        if match is not None and name in refused:
             said = f"'{name}' is {value:.6g}, and a column of the data has this name"
-            yield ExpressionError(said, found.start(), refused[name])
+            yield ExpressionError(said, match.start(), refused[name])
 
 
 def near_name(name: str, known: Iterable[str]) -> str:
@@ -64,8 +64,8 @@ def near_name(name: str, known: Iterable[str]) -> str:
 def lacking(unknown: Mapping[str, str], unclear: Iterable[ExpressionError]) -> str:
     """Return why the data do not have an effect: constants that are columns too, and unknown names with their hints."""
     names = [f"{name} ({hint})" if hint else name for name, hint in unknown.items()]
-    found = dict.fromkeys(f"{one.message} ({one.hint})" for one in unclear)
-    return "; ".join([*found, *([f"needs a column {in_a_row(names)}"] if names else [])])
+    texts = dict.fromkeys(f"{fault.message} ({fault.hint})" for fault in unclear)
+    return "; ".join([*texts, *([f"needs a column {in_a_row(names)}"] if names else [])])
 
 
 _FINER = 100
@@ -157,8 +157,8 @@ class Adds:
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
         if node.kind != "mapping":
-            found = ModelText().read(node, faults)
-            return BAD if found is BAD else {"": found}
+            expression = ModelText().read(node, faults)
+            return BAD if expression is BAD else {"": expression}
         return MapOf(ModelText()).read(node, faults)
 
     def schema(self) -> Schema:
@@ -167,7 +167,7 @@ class Adds:
 
 @dataclass(frozen=True)
 class Definition:
-    """An effect of one's own."""
+    """A user-defined effect."""
 
     name: Placed = setting(At(Text()), "its name, in lower case with hyphens")
     acts_on: Placed = setting(At(Text()), "the quantity on which it acts; `metrocli effects KIND` lists them")
@@ -175,7 +175,7 @@ class Definition:
     parameters: Mapping[str, Given] = setting(
         MapOf(Section(Given)), "its parameters, each {unit: um, plausible: 50 um}"
     )
-    cause: str = setting(Text(), "the cause in one sentence", default="a cause of one's own")
+    cause: str = setting(Text(), "the cause in one sentence", default="a user-defined cause")
     where: tuple[Placed, ...] = setting(
         ListOf(At(Text())), "kinds of place, with sizes of its own at each, such as [tracer]", default=()
     )

@@ -1,4 +1,4 @@
-"""Effects of one's own that are tried before a job uses them: laws, and definitions on sample readings."""
+"""User-defined effects that are tried before a job uses them: laws, and definitions on sample readings."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def broken(effect: Effect, places: Sequence[Acting]) -> Iterator[str]:
     for what in ("cause", "source", "reveal"):
         if not getattr(effect, what) and not effect.definition:
             yield f"it has no {what}"
-    if not all(one.plausible > 0 for one in effect.parameters):
+    if not all(parameter.plausible > 0 for parameter in effect.parameters):
         yield "a plausible size is not above zero"
     if effect.link is None:
         return
     link = effect.link("own", {key: _name(key, places) for key in effect.keys})
-    size = next((len(one.components) for one in places if one.quantity is link.takes), 0)
+    size = next((len(place.components) for place in places if place.quantity is link.takes), 0)
     if link.takes is not link.gives or not size:
         yield f"it acts on {link.takes.value if link.takes else 'nothing'}, which this kind of job does not have"
     elif tuple(link.blocks) == ("own",):
@@ -50,19 +50,19 @@ def broken(effect: Effect, places: Sequence[Acting]) -> Iterator[str]:
 
 
 def _name(key: str, places: Sequence[Acting]) -> str:
-    split = next((one.split[key] for one in places if key in one.split), {})
+    split = next((place.split[key] for place in places if key in place.split), {})
     return _SAMPLE.get(key) or next(iter(split), key)
 
 
 def _of_link(effect: Effect, link: Link, size: int) -> Iterator[str]:
     value = np.random.default_rng(3).uniform(0.2, 0.9, (size, _N))
     conditions = _Conditions()
-    plain = {one.name: 0.5 * one.plausible for one in effect.parameters}
-    scanned = {one.name: _middle(one, conditions) for one in effect.scanned}
+    plain = {parameter.name: 0.5 * parameter.plausible for parameter in effect.parameters}
+    scanned = {parameter.name: _middle(parameter, conditions) for parameter in effect.scanned}
 
     def step(sizes: Mapping[str, float], at: Array = value, move: Array | None = None) -> Step:
         row = np.array([[*sizes.values(), *scanned.values()]])
-        names = tuple(one.name for one in effect.all_parameters)
+        names = tuple(parameter.name for parameter in effect.all_parameters)
         block = Block("own", row, names, space=effect.space)
         block = block if move is None else block.moved(move)
         observations = Observations(np.zeros((size, _N)), np.ones(1), conditions=conditions)
@@ -71,15 +71,15 @@ def _of_link(effect: Effect, link: Link, size: int) -> Iterator[str]:
     if not np.allclose(step(dict.fromkeys(plain, 0.0)).value, value, rtol=0, atol=1e-12):
         yield "it is not 0 where all its parameters are 0"
     here = step(plain)
-    for number, one in enumerate(effect.parameters):
+    for number, parameter in enumerate(effect.parameters):
         move = np.zeros((1, len(effect.all_parameters)))
-        move[0, number] = _STEP * one.plausible
+        move[0, number] = _STEP * parameter.plausible
         change = (step(plain, move=move).value - step(plain, move=-move).value) / (2 * move[0, number])
         stated = np.broadcast_to(here.by_block["own"][:, number], change.shape)
         if not np.abs(change).max() > 0:
-            yield f"its parameter '{one.name}' changes nothing"
+            yield f"its parameter '{parameter.name}' changes nothing"
         elif np.abs(change - stated).max() > 1e3 * _STEP**2 * np.abs(change).max() + _AGREES * np.abs(change).max():
-            yield f"its derivative by '{one.name}' is not that of its values"
+            yield f"its derivative by '{parameter.name}' is not that of its values"
     for number in range(size):
         move = np.zeros((size, 1))
         move[number] = _STEP
@@ -140,7 +140,10 @@ class Trial:
     @classmethod
     def _at(cls, expressions: tuple[Expression, ...], values: dict[str, Array], parameters: tuple[str, ...]) -> Trial:
         zero = values | {name: np.zeros(_DRAWS) for name in parameters}
-        there, at_zero = [gradients(one, values) for one in expressions], [gradients(one, zero) for one in expressions]
+        there, at_zero = (
+            [gradients(expression, values) for expression in expressions],
+            [gradients(expression, zero) for expression in expressions],
+        )
         vanishes = all(
             np.abs(none[0]).max() <= _ZERO * max(float(np.abs(some[0]).max()), 1e-300)
             for none, some in zip(at_zero, there, strict=True)
@@ -150,7 +153,12 @@ class Trial:
     def has_value_at(self, name: str, value: float) -> bool:
         """Return whether all expressions have values where one of the names has a given value."""
         try:
-            return bool([gradients(one, {**self.values, name: np.full(_DRAWS, value)}) for one in self.expressions])
+            return bool(
+                [
+                    gradients(expression, {**self.values, name: np.full(_DRAWS, value)})
+                    for expression in self.expressions
+                ]
+            )
         except NoValueError:
             return False
 

@@ -50,12 +50,12 @@ def converted(values: Mapping[str, float], convention: str, image_size: Sequence
     matrix = np.concatenate([np.stack([np.asarray(terms[name][axis]) for name in names], axis=1) for axis in (0, 1)])
     right = np.concatenate([(to_x - from_x)[good], (to_y - from_y)[good]])
     scale = np.linalg.norm(matrix, axis=0)
-    found = np.linalg.lstsq(matrix / scale, right, rcond=None)[0] / scale
-    gap = (matrix @ found - right).reshape(2, -1) * np.array(focal(values))[:, None]
+    coefficients = np.linalg.lstsq(matrix / scale, right, rcond=None)[0] / scale
+    gap = (matrix @ coefficients - right).reshape(2, -1) * np.array(focal(values))[:, None]
     distance = np.sqrt((gap**2).sum(axis=0))
     others = {name: value for name, value in values.items() if name not in DISTORTION}
     return Converted(
-        {**others, **dict(zip(names, found.tolist(), strict=True))},
+        {**others, **dict(zip(names, coefficients.tolist(), strict=True))},
         float(np.sqrt((distance**2).mean())),
         float(distance.max()),
     )

@@ -47,18 +47,18 @@ def chosen_law(diagnosis: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
 def law_in_words(law: Mapping[str, Any]) -> str:
     """Return what a law adds, and where."""
     adds = law["adds"]
-    text = "; ".join(f"{name}: {one}" for name, one in adds.items()) if isinstance(adds, Mapping) else adds
+    text = "; ".join(f"{name}: {term}" for name, term in adds.items()) if isinstance(adds, Mapping) else adds
     return f"{text}, added to {' '.join([law['acts_on'], *law['where'].values()])}"
 
 
 def sizes_in_words(parameters: Mapping[str, Mapping[str, Any]]) -> str:
     """Return the parameters that have a size, with standard uncertainties, each in the unit that suits it."""
     sizes = [
-        f"{name} = {_sized(one['value'], one.get('unit') or '', one.get('std'))}"
-        for name, one in parameters.items()
-        if one.get("value") is not None
+        f"{name} = {_sized(parameter['value'], parameter.get('unit') or '', parameter.get('std'))}"
+        for name, parameter in parameters.items()
+        if parameter.get("value") is not None
     ]
-    uncertain = any(one.get("std") is not None for one in parameters.values())
+    uncertain = any(parameter.get("std") is not None for parameter in parameters.values())
     return ", ".join(sizes) + (f" ({units.SPREAD})" if sizes and uncertain else "")
 
 

@@ -67,7 +67,7 @@ def data(result: Result, beside: Beside) -> BeforeAfter | None:
     views = [view for pair in pairs for view in _views(*pair)]
     if not views:
         return None
-    view = max(views, key=lambda one: one.change)
+    view = max(views, key=lambda candidate: candidate.change)
     sets = list(zip(*pairs, strict=True))
     first, last = (float(np.sqrt(np.mean(np.concatenate([one.w[one.checked] for one in side]) ** 2))) for side in sets)
     readings = sum(int(one.checked.sum()) for one in sets[1])
@@ -98,31 +98,31 @@ def _views(old: Residuals, new: Residuals) -> Iterator[_View]:
 
 def _structure(x: Array, w: Array) -> float:
     """Return `(chi2 - m) / sqrt(2 m)` of the m means of bins: a few at most for pure noise."""
-    found = trend(x, w)
-    m = len(found.means)
-    return float((((found.means / found.stds) ** 2).sum() - m) / np.sqrt(2 * m))
+    structure = trend(x, w)
+    m = len(structure.means)
+    return float((((structure.means / structure.stds) ** 2).sum() - m) / np.sqrt(2 * m))
 
 
-def height(found: BeforeAfter) -> float:
+def height(pair: BeforeAfter) -> float:
     """Return the height of the figure in inches."""
     return 4.4
 
 
-def draw(canvas: Canvas, found: BeforeAfter) -> str:
+def draw(canvas: Canvas, pair: BeforeAfter) -> str:
     """Draw the figure and return its caption."""
     panels = canvas.axes(2, 1, sharex=True, sharey=True)
-    for axes, panel in zip(panels, (found.before, found.after), strict=True):
+    for axes, panel in zip(panels, (pair.before, pair.after), strict=True):
         draw_panel(axes, panel, canvas.theme)
-    room = max(one.room for one in (found.before, found.after))
+    room = max(one.room for one in (pair.before, pair.after))
     panels[0].set_ylim(-room, room)
-    panels[1].set_xlabel(LABELS[found.about])
+    panels[1].set_xlabel(LABELS[pair.about])
     panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
-    first, last = found.rms
-    where = f"Shown are the {len(found.after.w)} readings of {found.place}, which changed most. " if found.place else ""
-    out = [f"{when.name}: {len(when.trend.beyond)} of {len(when.trend.means)}" for when in (found.before, found.after)]
+    first, last = pair.rms
+    where = f"Shown are the {len(pair.after.w)} readings of {pair.place}, which changed most. " if pair.place else ""
+    out = [f"{when.name}: {len(when.trend.beyond)} of {len(when.trend.means)}" for when in (pair.before, pair.after)]
     return (
-        f"{where}{CAPTION} Means outside the band {', '.join(out)}. Root mean square of w of all {found.readings} "
-        f"readings: {first:.3g} before, {last:.3g} after, where 1 is expected.{_thinned(found.after)}"
+        f"{where}{CAPTION} Means outside the band {', '.join(out)}. Root mean square of w of all {pair.readings} "
+        f"readings: {first:.3g} before, {last:.3g} after, where 1 is expected.{_thinned(pair.after)}"
     )
 
 

@@ -44,41 +44,41 @@ class HeldOut:
 
 def data(result: Result, beside: Beside) -> HeldOut | None:
     """Return the gains by part; None without a diagnosis that found something."""
-    found = beside.diagnosis or {}
-    chosen = [law for law in found.get("laws", ()) if law.get("chosen")]
-    named = [(_name(one), one["gain"]) for one in found.get("effects", ())]
+    diagnosis = beside.diagnosis or {}
+    chosen = [law for law in diagnosis.get("laws", ()) if law.get("chosen")]
+    named = [(_name(effect), effect["gain"]) for effect in diagnosis.get("effects", ())]
     named += [(f"law {_name(law)}", law["gain"]) for law in chosen]
-    if found.get("together"):
-        named.append(("all of them together", found["together"]))
+    if diagnosis.get("together"):
+        named.append(("all of them together", diagnosis["together"]))
     gains = [_gains(name, gain) for name, gain in named if gain.get("folds")]
     if not gains:
         return None
-    largest = sorted(gains, key=lambda one: -one.total)[:_MOST]
+    largest = sorted(gains, key=lambda gain: -gain.total)[:_MOST]
     return HeldOut(tuple(largest), len(gains))
 
 
-def _name(one: Mapping[str, Any]) -> str:
+def _name(finding: Mapping[str, Any]) -> str:
     """Return an effect or a law with its place."""
-    adds = one.get("adds", "")
-    words = one["name"] if "name" in one else "; ".join(adds.values()) if isinstance(adds, Mapping) else adds
-    return " ".join([str(words), *map(str, dict(one.get("where", {})).values())])
+    adds = finding.get("adds", "")
+    words = finding["name"] if "name" in finding else "; ".join(adds.values()) if isinstance(adds, Mapping) else adds
+    return " ".join([str(words), *map(str, dict(finding.get("where", {})).values())])
 
 
 def _gains(name: str, gain: Mapping[str, Any]) -> Gains:
     return Gains(name, np.array(gain["folds"], dtype=float), float(gain["log_score_std"]))
 
 
-def height(found: HeldOut) -> float:
+def height(gains: HeldOut) -> float:
     """Return the height of the figure in inches."""
-    return 0.9 + 1.5 * len(found.gains)
+    return 0.9 + 1.5 * len(gains.gains)
 
 
-def draw(canvas: Canvas, found: HeldOut) -> str:
+def draw(canvas: Canvas, gains: HeldOut) -> str:
     """Draw the figure and return its caption."""
     theme = canvas.theme
-    panels = canvas.axes(len(found.gains), 1, sharex=True, sharey=True)
+    panels = canvas.axes(len(gains.gains), 1, sharex=True, sharey=True)
     words = []
-    for axes, one in zip(panels, found.gains, strict=True):
+    for axes, one in zip(panels, gains.gains, strict=True):
         number = np.arange(1, len(one.folds) + 1)
         colours = [theme.first if gain > 0 else theme.second for gain in one.folds]
         axes.bar(number, one.folds, width=0.7, color=colours)
@@ -89,10 +89,10 @@ def draw(canvas: Canvas, found: HeldOut) -> str:
         size = f"{'above' if one.total > 2 * one.std else 'below'} two standard deviations"
         better = f"better in {(one.folds > 0).sum()} of {len(one.folds)} parts"
         words.append(f"{one.name}: {one.total:+.1f} ± {one.std:.1f} (standard deviation) in all ({size}), {better}.")
-    most = max(len(one.folds) for one in found.gains)
+    most = max(len(gain.folds) for gain in gains.gains)
     panels[-1].set_xticks(np.unique(np.linspace(1, most, min(most, 12)).round()))
     panels[-1].set_xlabel("held-out part (number)")
-    left = found.findings - len(found.gains)
+    left = gains.findings - len(gains.gains)
     words += [f"{left} findings with smaller gains are not shown."] if left else []
     return (
         "Each part of the readings is predicted from the others, with and without the finding. Above zero (blue) the "

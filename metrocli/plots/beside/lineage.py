@@ -59,45 +59,45 @@ def _measure(name: str, distance: int, known: Mapping[str, Node], far: dict[str,
 
 def _level(name: str, nodes: Sequence[Node], place: Mapping[str, tuple[int, int]]) -> float:
     """Return the mean row of what was made from a file, so that few lines cross."""
-    rows = [place[one.name][1] for one in nodes if name in one.needs and one.name in place]
+    rows = [place[node.name][1] for node in nodes if name in node.needs and node.name in place]
     return sum(rows) / max(len(rows), 1)
 
 
-def height(found: Graph) -> float:
+def height(graph: Graph) -> float:
     """Return the height of the figure in inches."""
-    return 0.3 + _ROW * found.size[1]
+    return 0.3 + _ROW * graph.size[1]
 
 
-def draw(canvas: Canvas, found: Graph) -> str:
+def draw(canvas: Canvas, graph: Graph) -> str:
     """Draw the figure and return its caption."""
-    theme, (columns, rows) = canvas.theme, found.size
+    theme, (columns, rows) = canvas.theme, graph.size
     axes = canvas.axes()[0]
     axes.set_axis_off()
     axes.set_xlim(-0.02, columns)
     axes.set_ylim(rows, 0)
     wide = 0.86 if columns > 1 else 1.0
     letters = int(_LETTERS * wide / columns) - 1
-    for one in found.nodes:
-        x, y = found.place[one.name]
-        colour = theme.third if one.sound and one.kind else theme.muted if one.sound else theme.second
+    for node in graph.nodes:
+        x, y = graph.place[node.name]
+        colour = theme.third if node.sound and node.kind else theme.muted if node.sound else theme.second
         box = FancyBboxPatch(
             (x, y + 0.12), wide, 0.76, boxstyle="round,pad=0,rounding_size=0.04",
             facecolor=theme.surface, edgecolor=colour, lw=1.2, zorder=2,
         )  # fmt: skip
         axes.add_patch(box)
-        folder, _, name = one.name.rpartition("/")
-        lines = [line for line in (name, one.kind or folder) if line]
+        folder, _, name = node.name.rpartition("/")
+        lines = [line for line in (name, node.kind or folder) if line]
         for k, line in enumerate(lines):
             at = y + 0.5 + 0.34 * (k - (len(lines) - 1) / 2)
             ink = theme.ink if k == 0 else theme.muted
             axes.text(x + 0.03, at, _short(line, letters), va="center", fontsize=6.6, color=ink, zorder=3)
-        for need in one.needs:
-            u, v = found.place[need]
+        for need in node.needs:
+            u, v = graph.place[need]
             bend = (u + wide + x) / 2
             ends = [(u + wide, v + 0.5), (bend, v + 0.5), (bend, y + 0.5), (x, y + 0.5)]
             curve = MplPath(ends, [MplPath.MOVETO, *[MplPath.CURVE4] * 3])
             axes.add_patch(PathPatch(curve, facecolor="none", edgecolor=theme.muted, lw=0.8, zorder=1))
-    changed = [one.name for one in found.nodes if not one.sound]
+    changed = [node.name for node in graph.nodes if not node.sound]
     state = f"Changed, missing or not fit for use (orange): {', '.join(changed)}." if changed else "All are as read."
     return f"Files (grey) and results with the jobs that made them (green), from the measurements on the left. {state}"
 

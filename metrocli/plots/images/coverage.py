@@ -31,39 +31,39 @@ class Coverage:
 
 def data(result: Result, about: str) -> Coverage | None:
     """Return the number of readings in ten by ten cells of the image; None if its size is not known."""
-    found = image_residuals(result)
-    if found is None or not found.whole:
+    residuals = image_residuals(result)
+    if residuals is None or not residuals.whole:
         return None
-    edges = [np.linspace(-0.5, size - 0.5, _ACROSS + 1) for size in found.size]
-    counts = np.histogramdd(found.places, bins=edges)[0]
+    edges = [np.linspace(-0.5, size - 0.5, _ACROSS + 1) for size in residuals.size]
+    counts = np.histogramdd(residuals.places, bins=edges)[0]
     return Coverage(counts.T, *edges)
 
 
-def height(found: Coverage) -> float:
+def height(coverage: Coverage) -> float:
     """Return the height of the figure in inches."""
-    return min(4.9 * np.ptp(found.y_edges) / np.ptp(found.x_edges) + 0.8, 6.5)
+    return min(4.9 * np.ptp(coverage.y_edges) / np.ptp(coverage.x_edges) + 0.8, 6.5)
 
 
-def draw(canvas: Canvas, found: Coverage) -> str:
+def draw(canvas: Canvas, coverage: Coverage) -> str:
     """Draw the figure and return its caption."""
     axes = canvas.axes()[0]
     axes.grid(False)
     axes.set_aspect("equal")
-    shown = np.ma.masked_equal(found.counts, 0)
-    drawn = axes.pcolormesh(found.x_edges, found.y_edges, shown, cmap=SIZES, vmin=0)
+    shown = np.ma.masked_equal(coverage.counts, 0)
+    drawn = axes.pcolormesh(coverage.x_edges, coverage.y_edges, shown, cmap=SIZES, vmin=0)
     drawn.set(edgecolor=canvas.theme.grid, linewidth=0.5)
-    size = 7 if found.counts.max() < 1000 else 5
-    for (i, j), count in np.ndenumerate(found.counts):
+    size = 7 if coverage.counts.max() < 1000 else 5
+    for (i, j), count in np.ndenumerate(coverage.counts):
         if count:
-            x, y = found.x_edges[j : j + 2].mean(), found.y_edges[i : i + 2].mean()
-            colour = "#0c0c0c" if count > found.counts.max() / 2 else "#fdfdfd"
+            x, y = coverage.x_edges[j : j + 2].mean(), coverage.y_edges[i : i + 2].mean()
+            colour = "#0c0c0c" if count > coverage.counts.max() / 2 else "#fdfdfd"
             number = axes.text(x, y, f"{count:.0f}", ha="center", va="center", fontsize=size, color=colour)
             number.set_in_layout(False)  # it is inside the axes
     axes.invert_yaxis()
     axes.set_xlabel("u (px)")
     axes.set_ylabel("v (px)")
-    beyond = " The lens is extrapolated where there are no readings." if found.filled < 1 else ""
+    beyond = " The lens is extrapolated where there are no readings." if coverage.filled < 1 else ""
     return (
-        f"Readings in each cell, {found.counts.sum():.0f} together; {100 * found.filled:.0f} % of the cells have "
+        f"Readings in each cell, {coverage.counts.sum():.0f} together; {100 * coverage.filled:.0f} % of the cells have "
         f"at least one.{beyond}"
     )

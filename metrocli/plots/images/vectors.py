@@ -40,52 +40,52 @@ class Vectors:
 
 def data(result: Result, about: str) -> Vectors | None:
     """Return the residual vectors; of many, the longest in each cell of the image."""
-    found = image_residuals(result)
-    if found is None:
+    residuals = image_residuals(result)
+    if residuals is None:
         return None
-    sizes = np.hypot(*found.vectors.T)
-    rows = thinned_vectors(found.places, sizes, _MOST)
+    sizes = np.hypot(*residuals.vectors.T)
+    rows = thinned_vectors(residuals.places, sizes, _MOST)
     typical = float(np.quantile(sizes, 0.95))
     share = _SHARE if len(rows) == len(sizes) else 1 / _MOST**0.5  # those of neighbouring cells stay apart
-    factor = magnification(typical, share * found.size[0])
+    factor = magnification(typical, share * residuals.size[0])
     bound = largest_of(2 * len(sizes))
-    beyond = np.nan_to_num(np.abs(found.w)).max(axis=1) > bound
+    beyond = np.nan_to_num(np.abs(residuals.w)).max(axis=1) > bound
     worst = int(np.argmax(sizes[rows]))
     return Vectors(
-        found.places[rows], found.vectors[rows], beyond[rows], factor, round_size(max(typical, 1e-300)), found.size,
-        len(sizes), worst, found.name(int(rows[worst])),
+        residuals.places[rows], residuals.vectors[rows], beyond[rows], factor, round_size(max(typical, 1e-300)),
+        residuals.size, len(sizes), worst, residuals.name(int(rows[worst])),
     )  # fmt: skip
 
 
-def height(found: Vectors) -> float:
+def height(field: Vectors) -> float:
     """Return the height of the figure in inches."""
-    return min(5.6 * found.size[1] / found.size[0] + 0.9, 6.5)
+    return min(5.6 * field.size[1] / field.size[0] + 0.9, 6.5)
 
 
-def draw(canvas: Canvas, found: Vectors) -> str:
+def draw(canvas: Canvas, field: Vectors) -> str:
     """Draw the figure and return its caption."""
-    theme, (wide, high) = canvas.theme, found.size
+    theme, (wide, high) = canvas.theme, field.size
     axes = canvas.axes()[0]
     axes.set_aspect("equal")
     axes.set_xlim(-0.5, wide - 0.5)
     axes.set_ylim(high - 0.5, -0.5)
-    for chosen, colour in ((~found.beyond, theme.first), (found.beyond, theme.second)):
+    for chosen, colour in ((~field.beyond, theme.first), (field.beyond, theme.second)):
         if chosen.any():
-            arrows(axes, found.places[chosen], found.vectors[chosen] * found.magnification, colour)
-    arrow = found.scale * found.magnification
+            arrows(axes, field.places[chosen], field.vectors[chosen] * field.magnification, colour)
+    arrow = field.scale * field.magnification
     axes.annotate(
         "", (arrow / wide, 1.035), (0, 1.035), xycoords="axes fraction", annotation_clip=False,
         arrowprops={"arrowstyle": "-|>", "color": theme.ink, "lw": 1.2, "shrinkA": 0, "shrinkB": 0},
     )  # fmt: skip
-    label = f"{found.scale:g} px (vectors {in_words(found.magnification)})"
+    label = f"{field.scale:g} px (vectors {in_words(field.magnification)})"
     axes.text(arrow / wide + 0.015, 1.035, label, transform=axes.transAxes, va="center", fontsize=8)
     axes.set_title(" ")  # room for the scale
     axes.set_xlabel("u (px)")
     axes.set_ylabel("v (px)")
-    longest = float(np.hypot(*found.vectors[found.worst]))
+    longest = float(np.hypot(*field.vectors[field.worst]))
     text = (
-        f"Reading minus model, magnified {in_words(found.magnification)}. Longest: {longest:.3g} px at "
-        f"{found.worst_name}. {int(found.beyond.sum())} vectors (orange) exceed what noise reaches in 5 % of cases."
+        f"Reading minus model, magnified {in_words(field.magnification)}. Longest: {longest:.3g} px at "
+        f"{field.worst_name}. {int(field.beyond.sum())} vectors (orange) exceed what noise reaches in 5 % of cases."
     )
     kept = "the longest of each cell of the image"
-    return " ".join(filter(None, [text, words(len(found.places), found.readings, kept)]))
+    return " ".join(filter(None, [text, words(len(field.places), field.readings, kept)]))

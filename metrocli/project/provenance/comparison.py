@@ -1,4 +1,4 @@
-"""Results held against each other, gathered in one table, and made again."""
+"""Results compared, gathered in one table, and made again."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from metrocli.errors import Fault, InputError
 from metrocli.formats import hdf5
 from metrocli.frozen import dataclass
 from metrocli.progress import SILENT, Progress
-from metrocli.project import meaning, yaml_text
+from metrocli.project import fingerprint, yaml_text
 from metrocli.project.campaign import KEY
 from metrocli.project.inputs import content_now, input_files
 from metrocli.project.job import JobFile, Wishes, load
@@ -42,7 +42,7 @@ def with_standards(result: Path, record: Record) -> Record:
 
 def _stated(origin: Origin, home: Path) -> Iterator[tuple[str, str]]:
     record = hdf5.read_record(origin.path)[1]
-    files = {one.path for one in record.inputs}
+    files = {file.path for file in record.inputs}
     folder = origin.job.parent if origin.job else origin.path.parent
     for name, number in record.references():
         if number:
@@ -80,11 +80,11 @@ class Difference:
 def between(first: Path, second: Path) -> Difference:
     """Return what differs between two result files; raises InputError if one cannot be believed."""
     (a, of_a), (b, of_b) = hdf5.read(first), hdf5.read(second)
-    known, found = ({one.name: one for one in result.estimates} for result in (a, b))
-    moved = [_moved(known[name], one) for name, one in found.items() if name in known and _differ(known[name], one)]
-    moved.sort(key=lambda one: -one.stds)
-    only = [f"{name} is in the second only" for name in found if name not in known]
-    only += [f"{name} is in the first only" for name in known if name not in found]
+    known, present = ({estimate.name: estimate for estimate in result.estimates} for result in (a, b))
+    moved = [_moved(known[name], one) for name, one in present.items() if name in known and _differ(known[name], one)]
+    moved.sort(key=lambda change: -change.stds)
+    only = [f"{name} is in the second only" for name in present if name not in known]
+    only += [f"{name} is in the first only" for name in known if name not in present]
     for what, before, after in (
         ("kind", a.kind, b.kind),
         ("status", of_a.status, of_b.status),
@@ -96,7 +96,7 @@ def between(first: Path, second: Path) -> Difference:
             only.append(f"{what}: {before} -> {after}")
     return Difference(
         tuple(moved), tuple(only), tuple(_settings(of_a, of_b, first, second)), tuple(_inputs(of_a, of_b)),
-        meaning.of_result(a, of_a) == meaning.of_result(b, of_b),
+        fingerprint.of_result(a, of_a) == fingerprint.of_result(b, of_b),
     )  # fmt: skip
 
 
@@ -115,12 +115,12 @@ def _settings(a: Record, b: Record, first: Path, second: Path) -> list[str]:
         yaml_text.parse(record.job_text, f"{path} (its job)", Path())
         for record, path in ((a, first), (b, second))
     ]  # fmt: skip
-    return meaning.changed_settings(*nodes)
+    return fingerprint.changed_settings(*nodes)
 
 
 def _inputs(a: Record, b: Record) -> list[str]:
-    contents: Mapping[str, str] = {one.path: one.content for one in b.inputs}
-    return meaning.changed_inputs(a.inputs, b.inputs, contents.__getitem__)
+    contents: Mapping[str, str] = {file.path: file.content for file in b.inputs}
+    return fingerprint.changed_inputs(a.inputs, b.inputs, contents.__getitem__)
 
 
 _OWN = ("job", "status", "up_to_date", "sigma0")
@@ -148,13 +148,13 @@ def table_of(states: Iterable[State]) -> Table:
         row |= {"conformity": record.conformity} if record.conformity else {}
         row |= {"up_to_date": "no" if state.reason else "yes"}
         row |= {"sigma0": float(sigma0)} if isinstance(sigma0, float | int) else {}
-        for one in result.estimates:
-            named = _named(one)
-            row |= {named: one.value, f"{named}.std": one.std, f"{named}.U": result.expanded(one)[0]}
-            known |= dict.fromkeys((named, f"{named}.std", f"{named}.U"), one.unit)
-            limits = result.details.get(one.name, {}).get("tolerance", {}).get("limits", ())
+        for estimate in result.estimates:
+            named = _named(estimate)
+            row |= {named: estimate.value, f"{named}.std": estimate.std, f"{named}.U": result.expanded(estimate)[0]}
+            known |= dict.fromkeys((named, f"{named}.std", f"{named}.U"), estimate.unit)
+            limits = result.details.get(estimate.name, {}).get("tolerance", {}).get("limits", ())
             for end, limit in zip(("low", "high"), limits, strict=False):
-                row[f"{named}.{end}"], known[f"{named}.{end}"] = float(limit), one.unit
+                row[f"{named}.{end}"], known[f"{named}.{end}"] = float(limit), estimate.unit
         rows.append(row)
     if not rows:
         raise InputError("the project has no results yet; run it first")
@@ -167,9 +167,13 @@ def table_of(states: Iterable[State]) -> Table:
     return Table(columns, known)
 
 
-def _named(one: Estimate) -> str:
+def _named(estimate: Estimate) -> str:
     """Return the name of the column of an estimate, with its unit where a CSV has no ending for it."""
-    name = one.name if one.unit in ("", "1") or units.suffix_of(one.unit) else f"{one.name} [{one.unit}]"
+    name = (
+        estimate.name
+        if estimate.unit in ("", "1") or units.suffix_of(estimate.unit)
+        else f"{estimate.name} [{estimate.unit}]"
+    )
     return f"estimates.{name}" if name in _OWN else name
 
 
@@ -188,7 +192,7 @@ def rerun(
     """
     result, record = hdf5.read(path)
     job = _job_of(path, record, accept_doubtful)
-    changed = meaning.changed_inputs(record.inputs, input_files(job), lambda name: content_now(job, name))
+    changed = fingerprint.changed_inputs(record.inputs, input_files(job), lambda name: content_now(job, name))
     if changed:
         hint = "restore it from where the record has its sha256 (metrocli lineage), or run the job as it is now"
         raise InputError([Fault(line, str(path), hint=hint) for line in changed])

@@ -51,9 +51,9 @@ def shortened(origin: Origin) -> Origin:
         if len(group) < _FEWEST_ALIKE:
             kept += group
         else:
-            digests = "".join(one.digest for one in group)
+            digests = "".join(origin.digest for origin in group)
             kept.append(Origin(pattern, sha256(digests.encode()).hexdigest(), state, files=len(group)))
-    return replace(origin, origins=tuple(sorted(kept, key=lambda one: str(one.path))))
+    return replace(origin, origins=tuple(sorted(kept, key=lambda origin: str(origin.path))))
 
 
 def links_of(origin: Origin) -> Iterator[tuple[Origin, Origin]]:
@@ -89,7 +89,7 @@ def trace(path: Path) -> Origin:
 def _of_result(path: Path, label: Label, content: str) -> Origin:
     job = Path(os.path.normpath(path.parent / label.job_file)) if label.job_file else None
     folder = job.parent if job else path.parent
-    origins = tuple(_of_input(Path(os.path.normpath(folder / one.path)), one) for one in label.inputs)
+    origins = tuple(_of_input(Path(os.path.normpath(folder / file.path)), file) for file in label.inputs)
     return Origin(path, content, AS_READ, label, job, origins)
 
 

@@ -15,7 +15,7 @@ from metrocli.formats.file_bytes import read_bytes
 from metrocli.frozen import dataclass
 from metrocli.project.job import JobFile, Wishes, load
 from metrocli.project.own_effects import alike_for
-from metrocli.project.running.crew import Outcome, attempt
+from metrocli.project.running.executor import Outcome, attempt
 from metrocli.uncertainty.workers import Workers
 from metrocli.uncertainty.workers.dask_cluster import Versions, cluster, ends_in_words, first_finished
 
@@ -74,7 +74,7 @@ def _carry_out(packed: Packed) -> Outcome:
 
 
 class Cluster:
-    """A crew of the workers of a Dask cluster."""
+    """A executor of the workers of a Dask cluster."""
 
     def __init__(self, client: Any, address: str, versions: Versions) -> None:
         self._client, self._address, self._versions = client, address, versions
@@ -109,7 +109,7 @@ class Cluster:
 
 @contextmanager
 def on_cluster(address: str, jobs: Iterable[JobFile]) -> Iterator[Cluster]:
-    """Yield the crew of a running cluster for some jobs.
+    """Yield the executor of a running cluster for some jobs.
 
     Raises InputError if it cannot be used, or has another metrocli or other packages with effects of these jobs.
     """

@@ -70,9 +70,9 @@ def write(path: Path, project_file: Path, steps: Sequence[Step], force: bool = F
     deciding: dict[str, None] = {}
     for step in steps:
         searched = (folder for item in step.job.inputs for folder in item.searched)
-        stated = dict.fromkeys(_word(one, faults) for one in (step.job.file, project_file, *step.job.stated_in))
-        folders = dict.fromkeys(_word(one, faults) for one in searched)
-        needed = stated | dict.fromkeys(_word(one, faults) for one in step.job.files) | folders
+        stated = dict.fromkeys(_word(path, faults) for path in (step.job.file, project_file, *step.job.stated_in))
+        folders = dict.fromkeys(_word(folder, faults) for folder in searched)
+        needed = stated | dict.fromkeys(_word(file, faults) for file in step.job.files) | folders
         rules[_word(step.job.output, faults)] = needed
         deciding |= stated | folders
     rules |= {_word(path, faults): deciding} | {name: {} for name in deciding}

@@ -48,13 +48,13 @@ def unmoved_jobs(project_file: str) -> list[list[str]] | None:
         if held["version"] != __version__ or held["project"] != name_of_project or not decisive <= files.keys():
             return None
         moved = [name for name, (seen, _) in files.items() if _signature(os.path.join(folder, name)) != seen]
-        found = {name: _seen(os.path.join(folder, name)) for name in moved if _could_be_the_same(folder, name, files)}
-        if any(name not in found or found[name][1] != files[name][1] for name in moved):
+        now = {name: _seen(os.path.join(folder, name)) for name in moved if _could_be_the_same(folder, name, files)}
+        if any(name not in now or now[name][1] != files[name][1] for name in moved):
             return None
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None
     if moved and moved != [os.curdir]:  # which moves whenever this is written
-        _write(project_file, jobs, files | found, begun)
+        _write(project_file, jobs, files | now, begun)
     return jobs
 
 
@@ -70,8 +70,8 @@ def _text(path: str) -> str:
     import stat
 
     try:
-        found = os.stat(path)
-        if not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_BYTES:
+        status = os.stat(path)
+        if not stat.S_ISREG(status.st_mode) or status.st_size > _MOST_BYTES:
             return ""
         with open(path, encoding="utf-8") as file:
             return file.read()
@@ -94,7 +94,7 @@ def remember(
 
     folder = project_file.parent
     # a package is more than the file that offers its effects: one that moved may be another
-    packages = {one.file for step in steps for one in step.job.packages}
+    packages = {package.file for step in steps for package in step.job.packages}
     sought = {one for step in steps for one in step.job.own.sought}
     read = sought & steps[0].job.wishes.files.held.keys() if steps else sought
     if any(path.exists() for path in sought - read):
@@ -121,18 +121,18 @@ def _judged(
     """
     from metrocli.formats.file_bytes import read_bytes
     from metrocli.formats.seal import unsealed
-    from metrocli.project import meaning
+    from metrocli.project import fingerprint
 
-    found: dict[str, set[str]] = {}
+    digests: dict[str, set[str]] = {}
 
     def add(path: Path, digest: str) -> None:
-        found.setdefault(os.path.relpath(path, folder), set()).add(digest)
+        digests.setdefault(os.path.relpath(path, folder), set()).add(digest)
 
     for step in steps:
         job, label = step.job, labels.get(step.name)
-        if label is None or label.meaning != meaning.of_job(job):
+        if label is None or label.meaning != fingerprint.of_job(job):
             return {}
-        if {os.path.relpath(path, job.folder) for path in job.files} != {one.path for one in label.inputs}:
+        if {os.path.relpath(path, job.folder) for path in job.files} != {file.path for file in label.inputs}:
             return {}
         for one in label.inputs:
             add(job.folder / one.path, one.sha256)
@@ -143,7 +143,7 @@ def _judged(
             add(job.output, held.sha256 if unsealed(held.data, str(job.output))[0] == label else "")
     for path, file in steps[0].job.wishes.files.held.items():
         add(path, file.bytes.sha256)
-    return found
+    return digests
 
 
 def _settled(seen: Sequence[int], begun_ns: int) -> bool:
@@ -180,10 +180,10 @@ def _signature(path: str) -> list[int]:
     The ctime cannot be set back by the owner of a file.
     """
     try:
-        found = os.stat(path)
+        stat = os.stat(path)
     except FileNotFoundError:
         return []
-    return [found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino]
+    return [stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_ino]
 
 
 def _seen(path: str, by_digest: bool = True) -> list[Any]:
@@ -211,5 +211,5 @@ def _looked_at(project_file: Path, steps: Iterable[Step]) -> Iterable[Path]:
     yield project_file
     for step in steps:
         yield from (*step.job.stated_in, *step.job.files, step.job.output)
-        yield from (one.file for one in step.job.packages if one.file is not None)
+        yield from (package.file for package in step.job.packages if package.file is not None)
         yield from (folder for item in step.job.inputs for folder in item.searched)

@@ -52,7 +52,9 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         refit,
         astray=solved.astray,
         fewest=1,
-        certified=frozenset(one.name for one in model.readings if one.name.startswith((BARS, GIVEN_POINTS))),
+        certified=frozenset(
+            reading.name for reading in model.readings if reading.name.startswith((BARS, GIVEN_POINTS))
+        ),
         not_sought={STEERING: NO_MIRROR} | ({} if _timed(model) else {MOVED: NO_TIMES}),
         variations=_variations,
     )
@@ -73,9 +75,9 @@ def _covariates(model: Model) -> Iterator[Covariate]:
         yield Covariate("temp_degC", {group.name: group.observations.conditions[WARMING] for group in groups}, 6)
     seen = {group.name: _ideal(model, group) for group in groups}
     if seen:
-        yield Covariate("azimuth", {name: one[AZIMUTH] for name, one in seen.items()}, 4, angle=True)
-        yield Covariate("elevation", {name: one[ELEVATION] for name, one in seen.items()}, 4)
-        yield Covariate("distance_mm", {name: one[DISTANCE] for name, one in seen.items()}, 5)
+        yield Covariate("azimuth", {name: values[AZIMUTH] for name, values in seen.items()}, 4, angle=True)
+        yield Covariate("elevation", {name: values[ELEVATION] for name, values in seen.items()}, 4)
+        yield Covariate("distance_mm", {name: values[DISTANCE] for name, values in seen.items()}, 5)
 
 
 def _ideal(model: Model, group: Group) -> Array:
@@ -107,7 +109,9 @@ def _variations(model: Model, readings: Observations) -> Iterator[tuple[str, Obs
 def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
     """Return the noise of a solved network; raises UndeterminedError for fewer than ten points if it is structured."""
     blocks = solved.solution.blocks
-    stations = [one for one in (s.STATION, s.LEVELLED, s.OVER, t.TRACER) if one in blocks and blocks[one].free.any()]
+    stations = [
+        block for block in (s.STATION, s.LEVELLED, s.OVER, t.TRACER) if block in blocks and blocks[block].free.any()
+    ]
     estimates = (*stations, *free_blocks(solved.network.effects))
 
     def clusters() -> Clusters:

@@ -1,4 +1,4 @@
-"""Effects on the readings of a network (docs/effects)."""
+"""Effects on the readings of a network."""
 
 from __future__ import annotations
 
@@ -45,6 +45,7 @@ _OF_PLACES: tuple[Effect, ...] = (
         scanned=_AT,
         needs=("t",),
         confused_with=("station-moved",),
+        formula="x += (dx, dy, dz) for t >= at",
         usual="10 um to 1 mm",
         reveal="the point again from the first station",
         source=_SOURCE,
@@ -58,6 +59,8 @@ _OF_PLACES: tuple[Effect, ...] = (
         scanned=(Parameter("from_station", place="station"),),
         needs=(IN_ORDER,),
         confused_with=("station-moved",),
+        formula="x += (dx, dy, dz) from the station from_station on, in the order of the list of stations",
+        note="A job names it; `diagnose` does not seek it without times.",
         usual="10 um to 1 mm",
         reveal="the point again from the first station",
         source=_SOURCE,
@@ -71,6 +74,7 @@ _OF_PLACES: tuple[Effect, ...] = (
         scanned=_AT,
         needs=("t",),
         confused_with=("station-tilted", "station-turned", "station-drift", "point-moved"),
+        formula="S += (dx, dy, dz) for t >= at, along the axes of the network",
         usual="10 um to 1 mm",
         reveal="the first points again at the end of the station",
         source=_SOURCE,
@@ -84,6 +88,7 @@ _OF_PLACES: tuple[Effect, ...] = (
         scanned=_AT,
         needs=("t",),
         confused_with=("station-moved",),
+        formula="R <- R R(rx, ry, 0) for t >= at    # about the axes of the instrument",
         usual="1 to 60 arcsec",
         reveal="the first points again at the end of the station; the level of the instrument",
         source=_SOURCE,
@@ -97,6 +102,7 @@ _OF_PLACES: tuple[Effect, ...] = (
         scanned=_AT,
         needs=("t",),
         confused_with=("station-moved",),
+        formula="R <- R R(0, 0, rz) for t >= at",
         usual="1 to 60 arcsec",
         reveal="the first points again at the end of the station",
         source=_SOURCE,
@@ -109,6 +115,7 @@ _OF_PLACES: tuple[Effect, ...] = (
         where=("station",),
         needs=("t",),
         confused_with=("station-moved",),
+        formula="S += (vx, vy, vz) (t - t0)    # t0: first time of the station; along the axes of the network",
         usual="1 to 60 um/h",
         reveal="the first points again at the end of the station, in three directions",
         source="Schwenke et al. 2008, CIRP Annals 57",
@@ -121,6 +128,8 @@ _OF_PLACES: tuple[Effect, ...] = (
         where=("setup",),
         not_first=("setup",),
         confused_with=("point-moved",),
+        formula="the sightings aim at z + dh, along the vertical at the point",
+        note="An unknown height of a set-up (an empty sigma) absorbs it.",
         usual="0.2 to 100 mm",
         reveal="the height measured again, or a second sighting of the target with another height",
         source=_SOURCE,
@@ -132,6 +141,7 @@ _OF_PLACES: tuple[Effect, ...] = (
         lambda block, where: TargetRaised(block),
         where=("point", "station"),
         confused_with=("point-moved",),
+        formula="the sightings aim at z + dh, along the vertical at the point",
         usual="0.2 to 100 mm",
         reveal="the height measured again, or a second sighting of the target with another height",
         source=_SOURCE,
@@ -143,6 +153,8 @@ _OF_PLACES: tuple[Effect, ...] = (
         lambda block, where: StationRaised(block),
         where=("station",),
         confused_with=("station-moved",),
+        formula="S += dh u    # u: vertical at the station",
+        note="An unknown height (an empty sigma) absorbs it.",
         usual="0.2 to 100 mm",
         reveal="the height measured again, or a level line to the mark",
         source=_SOURCE,
@@ -154,6 +166,8 @@ _OF_PLACES: tuple[Effect, ...] = (
         lambda block, where: LengthOffset(block),
         where=("bar",),
         confused_with=("point-moved",),
+        formula="listed length += step",
+        note="It is a cause, not a wrong reading.",
         usual="2 um to 10 mm",
         reveal="the bar in a second place, or another bar between the same points",
         source=_SOURCE,
@@ -166,6 +180,8 @@ _OF_PLACES: tuple[Effect, ...] = (
         where=("point",),
         needs=("list of {point}",),
         confused_with=("point-moved",),
+        formula="x_listed += (dx, dy, dz)",
+        note="For coordinates with a standard deviation above zero: an exact one has no residual.",
         usual="10 um to 100 mm",
         reveal="a further given point near to it",
         source=_SOURCE,
@@ -180,6 +196,8 @@ _OF_PLACES: tuple[Effect, ...] = (
         where=("point",),
         scanned=_AT,
         needs=("t", "heights of {point}"),
+        formula="dh += s h for t >= at    # s: 1 for lines to the mark, -1 for lines from it; h: the parameter dh",
+        note="The other lines may be wrong by the opposite instead.",
         usual="0.1 to 10 mm",
         reveal="the lines of the first levelling again",
         source=_SOURCE,
@@ -194,6 +212,8 @@ _OF_PLACES: tuple[Effect, ...] = (
         scanned=(Parameter("method", place="method"),),
         not_first=("method",),
         needs=("method", "heights of {point}"),
+        formula="dh += s h for the lines of one method    # s: 1 for lines to the mark, -1 for lines from it; "
+        "h: the parameter dh",
         usual="0.1 to 10 mm",
         reveal="the lines of the first levelling again",
         source=_SOURCE,
@@ -203,13 +223,18 @@ _OF_PLACES: tuple[Effect, ...] = (
 """Effects on points, stations, targets and what is listed"""
 
 _ALL: tuple[Effect, ...] = (
-    *(one if one.name in _ACROSS_INSTRUMENTS else replace(one, where=("instrument",)) for one in TRACKER_EFFECTS),
-    *(replace(one, where=(_OF_TRACERS[one.name],)) for one in LENGTH_EFFECTS if one.name in _OF_TRACERS),
-    *(replace(one, limited=not one.is_step) for one in _OF_PLACES),
+    *(
+        effect if effect.name in _ACROSS_INSTRUMENTS else replace(effect, where=("instrument",))
+        for effect in TRACKER_EFFECTS
+    ),
+    *(replace(effect, where=(_OF_TRACERS[effect.name],)) for effect in LENGTH_EFFECTS if effect.name in _OF_TRACERS),
+    *(replace(effect, limited=not effect.is_step) for effect in _OF_PLACES),
 )
-_NAMES = {one.name for one in _ALL}
-EFFECTS = tuple(replace(one, confused_with=tuple(name for name in one.confused_with if name in _NAMES)) for one in _ALL)
-"""The table of effects, in the order of docs/effects"""
+_NAMES = {effect.name for effect in _ALL}
+EFFECTS = tuple(
+    replace(effect, confused_with=tuple(name for name in effect.confused_with if name in _NAMES)) for effect in _ALL
+)
+"""The table of effects in the order of lists"""
 
 _WHERE = ("instrument", "station", "point")
 PLACES: tuple[Acting, ...] = (
@@ -225,4 +250,4 @@ PLACES: tuple[Acting, ...] = (
     point("point-in-machine", Quantity.POINT_IN_MACHINE, _WHERE),
     length(),
 )
-"""Quantities on which effects of one's own can act"""
+"""Quantities on which user-defined effects can act"""

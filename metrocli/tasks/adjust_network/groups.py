@@ -54,7 +54,7 @@ def sightings(readings: Readings, blocks: Mapping[str, Block], bend: float) -> I
     for name in numbers:
         rows = rows_of_kind(kinds, name)
         member[rows] = np.arange(len(rows))
-    code = 2 * np.array([numbers.get(one, 0) for one in kinds])[seen.station] + seen.raised
+    code = 2 * np.array([numbers.get(kind, 0) for kind in kinds])[seen.station] + seen.raised
     codes = np.unique(code).tolist()
     whole = _observations(readings)
     for component in (DISTANCE, AZIMUTH, ELEVATION):
@@ -106,7 +106,7 @@ def _observations(readings: Readings) -> Observations:
         "point": tuple(readings.points.names[i] for i in seen.point),
     }
     if (seen.face < 0).any():
-        keys["face"] = tuple("1" if one > 0 else "2" for one in seen.face.tolist())
+        keys["face"] = tuple("1" if face > 0 else "2" for face in seen.face.tolist())
     if any(name for _, name in seen.rounds):
         keys["round"] = tuple(seen.rounds[i][1] for i in seen.orientation)
     conditions = seen.table.conditions("t", "temp") | n.parts_of(readings.instruments, instrument)
@@ -177,7 +177,7 @@ def heights(readings: Readings, settings: Settings) -> Iterator[Group]:
             conditions[s.heights_of(readings.points.names[number])] = sign
         if "method" in found.table:
             known = methods(readings)
-            conditions["method"] = np.array([known.index(one) for one in found.table.texts("method")], dtype=float)
+            conditions["method"] = np.array([known.index(text) for text in found.table.texts("method")], dtype=float)
         yield replace(group, observations=replace(group.observations, conditions=conditions))
 
 

@@ -89,7 +89,7 @@ def _with_covariance(known: KnownPoints, files: Files) -> KnownPoints:
                 ends.append(3 * point + axis)
     entries = np.unique(np.concatenate(ends))
     matrix = np.zeros((len(entries), len(entries)))
-    first, second = (np.searchsorted(entries, one) for one in ends)
+    first, second = (np.searchsorted(entries, end) for end in ends)
     matrix[first, second] = matrix[second, first] = table.numbers("covariance_mm2")
     member, column = np.divmod(entries, 3)
     missing = np.isnan(known.sigma[member, column])

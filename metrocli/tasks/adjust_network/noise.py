@@ -26,8 +26,8 @@ _LEAST = 1e-6
 def parts_of(instruments: Mapping[str, Instrument], which: Index) -> dict[str, Array]:
     """Return the parts of the noise of the instrument of each reading, as conditions."""
     table = np.zeros((len(instruments), len(_PARTS)))
-    for row, one in zip(table, instruments.values(), strict=True):
-        noise = one.noise
+    for row, instrument in zip(table, instruments.values(), strict=True):
+        noise = instrument.noise
         if noise is not None:
             row[:4] = noise.azimuth, noise.elevation, noise.lateral, noise.centring
             if noise.distance is not None:

@@ -75,8 +75,8 @@ def _angles(job: Job[Settings, Files]) -> Iterator[_Other]:
 def _renamed(table: Table, name: str, other: str) -> Table:
     """Return a table with another name of a column of angles, and of their standard deviations."""
     names = {name: other, f"sigma_{name}": f"sigma_{other}"}
-    columns = {names.get(key, key): one for key, one in table.columns.items()}
-    return replace(table, columns=columns, units={names.get(key, key): one for key, one in table.units.items()})
+    columns = {names.get(key, key): column for key, column in table.columns.items()}
+    return replace(table, columns=columns, units={names.get(key, key): unit for key, unit in table.units.items()})
 
 
 def _with(job: Job[Settings, Files], mistake: Mistake, changed: dict[str, Array]) -> _Other:
@@ -124,10 +124,10 @@ def _placed(readings: Readings, rough: Start) -> tuple[Index, Array]:
 
 def _medians(places: Array, point: Index, count: int) -> Array:
     """Return the median place of each point, nan where it has none, (count, 3)."""
-    found = np.full((count, 3), np.nan)
+    medians = np.full((count, 3), np.nan)
     for number in np.unique(point).tolist():
-        found[number] = np.median(places[point == number], axis=0)
-    return found
+        medians[number] = np.median(places[point == number], axis=0)
+    return medians
 
 
 def _pairs(own: Array, middle: Array) -> Iterator[tuple[int, int]]:
@@ -153,12 +153,12 @@ def _swapped(table: Table, names: tuple[str, str], station: str = "") -> Table:
 
 def _heights(job: Job[Settings, Files], readings: Readings, rough: Start) -> Iterator[_Other]:
     """Yield height differences of the other sign: all of them, or single lines."""
-    found, table = readings.heights, job.files.heights
-    if found is None or table is None:
+    heights, table = readings.heights, job.files.heights
+    if heights is None or table is None:
         return
-    rise = rough.points[found.second, 2] - rough.points[found.first, 2]
-    size = np.abs(found.values)
-    wrong = np.flatnonzero((np.abs(found.values + rise) < _CLOSE * size) & (np.abs(found.values - rise) > size))
+    rise = rough.points[heights.second, 2] - rough.points[heights.first, 2]
+    size = np.abs(heights.values)
+    wrong = np.flatnonzero((np.abs(heights.values + rise) < _CLOSE * size) & (np.abs(heights.values - rise) > size))
     if len(wrong) == len(rise):
         mistake = Mistake("heights", "dh has the wrong sign", "to for from and from for to in the heading", columns=0)
         yield mistake, _turned(job, table, wrong)

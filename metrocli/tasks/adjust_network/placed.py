@@ -57,10 +57,12 @@ def placed_stations(network: Network, solution: Solution) -> Placed:
     rows = [*_rows(network, solution)]
     covariance = _covariance(solution, [row.by for row in rows])
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    found = tuple(Estimate(row.name, row.value, float(spread), row.unit) for row, spread in zip(rows, std, strict=True))
+    estimates = tuple(
+        Estimate(row.name, row.value, float(spread), row.unit) for row, spread in zip(rows, std, strict=True)
+    )
     free = [i for i, row in enumerate(rows) if row.by]
-    kept = tuple(found[i] for i in free)
-    table = _table(network, dict(zip((row.name for row in rows), found, strict=True)))
+    kept = tuple(estimates[i] for i in free)
+    table = _table(network, dict(zip((row.name for row in rows), estimates, strict=True)))
     return Placed(tuple(rows[i] for i in free), kept, table, covariance[np.ix_(free, free)])
 
 
@@ -85,11 +87,11 @@ def _rows(network: Network, solution: Solution) -> list[_Row]:
 
 
 def _entry(solution: Solution, block: str, member: str, column: int, name: str, unit: str) -> list[_Row]:
-    one = solution.blocks[block]
-    row = one.members.index(member)
-    entry = row * one.size + column
-    by = ((block, entry, 1.0),) if one.free[row, column] else ()
-    return [_Row(name, float(one.values[row, column]), unit, by)]
+    placed = solution.blocks[block]
+    row = placed.members.index(member)
+    entry = row * placed.size + column
+    by = ((block, entry, 1.0),) if placed.free[row, column] else ()
+    return [_Row(name, float(placed.values[row, column]), unit, by)]
 
 
 def _coordinates(solution: Solution, block: str, name: str) -> list[_Row]:
@@ -158,7 +160,7 @@ def _covariance(solution: Solution, rows: Sequence[tuple[tuple[str, int, float],
     """Return the covariance of linear combinations of unknowns."""
     known = solution.covariance_or_raise()
     names = list(dict.fromkeys(block for row in rows for block, _, _ in row))
-    found = np.zeros((len(rows), len(rows)))
+    covariance = np.zeros((len(rows), len(rows)))
     matrices: dict[str, tuple[Index, Array]] = {}
     for name in names:
         entries = np.unique([entry for row in rows for block, entry, _ in row if block == name])
@@ -172,11 +174,11 @@ def _covariance(solution: Solution, rows: Sequence[tuple[tuple[str, int, float],
     for a in names:
         for b in names:
             (first, by_a), (second, by_b) = matrices[a], matrices[b]
-            found += by_a @ known.between(a, b)[np.ix_(first, second)] @ by_b.T
-    return (found + found.T) / 2
+            covariance += by_a @ known.between(a, b)[np.ix_(first, second)] @ by_b.T
+    return (covariance + covariance.T) / 2
 
 
-def _table(network: Network, found: dict[str, Estimate]) -> Table:
+def _table(network: Network, by_name: dict[str, Estimate]) -> Table:
     """Return /stations: instrument, pose with standard uncertainties, and number of shots."""
     readings = network.readings
     names, instruments = readings.stations.names, list(readings.instruments)
@@ -186,9 +188,9 @@ def _table(network: Network, found: dict[str, Estimate]) -> Table:
         shots = shots + np.bincount(readings.lengths.first, minlength=len(names))
     rows = []
     for number, name in enumerate(names):
-        one = [found.get(f"{name}.{column}") for column in columns]
-        values = [float("nan") if e is None else e.value for e in one]
-        std = [float("nan") if e is None else e.std for e in one]
+        row = [by_name.get(f"{name}.{column}") for column in columns]
+        values = [float("nan") if e is None else e.value for e in row]
+        std = [float("nan") if e is None else e.std for e in row]
         pairs = [both for pair in zip(values, std, strict=True) for both in pair]
         rows.append((name, instruments[readings.stations.instrument[number]], *pairs, int(shots[number])))
     units = ("mm",) * 3 + ("rad",) * 3 + ("mm",) * 2

@@ -66,7 +66,7 @@ def _solution(network: Network) -> Solution:
     model = network.model
     solution = covariance_at(model.blocks.values(), list(model.groups), model.datum)
     if not solution.outcome.good:
-        lines = [f"  {one}" for one in solution.undetermined[:8]]
+        lines = [f"  {combination}" for combination in solution.undetermined[:8]]
         raise UndeterminedError("\n".join([solution.outcome.value, *lines]))
     return solution
 
@@ -108,7 +108,7 @@ def _quality(solution: Solution) -> Iterator[str]:
     yield f"points: {typical} (standard uncertainty of a coordinate, root mean square)"
     yield f"  the least certain is {name}: {roughly(float(std[worst].max()), 'um')}"
     least = min(
-        float(residuals_of(solution, one).redundancy.min()) for one in solution.groups if one.observations.count
+        float(residuals_of(solution, group).redundancy.min()) for group in solution.groups if group.observations.count
     )
     yield f"  least redundancy of a reading: {least:.2f}"
 
@@ -119,7 +119,7 @@ def _seen(network: Network, solution: Solution) -> Iterator[tuple[object, ...]]:
     for effect in TRACKER_EFFECTS:
         if effect.name == STEERING:
             continue
-        for name in (n for n, one in network.readings.instruments.items() if one.type != INTERFEROMETER):
+        for name in (n for n, instrument in network.readings.instruments.items() if instrument.type != INTERFEROMETER):
             at = replace(effect, where=("instrument",))
             if can_act(model, at, {"instrument": name}):
                 yield from _of_effect(network, at, name)
@@ -162,7 +162,7 @@ def _further(
     low, high = np.array(wish.region.low), np.array(wish.region.high)
     margin = _MARGIN * (high - low)
     sides = [np.linspace(a + m, b - m, _GRID) for a, b, m in zip(low, high, margin, strict=True)]
-    instrument = next(name for name, one in settings.instruments.items() if one.type != INTERFEROMETER)
+    instrument = next(name for name, instrument in settings.instruments.items() if instrument.type != INTERFEROMETER)
     lines, rows = [], []
     for number in range(wish.stations):
         best: tuple[float, Array, Files] | None = None
@@ -188,22 +188,24 @@ def _value(network: Network, aim: str) -> float:
     solution = _solution(network)
     if aim != "instrument":
         return _worth(solution, aim)
-    found = [_relative(row) for row in _seen(network, solution)]
-    return float(np.sqrt(np.mean(np.minimum(found, _BLIND) ** 2))) if found else float("inf")
+    shares = [_relative(row) for row in _seen(network, solution)]
+    return float(np.sqrt(np.mean(np.minimum(shares, _BLIND) ** 2))) if shares else float("inf")
 
 
 def _relative(row: tuple[object, ...]) -> float:
     """Return the standard deviation of a row of the effects, in the largest usual size of its effect."""
-    effect = next(one for one in TRACKER_EFFECTS if one.name == str(row[0]).partition(".")[0])
+    effect = next(effect for effect in TRACKER_EFFECTS if effect.name == str(row[0]).partition(".")[0])
     return float(str(row[2])) / effect.plausible
 
 
 def _with_station(files: Files, name: str, instrument: str, place: Array) -> Files:
     """Return the files with one more station; its sightings are planned with the others."""
     old = files.stations
-    empty = {key: (np.array([""]) if one.dtype.kind == "U" else np.array([np.nan])) for key, one in old.columns.items()}
+    empty = {
+        key: (np.array([""]) if column.dtype.kind == "U" else np.array([np.nan])) for key, column in old.columns.items()
+    }
     new = {"station": np.array([name]), "instrument": np.array([instrument])}
     new |= {axis: np.array([value]) for axis, value in zip("xyz", place, strict=True)}
-    columns = {key: np.concatenate([one, new.get(key, empty[key])]) for key, one in old.columns.items()}
+    columns = {key: np.concatenate([column, new.get(key, empty[key])]) for key, column in old.columns.items()}
     stations = replace(old, columns=columns, lines=())
     return replace(files, stations=stations)

@@ -64,9 +64,9 @@ class Network(Modelled):
     def of(self, readings: Readings, blocks: Mapping[str, Block]) -> Network:
         """Return the network of other readings, at the values of blocks."""
         other = build(self.settings, readings, self.start, self.wanted).with_noise_times(self.factor)
-        alike = {name: one for name, one in blocks.items() if other.blocks[name].members == one.members}
+        alike = {name: block for name, block in blocks.items() if other.blocks[name].members == block.members}
         return other.with_blocks(
-            {name: one.with_values(alike.get(name, one).values) for name, one in other.blocks.items()}
+            {name: block.with_values(alike.get(name, block).values) for name, block in other.blocks.items()}
         )
 
 
@@ -94,8 +94,8 @@ def build(settings: Settings, readings: Readings, start: Start, wanted: Sequence
     nominal = {t.POINT: blocks[t.POINT].values.copy()}
     ready = [_weighed(with_aspects(group, aspects, blocks)[0], noise, blocks) for group in groups]
     model = Model(blocks, (*ready, *g.known(readings, blocks)), datum, measured, places, aspects, nominal=nominal)
-    found = Network(model, readings, noise, settings, start, tuple(wanted), first)
-    return found.with_effects(wanted)
+    network = Network(model, readings, noise, settings, start, tuple(wanted), first)
+    return network.with_effects(wanted)
 
 
 def _weighed(group: Group, noise: Mapping[str, Noise], blocks: Mapping[str, Block]) -> Group:

@@ -98,8 +98,8 @@ def read(settings: Settings, files: Files) -> Readings:
         with each():
             if settings.datum_points is not None:
                 _must_be_points(settings.datum_points, names)
-    found = Readings(settings.instruments, known, stations, sightings, lengths, bars, heights, setups)
-    return _with_warnings(found)
+    readings = Readings(settings.instruments, known, stations, sightings, lengths, bars, heights, setups)
+    return _with_warnings(readings)
 
 
 def _setups(table: Table | None) -> tuple[tuple[str, ...], Array, Array]:
@@ -155,8 +155,10 @@ def _must_be_points(chosen: Iterable[str], names: Sequence[str]) -> None:
         raise InputError(f"datum_points: no file names the points {listed(strange)}")
 
 
-def _with_warnings(found: Readings) -> Readings:
-    used = set(found.sightings.station.tolist()) | set([] if found.lengths is None else found.lengths.first.tolist())
-    idle = [name for i, name in enumerate(found.stations.names) if i not in used]
+def _with_warnings(readings: Readings) -> Readings:
+    used = set(readings.sightings.station.tolist()) | set(
+        [] if readings.lengths is None else readings.lengths.first.tolist()
+    )
+    idle = [name for i, name in enumerate(readings.stations.names) if i not in used]
     lines = (f"stations without a reading are left out: {listed(idle)}",) if idle else ()
-    return replace(found, warnings=lines)
+    return replace(readings, warnings=lines)

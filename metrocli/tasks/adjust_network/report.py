@@ -44,7 +44,7 @@ def report(solved: Solved, noise: NoiseFound) -> Result:
     """Return the result of a solved network."""
     solution, added = noise.solution, solved.network.effects
     placed = placed_stations(solved.network, solution)
-    found = (*placed.estimates, *estimates(added, solution))
+    delivered = (*placed.estimates, *estimates(added, solution))
     blocks = free_blocks(added)
     points, arrays = _points(solved, solution)
     effect_tables, effect_arrays = effect_results(added, solution)
@@ -61,7 +61,7 @@ def report(solved: Solved, noise: NoiseFound) -> Result:
     return Result(
         kind=KIND.name,
         title="",
-        estimates=found,
+        estimates=delivered,
         covariance=placed.joint(solution, blocks),
         statistics=with_found(_statistics(solved, solution), noise),
         tables=tables,
@@ -69,7 +69,7 @@ def report(solved: Solved, noise: NoiseFound) -> Result:
         warnings=tuple(_warnings(solved, solution)),
         shown=tuple(_shown(solved)),
         notes=(*found_notes(noise), *noise_notes(solution, cures=(_REMOVE,)), *_datum_note(solved, placed)),
-        details=noise.details([one.name for one in found]),
+        details=noise.details([estimate.name for estimate in delivered]),
         plain=("dof",),
         astray=solved.astray,
     )
@@ -115,17 +115,17 @@ def _residuals(solved: Solved) -> Table:
     return Table.stack(parts) if parts else Table({})
 
 
-def _rows(solved: Solved, group: Group, found: Residuals, names: Sequence[str]) -> Table:
+def _rows(solved: Solved, group: Group, residuals: Residuals, names: Sequence[str]) -> Table:
     observations = group.observations
     noise = max(1.0, float(np.nan_to_num(solved.solution.sigma0, nan=1.0)))
     d, n = observations.readings.shape
     numbers = {
         "reading": observations.readings,
-        "residual": found.values,
+        "residual": residuals.values,
         "sigma": observations.deviations,
-        "normalised": found.normalised,
-        "redundancy": found.redundancy,
-        "detectable": minimal_detectable(found, solved.critical, noise),
+        "normalised": residuals.normalised,
+        "redundancy": residuals.redundancy,
+        "detectable": minimal_detectable(residuals, solved.critical, noise),
     }
     numbers["moves_point [mm]"] = _moves(solved, group, numbers["detectable"])
     when, none = condition_columns(observations), np.full(n, np.nan)
@@ -136,7 +136,7 @@ def _rows(solved: Solved, group: Group, found: Residuals, names: Sequence[str]) 
         named = [text.rpartition(" ") for text in observations.components]
         keys["point [text]"], quantity = np.array([one[0] for one in named]), np.array([one[2] for one in named])
     what = {"quantity [text]": quantity, "unit [text]": (observations.unit,) * (d * n)}
-    return Table.of({**keys, **what, **{name: one.T.ravel() for name, one in numbers.items()}, **times})
+    return Table.of({**keys, **what, **{name: number.T.ravel() for name, number in numbers.items()}, **times})
 
 
 def _moves(solved: Solved, group: Group, least: Array) -> Array:
@@ -155,8 +155,8 @@ def _groups(solved: Solved) -> Table:
     names = list(solved.network.readings.instruments)
     rows: dict[tuple[str, str, str], list[tuple[Array, ...]]] = {}
     for group in solved.groups:
-        found, observations = solved.residuals[group.name], group.observations
-        whole = (found.values.ravel(), found.redundancy.ravel(), found.normalised.ravel())
+        residuals, observations = solved.residuals[group.name], group.observations
+        whole = (residuals.values.ravel(), residuals.redundancy.ravel(), residuals.normalised.ravel())
         instrument = observations.index.get(OF_INSTRUMENT)
         what = observations.components[0] if len(observations.components) == 1 else "x y z", observations.unit
         for number in (-1,) if instrument is None else np.unique(instrument).tolist():
@@ -222,7 +222,7 @@ def _named(chosen: Sequence[Suspect]) -> list[str]:
 def _statistics(solved: Solved, solution: Solution) -> Statistics:
     rms = {}
     for unit in ("rad", "mm"):
-        values = [solved.residuals[one.name].values for one in solved.groups if one.observations.unit == unit]
+        values = [solved.residuals[group.name].values for group in solved.groups if group.observations.unit == unit]
         if values:
             rms[unit] = float(np.sqrt(np.mean(np.concatenate([one.ravel() for one in values]) ** 2)))
     return basic_statistics(solution, rms) | {"rejected": len(solved.rejected), "critical_w": solved.critical}

@@ -73,7 +73,7 @@ def stations_of(settings: Settings, files: Files, names: Sequence[str]) -> Stati
             instrument = matched(table, "instrument", list(settings.instruments), "`instruments:`")
         with each():
             over = np.full(n, -1, dtype=np.intp)
-            rows = np.array([i for i, one in enumerate(_texts(table, "over")) if one], dtype=np.intp)
+            rows = np.array([i for i, text in enumerate(_texts(table, "over")) if text], dtype=np.intp)
             if rows.size:
                 over[rows] = matched(rows_of(table, rows), "over", names, "the points")
     chosen = list(settings.instruments.values())
@@ -109,7 +109,7 @@ def sightings_of(
             point = matched(table, "point", names, "the points")
         with each():
             setup = np.zeros(n, dtype=np.intp)
-            rows = np.array([i for i, one in enumerate(_texts(table, "setup")) if one], dtype=np.intp)
+            rows = np.array([i for i, text in enumerate(_texts(table, "setup")) if text], dtype=np.intp)
             if rows.size:
                 setup[rows] = matched(rows_of(table, rows), "setup", setups[1:], "the set-ups") + 1
     values, face = _reduced(table)
@@ -155,13 +155,13 @@ def _refuse_faces(table: Table) -> None:
 def _refuse_exact(table: Table, values: Array, sigma: Array, instruments: Sequence[Instrument], station: Index) -> None:
     """Raise InputError for readings that neither the instrument nor the file gives a standard deviation."""
     known = np.zeros((3, len(instruments)), dtype=bool)
-    for number, one in enumerate(instruments):
-        if one.noise is not None:
-            across = bool(one.noise.lateral or one.noise.centring)
+    for number, instrument in enumerate(instruments):
+        if instrument.noise is not None:
+            across = bool(instrument.noise.lateral or instrument.noise.centring)
             known[:, number] = (
-                across or bool(one.noise.azimuth),
-                across or bool(one.noise.elevation),
-                bool(one.noise.distance is not None or one.noise.centring),
+                across or bool(instrument.noise.azimuth),
+                across or bool(instrument.noise.elevation),
+                bool(instrument.noise.distance is not None or instrument.noise.centring),
             )
     exact = np.isfinite(values) & ~(sigma > 0) & ~known[:, station]
     exact |= sigma <= 0
@@ -204,7 +204,7 @@ def _texts(table: Table, column: str) -> list[str]:
 def rows_of(table: Table, rows: Index | Mask) -> Table:
     """Return some rows of a table, with their lines."""
     lines = [table.lines[i] for i in np.arange(len(table))[rows]] if table.lines else ()
-    return Table({name: one[rows] for name, one in table.columns.items()}, table.units, table.file, lines)
+    return Table({name: column[rows] for name, column in table.columns.items()}, table.units, table.file, lines)
 
 
 def refuse_pairs(table: Table) -> None:

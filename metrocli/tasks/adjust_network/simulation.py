@@ -74,9 +74,9 @@ def _shots(stations: Iterable[str], points: Sequence[str], files: Files, truth: 
         rows += [(station, point, 1.0) for point in seen]
         rows += [(station, point, 2.0) for point in reversed(seen)] if truth.faces == 2 else []
     nothing = np.ones(len(rows))
-    found = Table.of_rows(("station [text]", "point [text]", "face"), rows)
+    shots = Table.of_rows(("station [text]", "point [text]", "face"), rows)
     times = {"t [s]": truth.interval * np.arange(len(rows))} if truth.interval else {}
-    return found.joined({"az [rad]": nothing, "el [rad]": nothing / 2, "d [mm]": nothing, **times})
+    return shots.joined({"az [rad]": nothing, "el [rad]": nothing / 2, "d [mm]": nothing, **times})
 
 
 def _joined(old: Table, new: Table) -> Table:
@@ -143,9 +143,9 @@ def simulated(
     model = extended(network.model, effects)
     read_ = {group.name: _read(group, model, rng) for group in model.readings}
     readings = network.readings
-    found: dict[str, Table] = {}
+    tables: dict[str, Table] = {}
     if len(files.sightings):
-        found["readings.csv"] = _sightings(files.sightings, model, read_)
+        tables["readings.csv"] = _sightings(files.sightings, model, read_)
     for name, table, column in (
         (LENGTHS, files.lengths, "length"),
         (BARS, files.bars, "length"),
@@ -153,12 +153,12 @@ def simulated(
     ):
         if table is not None and name in read_:
             kept = {key: one for key, one in table.columns.items() if key != column}
-            found[f"{name}.csv"] = replace(table, columns={**kept, column: read_[name][0]}, units={**table.units})
+            tables[f"{name}.csv"] = replace(table, columns={**kept, column: read_[name][0]}, units={**table.units})
     names, places = readings.points.names, readings.points.listed
     said = places + rng.normal(0.0, 1.0, places.shape) * truth.point_error
-    found["points.csv"] = listed_places("point", names, said)
-    found["true_points.csv"] = listed_places("point", names, places)
-    return Simulation(found, _truth(model) | true_values(model))
+    tables["points.csv"] = listed_places("point", names, said)
+    tables["true_points.csv"] = listed_places("point", names, places)
+    return Simulation(tables, _truth(model) | true_values(model))
 
 
 def _read(group: Group, model: Model, rng: np.random.Generator) -> Array:
@@ -186,14 +186,14 @@ def _sightings(design: Table, model: Model, read_: dict[str, Array]) -> Table:
 
 def _truth(model: Model) -> dict[str, float]:
     """Return the true stations by the names of their estimates."""
-    found: dict[str, float] = {}
+    truth: dict[str, float] = {}
     for name, columns in ((s.STATION, poses.EULER), (s.LEVELLED, ("x", "y", "z")), (t.TRACER, t.COLUMNS[:4])):
         if name in model.blocks:
             block = model.blocks[name]
             values = poses.euler_form(block.values) if name == s.STATION else block.values
-            found |= {
+            truth |= {
                 f"{member}.{column}": float(row[k])
                 for member, row in zip(block.members, values, strict=True)
                 for k, column in enumerate(columns)
             }
-    return found
+    return truth

@@ -91,8 +91,8 @@ def solve(settings: Settings, network: Network, remove: bool) -> Solved:
     def renewed(used: _Used, solved: Solved) -> tuple[_Used, bool]:
         if not remove or not solved.suspects:
             return used, False
-        most = max(one.test for one in solved.suspects)
-        worst = tuple(one for one in solved.suspects if one.test >= most / 2)
+        most = max(suspect.test for suspect in solved.suspects)
+        worst = tuple(suspect for suspect in solved.suspects if suspect.test >= most / 2)
         return _Used(_without(solved.network, solved.solution, worst), (*used.out, *worst)), True
 
     return in_rounds(begun, lambda used: _adjusted(used), renewed)[1]
@@ -108,7 +108,7 @@ class _Used:
 
 def refitted(network: Network, keep: Mapping[str, Mask]) -> Solution:
     """Adjust a network to some of its readings, from the present values."""
-    groups = [one.selected(keep[one.name]) if one.name in keep else one for one in network.model.groups]
+    groups = [group.selected(keep[group.name]) if group.name in keep else group for group in network.model.groups]
     return _weighted(network.with_model(replace(network.model, groups=tuple(groups))))
 
 
@@ -132,11 +132,11 @@ def _robust(network: Network) -> dict[str, Block]:
 def _adjusted(used: _Used) -> Solved:
     network, solution = _anchored(used.network, _weighted(used.network))
     _must_be_determined(network, solution)
-    found = {
+    residuals = {
         group.name: residuals_of(solution, group) for group in solution.groups if group.name in network.model.measured
     }
-    count = sum(one.values.size for one in found.values())
-    return Solved(network, solution, found, tuple(_suspects(found, solution)), used.out, critical_value(count))
+    count = sum(one.values.size for one in residuals.values())
+    return Solved(network, solution, residuals, tuple(_suspects(residuals, solution)), used.out, critical_value(count))
 
 
 def _suspects(found: Mapping[str, Residuals], solution: Solution) -> Iterator[Suspect]:
@@ -146,7 +146,7 @@ def _suspects(found: Mapping[str, Residuals], solution: Solution) -> Iterator[Su
     rows = np.concatenate([np.arange(one.values.shape[1]) for one in found.values()])
     parts = ([getattr(one, key) for one in found.values()] for key in ("values", "sigma", "redundancy", "normalised"))
     tested = suspects(
-        Residuals(*(np.concatenate(one, axis=1) for one in parts)), Fit(solution.cost, solution.dof, True)
+        Residuals(*(np.concatenate(part, axis=1) for part in parts)), Fit(solution.cost, solution.dof, True)
     )
     groups = {group.name: group.observations.keys for group in solution.groups}
     for i in np.argsort(-tested.tests, kind="stable").tolist():
@@ -226,12 +226,12 @@ def _must_be_given(network: Network) -> None:
 
 def _must_be_checked(network: Network) -> None:
     """Raise UndeterminedError for interferometers with too few lengths, or points in one plane with them."""
-    found = network.readings.lengths
-    if found is None:
+    lengths = network.readings.lengths
+    if lengths is None:
         return
     lines = []
-    for number in np.unique(found.first):
-        own = np.unique(found.second[found.first == number])
+    for number in np.unique(lengths.first):
+        own = np.unique(lengths.second[lengths.first == number])
         absolute = network.readings.of(int(number)).measures == "absolute"
         need, name = (4 if absolute else 5), network.readings.stations.names[number]
         if len(own) < need:

@@ -20,15 +20,15 @@ def kind_of_stations(readings: Readings) -> list[str]:
     """Return the block to which each station belongs; empty for one without a reading."""
     used = np.zeros(len(readings.stations.names), dtype=bool)
     used[readings.sightings.station] = True
-    found = []
+    kinds = []
     for number, over in enumerate(readings.stations.over.tolist()):
         levelled = readings.of(number).is_levelled
         kind = (s.OVER if over >= 0 else s.LEVELLED) if levelled else s.STATION
-        found.append(kind if used[number] else "")
+        kinds.append(kind if used[number] else "")
     if readings.lengths is not None:
         for number in np.unique(readings.lengths.first):
-            found[number] = t.TRACER
-    return found
+            kinds[number] = t.TRACER
+    return kinds
 
 
 def rows_of_kind(kinds: Sequence[str], kind: str) -> Index:

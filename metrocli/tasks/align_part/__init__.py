@@ -1,4 +1,9 @@
-"""align-part: pose of a part in the machine, measured by a camera in the spindle, with the camera's clamping angle."""
+"""align-part: pose of a part in the machine, measured by a camera in the spindle, with the camera's clamping angle.
+
+`camera`, `spindle_poses` (of a calibrated machine, too) and `fitted_targets` are inputs with a covariance ->
+`problem` -> adjustment of shared.images -> `two_poses` (flat parts) -> `fixturing` (screws, zero point, points to
+gauge) -> `report`.
+"""
 
 from metrocli.tasks.kind import Kind
 

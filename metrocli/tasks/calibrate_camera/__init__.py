@@ -1,4 +1,9 @@
-"""calibrate-camera: the lens model of a camera, from a board, from targets placed by a CMM, or from a network."""
+"""calibrate-camera: the lens model of a camera, from a board, from targets placed by a CMM, or from a network.
+
+`readings` -> `build` (blocks and groups, with `starts`) -> `problem` -> adjustment of shared.images -> `report`,
+with `lens_conventions`, `projection_error` and `length_errors`. `advice` and `doubts` have what the readings
+cannot determine or contradict; `compare` fits each lens model.
+"""
 
 from metrocli.tasks.kind import Kind, Question
 

@@ -1,4 +1,4 @@
-"""Effects on the image points of a camera calibration (docs/effects)."""
+"""Effects on the image points of a camera calibration."""
 
 from __future__ import annotations
 
@@ -25,10 +25,21 @@ def _focal_drift(by: str, condition: str, dimension: str, plausible: str, usual:
         by=by,
         needs=({"t": "t", "T": "temp"}[by],),
         confused_with=("principal-point-drift",),
+        formula=f"f *= 1 + rate {by}",
+        note="In a board job the distances of the views absorb most of it.",
         usual=usual,
         reveal="the first views again at the end, near and far, and the temperature of the lens with each image",
         source="Smith and Cope 2010, The effects of temperature variation on single-lens-reflex digital cameras",
     )
+
+
+_GROUPS = {
+    TURN: "`turn` is the angle in degrees about the direction of most images: 90, 180 or 270. It follows from the "
+    "poses. Remedy: fix the lens in its mount, and do not turn the camera.",
+    SERIES: "Images are one series if their file names begin alike up to the last number (`monday_07.png`). Where all "
+    "begin alike, a pause of more than ten usual times between images (`t_s`) parts them.",
+}
+"""How the images of a group are known, for its effects"""
 
 
 def _principal_point_of(what: str, kind: str, cause: str, confused: tuple[str, ...], reveal: str) -> Effect:
@@ -41,6 +52,8 @@ def _principal_point_of(what: str, kind: str, cause: str, confused: tuple[str, .
         where=(kind,),
         not_first=(kind,),
         confused_with=confused,
+        formula=f"cx += cx_{what}, cy += cy_{what}    # in the images of one {kind}; that of most is the reference",
+        note=_GROUPS[kind],
         usual="0.5 to 30 px",
         reveal=reveal,
         source=_IMAGE_VARIANT,
@@ -56,6 +69,8 @@ def _moved_target(frame: Quantity) -> Effect:
         where=("target",),
         confused_with=("target-plane-bend",),
         of_all="the list of targets is uncertain throughout: printed, or measured less well than it states",
+        formula="X_target += (dx, dy, dz)    # in the frame of the list",
+        note="A target seen in one image only is a wrong reading, not an effect.",
         usual="0.01 to 5 mm",
         reveal="this target measured again, or seen in more views from other sides",
         source="Baarda 1968 (test of a group of readings)",
@@ -69,6 +84,8 @@ def _scale_of_targets(frame: Quantity) -> Effect:
         sizes("scale", "ratio", "1 percent"),
         lambda block, where: Growth(block, frame),
         confused_with=("focal-drift",),
+        formula="X *= 1 + scale",
+        note="`diagnose` reports it as not testable unless something else fixes the scale.",
         usual="1e-5 to 1e-3",
         reveal="a calibrated length among the targets (the poses absorb a wrong scale, so no residual shows it)",
         source="VDI/VDE 2634 part 1: lengths, not residuals, show the scale",
@@ -91,6 +108,10 @@ EFFECTS: tuple[Effect, ...] = (
         (Parameter("k1", plausible=1.0), Parameter("k2", plausible=2.0), Parameter("k3", plausible=5.0)),
         columns_of=_LENS,
         confused_with=("target-eccentricity", "target-plane-bend"),
+        formula="x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶), y' likewise    # those of k1, k2, k3 that the job does "
+        "not estimate",
+        note="k1, k2 and k3 are correlated above 0.95 among themselves. They become part of the lens that the "
+        "result states.",
         usual="0.01 to 0.5",
         reveal="targets up to the corners of the image",
         source="Brown 1971, Close-range camera calibration; OpenCV's order of terms",
@@ -101,6 +122,9 @@ EFFECTS: tuple[Effect, ...] = (
         (Parameter("p1", plausible=0.01), Parameter("p2", plausible=0.01)),
         columns_of=_LENS,
         confused_with=("thin-prism", "principal-point"),
+        formula="x' += 2 p1 x y + p2 (r² + 2 x²)\ny' += p1 (r² + 2 y²) + 2 p2 x y",
+        note="Where the principal point is free, images of one board with one camera do not separate it from "
+        "thin-prism; either one serves as a correction.",
         usual="1e-5 to 1e-3",
         reveal="targets up to the corners, and the camera turned by 90 degrees about its viewing axis between images",
         source="Brown 1966, Decentering distortion of lenses",
@@ -111,6 +135,9 @@ EFFECTS: tuple[Effect, ...] = (
         (Parameter("s1", plausible=0.01), Parameter("s3", plausible=0.01)),
         columns_of=_LENS,
         confused_with=("decentring-distortion", "principal-point"),
+        formula="x' += s1 r²\ny' += s3 r²",
+        note="Where p1, p2, cx and cy are free it is nearly undetermined: it moves the principal point by many "
+        "pixels and leaves the residuals as they are.",
         usual="1e-5 to 1e-3",
         reveal="targets up to the corners (p1, p2, cx and cy absorb most of it)",
         source="Weng, Cohen and Herniou 1992, Camera calibration with distortion models",
@@ -121,6 +148,9 @@ EFFECTS: tuple[Effect, ...] = (
         (*sizes("stretch", "ratio", "1 percent"), *sizes("shear", "angle", "10 mrad")),
         lambda block, where: Stretch(block, Quantity.POINT_ON_BOARD),
         confused_with=("aspect-ratio", "axis-skew"),
+        formula="X <- X (1 + stretch) + shear Y",
+        note="Laser printers differ by 0.1 percent between feed and scan, a digital sensor by less than 1e-4. "
+        "While the camera keeps its roll, no reading separates the two.",
         usual="10 to 2000 ppm",
         reveal="the camera turned by 45 and 90 degrees about its viewing axis between images, or the board measured",
         source="affine distortion of a print; VDI/VDE 2634 part 1: calibrated lengths in several directions",
@@ -131,6 +161,9 @@ EFFECTS: tuple[Effect, ...] = (
         (Parameter("aspect", "ratio", plausible=0.01),),
         columns_of=_LENS,
         confused_with=("stretched-targets", "target-plane-bend", "axis-skew"),
+        formula="fx = f (1 + aspect), fy = f",
+        note="Below 1e-4 for a digital sensor read out directly, to 1e-2 for analog cameras. No candidate "
+        "where fx and fy are both estimated.",
         usual="1e-5 to 1e-2",
         reveal="the camera turned by 90 degrees about its viewing axis between images",
         source="Fraser 1997, Digital camera self-calibration (affinity)",
@@ -141,6 +174,8 @@ EFFECTS: tuple[Effect, ...] = (
         (Parameter("skew", "ratio", plausible=0.01),),
         columns_of=_LENS,
         confused_with=("stretched-targets", "aspect-ratio"),
+        formula="u += fx skew y'",
+        note="It equals aspect-ratio turned by 45 degrees.",
         usual="1e-6 to 1e-4",
         reveal="the camera turned by 45 and 90 degrees about its viewing axis between images",
         source="Fraser 1997 (shear)",
@@ -151,6 +186,7 @@ EFFECTS: tuple[Effect, ...] = (
         sizes("cx cy", "pixel", "200 px"),
         columns_of=_LENS,
         confused_with=("decentring-distortion", "thin-prism"),
+        formula="u += cx, v += cy    # added to the values of the job; the result states the sums",
         usual="1 to 50 px",
         reveal="views tilted about both axes, and the camera turned about its viewing axis",
         source="Brown 1971",
@@ -177,6 +213,8 @@ EFFECTS: tuple[Effect, ...] = (
         where=(SERIES,),
         not_first=(SERIES,),
         confused_with=("focal-drift",),
+        formula="f *= 1 + change    # in the images of one series; that of most images is the reference",
+        note=_GROUPS[SERIES],
         usual="1e-4 to 0.05",
         reveal="all images in one series with a fixed focus; views with much depth",
         source=_IMAGE_VARIANT,
@@ -188,6 +226,9 @@ EFFECTS: tuple[Effect, ...] = (
         lambda block, where: TargetEccentricity(block),
         needs=("radius",),
         confused_with=("radial-distortion",),
+        formula="X <- X - factor r²/Z (e_z - n_z n)    # in the camera frame; n: normal of the circle, r: its radius",
+        note="1 where nothing corrects it, 0 where the job (`eccentricity: correct`) or the detection does; in "
+        "pixels f (r/Z)² times sine and cosine of the tilt. One flat board absorbs nearly all of it.",
         usual="0.5 to 1",
         reveal="larger tilts of the targets; the radius of every target in the list",
         source="Ahn, Warnecke and Kotowski 1999, Systematic geometric image measurement errors of circular targets",
@@ -199,6 +240,8 @@ EFFECTS: tuple[Effect, ...] = (
         sizes("bxx bxy byy", "curvature", "1e-4 1/mm"),
         lambda block, where: PlaneBend(block),
         confused_with=("radial-distortion", "aspect-ratio"),
+        formula="Z_board += bxx X² + bxy X Y + byy Y²",
+        note="4e-6 1/mm is 0.16 mm over a board of 400 mm.",
         usual="1e-7 to 1e-5 1/mm",
         reveal="steep views from all sides, or the flatness of the board measured",
         source="mrcal's board warp; plate bending to second order",
@@ -212,6 +255,8 @@ EFFECTS: tuple[Effect, ...] = (
         lambda block, where: LensChange(block, added=(("cx",), ("cy",)), condition=ELAPSED),
         needs=("t",),
         confused_with=("focal-drift",),
+        formula="cx += rate_u t, cy += rate_v t",
+        note="In a board job the pose of each view absorbs most of it. Remedy: switch the camera on an hour before.",
         usual="0.05 to 3 px/h",
         reveal="the first views again at the end",
         source="Smith and Cope 2010; Elias et al. 2020",
@@ -222,4 +267,4 @@ EFFECTS: tuple[Effect, ...] = (
     _scale_of_targets(Quantity.POINT_ON_BOARD),
     _scale_of_targets(Quantity.POINT_ON_TARGETS),
 )
-"""The effects in the order of the documents. Of two entries with one name, one is for boards and one for other rigs."""
+"""The effects in the order of lists. Of two entries with one name, one is for boards and one for other rigs."""

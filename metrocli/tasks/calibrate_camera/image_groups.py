@@ -24,7 +24,7 @@ SERIES = "series"
 _PAUSE = 10.0
 """A pause between two series, in median times between images"""
 _Groups = tuple[tuple[str, ...], Index]
-"""Names of groups, and the number of the group of each view; a single group is none"""
+"""Names of groups, and the number of the group of each view; a single group does not count"""
 
 
 def with_groups(model: Model, rig: str) -> Model:

@@ -1,4 +1,9 @@
-"""calibrate-machine: the 21 geometric errors of a machine, from a tracker, from lengths, or from a 6-DoF laser."""
+"""calibrate-machine: the 21 geometric errors of a machine, from a tracker, from lengths, or from a 6-DoF laser.
+
+`files` -> one of `methods` -> `problem` (machine, tools, knots) -> `identifiability` (what the readings determine)
+-> `solve` -> `tables` and `volume` -> `report` with `acceptance`. `plans` proposes measurements, `truth` and
+`simulation` make them, `other_settings` tries other chains and tools.
+"""
 
 from metrocli.tasks.kind import Kind
 

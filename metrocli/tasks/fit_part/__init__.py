@@ -1,4 +1,8 @@
-"""fit-part: the ideal part inside the raw part, with enough overstock everywhere."""
+"""fit-part: the ideal part inside the raw part, with enough overstock everywhere.
+
+`readings`, `ideal` -> `nominals` (surfaces, patches of a mesh), `levels` (chips) -> `start` -> `stock` (overstock
+with derivatives) -> `fit`, or `contradiction` where none is possible -> `uncertainty`, `draws` -> `report`.
+"""
 
 from metrocli.tasks.kind import Kind
 

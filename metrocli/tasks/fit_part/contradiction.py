@@ -57,9 +57,9 @@ def contradictions(stock: Stock, minimum: float, into: Array) -> list[Contradict
     first = contradiction(stock, duals, minimum, into, begun)
     left_out = (stock.surface != stock.nominal.names.index(name) for name in first.surfaces)
     without = tuple(_least(stock, others, into, begun)[0] for others in left_out)
-    found = [replace(first, points=tuple(rows[list(first.points)].tolist()), without=without)]
-    while len(found) < _SETS:
-        named = {name for one in found for name in one.surfaces}
+    sets = [replace(first, points=tuple(rows[list(first.points)].tolist()), without=without)]
+    while len(sets) < _SETS:
+        named = {name for one in sets for name in one.surfaces}
         others = ~np.isin(stock.surface, [stock.nominal.names.index(name) for name in named])
         if not others.any():
             break
@@ -70,8 +70,8 @@ def contradictions(stock: Stock, minimum: float, into: Array) -> list[Contradict
         further = contradiction(stock, duals, minimum, into, begun)
         if feasible(further.least, minimum):
             break
-        found.append(replace(further, points=tuple(rows[list(further.points)].tolist())))
-    return found
+        sets.append(replace(further, points=tuple(rows[list(further.points)].tolist())))
+    return sets
 
 
 def _contradicting(stock: Stock, minimum: float, into: Array) -> tuple[Stock, Index, Local, Array]:
@@ -123,7 +123,7 @@ def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun
         if not feasible(least, minimum):
             break
     points = tuple(np.flatnonzero(rows)[held > 0].tolist())
-    return Contradiction(tuple(stock.nominal.names[one] for one in surfaces), least, points)
+    return Contradiction(tuple(stock.nominal.names[surface] for surface in surfaces), least, points)
 
 
 def _least(stock: Stock, rows: Mask, into: Array, begun: Local, enough: float = np.inf) -> tuple[float, Array]:
@@ -140,27 +140,27 @@ def refuse(
 
     `hint` is another cause, such as points on the wrong side, or empty.
     """
-    found, *further = contradictions
-    together = in_a_row(found.surfaces)
-    points = ", ".join(names[row] for row in found.points[:8])
+    first, *further = contradictions
+    together = in_a_row(first.surfaces)
+    points = ", ".join(names[row] for row in first.points[:8])
     possible = np.floor(whole * 100) / 100
     what = (
         f"`minimum: {possible:.2f} mm` would do for all surfaces"
         if possible > 0
         else f"no minimum above {possible:.2f} mm would do: material is missing"
     )
-    several = len(found.surfaces) > 1
+    several = len(first.surfaces) > 1
     contradict = "surfaces that contradict each other" if several else "surface that contradicts itself"
     each = [
         f"{least:.3f} mm without {name}" if np.isfinite(least) else f"unlimited overstock without {name}"
-        for name, least in zip(found.surfaces, found.without, strict=True)
+        for name, least in zip(first.surfaces, first.without, strict=True)
         if not np.isnan(least)
     ]
     lines = [
         f"no pose of the ideal part leaves {minimum:g} mm of overstock everywhere",
         f"  {contradict}: {together}",
-        f"  by how much: they leave at most {found.least:.3f} mm at their lowest points, "
-        f"{minimum - found.least:.3f} mm less than required (points {points})",
+        f"  by how much: they leave at most {first.least:.3f} mm at their lowest points, "
+        f"{minimum - first.least:.3f} mm less than required (points {points})",
         *(["  without any one of these surfaces the others of them have the minimum"] if several else []),
         *([f"  the whole part leaves {in_a_row(each)}"] if each else ["  the part has no other surface"]),
         *(f"  beside them: {in_a_row(one.surfaces)} (at most {one.least:.3f} mm)" for one in further),
@@ -202,7 +202,7 @@ def must_be_determined(stock: Stock, into: Array, aim: str) -> tuple[str, ...]:
     """
     local = stock.at(into)
     smooth = stock.smooth_rows(local)
-    motions = [motion_in_words(local, one) for one in _null_space(smooth, local.rows)]
+    motions = [motion_in_words(local, motion) for motion in _null_space(smooth, local.rows)]
     if motions and aim == LEAST_MOTION:
         return (f"the overstock does not change with {in_a_row(motions)}: there the part stays where it was",)
     if motions:
@@ -216,7 +216,7 @@ def must_be_determined(stock: Stock, into: Array, aim: str) -> tuple[str, ...]:
         raise UndeterminedError(
             f"the aim '{aim}' does not determine the pose\n"
             "  undetermined, since the overstock of all points changes alike: "
-            f"{in_a_row([motion_in_words(local, one) for one in alike])}\n"
+            f"{in_a_row([motion_in_words(local, motion) for motion in alike])}\n"
             "  what would determine it: points on an opposite surface, or `aim: least-motion`"
         )
     return ()
@@ -225,7 +225,7 @@ def must_be_determined(stock: Stock, into: Array, aim: str) -> tuple[str, ...]:
 def motions_without(stock: Stock, local: Local, chosen: Mask) -> list[str]:
     """Return the motions that change the overstock of no chosen point, in words."""
     smooth, rows = stock.smooth_rows(local) * chosen[:, None], local.rows * chosen[:, None]
-    return [motion_in_words(local, one) for one in _null_space(smooth, rows)]
+    return [motion_in_words(local, motion) for motion in _null_space(smooth, rows)]
 
 
 def open_motions(stock: Stock, into: Array) -> list[Array]:

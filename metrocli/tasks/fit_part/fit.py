@@ -114,9 +114,9 @@ def most(
             break
         if least > limit:
             return into, np.inf, duals
-        found, expected = highest(local.rows, local.overstock, reach)
-        hoped, duals = expected - least, found.duals
-        step = _shortest(local, least + _OF_GAIN * hoped, found.x)
+        raised, expected = highest(local.rows, local.overstock, reach)
+        hoped, duals = expected - least, raised.duals
+        step = _shortest(local, least + _OF_GAIN * hoped, raised.x)
         tried = local.moved(into, step)
         other = stock.at(tried)
         gain = float(other.overstock.min()) - least

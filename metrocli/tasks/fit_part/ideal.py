@@ -28,7 +28,7 @@ _SHOWN = 3
 def ideal(nominal: NominalFile | Triangles, unit: str = "mm") -> OfSurfaces | OfMesh:
     """Return the ideal part; raises InputError if a mesh is open or inverted."""
     if isinstance(nominal, NominalFile):
-        return OfSurfaces(Surfaces.of([_surface(one) for one in nominal.surfaces]))
+        return OfSurfaces(Surfaces.of([_surface(surface) for surface in nominal.surfaces]))
     mesh = replace(nominal, vertices=nominal.vertices * SIZES[unit])
     _must_be_closed(mesh)
     return OfMesh(mesh)

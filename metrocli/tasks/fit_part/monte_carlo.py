@@ -38,7 +38,7 @@ def checked(solved: Solved, minimum: float, trials: int, seed: int) -> Check:
     """Fit the part to points with simulated errors, `trials` times, and compare how far the poses are off."""
     rng = np.random.default_rng(seed)
     draw = drawing(solved.prepared.readings.surface_points.of(solved.used).places)
-    found = []
+    rows = []
     for _ in range(trials):
         stock = replace(solved.stock, measured=solved.stock.measured + draw(rng))
         highest = (solved.fit.into, np.inf, solved.fit.duals)
@@ -50,9 +50,9 @@ def checked(solved: Solved, minimum: float, trials: int, seed: int) -> Check:
             _, fitted = fitted_part(stock, solved.aim.name, minimum, highest, solved.prepared.start)
         except NotConvergedError:
             continue
-        found.append(poses.difference(poses.inverse(fitted.into), poses.inverse(solved.fit.into)))
+        rows.append(poses.difference(poses.inverse(fitted.into), poses.inverse(solved.fit.into)))
     by_angle = poses.euler_form_by_step(poses.inverse(solved.fit.into))
-    steps = np.array(found).reshape(-1, 6) @ by_angle.T
+    steps = np.array(rows).reshape(-1, 6) @ by_angle.T
     change = of_result(solved.fit)
     computed = np.sqrt(np.diag(change @ solved.sensitivity.covariance @ change.T))
     # about the fitted pose, as the stated uncertainties are: exchanges of the points that hold it also shift the mean

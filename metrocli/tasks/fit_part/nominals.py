@@ -108,10 +108,10 @@ class OfSurfaces:
         if surface is None:
             return 0.0
         gaps = []
-        for one in np.unique(surface):
-            if self.surfaces.sine[one] == -1.0:
-                gap = points[surface == one].mean(axis=0) - self.surfaces.origin[one]
-                axis = self.surfaces.axis[one]
+        for number in np.unique(surface):
+            if self.surfaces.sine[number] == -1.0:
+                gap = points[surface == number].mean(axis=0) - self.surfaces.origin[number]
+                axis = self.surfaces.axis[number]
                 gaps.append(float(((gap - axis * (gap @ axis)) ** 2).sum()))
         return float(np.sqrt(np.mean(gaps))) if gaps else 0.0
 
@@ -148,13 +148,13 @@ class OfMesh:
 
     def shape(self, points: Array, surface: Index) -> Shape:
         """Return distance, normal and curvature at points (n, 3); triangles have one at edges and corners alone."""
-        found = self._nearest(points)
-        return Shape(found.distance, found.normal, self._search.bend(found))
+        nearest = self._nearest(points)
+        return Shape(nearest.distance, nearest.normal, self._search.bend(nearest))
 
     def smooth_normals(self, points: Array, surface: Index) -> Array:
         """Return the normals of the smooth surface that the triangles stand for, at points (n, 3)."""
-        found = self._nearest(points)
-        return self.triangles.interpolated(found.face, points - found.distance[:, None] * found.normal)
+        nearest = self._nearest(points)
+        return self.triangles.interpolated(nearest.face, points - nearest.distance[:, None] * nearest.normal)
 
     def nearest(self, points: Array, levels: Array | float = 0.0) -> Index:
         """Return the patch of the triangle nearest to each point (n, 3)."""
@@ -162,9 +162,9 @@ class OfMesh:
 
     def _nearest(self, points: Array) -> Nearest:
         """Return the nearest triangles; a fit asks for the same points again and again, a little moved."""
-        found = self._search.nearest(points, self.before.get(len(points)))
-        self.before[len(points)] = found
-        return found
+        nearest = self._search.nearest(points, self.before.get(len(points)))
+        self.before[len(points)] = nearest
+        return nearest
 
     def may_be_within(self, points: Array, limit: float) -> Mask:
         """Return whether the mesh may be nearer to points (n, 3) than a limit."""

@@ -124,10 +124,10 @@ def _points(settings: Settings, points: Table | Result, table: Table) -> Points:
     """
     if settings.part is not None and isinstance(points, Result) and growth_of(points):
         raise InputError("part: the points of the result are at 20 degC already: its own job has `part:`; leave it out")
-    found = _measured(settings, points, table)
+    measured = _measured(settings, points, table)
     if settings.part is None:
-        return found
-    return Points(found.names, settings.part.of_places(found.places, found.points.mean(axis=0)))
+        return measured
+    return Points(measured.names, settings.part.of_places(measured.places, measured.points.mean(axis=0)))
 
 
 def _measured(settings: Settings, points: Table | Result, table: Table) -> Points:

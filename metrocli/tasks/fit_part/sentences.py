@@ -72,15 +72,15 @@ def exchanged(solved: Solved, low: Mask) -> Mask:
     balanced = np.c_[rows, np.ones(len(rows))] if solved.aim.name == MOST else rows
     directions, size, _ = np.linalg.svd(balanced, full_matrices=False)
     fixed = (directions[:, size > _DEPENDENT * size[0]] ** 2).sum(axis=1)
-    found = np.zeros(len(low), dtype=bool)
-    found[low] = fixed < 1 - _DEPENDENT
-    return found
+    mask = np.zeros(len(low), dtype=bool)
+    mask[low] = fixed < 1 - _DEPENDENT
+    return mask
 
 
 def warnings(solved: Solved, surfaces: Table, rejected: Table) -> Iterator[str]:
     """Yield what may be wrong with the measurement or the part."""
     for reason, what in (("chip", "material is missing"), ("flash", "material stands out")):
-        rows = [row for row, one in enumerate(rejected.texts("reason")) if one == reason]
+        rows = [row for row, text in enumerate(rejected.texts("reason")) if text == reason]
         if rows:
             off = np.abs(rejected.numbers("off")[rows])
             names = [rejected.texts("point")[row] for row in rows]

@@ -95,7 +95,7 @@ class NominalFile:
 
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield (key, message) for names that are used twice."""
-        names = [one.name for one in self.surfaces]
+        names = [surface.name for surface in self.surfaces]
         for name in sorted({name for name in names if names.count(name) > 1}):
             yield "surfaces", f"two surfaces have the name '{name}'"
         if not names:

@@ -160,9 +160,9 @@ def reversed_surfaces(stock: Stock, nominal: OfSurfaces, into: Array) -> list[st
     """Return the names of surfaces with whose material on the other side the overstock is far more even."""
     given = _variation(stock, into)
     return [
-        nominal.names[one]
-        for one in np.unique(stock.surface).tolist()
-        if _variation(Stock(nominal.reversed(one), stock.measured, stock.surface), into) < _EVENER * given
+        nominal.names[surface]
+        for surface in np.unique(stock.surface).tolist()
+        if _variation(Stock(nominal.reversed(surface), stock.measured, stock.surface), into) < _EVENER * given
     ]
 
 

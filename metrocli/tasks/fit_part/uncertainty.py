@@ -61,17 +61,17 @@ def gradient_by_point(fit: Fit, aim: Aim, start: Array) -> Array:
     local, n = fit.local, len(fit.local.points)
     turn, before = poses.rotation_of(fit.into), poses.rotation_of(start)
     weight = _SLIGHT if aim.name == MOST else 1.0
-    found, changed = np.zeros((n, 6, 3)), -fit.duals
+    gradient, changed = np.zeros((n, 6, 3)), -fit.duals
     if aim.before is not None:
         moves = local.points - aim.before
-        found += np.swapaxes(local.movement, 1, 2) @ (turn - before) / n
-        found[:, 3:] -= cross_matrix(moves) @ turn / (local.lever * n)
+        gradient += np.swapaxes(local.movement, 1, 2) @ (turn - before) / n
+        gradient[:, 3:] -= cross_matrix(moves) @ turn / (local.lever * n)
     else:
         centred = local.overstock - local.overstock.mean()
         along = local.shape.normal @ turn
-        found += weight * (local.rows - local.rows.mean(axis=0))[:, :, None] * along[:, None, :] / n
+        gradient += weight * (local.rows - local.rows.mean(axis=0))[:, :, None] * along[:, None, :] / n
         changed = changed + weight * centred / n
-    return found + changed[:, None, None] * _rows_by_place(fit) @ turn
+    return gradient + changed[:, None, None] * _rows_by_place(fit) @ turn
 
 
 def _rows_by_place(fit: Fit) -> Array:

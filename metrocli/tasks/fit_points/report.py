@@ -84,8 +84,8 @@ def _merged(read: list[Residuals]) -> Residuals:
     return Residuals(*(np.concatenate([_flat(getattr(one, part), one) for one in read])[None] for part in parts))
 
 
-def _flat(values: Array, one: Residuals) -> Array:
-    return np.broadcast_to(values, one.values.shape).ravel()
+def _flat(values: Array, residuals: Residuals) -> Array:
+    return np.broadcast_to(values, residuals.values.shape).ravel()
 
 
 def _points_of(group: Group) -> Index:
@@ -93,11 +93,11 @@ def _points_of(group: Group) -> Index:
     return np.tile(np.asarray(group.observations.index[POINT]).ravel(), len(group.observations.readings))
 
 
-def _by_point(problem: Problem, found: Suspects, members: Index) -> dict[str, float]:
+def _by_point(problem: Problem, suspected: Suspects, members: Index) -> dict[str, float]:
     """Return the largest test of each point that has one beyond the bound, the largest first."""
-    order = np.argsort(-found.tests)
+    order = np.argsort(-suspected.tests)
     worst: dict[str, float] = {}
-    for row, test in zip(members[found.rows[order]].tolist(), found.tests[order].tolist(), strict=True):
+    for row, test in zip(members[suspected.rows[order]].tolist(), suspected.tests[order].tolist(), strict=True):
         worst.setdefault(problem.names[row], test)
     return worst
 

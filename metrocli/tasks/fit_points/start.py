@@ -56,13 +56,13 @@ def aligned_start(points: Array, nominal: Array, scaled: bool) -> tuple[Array, f
     """
     from metrocli.instruments.camera_start import cube_rotations
 
-    found = []
+    attempts = []
     for rotation in cube_rotations():
         goals = np.where(np.isfinite(nominal), nominal, points @ rotation.T)
         for _ in range(60):
             pose, scale = similarity(points, goals, scaled)
             moved = poses.apply(pose, scale * points)
             goals = np.where(np.isfinite(nominal), nominal, moved)
-        found.append((float(((goals - moved) ** 2).sum()), pose, scale))
-    _, pose, scale = min(found, key=lambda one: one[0])
+        attempts.append((float(((goals - moved) ** 2).sum()), pose, scale))
+    _, pose, scale = min(attempts, key=lambda one: one[0])
     return pose, scale

@@ -39,7 +39,7 @@ def solved(problem: Problem) -> Solution:
     blocks = problem.blocks(pose, scale)
     solution = adjust(blocks.values(), problem.groups(blocks))
     if solution.undetermined or not solution.outcome.good:
-        lines = [f"  undetermined: {one}" for one in solution.undetermined[:3]]
+        lines = [f"  undetermined: {combination}" for combination in solution.undetermined[:3]]
         text = "\n".join([f"{solution.outcome.value}: {solution.observations} readings", *lines])
         if solution.undetermined:
             help = "\n  what would determine it: three points that are not on a line, or more of their coordinates"

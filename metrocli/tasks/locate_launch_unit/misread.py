@@ -28,9 +28,9 @@ def misread(readings: Readings, noise: Noise) -> tuple[str, ...]:
     with np.errstate(all="ignore"):
         if misfit(readings, noise) <= _FITS:
             return ()
-        found = [(misfit(other, noise), text) for text, other in _others(readings)]
-    best = min(value for value, _ in found)
-    return tuple(text for value, text in sorted(found) if value <= min(_FITS, _ALIKE * best))
+        fits = [(misfit(other, noise), text) for text, other in _others(readings)]
+    best = min(value for value, _ in fits)
+    return tuple(text for value, text in sorted(fits) if value <= min(_FITS, _ALIKE * best))
 
 
 def misfit(readings: Readings, noise: Noise) -> float:

@@ -95,7 +95,9 @@ def _angles(readings: Readings, name: str, rows: Index, sigma: float) -> Group:
     tilt = readings.angles[1] if lu.ENCODERS[name][0] is Quantity.LAUNCH_ANGLES else readings.angles[2]
     values = readings.angles[ANGLES.index(name)][rows]
     observations = _observations(readings, name, rows, values, sigma)
-    turned = {lu.TURNED.format(encoder=one): sense[rows] for one, sense in zip(ANGLES, readings.turned, strict=True)}
+    turned = {
+        lu.TURNED.format(encoder=angle): sense[rows] for angle, sense in zip(ANGLES, readings.turned, strict=True)
+    }
     conditions = {**observations.conditions, **turned, lu.OVER: (np.cos(tilt[rows]) < 0).astype(float)}
     return Group(name, lu.encoder_chain(name), replace(observations, conditions=conditions, unit="rad"))
 
@@ -157,8 +159,8 @@ def screened(solution: Solution, names: Sequence[str]) -> Screened:
     reading that fails only because of an outlier passes once the outlier is removed.
     """
     total = sum(group.observations.count for group in solution.groups if group.name in names)
-    critical, found = critical_value(total), list[Outlier]()
-    while len(found) < total // _SHARE and solution.dof > _FEW:
+    critical, outliers = critical_value(total), list[Outlier]()
+    while len(outliers) < total // _SHARE and solution.dof > _FEW:
         worst, row = _worst(solution, names)
         others = max(solution.cost - worst.test**2, 0.0) / (solution.dof - 1)
         if worst.test <= critical * np.sqrt(max(others, 1.0)):
@@ -166,20 +168,22 @@ def screened(solution: Solution, names: Sequence[str]) -> Screened:
         fewer = _without(solution.blocks, solution.groups, worst.group, row)
         if fewer is None:
             break
-        solution, found = fewer, [*found, worst]
+        solution, outliers = fewer, [*outliers, worst]
     noise = float(np.sqrt(max(solution.cost / solution.dof, 1.0))) if solution.dof > 0 else 1.0
-    return Screened(solution, tuple(replace(one, test=one.test / noise) for one in found), critical, noise)
+    return Screened(
+        solution, tuple(replace(outlier, test=outlier.test / noise) for outlier in outliers), critical, noise
+    )
 
 
 def _worst(solution: Solution, names: Sequence[str]) -> tuple[Outlier, int]:
     """Return the reading with the largest |w|, and its row."""
-    found = []
+    tests = []
     for group in solution.groups:
         if group.name in names:
             w = np.abs(residuals_of(solution, group).normalised[0])
             row = int(np.argmax(w))
-            found.append((Outlier(group.name, group.observations.keys["pose"][row], float(w[row])), row))
-    return max(found, key=lambda one: one[0].test)
+            tests.append((Outlier(group.name, group.observations.keys["pose"][row], float(w[row])), row))
+    return max(tests, key=lambda one: one[0].test)
 
 
 def _without(blocks: Mapping[str, Block], groups: Sequence[Group], name: str, row: int) -> Solution | None:

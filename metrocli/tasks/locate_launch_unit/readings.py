@@ -70,9 +70,9 @@ class Readings:
         sense = np.where(np.abs(change) > _MOVED, np.sign(change), 0.0)
         first = np.argmax(sense != 0, axis=1)[:, None]
         last = np.maximum(np.maximum.accumulate(np.where(sense != 0, np.arange(n), 0), axis=1), first)
-        found = np.zeros_like(sense)
-        found[:, order] = np.take_along_axis(sense, last, axis=1)
-        return found
+        turn = np.zeros_like(sense)
+        turn[:, order] = np.take_along_axis(sense, last, axis=1)
+        return turn
 
     @property
     def beams(self) -> Beams:

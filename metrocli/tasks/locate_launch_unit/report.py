@@ -80,18 +80,18 @@ def _as_adjusted(
         "rejected": sum(group.observations.count for group in problem.all_groups)
         - sum(group.observations.count for group in solution.groups),
     }
-    found = (*unit, *estimates_of(noise.solution), *estimates(problem.effects, noise.solution))
+    delivered = (*unit, *estimates_of(noise.solution), *estimates(problem.effects, noise.solution))
     return Result(
         kind=KIND.name,
         title="",
-        estimates=found,
+        estimates=delivered,
         covariance=noise.solution.joint((lu.UNIT, *blocks_of(noise.solution), *free_blocks(problem.effects))),
         statistics=with_found(statistics, noise),
         tables={"beams": beams, **residuals, "outliers": outliers, TABLE: hidden, **effects},
         arrays=arrays,
         shown=(ShownTable("beams"), *((ShownTable("outliers"),) if len(outliers) else ())),
         notes=(*_of_air(located), *found_notes(noise), *noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
-        details=noise.details([one.name for one in found]),
+        details=noise.details([estimate.name for estimate in delivered]),
         plain=("dof",),
         warnings=(
             *problem.warnings,
@@ -166,12 +166,14 @@ def _residuals(parts: list[tuple[Group, Residuals]], located: Located) -> Table:
         "redundancy": [one.redundancy for one in found],
         f"detectable {unit}": [minimal_detectable(one, located.critical, located.noise) for one in found],
     }
-    return Table.of({**keys, **{name: np.concatenate([part[0] for part in one]) for name, one in numbers.items()}})
+    return Table.of(
+        {**keys, **{name: np.concatenate([part[0] for part in number]) for name, number in numbers.items()}}
+    )
 
 
 def _outliers(located: Located) -> Table:
     """Return /outliers: the readings that do not fit the others, the largest first."""
-    rows = [(one.pose, one.group, one.test) for one in located.outliers]
+    rows = [(outlier.pose, outlier.group, outlier.test) for outlier in located.outliers]
     return Table.of_rows(("pose [text]", "reading [text]", "w"), rows)
 
 

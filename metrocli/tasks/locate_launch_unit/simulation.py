@@ -44,7 +44,7 @@ def simulated(
         air = air_of(environment, places)
         read = distance if air is None else distance * (1 + rng.normal() * air.std) / air.towards
         table = table.joined({"distance [mm]": read})
-    when = {heading(name): one for name, one in places.conditions(*CONDITIONS).items()}
+    when = {heading(name): condition for name, condition in places.conditions(*CONDITIONS).items()}
     true = dict(zip("xyz", truth.place, strict=True)) | {"gamma": float(wrapped(truth.gamma))}
     return Simulation({"poses.csv": table.joined(when)}, true | added)
 

@@ -137,8 +137,8 @@ def _undetermined(problem: Problem, solution: Solution) -> str:
             f"leave it out; what would separate it: {one.effect.reveal}"
             for one in hidden
         )
-    found = f"undetermined: {solution.undetermined[0]}" if solution.undetermined else solution.outcome.value
-    return explained(problem.readings, found)
+    reason = f"undetermined: {solution.undetermined[0]}" if solution.undetermined else solution.outcome.value
+    return explained(problem.readings, reason)
 
 
 def _must_suffice(readings: Readings, noise: Noise, method: str) -> None:

@@ -1,4 +1,8 @@
-"""multilaterate: reflector positions from the lengths of four or more tracking interferometers."""
+"""multilaterate: reflector positions from the lengths of four or more tracking interferometers.
+
+`readings` -> `problem` -> `blunders` (robust start, wrong lengths) -> `solve` -> `second_places` (mirror images)
+-> `correction` of probing points (`probed`) -> `features` -> `report`. `layout` and `layout_faults` judge a plan.
+"""
 
 from metrocli.tasks.kind import Kind, Question
 

@@ -104,7 +104,7 @@ def not_converged(network: Network, state: Mapping[str, Block], solution: Soluti
     points, _, typical = _suspicious(network, state)
     if not 0 < _FEW * len(points) <= int((network.seen > 0).sum()):
         return NotConvergedError(told, solution.misfit)
-    names = listed([network.blocks[t.POINT].members[one] for one in points.tolist()])
+    names = listed([network.blocks[t.POINT].members[point] for point in points.tolist()])
     return NotConvergedError(
         f"{told}: the lengths of {len(points)} points do not meet, those of all others do: {names}; "
         "`outliers: remove` leaves wrong lengths out",
@@ -187,10 +187,10 @@ def _of_some(network: Network, chosen: Index) -> dict[str, Block]:
     if datum is not None:
         datum = replace(datum, reference=datum.reference[chosen], members=datum.members[chosen])
     groups = [lengths.with_observations(some), *network.others]
-    found = robust_start([fewer, *_others(network.blocks)], groups, LENGTHS, datum)
+    start = robust_start([fewer, *_others(network.blocks)], groups, LENGTHS, datum)
     values = block.values.copy()
-    values[chosen] = found[t.POINT].values
-    return {**found, t.POINT: block.with_values(values)}
+    values[chosen] = start[t.POINT].values
+    return {**start, t.POINT: block.with_values(values)}
 
 
 def _others(blocks: Mapping[str, Block]) -> list[Block]:

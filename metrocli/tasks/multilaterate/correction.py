@@ -132,8 +132,8 @@ def _gradient(network: Network, places: Array, tip: Index) -> float:
     """Return the change of the mover's error per length between nearest points, root mean square of a coordinate."""
     changes = [
         _changes(network.nominal[rows], network.nominal[rows] - places[rows])
-        for one in np.unique(tip)
-        if len(rows := np.flatnonzero((network.seen > 0) & network.unknown & (tip == one))) > 1
+        for number in np.unique(tip)
+        if len(rows := np.flatnonzero((network.seen > 0) & network.unknown & (tip == number))) > 1
     ]
     every = np.concatenate(changes) if changes else np.zeros((0, 3))
     return float(np.sqrt((every**2).mean())) if len(every) else 0.0
@@ -151,8 +151,8 @@ def _changes(at: Array, error: Array) -> Array:
 def _refuse(probing: Probing, match: Index, text: str) -> None:
     lost, names = np.flatnonzero(match < 0).tolist(), probing.table.texts("point")
     tips = [
-        f" that replays tip '{probing.tips.names[one]}'" if probing.tips.names[one] else ""
-        for one in probing.tips.probed
+        f" that replays tip '{probing.tips.names[tip]}'" if probing.tips.names[tip] else ""
+        for tip in probing.tips.probed
     ]
     if lost:
         raise InputError(

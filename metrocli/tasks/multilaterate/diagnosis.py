@@ -53,7 +53,10 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
     return AdjustedJob(
         KIND.name,
         model,
-        tuple(replace(one, usual=RANGING.get(one.name, one.usual)) if network.absolute else one for one in EFFECTS),
+        tuple(
+            replace(effect, usual=RANGING.get(effect.name, effect.usual)) if network.absolute else effect
+            for effect in EFFECTS
+        ),
         tuple(covariates(model)),
         ("tracer",),
         {LENGTHS: folds(group.observations.index[t.POINT], group.observations.conditions)},
@@ -204,8 +207,8 @@ def _of_more(group: Group, block: Block) -> Group:
 
 def _far_apart(points: Array) -> tuple[int, int]:
     """Return the rows of two points whose distance is about the largest of all."""
-    one = int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))
-    return one, int(np.argmax(((points - points[one]) ** 2).sum(axis=1)))
+    first = int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))
+    return first, int(np.argmax(((points - points[first]) ** 2).sum(axis=1)))
 
 
 def _with_bar(model: Model, ends: tuple[int, int]) -> Model:

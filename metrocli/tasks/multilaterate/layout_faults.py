@@ -72,8 +72,8 @@ def reasons(network: Network, solution: Solution) -> list[str]:
             f"leave it out; what would separate it: {one.effect.reveal}"
             for one in hidden
         ]
-    found = [*_counts(network, solution), *_shapes(network, solution)]
-    return found or ["the tracers see the points from too few directions; add tracers or points far from the others"]
+    causes = [*_counts(network, solution), *_shapes(network, solution)]
+    return causes or ["the tracers see the points from too few directions; add tracers or points far from the others"]
 
 
 def _counts(network: Network, solution: Solution) -> Iterator[str]:

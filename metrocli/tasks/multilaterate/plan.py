@@ -79,9 +79,9 @@ def _points(layout: Layout) -> Table:
 def _lengths(layout: Layout) -> Table:
     """Return redundancy, minimal detectable error and external reliability of each length."""
     group = layout.network.lengths
-    found, critical = residuals_of(layout.solution, group), critical_value(group.observations.count)
+    residuals, critical = residuals_of(layout.solution, group), critical_value(group.observations.count)
     table = Table.of({**group.observations.keys, "sigma [mm]": group.observations.sigma[0]})
-    return table.joined(reliability(layout.solution, group, found, critical))
+    return table.joined(reliability(layout.solution, group, residuals, critical))
 
 
 def _tracers(solution: Solution) -> tuple[Estimate, ...]:

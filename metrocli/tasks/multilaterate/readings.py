@@ -93,8 +93,8 @@ def read(settings: Settings, files: Files) -> Readings:
     extent = float(np.ptp(places, axis=0).max()) or 1.0
     rows = few_of_each(read_by)
     seen = Seen(read_by, rows, nominal[point[rows]], length[rows], extent, absolute, lengths.file)
-    found = Readings(names, nominal, sigma, read_by, observations, stops, air, absolute, seen)
-    return replace(found, warnings=(*_unused(found), *unused(settings.environment, lengths)))
+    readings = Readings(names, nominal, sigma, read_by, observations, stops, air, absolute, seen)
+    return replace(readings, warnings=(*_unused(readings), *unused(settings.environment, lengths)))
 
 
 def _stops(point: Index, sigma: Array, time: Array | None) -> tuple[Index, Array]:

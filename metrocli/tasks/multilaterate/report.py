@@ -67,7 +67,7 @@ def report(
     With a part the points are at 20 degC: the corrected ones, or without them those of the network.
     """
     solution, added = noise.solution, solved.network.effects
-    found = (*_tracer_estimates(solution), *estimates_of(solution), *estimates(added, solution))
+    delivered = (*_tracer_estimates(solution), *estimates_of(solution), *estimates(added, solution))
     hidden = uncontrolled(solved.network, part, solved.second)
     tables, arrays = _adjusted(solved, solution, None if probing is not None else part)
     tables["not_controlled"] = hidden
@@ -79,7 +79,7 @@ def report(
     return Result(
         kind=KIND.name,
         title="",
-        estimates=found,
+        estimates=delivered,
         covariance=solution.joint((t.TRACER, *blocks_of(solution), *free_blocks(added))),
         statistics=with_found(_statistics(solved, solution), noise) | ({} if part is None else part.facts),
         tables=tables,
@@ -99,7 +99,7 @@ def report(
             *exchanging(tables),
             *in_words(hidden),
         ),
-        details=noise.details([one.name for one in found]),
+        details=noise.details([estimate.name for estimate in delivered]),
         plain=("dof",),
         astray=max(solved.astray, astray(solved.network, probing)),
     )
@@ -169,7 +169,7 @@ def _tracers(solution: Solution) -> Table:
 
 def _residuals(solved: Solved) -> Table:
     """Return /residuals, with minimal detectable error and external reliability of each length."""
-    observations, found = solved.group.observations, solved.residuals
+    observations, residuals = solved.group.observations, solved.residuals
     blocks = {"point": t.POINT, "tracer": t.TRACER}  # whose names become a column faster than those of the readings
     keys = {
         name: np.array(solved.solution.blocks[blocks[name]].members)[observations.index[blocks[name]]]
@@ -179,12 +179,12 @@ def _residuals(solved: Solved) -> Table:
     }
     numbers = {
         "reading [mm]": observations.readings[0],
-        "residual [mm]": found.values[0],
-        "sigma [mm]": found.sigma[0],
-        "normalised": found.normalised[0],
+        "residual [mm]": residuals.values[0],
+        "sigma [mm]": residuals.sigma[0],
+        "normalised": residuals.normalised[0],
     }
     noise = noise_of_tests(solved.solution)
-    more = reliability(solved.solution, solved.group, found, solved.critical, noise)
+    more = reliability(solved.solution, solved.group, residuals, solved.critical, noise)
     return Table.of({**keys, **numbers, **more, **condition_columns(observations)})
 
 
@@ -198,15 +198,15 @@ def _rejected(solved: Solved) -> Table:
 
 
 def _suspects(solved: Solved) -> Table:
-    found, keys = solved.suspects, solved.whole.lengths.observations.keys
-    times = [keys[TIME][one.rows[0]] if one.tracer else "" for one in found] if TIME in keys else []
+    suspects, keys = solved.suspects, solved.whole.lengths.observations.keys
+    times = [keys[TIME][suspect.rows[0]] if suspect.tracer else "" for suspect in suspects] if TIME in keys else []
     return Table.of(
         {
-            "point [text]": [one.point for one in found],
-            "tracer [text]": [one.tracer or "ambiguous" for one in found],
+            "point [text]": [suspect.point for suspect in suspects],
+            "tracer [text]": [suspect.tracer or "ambiguous" for suspect in suspects],
             **({TIME: times} if times else {}),
-            "or [text]": [" ".join(one.others) for one in found],
-            "w": [one.test for one in found],
+            "or [text]": [" ".join(suspect.others) for suspect in suspects],
+            "w": [suspect.test for suspect in suspects],
         }
     )
 
@@ -227,11 +227,11 @@ def _warnings(solved: Solved) -> list[str]:
     if wrong:
         lines.append(f"{len(wrong)} lengths are left out as wrong: {listed(wrong)} (table rejected)")
     told = [
-        f"{one.point}/{name_of(keys, 'tracer', one.rows[0])} (w = {one.test:.1f}{_or(one.others)})"
-        for one in solved.suspects
-        if one.tracer
+        f"{suspect.point}/{name_of(keys, 'tracer', suspect.rows[0])} (w = {suspect.test:.1f}{_or(suspect.others)})"
+        for suspect in solved.suspects
+        if suspect.tracer
     ]
-    untold = [one for one in solved.suspects if not one.tracer]
+    untold = [suspect for suspect in solved.suspects if not suspect.tracer]
     alike = [f"{one.point} (w = {one.test:.1f}: {' or '.join(one.others)})" for one in untold]
     bound = f"the outlier bound |w| = {solved.critical:.2f}"
     if solved.solution.sigma0 > 1:
@@ -253,14 +253,14 @@ def _warnings(solved: Solved) -> list[str]:
 
 def _elsewhere(solved: Solved) -> Iterator[str]:
     """Yield a warning of tracers far from their listed places: lengths fit a layout and its mirror image alike."""
-    found, network = solved.solution.blocks[t.TRACER], solved.network
+    tracers, network = solved.solution.blocks[t.TRACER], solved.network
     if not len(network.said):
         return
-    gap = np.linalg.norm(found.values[:, :3] - network.said, axis=1)
-    away = np.linalg.norm(found.values[:, :3] - network.nominal[network.seen > 0].mean(axis=0), axis=1)
+    gap = np.linalg.norm(tracers.values[:, :3] - network.said, axis=1)
+    away = np.linalg.norm(tracers.values[:, :3] - network.nominal[network.seen > 0].mean(axis=0), axis=1)
     far = np.flatnonzero(gap > _ELSEWHERE * away)
     if far.size:
-        places = [f"{found.members[i]} ({gap[i]:.0f} mm)" for i in far]
+        places = [f"{tracers.members[i]} ({gap[i]:.0f} mm)" for i in far]
         yield (
             f"tracers are far from their listed places: {listed(places)}; are axes and signs of both lists the same? "
             "If those of the points are wrong, so is the result"

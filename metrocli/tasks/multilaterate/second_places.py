@@ -25,14 +25,14 @@ def second_places(network: Network, solution: Solution, noise: float) -> list[Mi
     group = next(group for group in solution.groups if group.name == LENGTHS)
     tracers = mirrored(of_tracers(solution, group, network.said), noise)
     points = mirrored(of_points(solution, group, network.nominal), noise)
-    return [*tracers, *(one for one in points if network.surveyed or not one.decided)]
+    return [*tracers, *(point for point in points if network.surveyed or not point.decided)]
 
 
-def at_others(blocks: Mapping[str, Block], found: Sequence[Mirrored]) -> dict[str, Block]:
+def at_others(blocks: Mapping[str, Block], places: Sequence[Mirrored]) -> dict[str, Block]:
     """Return blocks whose members stand at the other one of two places that fit."""
     moved = {name: block.values.copy() for name, block in blocks.items()}
-    for one in found:
-        moved[one.noun][one.member, :3] = one.other
+    for place in places:
+        moved[place.noun][place.member, :3] = place.other
     return {name: replace(block, values=moved[name]) for name, block in blocks.items()}
 
 
@@ -41,9 +41,9 @@ def noise_of_tests(solution: Solution) -> float:
     return max(1.0, float(np.nan_to_num(solution.sigma0, nan=1.0)))
 
 
-def units_of_tests(solution: Solution, found: Residuals) -> Array:
+def units_of_tests(solution: Solution, residuals: Residuals) -> Array:
     """Return the divisor of each |w|, (n,): the noise of the tests; for the largest |w|, that without this length."""
-    w = np.abs(found.normalised[0])
+    w = np.abs(residuals.normalised[0])
     units = np.full(len(w), noise_of_tests(solution))
     if solution.dof > 1 and len(w):
         worst = w >= (1 - EQUAL) * w.max()

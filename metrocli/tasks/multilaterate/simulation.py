@@ -59,7 +59,7 @@ def simulated(
     reading = reading + _returns(settings.noise, observations, actual, places, rng)
     reading = reading if air is None else reading / air.towards
     said = places + rng.normal(0.0, 1.0, places.shape) * truth.tracer_error
-    when = {heading(name): one for name, one in design.conditions(*CONDITIONS).items()}
+    when = {heading(name): condition for name, condition in design.conditions(*CONDITIONS).items()}
     lengths = Table.of({**{name: design.columns[name] for name in ("point", "tracer")}, "length [mm]": reading, **when})
     names = planned.tracers.texts("tracer")
     files = {

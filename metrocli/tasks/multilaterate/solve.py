@@ -120,8 +120,8 @@ class Solved:
         off = network.nominal[seen] - blocks[t.POINT].values[seen]
         points = float(np.sqrt((off**2).sum(axis=1).mean()))
         apart = np.linalg.norm(network.said - blocks[t.TRACER].values[:, :3], axis=1)
-        found = apart[np.isfinite(apart)]
-        tracers = float(median(found)) / extent if found.size else 0.0
+        finite = apart[np.isfinite(apart)]
+        tracers = float(median(finite)) / extent if finite.size else 0.0
         return max(points / (_POINTS_NEAR * extent + _noise_of(network)), tracers / _TRACERS_NEAR)
 
 
@@ -187,7 +187,7 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     residuals, critical = residuals_of(solution, group), critical_value(group.observations.count)
     suspects = _suspects(group, np.abs(residuals.normalised[0]), units_of_tests(solution, residuals), critical)
     rows = np.flatnonzero(keep)
-    suspects = tuple(replace(one, rows=tuple(rows[list(one.rows)].tolist())) for one in suspects)
+    suspects = tuple(replace(suspect, rows=tuple(rows[list(suspect.rows)].tolist())) for suspect in suspects)
     return Solved(used, network, solution, residuals, tuple(rejected), suspects, critical)
 
 
@@ -269,7 +269,7 @@ def _suspects(group: Group, w: Array, units: Array, bound: float) -> tuple[Suspe
                 (worst,) if told else tuple(rows[alike].tolist()),
             )
         )
-    return tuple(sorted(suspects, key=lambda one: -one.test))
+    return tuple(sorted(suspects, key=lambda suspect: -suspect.test))
 
 
 def _worst(solved: Solved) -> dict[int, Rejected]:
@@ -277,8 +277,8 @@ def _worst(solved: Solved) -> dict[int, Rejected]:
 
     Smaller ones may only be the effect of larger errors and are tested again in the next adjustment.
     """
-    most = max((one.test for one in solved.suspects), default=0.0)
-    chosen = [one for one in solved.suspects if one.test >= most / 2]
+    most = max((suspect.test for suspect in solved.suspects), default=0.0)
+    chosen = [suspect for suspect in solved.suspects if suspect.test >= most / 2]
     reason = {True: Reason.OUTLIER, False: Reason.ALIKE}
     return {row: Rejected(row, one.test, reason[bool(one.tracer)]) for one in chosen for row in one.rows}
 

@@ -40,8 +40,8 @@ def run(job: Job[Settings, Files]) -> Result:
     if probing is not None:
         refuse_lost(network, probing)
     remove, model = settings.outliers == "remove", settings.noise.model
-    found, factor = weighed(model, network, lambda network: solve(network, remove))
-    return report(found, noise_of(found, model, factor), probing, features, settings.part)
+    solved, factor = weighed(model, network, lambda network: solve(network, remove))
+    return report(solved, noise_of(solved, model, factor), probing, features, settings.part)
 
 
 def check(job: Job[Settings, Files]) -> None:
@@ -67,9 +67,9 @@ def check(job: Job[Settings, Files]) -> None:
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the adjusted job in the form that diagnosis needs, with all lengths; raises as `run` does."""
     network = build(job.settings, job.files).with_effects(job.effects)
-    found, _ = weighed(job.settings.noise.model, network, lambda network: solve(network, remove=False))
-    adjusted = adjusted_job(found)
-    return replace(adjusted, astray=max(adjusted.astray, astray(found.network, probing_of(job.settings, job.files))))
+    solved, _ = weighed(job.settings.noise.model, network, lambda network: solve(network, remove=False))
+    adjusted = adjusted_job(solved)
+    return replace(adjusted, astray=max(adjusted.astray, astray(solved.network, probing_of(job.settings, job.files))))
 
 
 def plan(job: Job[Settings, Files]) -> Plan:

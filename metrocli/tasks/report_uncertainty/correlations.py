@@ -61,19 +61,19 @@ def simultaneous(readings: Iterable[tuple[str, Table, str]], given: Collection[f
 
     Pairs with a declared correlation (`given`) are left out.
     """
-    found = []
-    for (a, first, one), (b, second, other) in combinations(readings, 2):
+    pairs = []
+    for (a, first, pair), (b, second, other) in combinations(readings, 2):
         if frozenset((a, b)) in given:
             continue
-        x, y = first.numbers(one), second.numbers(other)
+        x, y = first.numbers(pair), second.numbers(other)
         if first.file == second.file:
             r = float(np.corrcoef(x, y)[0, 1])
             said = f"{a} and {b} are columns of one file, {first.file}: the correlation of its rows, {r:+.3f}, is used"
-            found.append(Together((a, b), r, f"{said}; declare 0 if they were not read together"))
+            pairs.append(Together((a, b), r, f"{said}; declare 0 if they were not read together"))
         elif same(x, y):
             said = f"{a} and {b} have the same readings, value for value ({first.file}, {second.file})"
-            found.append(Together((a, b), 1.0, f"{said}: correlation +1 is used; declare 0 if neither is a copy"))
-    return found
+            pairs.append(Together((a, b), 1.0, f"{said}: correlation +1 is used; declare 0 if neither is a copy"))
+    return pairs
 
 
 def contradiction(error: NotSemiDefiniteError, declared: Sequence[Placed], otherwise: Node) -> Fault:

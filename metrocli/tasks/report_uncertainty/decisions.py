@@ -88,54 +88,54 @@ class Measured:
     centre: float
 
 
-def decide(limits: Limits, found: Measured, factor: float) -> dict[str, Any]:
+def decide(limits: Limits, measured: Measured, factor: float) -> dict[str, Any]:
     """Return the decision in the unit of the measurand; `factor` is the size of this unit in base units.
 
     Acceptance zones with U and with 1.65 u (ISO 14253-1), U/T, and the probability of conformity (JCGM 106).
     """
     ends = Interval(_end(limits.between[0], -math.inf), _end(limits.between[1], math.inf))
-    narrow = FACTOR_2017 * found.std
+    narrow = FACTOR_2017 * measured.std
     decision: dict[str, Any] = {
         "limits": _shown(ends, factor),
-        "zone": zone(found.value, ends, found.U),
-        "acceptance": _shown(ends.inside(found.U), factor),
-        "zone_2017": zone(found.value, ends, narrow),
+        "zone": zone(measured.value, ends, measured.U),
+        "acceptance": _shown(ends.inside(measured.U), factor),
+        "zone_2017": zone(measured.value, ends, narrow),
         "acceptance_2017": _shown(ends.inside(narrow), factor),
-        "conformance": conformance(found.value, found.std, ends, found.dof),
+        "conformance": conformance(measured.value, measured.std, ends, measured.dof),
     }
     if math.isfinite(ends.width):
-        decision |= {"T": ends.width / factor, "U_over_T": found.U / ends.width}
-        decision["capable"] = capable(found.U, ends.width)
-    if found.sample is not None:
-        above = found.sample.below(ends.high - found.centre) if math.isfinite(ends.high) else 1.0
-        under = found.sample.below(ends.low - found.centre) if math.isfinite(ends.low) else 0.0
+        decision |= {"T": ends.width / factor, "U_over_T": measured.U / ends.width}
+        decision["capable"] = capable(measured.U, ends.width)
+    if measured.sample is not None:
+        above = measured.sample.below(ends.high - measured.centre) if math.isfinite(ends.high) else 1.0
+        under = measured.sample.below(ends.low - measured.centre) if math.isfinite(ends.low) else 0.0
         decision["conformance_mc"] = above - under
-    return decision | _risks(limits, found, ends, factor)
+    return decision | _risks(limits, measured, ends, factor)
 
 
-def _risks(limits: Limits, found: Measured, ends: Interval, factor: float) -> dict[str, Any]:
+def _risks(limits: Limits, measured: Measured, ends: Interval, factor: float) -> dict[str, Any]:
     """Return the global risks of simple acceptance if the items are known, and the guard band if a risk is wanted."""
-    if found.std == 0:
+    if measured.std == 0:
         return {}
     said: dict[str, Any] = {}
     items = Items(limits.process.mean.value, limits.process.std.value) if limits.process else None
     if items is not None:
-        risks = global_risk(items, found.std, ends, ends)
+        risks = global_risk(items, measured.std, ends, ends)
         said |= {
             "consumer": risks.consumer,
             "consumer_of_accepted": risks.consumer_of_accepted,
             "producer": risks.producer,
         }
     if limits.risk is not None:
-        specific = guard_for_specific(found.std, limits.risk, ends, found.dof)
-        guard = specific if items is None else guard_for_global(items, found.std, ends, limits.risk)
+        specific = guard_for_specific(measured.std, limits.risk, ends, measured.dof)
+        guard = specific if items is None else guard_for_global(items, measured.std, ends, limits.risk)
         said |= {
             "wanted_risk": limits.risk,
             "guard_band": guard / factor,
             "acceptance_guarded": _shown(ends.inside(guard), factor),
         }
         if items is not None and math.isfinite(guard):
-            guarded = global_risk(items, found.std, ends, ends.inside(guard))
+            guarded = global_risk(items, measured.std, ends, ends.inside(guard))
             said |= {"guarded": {"consumer": guarded.consumer, "producer": guarded.producer}}
     return said
 

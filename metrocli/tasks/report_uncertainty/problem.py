@@ -161,8 +161,8 @@ class _Gathering:
     def _block(self, held: list[tuple[str, Result, int]]) -> Block | None:
         _, result, _ = held[0]
         at = [index for _, _, index in held]
-        found = [compound(result.estimates[index].unit) for index in at]
-        scale = np.array([unit.factor for unit in found])
+        compounds = [compound(result.estimates[index].unit) for index in at]
+        scale = np.array([unit.factor for unit in compounds])
         covariance = np.asarray(result.covariance)[np.ix_(at, at)] * scale[:, None] * scale
         size = np.sqrt(np.abs(np.diag(covariance)))
         if not np.isfinite(covariance).all() or (abs(covariance - covariance.T) > 1e-6 * np.outer(size, size)).any():
@@ -170,7 +170,7 @@ class _Gathering:
             self.faults.append(node.fault(f"the result of {held[0][0]} has no valid covariance", "run its job again"))
             return None
         dofs = [result.degrees_of_freedom(result.estimates[index].name) for index in at]
-        for (name, _, index), unit, dof, variance in zip(held, found, dofs, np.diag(covariance), strict=True):
+        for (name, _, index), unit, dof, variance in zip(held, compounds, dofs, np.diag(covariance), strict=True):
             shape = Normal(math.sqrt(max(float(variance), 0.0)))
             value = result.estimates[index].value * unit.factor
             self.quantities[name] = Quantity(name, value, shape, dof, unit)
@@ -219,14 +219,14 @@ class _Gathering:
         if not all(item in self.units for item in model.expression.names):
             return
         try:
-            found = dimensions.unit_of(model.expression, self.units)
+            unit = dimensions.unit_of(model.expression, self.units)
         except ExpressionError as error:
             self.faults.append(model.fault(error))
             return
-        if found.powers != wanted.powers or found.point != wanted.point:
+        if unit.powers != wanted.powers or unit.point != wanted.point:
             node = placed.node.at("unit") if placed.node.get("unit") else model.node
-            said = f"{placed.node.path}: the model gives {described(found)}, the unit is that of {described(wanted)}"
-            self.faults.append(node.fault(said, f"unit: one such as {_example(found)}"))
+            said = f"{placed.node.path}: the model gives {described(unit)}, the unit is that of {described(wanted)}"
+            self.faults.append(node.fault(said, f"unit: one such as {_example(unit)}"))
         self.wanted[name] = wanted
 
     def _join(self, blocks: list[Block]) -> None:
@@ -236,9 +236,13 @@ class _Gathering:
         if self.faults:
             return
         readings = list(self._readings())
-        found = [repeated(*one) for one in readings if not isinstance(self.quantities[one[0]].distribution, Sampled)]
-        self.faults += [fault for fault in found if isinstance(fault, Fault)]
-        self.noted += [said for said in found if isinstance(said, str)]
+        repeats = [
+            repeated(*reading)
+            for reading in readings
+            if not isinstance(self.quantities[reading[0]].distribution, Sampled)
+        ]
+        self.faults += [fault for fault in repeats if isinstance(fault, Fault)]
+        self.noted += [said for said in repeats if isinstance(said, str)]
         together = correlations.simultaneous(readings, {frozenset(pair.between) for pair in declared})
         self.noted += [pair.said for pair in together]
         pairs = [(*pair.between, pair.value) for pair in (*declared, *together)]
@@ -278,5 +282,5 @@ def _keyword(name: str) -> bool:
 def _example(unit: Compound) -> str:
     if unit.point or unit.number:
         return "'degC'" if unit.point else "1"
-    found = next((d for d in units.DIMENSIONS.values() if described(unit) == d.phrase), None)
-    return f"'{found.unit if found is not None else dimensions.base_unit(unit.powers)}'"
+    dimension = next((d for d in units.DIMENSIONS.values() if described(unit) == d.phrase), None)
+    return f"'{dimension.unit if dimension is not None else dimensions.base_unit(unit.powers)}'"

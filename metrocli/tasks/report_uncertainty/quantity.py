@@ -219,5 +219,5 @@ def _first_text(column: str, table: Table) -> str:
 def _unit_of_column(column: str) -> Compound:
     """Return the unit at the end of a column's name; without one, the column holds plain numbers."""
     endings = {ending: unit.symbol for d in units.DIMENSIONS for ending, unit in units.suffixes(d).items()}
-    found = [ending for ending in endings if column.endswith(f"_{ending}")]
-    return compound(endings[max(found, key=len)] if found else "1")
+    matches = [ending for ending in endings if column.endswith(f"_{ending}")]
+    return compound(endings[max(matches, key=len)] if matches else "1")

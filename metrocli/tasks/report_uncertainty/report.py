@@ -61,36 +61,36 @@ class _Measurand:
     verdict: Verdict | None
 
 
-def report(found: Found) -> Result:
+def report(evaluation: Found) -> Result:
     """Return the result of a job."""
-    names = list(found.problem.models)
-    measurands = [_measurand(found, index, name) for index, name in enumerate(names)]
-    factors = np.array([found.problem.units[name].factor for name in names])
-    covariance = found.propagated.covariance.copy()
-    if found.outcome is not None:
+    names = list(evaluation.problem.models)
+    measurands = [_measurand(evaluation, index, name) for index, name in enumerate(names)]
+    factors = np.array([evaluation.problem.units[name].factor for name in names])
+    covariance = evaluation.propagated.covariance.copy()
+    if evaluation.outcome is not None:
         # where the law of propagation does not apply, the covariance is that of the trials
         missing = [n for n, m in enumerate(measurands) if m.linear.replaced]
-        covariance[missing, :] = found.outcome.covariance[missing, :]
-        covariance[:, missing] = found.outcome.covariance[:, missing]
+        covariance[missing, :] = evaluation.outcome.covariance[missing, :]
+        covariance[:, missing] = evaluation.outcome.covariance[:, missing]
     covariance = covariance / factors[:, None] / factors
-    statistics: dict[str, Any] = {"measurands": len(names), "quantities": len(found.problem.inputs.quantities)}
+    statistics: dict[str, Any] = {"measurands": len(names), "quantities": len(evaluation.problem.inputs.quantities)}
     arrays = {}
     if len(names) > 1:
-        statistics["joint_factor"] = ellipsoid_factor(covered(found.coverage, math.inf), len(names))
+        statistics["joint_factor"] = ellipsoid_factor(covered(evaluation.coverage, math.inf), len(names))
         arrays["correlation"] = _correlation(covariance)
-    if found.outcome is not None:
-        statistics |= {"trials": found.outcome.trials, "seed": found.settings.monte_carlo.seed}
-        arrays["monte_carlo_covariance"] = found.outcome.covariance / factors[:, None] / factors
+    if evaluation.outcome is not None:
+        statistics |= {"trials": evaluation.outcome.trials, "seed": evaluation.settings.monte_carlo.seed}
+        arrays["monte_carlo_covariance"] = evaluation.outcome.covariance / factors[:, None] / factors
     return Result(
         kind=KIND.name,
         title="",
         estimates=tuple(Estimate(m.name, m.value, m.std, m.unit) for m in measurands),
         covariance=covariance,
         statistics=statistics,
-        tables={"budget": _budget(found, measurands)},
+        tables={"budget": _budget(evaluation, measurands)},
         arrays=arrays,
-        warnings=(*found.problem.warnings, *(note for m in measurands for note in _warnings(m))),
-        notes=tuple(line for m in measurands for line in _notes(found, m)),
+        warnings=(*evaluation.problem.warnings, *(note for m in measurands for note in _warnings(m))),
+        notes=tuple(line for m in measurands for line in _notes(evaluation, m)),
         details={m.name: m.details for m in measurands},
         plain=PLAIN,
     )
@@ -102,18 +102,22 @@ def _correlation(covariance: Any) -> Any:
     return covariance / scale[:, None] / scale
 
 
-def _measurand(found: Found, index: int, name: str) -> _Measurand:
-    unit, linear = found.problem.units[name], found.propagated.measurands[name]
-    k, dof, probability = coverage_factor(found.coverage, linear.dof), linear.dof, covered(found.coverage, linear.dof)
-    factor, mc = unit.factor, _monte_carlo(found, index, probability)
+def _measurand(evaluation: Found, index: int, name: str) -> _Measurand:
+    unit, linear = evaluation.problem.units[name], evaluation.propagated.measurands[name]
+    k, dof, probability = (
+        coverage_factor(evaluation.coverage, linear.dof),
+        linear.dof,
+        covered(evaluation.coverage, linear.dof),
+    )
+    factor, mc = unit.factor, _monte_carlo(evaluation, index, probability)
     std, interval = linear.std, (linear.value - k * linear.std, linear.value + k * linear.std)
     if linear.replaced and mc is not None:
         std, interval = mc["std"], tuple(mc["interval"])
-        if found.coverage.k is None:
+        if evaluation.coverage.k is None:
             k = (interval[1] - interval[0]) / 2 / std if std > 0 else k
         else:
             interval = (mc["mean"] - k * std, mc["mean"] + k * std)
-            probability = _share_within(found, index, interval)
+            probability = _share_within(evaluation, index, interval)
     details: dict[str, Any] = {
         "U": k * std / factor, "k": k, "dof": dof, "probability": probability,
         "interval": [end / factor for end in interval],
@@ -121,43 +125,43 @@ def _measurand(found: Found, index: int, name: str) -> _Measurand:
     }  # fmt: skip
     verdict = None
     if mc is not None:
-        mc["covered"] = _share_within(found, index, interval) if mc["std"] else 1.0
+        mc["covered"] = _share_within(evaluation, index, interval) if mc["std"] else 1.0
         mc = details["mc"] = {key: item if key in _PURE else _scaled(item, factor) for key, item in mc.items()}
-        verdict = _verdict(found, linear, k, factor, mc)
+        verdict = _verdict(evaluation, linear, k, factor, mc)
     details["gum_valid"] = verdict.valid if verdict is not None else math.nan
-    if found.settings.tolerance and name in found.settings.tolerance:
-        details["tolerance"] = _decision(found, index, name, std, k * std)
+    if evaluation.settings.tolerance and name in evaluation.settings.tolerance:
+        details["tolerance"] = _decision(evaluation, index, name, std, k * std)
     return _Measurand(name, unit.text, linear, linear.value / factor, std / factor, details, verdict)
 
 
-def _verdict(found: Found, linear: Linear, k: float, factor: float, mc: dict[str, Any]) -> Verdict:
+def _verdict(evaluation: Found, linear: Linear, k: float, factor: float, mc: dict[str, Any]) -> Verdict:
     """Return the validation of the law of propagation by Monte Carlo (JCGM 101, 8), with u in the measurand's unit."""
     if linear.replaced:
         return Verdict(False, linear.notes)
-    normal = coverage_factor(Coverage(covered(found.coverage, linear.dof)), math.inf)
+    normal = coverage_factor(Coverage(covered(evaluation.coverage, linear.dof)), math.inf)
     value, std, second = linear.value / factor, linear.std / factor, linear.second_std / factor
     ends = (mc["interval"][0], mc["interval"][1])
     judged = Judged(value, std, k * std, linear.nonlinear, second, mc["mean"], mc["std"], ends, normal, linear.dof)
-    return judge(judged, found.settings.monte_carlo.digits)
+    return judge(judged, evaluation.settings.monte_carlo.digits)
 
 
-def _decision(found: Found, index: int, name: str, std: float, expanded: float) -> dict[str, Any]:
-    linear, outcome = found.propagated.measurands[name], found.outcome
+def _decision(evaluation: Found, index: int, name: str, std: float, expanded: float) -> dict[str, Any]:
+    linear, outcome = evaluation.propagated.measurands[name], evaluation.outcome
     sample = outcome.samples[index] if outcome is not None else None
     centre = outcome.centres[index] if outcome is not None else 0.0
     measured = Measured(linear.value, std, expanded, whole_dof(linear.dof), sample, centre)
-    return decide(limits_of(found.settings.tolerance[name]), measured, found.problem.units[name].factor)
+    return decide(limits_of(evaluation.settings.tolerance[name]), measured, evaluation.problem.units[name].factor)
 
 
 def _scaled(value: Any, factor: float) -> Any:
     return [item / factor for item in value] if isinstance(value, list | tuple) else value / factor
 
 
-def _share_within(found: Found, index: int, interval: tuple[float, float]) -> float:
+def _share_within(evaluation: Found, index: int, interval: tuple[float, float]) -> float:
     """Return the share of the trials of a measurand within an interval, nan without trials."""
-    if found.outcome is None:
+    if evaluation.outcome is None:
         return math.nan
-    sample, centre = found.outcome.samples[index], found.outcome.centres[index]
+    sample, centre = evaluation.outcome.samples[index], evaluation.outcome.centres[index]
     return sample.below(interval[1] - centre) - sample.below(interval[0] - centre)
 
 
@@ -165,8 +169,8 @@ _ROUNDING = 1e-14
 """A smaller relative std of trials is that of rounding errors"""
 
 
-def _monte_carlo(found: Found, index: int, probability: float) -> dict[str, Any] | None:
-    outcome = found.outcome
+def _monte_carlo(evaluation: Found, index: int, probability: float) -> dict[str, Any] | None:
+    outcome = evaluation.outcome
     if outcome is None:
         return None
     sample, centre = outcome.samples[index], outcome.centres[index]
@@ -183,12 +187,12 @@ def _monte_carlo(found: Found, index: int, probability: float) -> dict[str, Any]
     return said | ({"resolution": sample.resolution} if sample.resolution else {})
 
 
-def _budget(found: Found, measurands: Sequence[_Measurand]) -> Table:
+def _budget(evaluation: Found, measurands: Sequence[_Measurand]) -> Table:
     """Return one row for each measurand and contributor, the largest contribution first."""
-    inputs = found.problem.inputs
+    inputs = evaluation.problem.inputs
     rows: list[tuple[Any, ...]] = []
     for measurand in measurands:
-        linear, factor = measurand.linear, found.problem.units[measurand.name].factor
+        linear, factor = measurand.linear, evaluation.problem.units[measurand.name].factor
         along = inputs.covariance @ linear.sensitivities
         for i in budget_order(linear):
             item = inputs.quantities[i]
@@ -218,7 +222,7 @@ def _warnings(measurand: _Measurand) -> list[str]:
     return said
 
 
-def _notes(found: Found, measurand: _Measurand) -> list[str]:
+def _notes(evaluation: Found, measurand: _Measurand) -> list[str]:
     details, unit = measurand.details, "" if measurand.unit == "1" else f" {measurand.unit}"
     value, std = rounded(measurand.value, measurand.std)
     U = rounded(measurand.value, details["U"])[1]
@@ -245,7 +249,7 @@ def _notes(found: Found, measurand: _Measurand) -> list[str]:
         if mc.get("resolution"):
             said.append(f"  trials counted in bins: interval ends are known to {mc['resolution']:.1e}{unit}")
     said += _judgement(measurand)
-    said += [f"  {line}" for line in _budget_lines(found, measurand)]
+    said += [f"  {line}" for line in _budget_lines(evaluation, measurand)]
     if "tolerance" in details:
         said += [f"  {line}" for line in lines(details["tolerance"], measurand.unit)]
     return said
@@ -262,9 +266,9 @@ def _judgement(measurand: _Measurand) -> list[str]:
     ]
 
 
-def _budget_lines(found: Found, measurand: _Measurand) -> list[str]:
-    inputs, linear = found.problem.inputs, measurand.linear
-    factor = found.problem.units[measurand.name].factor
+def _budget_lines(evaluation: Found, measurand: _Measurand) -> list[str]:
+    inputs, linear = evaluation.problem.inputs, measurand.linear
+    factor = evaluation.problem.units[measurand.name].factor
     along = inputs.covariance @ linear.sensitivities
     rows = [("contributor", "value", "u", "unit", "sensitivity", "contribution", "share %", "dof")]
     order = budget_order(linear)

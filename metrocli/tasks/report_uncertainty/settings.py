@@ -47,7 +47,7 @@ def figures(settings: Settings) -> dict[str, str]:
         axes = dict.fromkeys("xyz", "mm")
         details = _below(axes, (*_OF_EACH, *_TRIALS, *_VOLUME), (*_PLAIN, *_VOLUME_PLAIN))
         return with_std(axes) | details | dict.fromkeys(("points", "contributors", "trials", "seed"), "")
-    measurands = {name: one.value.unit for name, one in settings.measurands.items()}
+    measurands = {name: measurand.value.unit for name, measurand in settings.measurands.items()}
     limits = settings.tolerance if isinstance(settings.tolerance, Mapping) else {}
     decided = {f"{name}.tolerance": unit for name, unit in measurands.items() if name in limits}
     details = _below(measurands, (*_OF_EACH, *_TRIALS), _PLAIN) | _below(decided, _DECIDED, _DECIDED_PLAIN)

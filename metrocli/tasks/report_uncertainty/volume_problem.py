@@ -87,7 +87,7 @@ def build(settings: Entries, results: Mapping[str, Result]) -> VolumeProblem:
     assert wanted is not None
     points = grid(wanted.from_, wanted.to, wanted.grid)
     lengths = np.abs(points - np.asarray(wanted.origin))
-    found: list[Contribution] = []
+    contributions: list[Contribution] = []
     wrong: list[Fault] = []
     for placed in settings.contributors:
         given: Contributor = placed.value
@@ -97,11 +97,11 @@ def build(settings: Entries, results: Mapping[str, Result]) -> VolumeProblem:
             wrong += error.faults
             continue
         dof = given.dof if given.dof is not None else dof
-        found.append(Contribution(given.name, std, uniform, dof, given.source or ""))
+        contributions.append(Contribution(given.name, std, uniform, dof, given.source or ""))
     if wrong:
         raise InputError(wrong)
     notes = tuple(_not_contained(settings, results))
-    return VolumeProblem(points, tuple(found), tuple(_double(settings, results)), notes)
+    return VolumeProblem(points, tuple(contributions), tuple(_double(settings, results)), notes)
 
 
 def _not_contained(settings: Entries, results: Mapping[str, Result]) -> Iterable[str]:
@@ -146,7 +146,7 @@ def _along_axes(value: float | tuple[float, float, float]) -> Array:
 
 
 def _dof(result: Result) -> float:
-    return min(result.degrees_of_freedom(one.name) for one in result.estimates)
+    return min(result.degrees_of_freedom(estimate.name) for estimate in result.estimates)
 
 
 def _of_result(placed: Placed, result: Result, points: Array) -> Array:

@@ -63,8 +63,8 @@ class _Axis:
 def run(settings: Entries, results: Mapping[str, Result], workers: Workers) -> Result:
     """Return the result of a job with a volume; raises InputError with its faults."""
     problem = build(settings, results)
-    found = extremes(problem.contributions, problem.points)
-    axes = [_axis(n, found, problem.contributions, settings, workers) for n in range(3)]
+    largest = extremes(problem.contributions, problem.points)
+    axes = [_axis(n, largest, problem.contributions, settings, workers) for n in range(3)]
     details = {axis.name: _details(axis, settings) for axis in axes}
     covariance = np.diag([axis.std**2 for axis in axes])
     statistics: dict[str, Any] = {"points": len(problem.points), "contributors": len(problem.contributions)}
@@ -76,9 +76,9 @@ def run(settings: Entries, results: Mapping[str, Result], workers: Workers) -> R
         estimates=tuple(Estimate(axis.name, 0.0, axis.std, "mm") for axis in axes),
         covariance=covariance,
         statistics=statistics,
-        tables=_tables(problem, found, axes, settings),
+        tables=_tables(problem, largest, axes, settings),
         warnings=(*problem.warnings, *_warnings(details)),
-        notes=(*_notes(problem, found, axes, details), *problem.notes),
+        notes=(*_notes(problem, largest, axes, details), *problem.notes),
         details=details,
         plain=PLAIN,
     )
@@ -94,7 +94,7 @@ def _sum(parts: tuple[Contribution, ...], axis: int) -> tuple[Inputs, Expression
     return join(quantities), parse(" + ".join(quantity.name for quantity in quantities))
 
 
-def _axis(axis: int, found: Extremes, parts: tuple[Contribution, ...], settings: Entries, workers: Workers) -> _Axis:
+def _axis(axis: int, largest: Extremes, parts: tuple[Contribution, ...], settings: Entries, workers: Workers) -> _Axis:
     inputs, total = _sum(parts, axis)
     coverage = coverage_of(settings)
     dof, _ = effective_dof(inputs, np.ones(len(inputs.quantities)))
@@ -103,9 +103,9 @@ def _axis(axis: int, found: Extremes, parts: tuple[Contribution, ...], settings:
         wanted = settings.monte_carlo
         plan = plan_of({"sum": total}, inputs, wanted.seed, covered(coverage, dof), wanted.trials)
         mc = monte_carlo.run(plan, workers, wanted.digits, wanted.most)
-    pointwise, place = float(found.pointwise[axis]), found.places[axis]
+    pointwise, place = float(largest.pointwise[axis]), largest.places[axis]
     k = coverage_factor(coverage, dof)
-    return _Axis(AXES[axis], float(found.by_contributor[axis]), pointwise, place, k, dof, mc)
+    return _Axis(AXES[axis], float(largest.by_contributor[axis]), pointwise, place, k, dof, mc)
 
 
 def coverage_of(settings: Entries) -> Coverage:
@@ -153,12 +153,12 @@ def _against_trials(axis: _Axis, mc: monte_carlo.Outcome, U: float, settings: En
     return {"mc": trials | {"covered": covers}, "gum_valid": verdict.valid}
 
 
-def _tables(problem: VolumeProblem, found: Extremes, axes: list[_Axis], settings: Entries) -> dict[str, Table]:
+def _tables(problem: VolumeProblem, largest: Extremes, axes: list[_Axis], settings: Entries) -> dict[str, Table]:
     parts = problem.contributions
     rows = []
     for n, axis in enumerate(axes):
-        share = 100 * found.largest[:, n] ** 2 / axis.std**2 if axis.std > 0 else np.zeros(len(parts))
-        for part, std, percent in zip(parts, found.largest[:, n], share, strict=True):
+        share = 100 * largest.largest[:, n] ** 2 / axis.std**2 if axis.std > 0 else np.zeros(len(parts))
+        for part, std, percent in zip(parts, largest.largest[:, n], share, strict=True):
             shape = "uniform" if part.uniform else "normal"
             rows.append((axis.name, part.name, 0.0, std, shape, part.source, 1.0, std, percent, part.dof))
     names = (
@@ -184,7 +184,7 @@ def _tables(problem: VolumeProblem, found: Extremes, axes: list[_Axis], settings
     return {
         "sources": _sources(settings),
         "budget": Table.of_rows([name + units.get(name, "") for name in (*names, "dof")], rows),
-        "map": Table.of({"x y z [mm]": problem.points, "u_x u_y u_z [mm]": found.each}),
+        "map": Table.of({"x y z [mm]": problem.points, "u_x u_y u_z [mm]": largest.each}),
         "maxima": Table.of(maxima),
     }
 
@@ -209,10 +209,10 @@ def _warnings(details: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _notes(
-    problem: VolumeProblem, found: Extremes, axes: list[_Axis], details: Mapping[str, Mapping[str, Any]]
+    problem: VolumeProblem, largest: Extremes, axes: list[_Axis], details: Mapping[str, Mapping[str, Any]]
 ) -> list[str]:
     rows = [["largest u in the volume", *(f"{axis.name} [um]" for axis in axes)]]
-    rows += [[part.name, *map(_spread, std)] for part, std in zip(problem.contributions, found.largest, strict=True)]
+    rows += [[part.name, *map(_spread, std)] for part, std in zip(problem.contributions, largest.largest, strict=True)]
     ks = sorted({f"{axis.k:.3g}" for axis in axes})
     rows.append(
         [f"U (k = {', '.join(ks)}), contributor by contributor", *(_spread(axis.k * axis.std) for axis in axes)]

@@ -93,7 +93,7 @@ def _with_views(problem: Problem, model: Model) -> Model:
     views = (*problem.views, *(bg.View(f"+{'xyz'[a]}", np.eye(3), np.eye(3)[a]) for a in (1, 2)))
     ball = np.concatenate([np.arange(len(problem.grid.balls))] * 2)
     view = np.repeat([len(views) - 2, len(views) - 1], len(problem.grid.balls))
-    sites = np.concatenate([one.sites(problem.grid.balls) for one in views[-2:]])
+    sites = np.concatenate([view.sites(problem.grid.balls) for view in views[-2:]])
     at = bg.numbers_at(problem.grid.sites, sites)
     kept = np.flatnonzero(at >= 0)
     new = old.selected(np.zeros(len(kept), dtype=np.intp))
@@ -150,8 +150,8 @@ class _Robust:
         return self.sample.dof(self._columns(names))
 
     def _columns(self, names: Sequence[str]) -> Index:
-        found = np.concatenate([self.design.partition.columns[name].ravel() for name in names])
-        return np.asarray(found[found >= 0])
+        columns = np.concatenate([self.design.partition.columns[name].ravel() for name in names])
+        return np.asarray(columns[columns >= 0])
 
 
 def with_structure(solved: Solved) -> tuple[Solved, Structured]:
@@ -171,13 +171,13 @@ def with_structure(solved: Solved) -> tuple[Solved, Structured]:
     of_rows = [np.tile(cluster, len(residual[0])), *(np.full(part.size, -1) for part in residual[1:])]
     rows = rows_of_table(design.jacobian, np.concatenate([part.ravel() for part in residual]), np.concatenate(of_rows))
     sample = Sample.of(white, rows, rows.common, solved.solution.dof)
-    found = CorrelatedDesign(
+    correlated = CorrelatedDesign(
         design.partition, design.jacobian, design.reduction, design.constraint, sample.covariance()
     )
-    estimates = (bg.VIEW, *(one.block for one in solved.problem.effects))
-    robust = _Robust(sample, found, np.diag(white))
+    estimates = (bg.VIEW, *(effect.block for effect in solved.problem.effects))
+    robust = _Robust(sample, correlated, np.diag(white))
     structured = Structured(robust, (bg.MACHINE,), estimates, _OVER)
-    return replace(solved, found=FieldSolution(solved.solution, found)), structured
+    return replace(solved, found=FieldSolution(solved.solution, correlated)), structured
 
 
 def sharing(solved: Solved) -> int:
@@ -190,9 +190,9 @@ def clusters_of(solved: Solved) -> Index:
     observations = solved.problem.readings.observations
     view = observations.index[bg.VIEW]
     order = observations.conditions.get("t", np.arange(observations.count, dtype=float))
-    found, first = np.zeros(observations.count, dtype=np.intp), 0
+    clusters, first = np.zeros(observations.count, dtype=np.intp), 0
     for one in np.unique(view).tolist():
         mine = np.flatnonzero(view == one)
-        found[mine] = first + in_blocks(order[mine])
-        first = int(found[mine].max()) + 1
-    return found
+        clusters[mine] = first + in_blocks(order[mine])
+        first = int(clusters[mine].max()) + 1
+    return clusters

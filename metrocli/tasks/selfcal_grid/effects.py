@@ -1,4 +1,4 @@
-"""Effects on the views of a ball grid (docs/effects)."""
+"""Effects on the views of a ball grid."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PLACES = (
     _place("point-on-table", Quantity.BALL_ON_TABLE),
     _place("point-in-artefact", Quantity.BALL_IN_ARTEFACT),
 )
-"""Quantities on which effects of one's own can act"""
+"""Quantities on which user-defined effects can act"""
 
 
 EFFECTS: tuple[Effect, ...] = (
@@ -37,6 +37,8 @@ EFFECTS: tuple[Effect, ...] = (
         where=("view",),
         not_first=("view",),
         confused_with=("axis-expansion", "artefact-bending", "drift-in-view"),
+        formula="x *= 1 + scale, for every ball x of the artefact in that view",
+        note="In the first view it cannot be separated from the size of the artefact.",
         usual="1 to 50 ppm",
         reveal="the temperature of the artefact in each view; this view again after a rest",
         source="ISO 15530-3 (thermal effects); aluminium grows by 23 ppm/K, steel by 11.5 ppm/K",
@@ -48,6 +50,9 @@ EFFECTS: tuple[Effect, ...] = (
         lambda block, where: Bending(block),
         where=("view",),
         confused_with=("artefact-expansion", "axis-expansion"),
+        formula="z -= b (rho² - mean rho²)    # machine z; rho: horizontal distance from the artefact's centre",
+        note="2 um at 100 mm from the centre is 2e-7 1/mm. Four views with one shift along x show only a part "
+        "of it; the rest goes into the machine error.",
         usual="1e-8 to 1e-6 1/mm",
         reveal="views shifted along y and along z as well as along x",
         source="Roark, Formulas for stress and strain: a plate on supports; EURAMET guides on ball plates",
@@ -60,6 +65,9 @@ EFFECTS: tuple[Effect, ...] = (
         where=("view",),
         needs=("t",),
         confused_with=("axis-expansion", "reseated-artefact", "artefact-expansion"),
+        formula="x += (vx, vy, vz) t",
+        note="Balls measured layer by layer make time nearly a coordinate: a drift then looks like a scale or "
+        "squareness error in that view. The column `repeat` marks repeated balls.",
         usual="1 to 20 um/h",
         reveal="the first balls again at the end of the view, or the view forth and back",
         source="ISO 230-3 (drift with time)",
@@ -73,6 +81,7 @@ EFFECTS: tuple[Effect, ...] = (
         scanned=(Parameter("at", "time", grid=change_points),),
         needs=("t",),
         confused_with=("drift-in-view",),
+        formula="x += (dx, dy, dz) for t_s >= at, in that view",
         usual="1 to 100 um",
         reveal="the first balls again at the end of the view",
         source="Teunissen 2018, Distributional theory for the DIA method, J. Geodesy 92 (step in the mean)",
@@ -85,6 +94,8 @@ EFFECTS: tuple[Effect, ...] = (
         where=("ball",),
         scanned=(Parameter("from_view", place="view"),),
         not_first=("view",),
+        formula="x += (dx, dy, dz), for that ball in the view from_view and all later ones",
+        note="Where from_view is the last view, it cannot be separated from a wrong reading.",
         usual="1 to 100 um",
         reveal="the first view again at the end",
         source="Baarda 1968 (mean shift of some readings)",
@@ -96,9 +107,11 @@ EFFECTS: tuple[Effect, ...] = (
         lambda block, where: ReadingScale(block, AXES.index(where["axis"])),
         where=("view", "axis"),
         confused_with=("artefact-expansion", "artefact-bending", "drift-in-view"),
+        formula="x_axis *= 1 + scale, about the centre of the grid, in that view",
+        note="In a view turned about one axis, the other two axes cannot be separated.",
         usual="1 to 50 ppm",
         reveal="the temperature of the scales in each view; this view again after a rest",
         source="ISO 230-1:2012 (EXX, EYY, EZZ); steel scales 11.5 ppm/K",
     ),
 )
-"""The effects, in the order of the documentation"""
+"""The effects in the order of lists"""

@@ -214,12 +214,13 @@ def error_at(result: Result, place: Sequence[str]) -> tuple[Estimate, ...]:
     field = SiteErrors(sites, float(result.arrays["pitch"][0]), values, std)
     points = Table.of({"point": ["here"], "x y z": [point]})
     try:
-        found = error_map(points, field, lambda weights: _covariance(result, weights), _smooth(result))
+        machine_error = error_map(points, field, lambda weights: _covariance(result, weights), _smooth(result))
     except InputError as error:
         raise UsageError(f"--at: the point is not between measured sites ({error.faults[0].hint})") from error
-    names = [name for name in found if name[0] == "e" or name.startswith("smooth")]
+    names = [name for name in machine_error if name[0] == "e" or name.startswith("smooth")]
     return tuple(
-        Estimate(name, float(found.numbers(name)[0]), float(found.numbers(f"s_{name}")[0]), "mm") for name in names
+        Estimate(name, float(machine_error.numbers(name)[0]), float(machine_error.numbers(f"s_{name}")[0]), "mm")
+        for name in names
     )
 
 

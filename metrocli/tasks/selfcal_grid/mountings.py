@@ -52,19 +52,19 @@ def check(readings: Readings, pitch: float) -> list[str]:
 
     Raises InputError if a view stood otherwise than declared, and for readings that belong to another ball.
     """
-    found = [_observed(readings, n, pitch) for n in range(len(readings.views))]
+    observed = [_observed(readings, n, pitch) for n in range(len(readings.views))]
     file = readings.table.file
     for faults in (
-        _other_pitch(readings, found, pitch),
-        _exchanged(readings.views, found),
-        _otherwise(readings.views, found),
+        _other_pitch(readings, observed, pitch),
+        _exchanged(readings.views, observed),
+        _otherwise(readings.views, observed),
     ):
         if faults:
             raise InputError([Fault(text, file) for text in faults])
-    astray = [one for n, seen in enumerate(found) if seen for one in _astray(readings, n, seen, pitch)]
+    astray = [one for n, seen in enumerate(observed) if seen for one in _astray(readings, n, seen, pitch)]
     if astray:
         raise InputError(astray[:_MOST])
-    return [*_doubtful_pitch(found, pitch), *_off_site(readings, found)]
+    return [*_doubtful_pitch(observed, pitch), *_off_site(readings, observed)]
 
 
 def _observed(readings: Readings, view: int, pitch: float) -> Observed | None:
@@ -110,10 +110,10 @@ def _nearest(matrix: Array) -> Array:
     return max(every, key=lambda one: float((one * matrix).sum()))
 
 
-def _other_pitch(readings: Readings, found: list[Observed | None], pitch: float) -> list[str]:
+def _other_pitch(readings: Readings, observed: list[Observed | None], pitch: float) -> list[str]:
     """Return the faults of views whose readings do not form a grid of this pitch; one fault if no view does."""
-    known = [(view.name, seen) for view, seen in zip(readings.views, found, strict=True) if seen is not None]
-    reach = [_reach(readings.balls[readings.at(n)]) for n, seen in enumerate(found) if seen is not None]
+    known = [(view.name, seen) for view, seen in zip(readings.views, observed, strict=True) if seen is not None]
+    reach = [_reach(readings.balls[readings.at(n)]) for n, seen in enumerate(observed) if seen is not None]
     wrong = {
         f" of view '{name}'": seen.scale * pitch
         for (name, seen), far in zip(known, reach, strict=True)
@@ -139,8 +139,8 @@ def _reach(balls: Index) -> float:
     return float(np.linalg.norm(balls - balls.mean(axis=0), axis=1).max())
 
 
-def _doubtful_pitch(found: list[Observed | None], pitch: float) -> list[str]:
-    scales = [seen.scale for seen in found if seen is not None]
+def _doubtful_pitch(observed: list[Observed | None], pitch: float) -> list[str]:
+    scales = [seen.scale for seen in observed if seen is not None]
     scale = float(np.median(scales)) if scales else 1.0
     if abs(scale - 1) < _DOUBTFUL:
         return []
@@ -150,9 +150,9 @@ def _doubtful_pitch(found: list[Observed | None], pitch: float) -> list[str]:
     ]
 
 
-def _exchanged(views: tuple[View, ...], found: list[Observed | None]) -> list[str]:
+def _exchanged(views: tuple[View, ...], observed: list[Observed | None]) -> list[str]:
     """Return the faults of exchanged indices or axes, common to all views, or of mirrored readings in single views."""
-    known = [(view, seen) for view, seen in zip(views, found, strict=True) if seen is not None]
+    known = [(view, seen) for view, seen in zip(views, observed, strict=True) if seen is not None]
     for names, matrices in (
         ("ijk", [view.turn.T @ seen.turn for view, seen in known]),
         ("xyz", [view.turn @ seen.turn.T for view, seen in known]),
@@ -182,9 +182,9 @@ def _exchange(matrix: Array, names: str) -> str:
     return f"the readings fit {artefact} with {', '.join(names)} read as {seen}"
 
 
-def _otherwise(views: tuple[View, ...], found: list[Observed | None]) -> list[str]:
+def _otherwise(views: tuple[View, ...], observed: list[Observed | None]) -> list[str]:
     """Return the faults of views that stood otherwise than declared: another rotation, shift, or swapped views."""
-    known = [(n, seen) for n, seen in enumerate(found) if seen is not None]
+    known = [(n, seen) for n, seen in enumerate(observed) if seen is not None]
     right = [(n, seen) for n, seen in known if np.array_equal(seen.turn, views[n].turn)]
     origins = np.array([seen.origin - views[n].shift for n, seen in (right or known)])
     common = np.median(origins, axis=0) if len(origins) else np.zeros(3)
@@ -235,9 +235,9 @@ def _astray(readings: Readings, n: int, seen: Observed, pitch: float) -> list[Fa
     return faults
 
 
-def _off_site(readings: Readings, found: list[Observed | None]) -> list[str]:
+def _off_site(readings: Readings, observed: list[Observed | None]) -> list[str]:
     """Return warnings of views with balls so far from their sites that the machine error differs there."""
-    known = [(n, seen) for n, seen in enumerate(found) if seen is not None]
+    known = [(n, seen) for n, seen in enumerate(observed) if seen is not None]
     if not known:
         return []
     origins = np.array([seen.origin - readings.views[n].shift for n, seen in known])

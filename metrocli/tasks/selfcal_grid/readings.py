@@ -56,7 +56,7 @@ def read(views: Sequence[View], half: Index, table: Table) -> Readings:
         for row in outside[:_MOST]
     ]
     if faults:
-        raise InputError(sorted(faults, key=lambda one: one.line or 0)[:_MOST])
+        raise InputError(sorted(faults, key=lambda fault: fault.line or 0)[:_MOST])
     used = [view for view in views if view.name in set(said)]
     place = {view.name: n for n, view in enumerate(used)}
     at = np.array([place[name] for name in said], dtype=np.intp)

@@ -44,7 +44,7 @@ class _Field:
     """inf where the views leave it undetermined"""
 
 
-def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Table | None) -> Result:
+def report(solved: Solved, left_open: Open, left_out: Sequence[LeftOut], points: Table | None) -> Result:
     """Return the result of a solved self-calibration."""
     machine, artefact = _field(solved, bg.MACHINE), _field(solved, bg.ARTEFACT)
     form, length = _forms(solved, machine)
@@ -56,7 +56,7 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
         "machine_error": _table(machine),
         "artefact_error": _table(artefact),
         "correction": _correction(solved, machine),
-        "undetermined": _undetermined(found),
+        "undetermined": _undetermined(left_open),
         "views": _views(solved, left_out),
         "residuals": _residuals(solved),
         **({"lengths": residual_table(solved.residuals[1], groups[1])} if len(groups) > 1 else {}),
@@ -67,7 +67,7 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
         **({"length_error": length.table} if length else {}),
         **({"map": _map(solved, machine, points, form)} if points is not None else {}),
     }
-    statistics, length_note = _statistics(solved, found, machine, length)
+    statistics, length_note = _statistics(solved, left_open, machine, length)
     return Result(
         kind=KIND.name,
         title="",
@@ -76,10 +76,16 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
         statistics=statistics,
         tables=tables,
         arrays=_arrays(solved, machine, form) | effect_arrays,
-        warnings=(*solved.problem.warnings, *grid_warnings.warnings(solved, found, machine.std, left_out)),
+        warnings=(*solved.problem.warnings, *grid_warnings.warnings(solved, left_open, machine.std, left_out)),
         doubts=tuple(grid_warnings.contradicting(solved)),
         shown=(ShownTable("views"), *((ShownTable("suspects"),) if len(solved.suspects.rows) else ())),
-        notes=(*found.sentences(), *noise_notes(solved.solution), *length_note, *_smooth_note(form), *in_words(hidden)),
+        notes=(
+            *left_open.sentences(),
+            *noise_notes(solved.solution),
+            *length_note,
+            *_smooth_note(form),
+            *in_words(hidden),
+        ),
     )
 
 
@@ -94,9 +100,9 @@ def _forms(solved: Solved, machine: _Field) -> tuple[Smooth | None, LengthError 
 def _residuals(solved: Solved) -> Table:
     """Return the residuals with the place in the machine, a site of the grid, where each reading was taken."""
     grid, read = solved.problem.grid, solved.problem.readings.observations
-    found = residual_table(solved.residuals[0], solved.problem.readings)
+    table = residual_table(solved.residuals[0], solved.problem.readings)
     at = np.repeat((grid.sites * grid.pitch)[read.index[bg.MACHINE]], len(read.components), axis=0)
-    return found.joined({"x y z [mm]": at})
+    return table.joined({"x y z [mm]": at})
 
 
 def _at_sites(solved: Solved, machine: _Field) -> SiteErrors:
@@ -146,7 +152,7 @@ def _mountings(solved: Solved) -> tuple[list[Estimate], Array]:
     """Return the estimated mountings, and the covariance of mountings and effect parameters."""
     columns = solved.design.partition.columns
     block, places = solved.solution.blocks[bg.VIEW], columns[bg.VIEW].ravel()
-    effects = [columns[one.block].ravel() for one in solved.problem.effects]
+    effects = [columns[effect.block].ravel() for effect in solved.problem.effects]
     covariance = solved.found.between(np.concatenate([part[part >= 0] for part in (places, *effects)]))
     std = np.zeros(len(places))
     std[places >= 0] = np.sqrt(np.diag(covariance))[: int((places >= 0).sum())]
@@ -156,10 +162,10 @@ def _mountings(solved: Solved) -> tuple[list[Estimate], Array]:
     return [Estimate(*row) for row, place in zip(rows, places, strict=True) if place >= 0], covariance
 
 
-def _undetermined(found: Open) -> Table:
+def _undetermined(left_open: Open) -> Table:
     rows = [("rigid motion of the machine error", 6), ("rigid motion of the artefact error", 6)]
-    rows += [("common scale", 1)] if found.scale else []
-    rows += [(one.pattern, one.count) for one in found.families]
+    rows += [("common scale", 1)] if left_open.scale else []
+    rows += [(family.pattern, family.count) for family in left_open.families]
     return Table.of_rows(("pattern", "directions"), rows)
 
 
@@ -174,7 +180,7 @@ def _views(solved: Solved, left_out: Sequence[LeftOut]) -> Table:
     readings = np.bincount(view, minlength=count)
     table = Table.of(
         {
-            "view": [one.name for one in solved.problem.views],
+            "view": [view.name for view in solved.problem.views],
             "readings": readings,
             "rms [mm]": np.sqrt(square / np.maximum(3 * readings, 1)),
             "chi2": chi2,
@@ -184,8 +190,8 @@ def _views(solved: Solved, left_out: Sequence[LeftOut]) -> Table:
     )
     if not left_out:
         return table
-    fall = {"left_out_chi2": [one.chi2 for one in left_out], "left_out_dof": [one.dof for one in left_out]}
-    return table.joined({**fall, "left_out_p": [one.p_value for one in left_out]})
+    fall = {"left_out_chi2": [left.chi2 for left in left_out], "left_out_dof": [left.dof for left in left_out]}
+    return table.joined({**fall, "left_out_p": [left.p_value for left in left_out]})
 
 
 def _keys_of(problem: Problem, rows: Sequence[int]) -> dict[str, list[str]]:
@@ -234,14 +240,14 @@ def _arrays(solved: Solved, machine: _Field, form: Smooth | None) -> dict[str, A
 
 
 def _statistics(
-    solved: Solved, found: Open, machine: _Field, length: LengthError | None
+    solved: Solved, left_open: Open, machine: _Field, length: LengthError | None
 ) -> tuple[Statistics, tuple[str, ...]]:
     rms = float(np.sqrt((solved.residuals[0].values ** 2).mean()))
     finite = np.isfinite(machine.std)
     noise = float(solved.problem.readings.observations.sigma.mean())
     gain = float(np.sqrt((machine.std[finite] ** 2).mean()) / noise) if finite.any() else float("inf")
     statistics = basic_statistics(solved.solution, {"mm": rms}) | {
-        "undetermined": found.count,
+        "undetermined": left_open.count,
         "noise_gain": gain,
         "rejected": len(solved.rejected),
         "critical_w": solved.suspects.critical,
@@ -257,7 +263,7 @@ def _statistics(
     um, std = find_unit("um", "length"), _length_std(solved, length)
     statistics |= {"largest_length_error": {"mm": length.error}, "largest_length_error_std": {"mm": std}}
     ends = [", ".join(map(str, machine.indices[n].tolist())) for n in (length.first, length.second)]
-    reach = " apart from the common scale" if found.scale else ""
+    reach = " apart from the common scale" if left_open.scale else ""
     value = with_std(um.outside(length.error), um.outside(std))
     note = (
         f"largest length error between sites{reach}: {value} um (standard uncertainty of this length), "

@@ -109,7 +109,7 @@ def _sequence(problem: Problem, design: Design) -> _Sequence:
     rows, unknown, sign = np.repeat(np.arange(count), np.diff(local.indptr)), local.indices, np.sign(local.data)
     view = np.tile(problem.readings.observations.index[bg.VIEW], 3)
     reference = np.full(parts.local, -1, dtype=np.intp)
-    first = next((n for n, one in enumerate(problem.views) if not one.shift.any()), None)
+    first = next((n for n, view in enumerate(problem.views) if not view.shift.any()), None)
     if first is None:
         raise InputError("the sequence needs a view without a shift as the reference of its differences")
     base = view[rows] == first
@@ -119,7 +119,7 @@ def _sequence(problem: Problem, design: Design) -> _Sequence:
     n = np.arange(len(pairs))
     at = (np.concatenate([n, n]), np.concatenate([rows[pairs], rows[others]]))
     differences = csr_array((np.concatenate([sign[pairs], -sign[others]]), at), shape=(len(pairs), count))
-    shifted = np.array([bool(one.shift.any()) for one in problem.views])
+    shifted = np.array([bool(view.shift.any()) for view in problem.views])
     border = parts.columns[bg.VIEW][shifted].ravel()
     wanted = differences @ hstack([jacobian[:, : parts.net], jacobian[:, border]], format="csr")
     sizes = Partition(parts.net, 0, parts.net + len(border), {})

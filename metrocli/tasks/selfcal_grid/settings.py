@@ -100,8 +100,8 @@ class ViewSettings:
     def view(self) -> View:
         """The nominal mounting."""
         turn = np.eye(3)
-        for one in (self.rotate,) if isinstance(self.rotate, Rotate) else self.rotate:
-            turn = one.matrix @ turn
+        for rotation in (self.rotate,) if isinstance(self.rotate, Rotate) else self.rotate:
+            turn = rotation.matrix @ turn
         return View(self.name, turn, np.array(self.shift, dtype=float))
 
 

@@ -111,14 +111,14 @@ def design(problem: Problem) -> Design:
 def _refuse_absorbed(problem: Problem, found: Design) -> None:
     """Raise UndeterminedError if the other unknowns can absorb an effect of the job in these views."""
     null = found.null / np.maximum(np.abs(found.null).max(axis=0), 1e-300) if found.null.size else found.null
-    for one in problem.effects:
-        columns = found.partition.columns[one.block]
-        block = problem.fields.blocks[one.block]
+    for effect in problem.effects:
+        columns = found.partition.columns[effect.block]
+        block = problem.fields.blocks[effect.block]
         reach = np.broadcast_to(block.reach, columns.shape)[columns >= 0]
         if (np.abs(null[columns[columns >= 0]]) > _TAKEN * reach[:, None]).any():
             raise UndeterminedError(
-                f"these views do not determine {one.label}: machine and artefact error absorb it; "
-                f"to determine it, measure {one.effect.reveal}"
+                f"these views do not determine {effect.label}: machine and artefact error absorb it; "
+                f"to determine it, measure {effect.effect.reveal}"
             )
 
 
@@ -130,15 +130,15 @@ def solve(problem: Problem, remove: bool) -> Solved:
     out: dict[int, float] = {}
     whole = problem
     for _ in range(_ROUNDS):
-        found = _once(problem, whole, out)
-        worst = _worst(found, out) if remove else {}
+        solved = _once(problem, whole, out)
+        worst = _worst(solved, out) if remove else {}
         if not worst:
             break
         out |= worst
         keep: Mask = np.ones(whole.readings.observations.count, dtype=bool)
         keep[list(out)] = False
         problem = whole.only(keep)
-    return found
+    return solved
 
 
 def _once(problem: Problem, whole: Problem, out: dict[int, float]) -> Solved:
@@ -164,15 +164,15 @@ def _worst(solved: Solved, out: dict[int, float]) -> dict[int, float]:
 def leave_one_out(solved: Solved) -> list[LeftOut]:
     """Return for each view the fall of the sum of squares without it, and that of the degrees of freedom."""
     view = solved.problem.readings.observations.index[bg.VIEW]
-    found = []
+    rows = []
     for n, one in enumerate(solved.problem.views):
         without = _adjusted(solved.problem.only(np.asarray(view != n)))
         if without is None:
-            found.append(LeftOut(one.name, float("nan"), 0, float("nan"), 0))
+            rows.append(LeftOut(one.name, float("nan"), 0, float("nan"), 0))
             continue
         fall, dof = solved.solution.cost - without.cost, solved.solution.dof - without.dof
-        found.append(LeftOut(one.name, fall, dof, without.cost, without.dof))
-    return found
+        rows.append(LeftOut(one.name, fall, dof, without.cost, without.dof))
+    return rows
 
 
 def _adjusted(rest: Problem) -> Solution | None:
@@ -180,7 +180,7 @@ def _adjusted(rest: Problem) -> Solution | None:
     if len(np.unique(rest.readings.observations.index[bg.VIEW])) < 2:
         return None
     try:
-        found = adjust_fields(rest.fields, design_of(rest.fields)).solution
+        solution = adjust_fields(rest.fields, design_of(rest.fields)).solution
     except OpenDesignError:
         return None
-    return found if found.outcome is Outcome.CONVERGED else None
+    return solution if solution.outcome is Outcome.CONVERGED else None

@@ -42,21 +42,21 @@ def run(job: Job[Settings, Files]) -> Result:
     if settings.noise == STRUCTURED:
         shown, shared = with_structure(solved)
     wanted = settings.leave_one_out == "yes" or (settings.leave_one_out == "auto" and len(files.views) <= _MANY)
-    found = report(shown, opened(solved.problem, solved.design), leave_one_out(solved) if wanted else [], files.map)
+    result = report(shown, opened(solved.problem, solved.design), leave_one_out(solved) if wanted else [], files.map)
     if settings.noise in FROM_RESIDUALS:
         noise = solved.problem.noise
-        kept = {name: value for name, value in found.statistics.items() if name != "p_value"}
-        found = replace(found, statistics={**kept, "noise_estimated": True, "noise": {"mm": noise}})
-    return found if shared is None else _with_shared(found, shared)
+        kept = {name: value for name, value in result.statistics.items() if name != "p_value"}
+        result = replace(result, statistics={**kept, "noise_estimated": True, "noise": {"mm": noise}})
+    return result if shared is None else _with_shared(result, shared)
 
 
-def _with_shared(found: Result, shared: Structured) -> Result:
+def _with_shared(result: Result, shared: Structured) -> Result:
     """Return the result with what readings share."""
     return replace(
-        found,
-        statistics={**found.statistics, **shared.statistics},
-        notes=(shared.note, *found.notes),
-        details=shared.details([one.name for one in found.estimates]),
+        result,
+        statistics={**result.statistics, **shared.statistics},
+        notes=(shared.note, *result.notes),
+        details=shared.details([estimate.name for estimate in result.estimates]),
         plain=("dof",),
     )
 

@@ -17,12 +17,12 @@ from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table
 from metrocli.words import listed
 
 
-def warnings(solved: Solved, found: Open, std: Array, left_out: Sequence[LeftOut]) -> list[str]:
+def warnings(solved: Solved, left_open: Open, std: Array, left_out: Sequence[LeftOut]) -> list[str]:
     """Return the warnings of a self-calibration; std is that of the machine error, inf where it is undetermined."""
     lines = noise_warnings(solved.solution)
-    if found.families:
+    if left_open.families:
         open_share = float((~np.isfinite(std)).mean())
-        lines += found.sentences()[1:]
+        lines += left_open.sentences()[1:]
         lines.append(
             f"{open_share:.0%} of the machine error's components are not determined. Their "
             "values are those with the least sum of squares of machine and artefact error. The datum is over the "
@@ -55,11 +55,11 @@ def contradicting(solved: Solved) -> list[str]:
 def _disagreeing(left_out: Sequence[LeftOut]) -> list[str]:
     """Return a warning for the view that does not agree with the others, if the others fit without it."""
     bound = 0.01 / max(len(left_out), 1)
-    odd = [one for one in left_out if one.p_value < bound and one.rest_p_value > bound]
+    odd = [left for left in left_out if left.p_value < bound and left.rest_p_value > bound]
     return [
-        f"view '{one.view}' does not agree with the others, which fit without it: the sum of squares falls by "
-        f"{one.chi2:.0f} for {one.dof} degrees of freedom (p = {one.p_value:.1g})"
-        for one in sorted(odd, key=lambda one: one.p_value)[:1]
+        f"view '{left.view}' does not agree with the others, which fit without it: the sum of squares falls by "
+        f"{left.chi2:.0f} for {left.dof} degrees of freedom (p = {left.p_value:.1g})"
+        for left in sorted(odd, key=lambda left: left.p_value)[:1]
     ]
 
 

@@ -1,1 +1,9 @@
-"""What at least two kinds of job share, one module for each subject."""
+"""What at least two kinds of job share, one module for each subject.
+
+- lengths: `tracers` (lists, readings, starts), `lengths` (noise, stops, scales), `environment` (air), `mirror`,
+  `length_effects`
+- trackers: `tracker_effects`; images: `images`; parts: `part` (sizes at 20 degC)
+- every adjustment: `noise` (`estimated`, `structured`), `statistics`, `reliability`, `uncontrolled`,
+  `joint_covariance`
+- files: `lists` (names matched); `figures` (names that `require:` may use)
+"""

@@ -38,12 +38,12 @@ def with_std(estimates: Mapping[str, str]) -> dict[str, str]:
 
 def of_effects(effects: Sequence[Wanted]) -> dict[str, str]:
     """Return the estimated parameters of the effects that a job adds, named as in `metrocli.effects.estimates`."""
-    found: dict[str, str] = {}
-    names = [one.name for one in effects]
-    for one in effects:
-        labels = [one.name, *([f"{one.name} {{number}}"] if names.count(one.name) > 1 else [])]
-        for form in one.forms if not one.std else ():
-            places = (*labels, f"{one.name}.{{place}}") if form.where else labels
-            free = [p for p in form.all_parameters if p.name not in one.values]
-            found |= {f"{place}.{p.name}": p.unit for place in places for p in free}
-    return with_std(found)
+    figures: dict[str, str] = {}
+    names = [effect.name for effect in effects]
+    for effect in effects:
+        labels = [effect.name, *([f"{effect.name} {{number}}"] if names.count(effect.name) > 1 else [])]
+        for form in effect.forms if not effect.std else ():
+            places = (*labels, f"{effect.name}.{{place}}") if form.where else labels
+            free = [p for p in form.all_parameters if p.name not in effect.values]
+            figures |= {f"{place}.{p.name}": p.unit for place in places for p in free}
+    return with_std(figures)

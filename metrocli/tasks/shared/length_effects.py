@@ -1,4 +1,4 @@
-"""Effects on the lengths of tracking interferometers (docs/effects), and quantities on which own ones can act."""
+"""Effects on the lengths of tracking interferometers, and quantities on which user-defined ones can act."""
 
 from __future__ import annotations
 
@@ -65,6 +65,7 @@ def _refraction(by: str, condition: str, need: str, rate: tuple[Parameter, ...],
         by=by,
         needs=(need,),
         confused_with=("dead-path-drift", "tracer-drift"),
+        formula=f"l + l0 *= 1 + rate {by}",
         usual=usual,
         reveal="temperature and pressure of the air with each reading; the first points again at the end",
         source="Birch and Downs 1994, at 20 °C, 1013 hPa, 50 %: -0.955 ppm/K at constant relative humidity, "
@@ -80,6 +81,8 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         lambda block, where: BeamScale(block),
         where=("tracer",),
         confused_with=("dead-path-drift", "sphere-form", "length-scale"),
+        formula="l + l0 *= 1 + scale",
+        note="1 K of air is 0.96 ppm, 1 hPa 0.27 ppm. With `scale:` in the job the scales are unknowns already.",
         usual="0.1 to 5 ppm",
         reveal="a calibrated length, or the same points from another place of this tracer",
         source=f"{_HARTIG} eq. 1; EUROMET 610: 14 to 460 nm/m between systems",
@@ -90,6 +93,8 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         sizes("scale", "ratio", "5 percent"),
         lambda block, where: BeamScale(block),
         confused_with=("length-offset",),
+        formula="l + l0 *= 1 + scale",
+        note="A free network absorbs it exactly: points and tracers grow with it.",
         usual="0.1 to 20 ppm",
         reveal="a calibrated length (inputs: distances), or points known by sigma_mm",
         source=f"{_HARTIG} eq. 4",
@@ -100,6 +105,8 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         sizes("offset", "length", "1 m"),
         lambda block, where: LengthOffset(block),
         confused_with=("length-scale",),
+        formula="l += offset",
+        note="With `measures: changes` the dead paths absorb it exactly.",
         usual="1 um to 1 m",
         reveal="distances from short to long, or the same line measured in parts",
         source="zero constant of distance meters: Rüeger, Electronic Distance Measurement",
@@ -112,6 +119,8 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         sizes("gradient", "curvature", "5e-9 1/mm"),
         lambda block, where: AirGradient(block),
         confused_with=("length-scale", "tracer-scale"),
+        formula="l *= 1 + gradient (z - z0)/2    # z, z0: heights of point and tracer, along z of the points' frame",
+        note="1 K/m is 9.55e-10 1/mm, which changes 5 m upwards by 12 um.",
         usual="2e-10 to 5e-9 1/mm",
         reveal="the temperature of the air at two heights",
         source="Birch and Downs 1994: -0.955 ppm/K, so 1 K/m is -9.55e-10 1/mm",
@@ -124,6 +133,9 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         where=("tracer",),
         needs=("t",),
         confused_with=("tracer-drift", "refraction-drift"),
+        formula="l += rate t",
+        note="Up to 1 um/h in good conditions, more on a fresh stand. A distant tracer that moves along its "
+        "mean beam looks the same.",
         usual="0.05 um/h to 1 um/min",
         reveal="the first points again at the end, in widely different directions from this tracer",
         source="Schwenke et al. 2008, Geometric error measurement and compensation of machines, CIRP Annals 57",
@@ -137,6 +149,8 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         scanned=(Parameter("at", "time", grid=change_points),),
         needs=("t",),
         confused_with=("dead-path-drift", "tracer-drift"),
+        formula="l += step for t_s >= at",
+        note="Often a multiple of half a wavelength, 0.316 um.",
         usual="0.3 um to 1 mm",
         reveal="points measured before and after the jump",
         source="Teunissen 2018, Distributional theory for the DIA method, J. Geodesy 92 (step in the mean)",
@@ -150,6 +164,8 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         needs=("t",),
         turns=True,
         confused_with=("dead-path-drift",),
+        formula="x0 += (vx, vy, vz) t",
+        note="From far away only the movement along the beams shows.",
         usual="1 to 50 um/h",
         reveal="the first points again at the end, in three widely different directions from this tracer",
         source="Schwenke et al. 2008, CIRP Annals 57",
@@ -161,6 +177,8 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         lambda block, where: LengthTerms(block, (COS_2A, SIN_2A)),
         where=("tracer",),
         confused_with=("tracer-scale",),
+        formula="l += c2 cos 2a + s2 sin 2a    # a: azimuth of the beam",
+        note="Points all around the tracer show it, points in one quadrant hardly do.",
         usual="0.02 to 0.3 um",
         reveal="the points again with this tracer turned by 45 degrees about its vertical axis",
         source="the first harmonic of the azimuth equals a shift of the centre; the second is the lowest observable",
@@ -171,6 +189,9 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         sizes("c", "length", "20 um"),
         lambda block, where: LengthTerms(block, (INCIDENCE,)),
         confused_with=("tracer-scale",),
+        formula="l += c (1 - cos i)    # i: angle at the reflector between its axis, +z, and the beam",
+        note="With one common reflector axis the positions and dead paths of the tracers absorb it exactly: it "
+        "moves the tracers, not the points.",
         usual="0.5 to 20 um",
         reveal="points measured again with the reflector turned to another direction",
         source="Lin et al. 2002; Ouyang et al. 2007 (corner cubes within 20 degrees)",
@@ -183,6 +204,8 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         scanned=(Parameter("at", "time", grid=change_points),),
         needs=("t",),
         confused_with=("tracer-drift", "dead-path-jump"),
+        formula="x += (dx, dy, dz) for t_s >= at, in the lengths of all tracers",
+        note="Points that are measured only once absorb it.",
         usual="0.5 to 20 um",
         reveal="some points measured both before and after the reflector is touched",
         source="geodetic practice: closing points",
@@ -193,9 +216,12 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
         sizes("step", "length", "10 m"),
         lambda block, where: LengthOffset(block),
         where=("point", "tracer"),
+        formula="l += step",
+        note="`diagnose` lists it as a wrong reading. With four tracers every other length of the point "
+        "explains it equally well.",
         reveal="this point measured again by this tracer",
         source="Baarda 1968 (mean shift of one reading)",
         of_one_reading=True,
     ),
 )
-"""The effects, in the order of docs/effects"""
+"""The effects in the order of lists"""

@@ -120,10 +120,10 @@ class PathNoise:
         for group in solution.groups:
             if group.name == name or group.chain.blocks == (t.STOP,):
                 share = group.observations.conditions.get(t.ALONE, np.zeros(1)) if group.name == name else np.ones(1)
-                found = residuals_of(solution, group)
-                variance = found.sigma**2
-                score += float((share * (found.values**2 / variance - found.redundancy) / variance).sum())
-                information += float((share * found.redundancy / variance**2).sum())
+                residuals = residuals_of(solution, group)
+                variance = residuals.sigma**2
+                score += float((share * (residuals.values**2 / variance - residuals.redundancy) / variance).sum())
+                information += float((share * residuals.redundancy / variance**2).sum())
         if not information:
             return replace(self, std=np.inf)
         least = (_LEAST * self.constant) ** 2
@@ -175,7 +175,7 @@ def with_repeatability(problem: P, adjusted: Callable[[P], Solution], name: str)
 def _hidden_by(noise: PathNoise, before: Solution, name: str) -> UndeterminedError:
     """Return the error of a model that does not fit, so that the repeatability grows until nothing is determined."""
     misfit = float(np.sqrt(before.cost / max(before.dof, 1)))
-    group = next(one for one in before.groups if one.name == name)
+    group = next(group for group in before.groups if group.name == name)
     worst = int(np.abs(group.residuals(before.blocks)[0]).argmax())
     of = " ".join(f"{key} {names[worst]}" for key, names in group.observations.keys.items())
     return UndeterminedError(

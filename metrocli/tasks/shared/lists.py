@@ -57,14 +57,14 @@ def matched(table: Table, column: str, names: Sequence[str] | Texts, where: str)
         return quick
     place = {name: i for i, name in enumerate(names)}
     values = table.texts(column)
-    found = np.fromiter(map(place.get, values, repeat(-1)), dtype=np.intp, count=len(values))
-    strange = np.flatnonzero(found < 0)
+    rows = np.fromiter(map(place.get, values, repeat(-1)), dtype=np.intp, count=len(values))
+    strange = np.flatnonzero(rows < 0)
     if strange.size:
         meant = {name: nearest(name, names) for name in {values[row] for row in strange[:MOST_FAULTS].tolist()}}
         hints = {name: f"did you mean '{found}'?" for name, found in meant.items() if found}
         text = f"{column} '{{}}' is not in {where}".format
         raise InputError(table.faults_at(strange, lambda row: text(values[row]), lambda row: hints.get(values[row])))
-    return found
+    return rows
 
 
 def _by_hashes(texts: Texts, names: Texts) -> Index | None:
@@ -78,8 +78,8 @@ def _by_hashes(texts: Texts, names: Texts) -> Index | None:
     here, there = (row_hashes(Table({"": one.astype(width)}), ("",)) for one in (texts, names))
     order = np.argsort(there)
     begins = np.flatnonzero(np.append(True, here[1:] != here[:-1]))  # of the runs of rows with one name
-    found = order[np.searchsorted(there[order[:-1]], here[begins])]
-    places = np.repeat(found, np.diff(begins, append=len(here)))
+    candidates = order[np.searchsorted(there[order[:-1]], here[begins])]
+    places = np.repeat(candidates, np.diff(begins, append=len(here)))
     return places if (names[places] == texts).all() else None
 
 

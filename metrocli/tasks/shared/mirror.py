@@ -110,18 +110,18 @@ class Mirrored:
 def of_tracers(solution: Solution, group: Group, said: Array) -> Sights:
     """Return the lengths of a group as those from tracers to the ends of its chain; `said` are the listed places."""
     block, observations = solution.blocks[t.TRACER], group.observations
-    found = residuals_of(solution, group)
+    residuals = residuals_of(solution, group)
     noun = next(key for key in observations.keys if key in ("tracer", "station"))
     links = list(group.chain.links)
     length = next(i for i, link in enumerate(links) if isinstance(link, t.LengthFrom))
     ends = Chain(tuple(links[:length])).predict(solution.blocks, observations).T
-    sigma = np.hypot(found.sigma[0], _spread(solution, observations))
+    sigma = np.hypot(residuals.sigma[0], _spread(solution, observations))
     return Sights(
         noun,
         block.members,
         observations.index[t.TRACER],
         np.ascontiguousarray(ends),
-        found.values[0],
+        residuals.values[0],
         sigma,
         block.values[:, :3],
         solution.std(t.TRACER)[:, :3],
@@ -134,14 +134,14 @@ def of_tracers(solution: Solution, group: Group, said: Array) -> Sights:
 def of_points(solution: Solution, group: Group, nominal: Array) -> Sights:
     """Return the lengths of a group as those from points to tracers; `nominal` are the listed places of the points."""
     block, observations = solution.blocks[t.POINT], group.observations
-    found, tracer = residuals_of(solution, group), observations.index[t.TRACER]
+    residuals, tracer = residuals_of(solution, group), observations.index[t.TRACER]
     return Sights(
         block.noun,
         block.members,
         observations.index[t.POINT],
         solution.blocks[t.TRACER].values[tracer, :3],
-        found.values[0],
-        found.sigma[0],
+        residuals.values[0],
+        residuals.sigma[0],
         block.values,
         solution.std(t.POINT),
         block.free,
@@ -157,27 +157,27 @@ def _spread(solution: Solution, observations: Observations) -> Array | float:
     return np.asarray(np.sqrt((solution.std(t.POINT) ** 2).mean(axis=1))[observations.index[t.POINT]])
 
 
-def must_be_decided(found: Sequence[Mirrored]) -> None:
+def must_be_decided(places: Sequence[Mirrored]) -> None:
     """Raise UndeterminedError if a place and its mirror image fit alike, and no list is nearer to the one found."""
-    if open_ones := [one for one in found if not one.decided]:
+    if open_ones := [place for place in places if not place.decided]:
         noun, other = open_ones[0].noun, _OTHERS.get(open_ones[0].noun, "points")
         raise UndeterminedError(
             f"two places fit the lengths alike, mirror images in the plane of the {other}:\n"
-            + "\n".join(f"  {one.words}" for one in open_ones[:3])
+            + "\n".join(f"  {family.words}" for family in open_ones[:3])
             + f"\n  what decides: a place in `inputs: {noun}s` that is near one of them, or lengths to {other} away "
             "from that plane",
             0.0,
         )
 
 
-def hidden_by(found: Sequence[Mirrored]) -> Iterator[Hidden]:
+def hidden_by(places: Sequence[Mirrored]) -> Iterator[Hidden]:
     """Yield what no residual shows: places that only the list decides for, not their mirror images."""
-    for one in found[:_MOST]:
-        apart = float(np.linalg.norm(one.other - one.found))
-        other = _OTHERS.get(one.noun, "points")
+    for place in places[:_MOST]:
+        apart = float(np.linalg.norm(place.other - place.found))
+        other = _OTHERS.get(place.noun, "points")
         yield Hidden(
-            f"mirror image of {one.noun} {one.name} in the plane of the {other} (its listed place decides)",
-            f"the other side of the plane, {coordinates(one.other)}",
+            f"mirror image of {place.noun} {place.name} in the plane of the {other} (its listed place decides)",
+            f"the other side of the plane, {coordinates(place.other)}",
             apart,
             f"lengths to {other} away from that plane",
         )

@@ -132,14 +132,14 @@ class Structured:
 
     def details(self, names: Sequence[str]) -> dict[str, dict[str, float]]:
         """Return the degrees of freedom of the estimates: for all the least, because their errors are joint."""
-        found = self.robust.dof(self.estimates)
-        return {name: {"dof": float(found.min())} for name in names} if len(found) else {}
+        dofs = self.robust.dof(self.estimates)
+        return {name: {"dof": float(dofs.min())} for name in names} if len(dofs) else {}
 
     @property
     def note(self) -> str:
         """The line of the report."""
-        found = self.robust.dof(self.estimates)
-        dof = f", with {found.min():.1f} degrees of freedom" if len(found) else ""
+        dofs = self.robust.dof(self.estimates)
+        dof = f", with {dofs.min():.1f} degrees of freedom" if len(dofs) else ""
         return (
             f"noise: structured: readings taken together may share errors. The covariance is cluster-robust over "
             f"{self.robust.clusters} {self.over}; standard uncertainties are {self.inflation:.2f} times "

@@ -123,5 +123,5 @@ def growth_of(result: Result) -> dict[str, float]:
     """
     if "corrected" in result.tables:
         return {}
-    found = {name: result.statistics.get(name) for name in FIGURES}
-    return {name: value for name, value in found.items() if isinstance(value, float)}
+    figures = {name: result.statistics.get(name) for name in FIGURES}
+    return {name: value for name, value in figures.items() if isinstance(value, float)}

@@ -12,18 +12,18 @@ from metrocli.instruments import tracer as t
 
 
 def reliability(
-    solution: Solution, group: Group, found: Residuals, critical: float, noise: float = 1.0
+    solution: Solution, group: Group, residuals: Residuals, critical: float, noise: float = 1.0
 ) -> dict[str, Array]:
     """Return redundancy, minimal detectable error and the shift of the point by that error, of each reading (n,).
 
     These are internal and external reliability after Baarda 1968, for the test with this critical value of |w| relative
     to `noise`, and 80 % power. The error of an uncontrolled reading is infinite.
     """
-    least = minimal_detectable(found, critical, noise)[0]
+    least = minimal_detectable(residuals, critical, noise)[0]
     shift = point_shift(solution, group)
     moves = shift * np.where(np.isfinite(least), least, 0.0)
     return {
-        "redundancy": found.redundancy[0],
+        "redundancy": residuals.redundancy[0],
         f"detectable [{group.observations.unit}]": least,
         "moves_point [mm]": np.where(np.isfinite(least) | (shift == 0), moves, np.inf),
     }
@@ -43,8 +43,8 @@ def point_shift(solution: Solution, group: Group) -> Array:
     place = place_in_tiles(solution, group)
     if place is not None and covariance.layout.eliminated == t.POINT:
         shape = group.observations.readings.shape
-        found = covariance.factor * covariance.eliminated.with_readings(place, shape)[:, 0]
-        return np.asarray(np.linalg.norm(found / group.observations.sigma[0], axis=0))
+        moved = covariance.factor * covariance.eliminated.with_readings(place, shape)[:, 0]
+        return np.asarray(np.linalg.norm(moved / group.observations.sigma[0], axis=0))
     shift = np.zeros((3, len(index)))
     touches = group.linear(solution.blocks, covariance.layout.wanted).touches
     for touch in touches:

@@ -91,7 +91,9 @@ def residual_table(residuals: Residuals, group: Group) -> Table:
     }
     when = {heading: np.repeat(values, d) for heading, values in condition_columns(observations).items()}
     component = np.tile(np.array(observations.components, dtype=str), n)
-    return Table.of({**keys, "component": component, **{name: one.T.ravel() for name, one in numbers.items()}, **when})
+    return Table.of(
+        {**keys, "component": component, **{name: number.T.ravel() for name, number in numbers.items()}, **when}
+    )
 
 
 CONDITIONS = {"t": "s", "temp": "degC", "pressure": "hPa", "humidity": "percent"}

@@ -195,13 +195,13 @@ def _start_of(seen: Seen, i: int, points: Array, lengths: Array) -> Array:
     if known.all():
         dead = 0.0 if seen.absolute else float(median(np.linalg.norm(points - given, axis=1) - lengths))
         return np.array([*given, dead])
-    found = start(points, lengths, seen.absolute, said)
-    if np.isnan(found).any():
+    places = start(points, lengths, seen.absolute, said)
+    if np.isnan(places).any():
         raise UndeterminedError(
             f"{tracers.noun} {tracers.names[i]} reads {len(points)} points, too few to find where it stands: "
             f"let it read two more, or give its approximate place in `inputs: {tracers.noun}s`"
         )
-    return np.array([*np.where(known, given, found[:3]), found[3]])
+    return np.array([*np.where(known, given, places[:3]), places[3]])
 
 
 def _misfit(points: Array, lengths: Array, tracer: Array) -> float:
@@ -221,9 +221,9 @@ def _strange(seen: Seen, i: int, misfit: float, bad: int) -> Fault:
     hint = "are its rows in another order?" if bad < len(tracers.names) else "do points and lengths belong together?"
     for factor, symbol in _factors():
         take(_AS_LONG)
-        found = np.nan_to_num(start(points, factor * lengths, seen.absolute))
+        places = np.nan_to_num(start(points, factor * lengths, seen.absolute))
         spread = min(seen.extent, float(np.ptp(factor * lengths)))  # lengths near zero fit any points
-        if _misfit(points, factor * lengths, found) < _MISFIT * spread / 10:
+        if _misfit(points, factor * lengths, places) < _MISFIT * spread / 10:
             hint = (
                 "they fit with the other sign: lengths grow with the distance"
                 if factor < 0

@@ -1,4 +1,4 @@
-"""Effects on what trackers and total stations read (docs/effects): azimuth, elevation and distance, in both faces.
+"""Effects on what trackers and total stations read : azimuth, elevation and distance, in both faces.
 
 `face` is 1 in face 1 and -1 in face 2. An effect that changes its sign between the faces leaves their mean as it is.
 """
@@ -14,6 +14,7 @@ _MURALIKRISHNAN = (
     "Muralikrishnan et al. 2009, ASME B89.4.19 performance evaluation tests and geometric misalignments in laser "
     "trackers, J. Res. NIST 114, 21-35; ASME B89.4.19-2021"
 )
+_FACE = "    # face: 1 in face 1, -1 in face 2"
 _TWO_FACES = "some points in both faces of the tracker; the same points with the tracker at another height"
 
 
@@ -26,15 +27,18 @@ def _readings(
     reveal: str,
     confused_with: tuple[str, ...] = (),
     source: str = _MURALIKRISHNAN,
+    note: str = "",
 ) -> Effect:
     """Return an effect that adds terms to the distance, azimuth or elevation that the tracker reads."""
-    names = tuple(one.name for one in parameters)
+    names = tuple(parameter.name for parameter in parameters)
     return Effect(
         name,
         cause,
         parameters,
         lambda block, where: polar_terms(block, name, names, adds),
         confused_with=confused_with,
+        formula="\n".join(f"{reading} += {term}{_FACE if 'face' in term else ''}" for reading, term in adds.items()),
+        note=note,
         usual=usual,
         reveal=reveal,
         source=source,
@@ -50,6 +54,7 @@ TRACKER_EFFECTS: tuple[Effect, ...] = (
         "0.1 to 20 arcsec",
         "the same points from the other side of the machine, or with the tracker turned on its stand; two faces",
         ("tracker-scale", "tracker-azimuth-harmonic"),
+        note="Over the azimuths of one machine it is a rotation and a slow bend, which error tables absorb.",
     ),
     _readings(
         "tracker-scale",
@@ -60,6 +65,7 @@ TRACKER_EFFECTS: tuple[Effect, ...] = (
         "a calibrated length between two nests, measured by the tracker along its beam",
         ("tracker-eccentricity",),
         "the refractive index of air changes by 1 ppm/K and 0.27 ppm/hPa (Birch and Downs 1994)",
+        note="With tool vectors that are not exact it is nearly invisible: only the distances between tools differ.",
     ),
     _readings(
         "tracker-range-zero",
@@ -69,6 +75,7 @@ TRACKER_EFFECTS: tuple[Effect, ...] = (
         "5 um to 0.1 mm",
         "a length between two nests measured from between them and from outside, in line with them",
         ("tracker-scale", "tracker-beam-offset"),
+        note="The two lengths differ by 2 r0. Seen from one place, the tables of the machine absorb most of it.",
     ),
     _readings(
         "tracker-beam-offset",
@@ -115,6 +122,7 @@ TRACKER_EFFECTS: tuple[Effect, ...] = (
         _TWO_FACES,
         ("tracker-mirror-tilt", "tracker-transit-tilt"),
         "reflection of a beam along the standing axis; Loser and Kyle 1999 (trackers with a beam steering mirror)",
+        note="An instrument with its laser in the head has no such mirror: a job names it, `diagnose` does not.",
     ),
     _readings(
         "tracker-vertical-index",
@@ -163,4 +171,4 @@ TRACKER_EFFECTS: tuple[Effect, ...] = (
         "Birch and Downs 1994: -0.955 ppm/K, so 1 K/m is -9.55e-10 1/mm; Torge, Geodesy (refraction of a beam)",
     ),
 )
-"""The effects, in the order of docs/effects"""
+"""The effects, in the order of lists"""

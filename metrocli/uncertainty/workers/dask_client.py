@@ -105,19 +105,19 @@ def _in_time(address: str, connect: Callable[[], T]) -> T:
     """Return what a connection returns, or raise InputError after 2 PATIENCE_S: the library may wait without end."""
     import threading
 
-    found, failed = list[T](), list[Exception]()
+    answers, failed = list[T](), list[Exception]()
 
     def work() -> None:
         try:
-            found.append(connect())
+            answers.append(connect())
         except Exception as error:
             failed.append(error)
 
     thread = threading.Thread(target=work, daemon=True)
     thread.start()
     thread.join(2 * PATIENCE_S)
-    if found:
-        return found[0]
+    if answers:
+        return answers[0]
     if failed and not isinstance(failed[0], OSError | TimeoutError | ValueError):
         raise failed[0]
     error = failed[0] if failed else TimeoutError(f"the handshake has not ended after {2 * PATIENCE_S:g} s")

@@ -82,8 +82,8 @@ def _on_cluster(
     def finished(future: Any) -> _Done[T]:
         with ends_in_words(address, ""):
             first_finished(client, {future})
-            found: _Done[T] = future.result()
-        return found
+            done: _Done[T] = future.result()
+        return done
 
     with ends_in_words(address, ""):
         scattered = client.scatter(work, broadcast=True, hash=False)
@@ -144,7 +144,7 @@ def _refuse_other_versions(client: Any, address: str, more: Callable[[], str] | 
     answers = client.run(_versions, more, on_error="return").values()
     # an OSError is that of a worker which has just died; the scheduler will drop it
     here = _versions(more)
-    others = {str(one) for one in answers if not isinstance(one, OSError)} - {here}
+    others = {str(answer) for answer in answers if not isinstance(answer, OSError)} - {here}
     if others:
         raise InputError(f"--scheduler {address}: {_unlike('; '.join(sorted(others)), here)}")
 
@@ -178,8 +178,8 @@ def _versions(more: Callable[[], str] | None) -> str:
     import numpy as np
 
     python = ".".join(platform.python_version_tuple()[:2])
-    found = f"metrocli {__version__} with numpy {np.__version__} and Python {python}"
-    return found if more is None else f"{found}, {more()}"
+    versions = f"metrocli {__version__} with numpy {np.__version__} and Python {python}"
+    return versions if more is None else f"{versions}, {more()}"
 
 
 @dataclass(frozen=True)

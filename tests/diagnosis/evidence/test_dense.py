@@ -12,7 +12,8 @@ import pytest
 from benchmarks.hidden import images, lengths
 from benchmarks.hidden.scenes import board_scene
 from metrocli.diagnosis.evidence.held_out import Fold, Model, folds_of
-from metrocli.diagnosis.evidence.measurement import Measurement, measurement_of
+from metrocli.diagnosis.evidence.measured_job import measurement_of
+from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed, Random
 from metrocli.diagnosis.evidence.prices import gain_of_columns
 from metrocli.diagnosis.evidence.products import local_columns

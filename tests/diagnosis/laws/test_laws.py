@@ -19,7 +19,7 @@ from benchmarks.hidden import lengths as simulated
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.diagnose import Attended, diagnose, no_interrupt
-from metrocli.diagnosis.evidence.measurement import measurement_of
+from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.laws import steps

@@ -13,6 +13,6 @@ OF_LINES = (*OF_MACHINES, *OF_THE_LASER)
 OF_LENGTHS = (*OF_THE_MACHINE, *LENGTH_EFFECTS)
 """Effects on the machine and on lengths"""
 EFFECTS = (*OF_LINES, *LENGTH_EFFECTS)
-"""All effects, in the order of the documentation; each method has those that act on what it reads"""
+"""All effects in the order of lists; each method has those that act on what it reads"""
 
 __all__ = ["EFFECTS", "OF_LENGTHS", "OF_LINES", "OF_MACHINES", "PLACES"]

@@ -1,4 +1,4 @@
-"""Effects on the machine that is calibrated; docs/effects describes each of them."""
+"""Effects on the machine that is calibrated."""
 
 from __future__ import annotations
 
@@ -75,6 +75,9 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         lambda block, where: Backlash(block, where["axis"]),
         where=("axis",),
         needs=("from_{axis}",),
+        formula="d_axis += width/2 where from_axis = +1, -= width/2 where from_axis = -1",
+        note="Where all points are approached from one side it is a constant shift, which is not seen and does "
+        "no harm. On the fly, and along laser lines, the order of the readings gives the direction.",
         usual="1 to 20 um",
         reveal="the same points approached from both sides; lines run in both directions",
         source="ISO 230-2:2014, reversal value B; left out by Sanders et al. 2023, section 1.1",
@@ -87,6 +90,7 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         where=("axis",),
         needs=("from_{axis}",),
         confused_with=("backlash",),
+        formula="d_axis += growth pos/2 where from_axis = +1, -= where -1    # pos: commanded, from machine zero",
         usual="1 to 50 ppm",
         reveal="points along the whole axis, each approached from both sides",
         source="ISO 230-2:2014, reversal value B at each target position",
@@ -100,6 +104,9 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         needs=(SINCE,),
         scanned=(Parameter("length", "length", grid=_lengths, tried=12),),
         confused_with=("backlash",),
+        formula="d_axis -= s width exp(-w/length)    # s: sign of the last move, w: way since the axis turned",
+        note="Beside backlash of the same width it is the error of the direction before at the turn, and of "
+        "the new one far from it. Not tested where a tenth of the moves contradict from_x, from_y, from_z.",
         usual="1 to 20 um",
         reveal="points close behind a turn and far from it, listed in the order of travel",
         source="Dahl 1976, Solid friction damping of mechanical vibrations, AIAA Journal 14",
@@ -112,6 +119,9 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         where=("reversal",),
         needs=("from_{reversal[0]}",),
         confused_with=("backlash", "angular-reversal"),
+        formula="d_b += width/2 where from_a = +1, -= width/2 where from_a = -1    # reversal ab: axis a "
+        "turns, the point shifts along b",
+        note="With tools of one length, angular-reversal looks the same.",
         usual="0.5 to 10 um",
         reveal="the same points approached from both sides of the axis that turns; lines run in both directions",
         source="ISO 230-1:2012 (EYX, EZX, ...); ISO 230-2:2014, reversal value B, formed across the axis",
@@ -124,6 +134,10 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         where=("axis",),
         needs=("from_{axis}",),
         confused_with=("backlash", "straightness-reversal"),
+        formula="theta += r/2, d += r/2 x L where from_axis = +1, -= where -1    # r = (rx, ry, rz), L: lever "
+        "from the axis to the tool",
+        note="With tools of one length it is a shift. Where all points are approached from one side it is not "
+        "seen and does no harm.",
         usual="0.2 to 5 arcsec",
         reveal="lines run in both directions with angles read; points from both sides with tools of different length",
         source="ISO 230-1:2012 (EAX, EBX, ECX, ...); ISO 230-2:2014, reversal value B, formed of the angles",
@@ -136,6 +150,9 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         where=("axis",),
         needs=(SPEED,),
         confused_with=("backlash",),
+        formula="d_axis -= tau v    # v: speed of the axis, with its sign",
+        note="A gain of 1 m/min per mm is 60 ms; feed-forward leaves less than 1 ms. A lag common to all axes "
+        "is along the path and not seen: estimate that of at most two axes.",
         usual="0.05 to 60 ms",
         reveal="the same diagonals in both directions, and at two feeds; lines of a laser at standstill",
         source="ISO 230-4:2005 (circles at a feed); Mechanical Engineers' Handbook, Controller Design",
@@ -148,6 +165,9 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         where=("axis",),
         scanned=(Parameter("period", "length", grid=_periods, tried=_TRIED),),
         space=Space.WAVE,
+        formula="d_axis += amplitude sin(2 pi pos/period + phase)    # pos: commanded position",
+        note="A job gives the period, `diagnose` scans 2 to 50 mm, but not on the fly: a path does not measure "
+        "along its legs.",
         usual="0.5 to 10 um",
         reveal="a line of points closer than a quarter of the pitch, not at multiples of the pitch",
         source="ISO 230-2:2014 (targets not at multiples of the pitch, for this error)",
@@ -160,6 +180,8 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         where=("axis",),
         needs=("t",),
         confused_with=("machine-drift", "tracker-drift"),
+        formula="d_axis += rate t pos    # pos: commanded position from machine zero",
+        note="Steel grows by 11.5 um/m/K, so 1 K/h gives 12 ppm/h.",
         usual="1 to 60 ppm/h",
         reveal="the far points of the axis measured again at the end; the temperature of its scale",
         source="ISO 230-3:2020; 11.5 um/m/K for steel",
@@ -171,6 +193,8 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         lambda block, where: MachineDrift(block),
         needs=("t",),
         confused_with=("tracker-drift", "thermal-growth"),
+        formula="d += (vx, vy, vz) t",
+        note="For a single tracker it is tracker-drift with the opposite sign.",
         usual="1 to 60 um/h",
         reveal="a second reflector, fixed on the table: its readings change with the tracker, not with the machine",
         source="ISO 230-3:2020, environmental temperature variation error",
@@ -186,6 +210,10 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         noise="repeatability",
         of_all="the carrier does not return to the same place: its positions at stops scatter more than declared",
         confused_with=("moved-point",),
+        formula="p += (dx, dy, dz)    # p: place of the reflector at that stop, common to all lengths read there",
+        note="`diagnose` looks for the scatter of all stops, `{name: repeatability, std: 2 um}`; the extended "
+        "job declares `noise: {repeatability: ..}`, sqrt(declared² + std²). Not testable where each stop has "
+        "one reading.",
         usual="0.5 to 10 um",
         reveal="several readings at each stop, such as stations that read at once",
         source="ISO 230-2:2014, repeatability of positioning R",
@@ -197,6 +225,8 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         sizes("c", "curvature", "1e-6 1/mm"),
         lambda block, where: LoadSag(block, where["pair"]),
         where=("pair",),
+        formula="dz += c a b    # a, b: commanded positions of the two axes",
+        note="2 to 50 um at the end of a gantry or ram.",
         usual="1e-8 to 1e-6 1/mm",
         reveal="points over the whole plane of the two axes, also in its corners",
         source=SCHWENKE,

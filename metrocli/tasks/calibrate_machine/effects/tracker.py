@@ -1,4 +1,4 @@
-"""Effects on trackers and lasers that read a machine (docs/effects)."""
+"""Effects on trackers and lasers that read a machine."""
 
 from __future__ import annotations
 
@@ -36,6 +36,8 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
         lambda block, where: TrackerMoves(block),
         needs=("t",),
         confused_with=("machine-drift", "thermal-growth"),
+        formula="point in the machine -= (vx, vy, vz) t    # along the axes of the machine",
+        note="For a single tracker it is machine-drift with the opposite sign.",
         usual="1 to 60 um/h",
         reveal="a second reflector, fixed on the table: its readings change with the tracker, not with the machine",
         source=SCHWENKE,
@@ -53,6 +55,9 @@ def _refraction(by: str, condition: str, need: str, rate: tuple[Parameter, ...],
         by=by,
         needs=(need,),
         confused_with=("thermal-growth", "laser-dead-path-drift"),
+        formula=f"e += rate {by} s    # e: reading along the line, s: distance from its lowest position",
+        note="With one line in the time of the drift it equals thermal-growth. On lines that are each run once "
+        "it is a part of the positioning errors.",
         usual=usual,
         reveal="temperature and pressure of the air with each reading; a line run again at the end",
         source="Birch and Downs 1994: -0.955 ppm/K, +0.268 ppm/hPa",
@@ -68,6 +73,9 @@ OF_THE_LASER: tuple[Effect, ...] = (
         where=("line",),
         needs=("t",),
         confused_with=("laser-refraction-drift", "machine-drift", "backlash"),
+        formula="e += rate t    # e: reading along the line",
+        note="A dead path of 1 m in air that warms up by 1 K/h gives 1 um/h. On a line run once in one "
+        "direction it is a part of the positioning error.",
         usual="0.05 um/h to 1 um/min",
         reveal="the line run to and fro, and its first target read again at the end",
         source=SCHWENKE,

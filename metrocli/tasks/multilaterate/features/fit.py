@@ -55,7 +55,7 @@ def _round(shape: Shape, scaled: Array, centre: Array, size: float, axes: Array)
 
     About an axis `u^2 + v^2 = 2 (a u + b v) + R^2 - a^2 - b^2`, with `2 R k h + k^2 h^2` more for a cone: linear.
     """
-    found = []
+    fits = []
     for axis in axes:
         first, second = tangents(axis)
         u, v, h = scaled @ first, scaled @ second, scaled @ axis
@@ -67,9 +67,9 @@ def _round(shape: Shape, scaled: Array, centre: Array, size: float, axes: Array)
             continue
         slope = solved[3] / (2 * radius) if shape is Shape.CONE else 0.0
         origin = centre + size * (solved[0] * first + solved[1] * second)
-        found.append((misfit / radius, Ideal(shape, origin, axis, size * radius, float(np.arctan(slope)), size)))
-    found.sort(key=lambda one: one[0])
-    yield from (ideal for _, ideal in found[:_KEPT])
+        fits.append((misfit / radius, Ideal(shape, origin, axis, size * radius, float(np.arctan(slope)), size)))
+    fits.sort(key=lambda one: one[0])
+    yield from (ideal for _, ideal in fits[:_KEPT])
 
 
 def _solved(matrix: Array, wanted: Array) -> tuple[Array, float]:
@@ -92,10 +92,10 @@ def least_squares(shape: Shape, points: Array) -> Fit:
     wanted = list(UNKNOWNS[shape])
     if len(points) < fewest(shape):
         raise UndeterminedError(f"a {shape} needs {fewest(shape)} points, and there are {len(points)}")
-    found = [one for start in starts(shape, points) if (one := _gauss_newton(start, points, wanted)) is not None]
-    if not found:
+    fits = [one for start in starts(shape, points) if (one := _gauss_newton(start, points, wanted)) is not None]
+    if not fits:
         raise NotConvergedError(f"the least-squares {shape} was not found in {_ITERATIONS} iterations")
-    ideal = min(found, key=lambda one: _sum(one, points)).about(points.mean(axis=0))
+    ideal = min(fits, key=lambda ideal: _sum(ideal, points)).about(points.mean(axis=0))
     rows = ideal.by_step(points)[:, :, wanted]
     values = np.linalg.svd(rows.reshape(-1, len(wanted)), compute_uv=False)
     if values[-1] < _DETERMINED * values[0]:

@@ -93,12 +93,12 @@ class Ideal:
     def by_step(self, points: Array, step: Array | None = None) -> Array:
         """Return the derivative (n, k, 7) of the deviations by the step, at a step."""
         at = np.zeros(STEP) if step is None else step
-        columns = [np.imag(self.deviations(points, at + 1j * _TINY * one)) / _TINY for one in np.eye(STEP)]
+        columns = [np.imag(self.deviations(points, at + 1j * _TINY * direction)) / _TINY for direction in np.eye(STEP)]
         return np.stack(columns, axis=2)
 
     def by_point(self, points: Array) -> Array:
         """Return the derivative (n, k, 3) of the deviations of each point by that point."""
-        columns = [np.imag(self.deviations(points + 1j * _TINY * one)) / _TINY for one in np.eye(3)]
+        columns = [np.imag(self.deviations(points + 1j * _TINY * direction)) / _TINY for direction in np.eye(3)]
         return np.stack(columns, axis=2)
 
     def numbers(self, centre: Numbers, step: Numbers | None = None) -> Numbers:
@@ -117,8 +117,8 @@ class Ideal:
 
     def numbers_by(self, centre: Array) -> tuple[Array, Array]:
         """Return the derivatives of the numbers by the step (8, 7) and by the centroid of the points (8, 3)."""
-        by_step = [np.imag(self.numbers(centre, 1j * _TINY * one)) / _TINY for one in np.eye(STEP)]
-        by_centre = [np.imag(self.numbers(centre + 1j * _TINY * one)) / _TINY for one in np.eye(3)]
+        by_step = [np.imag(self.numbers(centre, 1j * _TINY * direction)) / _TINY for direction in np.eye(STEP)]
+        by_centre = [np.imag(self.numbers(centre + 1j * _TINY * direction)) / _TINY for direction in np.eye(3)]
         return np.stack(by_step, axis=1), np.stack(by_centre, axis=1)
 
     def about(self, centre: Array) -> Ideal:

@@ -47,10 +47,10 @@ def minimum_zone(shape: Shape, points: Array) -> Fit:
     level = _level(start.ideal, points)
     if level <= _EXACT * start.ideal.size:
         return Fit(start.ideal, Criterion.MINIMUM_ZONE, start.deviations, start.sensitivity)
-    found = _approached(start.ideal, points, wanted) or _enumerated(start.ideal, points, wanted)
-    if found is None:
+    zone = _approached(start.ideal, points, wanted) or _enumerated(start.ideal, points, wanted)
+    if zone is None:
         raise NotConvergedError(f"no points in contact prove the minimum zone of the {shape}")
-    ideal, contact = found[0].about(points.mean(axis=0)), found[1]
+    ideal, contact = zone[0].about(points.mean(axis=0)), zone[1]
     sensitivity = _of_contact(ideal, points, wanted, contact, start)
     return Fit(ideal, Criterion.MINIMUM_ZONE, distances(ideal, points), sensitivity, contact)
 
@@ -232,8 +232,8 @@ def _curvature(ideal: Ideal, points: Array, wanted: list[int], weights: Array) -
     """Return the second derivative of the weighted sum of deviations by the step, from differences of gradients."""
     h = _SECOND * ideal.size
     columns = []
-    for one in np.eye(STEP)[wanted]:
-        ahead, behind = (gradients(ideal, points, sign * h * one)[0] for sign in (1, -1))
+    for direction in np.eye(STEP)[wanted]:
+        ahead, behind = (gradients(ideal, points, sign * h * direction)[0] for sign in (1, -1))
         columns.append(weights @ (ahead - behind)[:, wanted] / (2 * h))
     matrix = np.stack(columns, axis=1)
     return np.asarray((matrix + matrix.T) / 2)
@@ -251,8 +251,8 @@ def _of_contact(ideal: Ideal, points: Array, wanted: list[int], contact: Contact
     h = _SECOND * ideal.size
     sensitivity = plain.sensitivity.copy()
     sensitivity[wanted] = 0.0
-    for c, one in enumerate(np.eye(3)):
-        ahead, behind = (gradients(ideal, at + sign * h * one)[0][:, wanted] for sign in (1, -1))
+    for c, direction in enumerate(np.eye(3)):
+        ahead, behind = (gradients(ideal, at + sign * h * direction)[0][:, wanted] for sign in (1, -1))
         mixed = (sides * contact.weights)[:, None] * (ahead - behind) / (2 * h)
         change = mixed @ inverse[:, :size].T + (sides * by_point[:, c])[:, None] * inverse[:, size + 1 :].T
         sensitivity[np.array(wanted)[:, None], contact.rows, c] = -change.T

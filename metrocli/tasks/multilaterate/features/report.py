@@ -45,19 +45,23 @@ def fitted(wanted: Sequence[Wanted], corrected: Table, joint: Joint) -> tuple[di
     if not wanted:
         return {}, {}
     points = corrected.stacked("xyz")
-    each = [(one, _fit(one, criterion, points[one.rows])) for one in wanted for criterion in one.criteria]
+    each = [
+        (feature, _fit(feature, criterion, points[feature.rows]))
+        for feature in wanted
+        for criterion in feature.criteria
+    ]
     covariance = joint.propagated(_derivatives(each, points))
-    values = np.array([_numbers(fit, points[one.rows]) for one, fit in each])
+    values = np.array([_numbers(fit, points[feature.rows]) for feature, fit in each])
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(values.shape)
     _refuse_vague(each, values, std)
-    absent = np.array([[name in _WITHOUT[one.shape] for name in _ALL] for one, _ in each])
+    absent = np.array([[name in _WITHOUT[feature.shape] for name in _ALL] for feature, _ in each])
     values[absent], std[absent] = np.nan, np.nan
     table = Table.of(
         {
-            "feature": [one.name for one, _ in each],
-            "shape": [str(one.shape) for one, _ in each],
+            "feature": [feature.name for feature, _ in each],
+            "shape": [str(feature.shape) for feature, _ in each],
             "fit": [str(fit.criterion) for _, fit in each],
-            "points": [len(one.rows) for one, _ in each],
+            "points": [len(feature.rows) for feature, _ in each],
         }
     )
     for i, name in enumerate(_ALL):
@@ -86,17 +90,17 @@ def exchanging(tables: Mapping[str, Table]) -> tuple[str, ...]:
 
 def _exchanges(each: Sequence[tuple[Wanted, Fit]], points: Array, joint: Joint) -> Index:
     """Return how many further points the errors can bring to the limits of each minimum zone, (F,)."""
-    covariance, found = joint.each(), np.zeros(len(each), dtype=np.intp)
-    for number, (one, fit) in enumerate(each):
+    covariance, counts = joint.each(), np.zeros(len(each), dtype=np.intp)
+    for number, (feature, fit) in enumerate(each):
         if fit.contact is None:
             continue
-        _, outward = gradients(fit.ideal, points[one.rows])
-        std = np.sqrt(np.einsum("na,nab,nb->n", outward, covariance[one.rows], outward))
+        _, outward = gradients(fit.ideal, points[feature.rows])
+        std = np.sqrt(np.einsum("na,nab,nb->n", outward, covariance[feature.rows], outward))
         size = np.abs(fit.deviations)
         near = size.max() - size < _REACH * std
         near[fit.contact.rows] = False
-        found[number] = near.sum()
-    return found
+        counts[number] = near.sum()
+    return counts
 
 
 def _std_of(name: str) -> str:
@@ -113,17 +117,17 @@ def _fit(one: Wanted, criterion: Criterion, points: Array) -> Fit:
 
 def _refuse_vague(each: Sequence[tuple[Wanted, Fit]], values: Array, std: Array) -> None:
     """Raise UndeterminedError for a feature that the errors of its points could move by its own size or turn around."""
-    for (one, fit), number, spread in zip(each, values, std, strict=True):
+    for (feature, fit), number, spread in zip(each, values, std, strict=True):
         reach = np.append(spread[[0, 1, 2, 6]] / fit.ideal.size, spread[[3, 4, 5, 7]])
         if not reach.max() < 1.0:
             moves = [f"its place moves by {1e3 * spread[:3].max():.3g} um"]
-            if "i" not in _WITHOUT[one.shape]:
+            if "i" not in _WITHOUT[feature.shape]:
                 moves.append(f"its direction turns by {spread[3:6].max():.3g} rad")
-            if "radius" not in _WITHOUT[one.shape]:
+            if "radius" not in _WITHOUT[feature.shape]:
                 moves.append(f"its radius of {number[6]:.4g} mm changes by {1e3 * spread[6]:.3g} um")
             raise UndeterminedError(
-                f"feature '{one.name}': the {len(one.rows)} points do not determine a {one.shape}: within their "
-                f"uncertainty {', '.join(moves)}; points farther apart along and around it would determine it",
+                f"feature '{feature.name}': the {len(feature.rows)} points do not determine a {feature.shape}: within "
+                f"their uncertainty {', '.join(moves)}; points farther apart along and around it would determine it",
                 _READINGS_FIT,
             )
 
@@ -137,9 +141,9 @@ def _derivatives(each: Sequence[tuple[Wanted, Fit]], points: Array) -> Any:
     from scipy.sparse import csr_array
 
     rows, columns, values = [], [], []
-    for number, (one, fit) in enumerate(each):
-        derivative = fit.by_points(points[one.rows]).reshape(len(_ALL), -1)
-        at = (3 * one.rows[:, None] + np.arange(3)).ravel()
+    for number, (feature, fit) in enumerate(each):
+        derivative = fit.by_points(points[feature.rows]).reshape(len(_ALL), -1)
+        at = (3 * feature.rows[:, None] + np.arange(3)).ravel()
         rows.append(np.repeat(len(_ALL) * number + np.arange(len(_ALL)), len(at)))
         columns.append(np.tile(at, len(_ALL)))
         values.append(derivative.ravel())
@@ -150,16 +154,16 @@ def _derivatives(each: Sequence[tuple[Wanted, Fit]], points: Array) -> Any:
 def _points(each: Sequence[tuple[Wanted, Fit]], corrected: Table) -> Table:
     """Return the deviation of each point from its feature, and its weight where it is in contact."""
     weights = []
-    for one, fit in each:
-        weight = np.zeros(len(one.rows))
+    for feature, fit in each:
+        weight = np.zeros(len(feature.rows))
         if fit.contact is not None:
             weight[fit.contact.rows] = fit.contact.weights
         weights.append(weight)
-    sizes = [len(one.rows) for one, _ in each]
-    rows = np.concatenate([one.rows for one, _ in each])
+    sizes = [len(feature.rows) for feature, _ in each]
+    rows = np.concatenate([feature.rows for feature, _ in each])
     return Table.of(
         {
-            "feature": np.repeat([one.name for one, _ in each], sizes),
+            "feature": np.repeat([feature.name for feature, _ in each], sizes),
             "fit": np.repeat([str(fit.criterion) for _, fit in each], sizes),
             "point": corrected.columns["point"][rows],
             "deviation [mm]": np.concatenate([fit.deviations for _, fit in each]),

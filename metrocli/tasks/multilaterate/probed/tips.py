@@ -64,10 +64,10 @@ def tips_of(listed: Table | None, probing: Table, points: Table) -> Tips:
 def _rows(table: Table, names: Sequence[str], file: str) -> Index:
     place = {name: row for row, name in enumerate(names)}
     rows = np.array([place.get(name, ANY) for name in table.texts("tip")], dtype=np.intp)
-    lost, found = np.flatnonzero(rows < 0).tolist(), table.texts("tip")
+    lost, tips = np.flatnonzero(rows < 0).tolist(), table.texts("tip")
     if lost:
         faults = table.faults_at(
-            lost, lambda row: f"{file} has no tip '{found[row]}'", lambda row: nearest(found[row], names)
+            lost, lambda row: f"{file} has no tip '{tips[row]}'", lambda row: nearest(tips[row], names)
         )
         raise InputError(faults)
     return rows

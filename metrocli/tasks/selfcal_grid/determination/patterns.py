@@ -85,12 +85,12 @@ def _planes(keys: Index, components: tuple[int, ...]) -> Projector:
 
 def _group(turns: list[Array]) -> list[Array]:
     """Return the group of all products of the rotations."""
-    found = {np.eye(3).tobytes(): np.eye(3)}
+    group = {np.eye(3).tobytes(): np.eye(3)}
     while True:
-        more = {(a @ b + 0.0).tobytes(): a @ b + 0.0 for a in found.values() for b in turns}
-        if not set(more) - set(found):
-            return list(found.values())
-        found |= more
+        more = {(a @ b + 0.0).tobytes(): a @ b + 0.0 for a in group.values() for b in turns}
+        if not set(more) - set(group):
+            return list(group.values())
+        group |= more
 
 
 def _symmetric(sites: Index, turns: list[Array]) -> Projector:

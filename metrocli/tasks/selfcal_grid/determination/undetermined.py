@@ -68,11 +68,11 @@ class Open:
         rigid = "6 rigid motions of the machine error, 6 of the artefact error"
         lines = [f"{self.count} directions undetermined: {rigid}{scale}"]
         if self.families:
-            families = "; ".join(f"{one.pattern} ({one.count})" for one in self.families)
+            families = "; ".join(f"{family.pattern} ({family.count})" for family in self.families)
             lines.append(f"the views also leave undetermined: {families}")
         if self.remedies:
             least = self.remedies[0].left
-            best = [one.words for one in self.remedies if one.left == least]
+            best = [remedy.words for remedy in self.remedies if remedy.left == least]
             lines.append(f"a further view {' or '.join(best)} would leave {least} directions undetermined")
         return lines
 
@@ -85,9 +85,9 @@ def opened(problem: Problem, design: Design) -> Open:
         return Open(scale, (), ())
     mountings = tuple(_loose_mountings(problem, design))
     basis, fields = _machine_fields(problem, design)
-    families = tuple(_families(problem, basis, fields, extra - sum(one.count for one in mountings)))
-    remedies = sorted(_remedies(problem, design), key=lambda one: one.left)
-    return Open(scale, families + mountings, tuple(one for one in remedies if one.left < design.null.shape[1]))
+    families = tuple(_families(problem, basis, fields, extra - sum(mounting.count for mounting in mountings)))
+    remedies = sorted(_remedies(problem, design), key=lambda family: family.left)
+    return Open(scale, families + mountings, tuple(remedy for remedy in remedies if remedy.left < design.null.shape[1]))
 
 
 def determined(problem: Problem, design: Design) -> dict[str, Mask]:

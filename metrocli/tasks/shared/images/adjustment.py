@@ -97,8 +97,8 @@ class Adjusted:
         # a list of targets that is estimated too, and seen in all images, is not part of the lens
         first = tuple(name for name in delivered if len(self.solution.blocks[name].members) == 1)
         clusters = Clusters({self.group.name: self.group.observations.index["view"]}, "images", first=first)
-        found = noise_found((self.solution, 1.0), STRUCTURED, lambda: clusters, delivered)
-        return replace(self, solution=found.solution, structured=found.structured)
+        noise = noise_found((self.solution, 1.0), STRUCTURED, lambda: clusters, delivered)
+        return replace(self, solution=noise.solution, structured=noise.structured)
 
 
 @dataclass(frozen=True)
@@ -143,14 +143,14 @@ def adjust_images(
     )
 
     def fewer(using: _Using, solved: _Solved) -> tuple[_Using, bool]:
-        found = solved.suspects(not options.estimate_noise)
+        suspected = solved.suspects(not options.estimate_noise)
         out = np.zeros(0, dtype=np.intp)
         if options.remove_outliers and solved.residuals is not None:
-            out = apart(found, solved.residuals, solved.group.observations.index["view"])
+            out = apart(suspected, solved.residuals, solved.group.observations.index["view"])
         keep = np.ones(solved.group.observations.count, dtype=bool)
-        keep[found.rows[out]] = False
+        keep[suspected.rows[out]] = False
         left = _Using(
-            using.used.without(found, out),
+            using.used.without(suspected, out),
             solved.group.selected(keep),
             solved.solution.blocks,
             using.within if out.size else _EXACT,
@@ -161,8 +161,10 @@ def adjust_images(
     if solved.solution.outcome.good:
         _must_fit(solved.residuals, options.image_size)
     noise = float(np.sqrt(np.mean(solved.group.observations.sigma**2))) if options.estimate_noise else None
-    found = solved.suspects(not options.estimate_noise)
-    return Adjusted(solved.solution, solved.group, solved.residuals, _rejected(group, using.used.tests), found, noise)
+    suspected = solved.suspects(not options.estimate_noise)
+    return Adjusted(
+        solved.solution, solved.group, solved.residuals, _rejected(group, using.used.tests), suspected, noise
+    )
 
 
 def _must_fit(residuals: Residuals | None, image_size: tuple[int, int]) -> None:
@@ -210,10 +212,10 @@ def must_converge(solution: Solution, noticed: Sequence[str] = ()) -> None:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps){hint}", solution.misfit)
 
 
-def _noise(found: Residuals, group: Group) -> float:
+def _noise(residuals: Residuals, group: Group) -> float:
     """Return sigma0 of the image points alone, `sqrt(v'Pv / sum r)` with redundancy numbers r (variance component)."""
-    whitened = group.observations.whitened(found.values)
-    controlled = float(found.redundancy.sum())
+    whitened = group.observations.whitened(residuals.values)
+    controlled = float(residuals.redundancy.sum())
     return float(np.sqrt((whitened**2).sum() / controlled)) if controlled > 0 else 1.0
 
 

@@ -43,14 +43,14 @@ def covariates(model: Model, in_camera: Array) -> list[Covariate]:
     order = covariate("order of the images", view, 5)
     if ELAPSED in conditions:
         order = covariate("t_s", conditions[ELAPSED], 5)
-    found = [replace(order, periodic=True)]
+    orders = [replace(order, periodic=True)]
     if WARMING in conditions:
-        found.append(covariate("temp_degC", conditions[WARMING], 5))
-    found.append(covariate("place in the image", off, 5))
-    found.append(covariate("image radius", np.hypot(*off), 5))
-    found.append(replace(covariate("image azimuth", np.arctan2(off[1], off[0]), 8), angle=True))
-    found.append(covariate("distance from the camera", in_camera[2], 4))
-    return found
+        orders.append(covariate("temp_degC", conditions[WARMING], 5))
+    orders.append(covariate("place in the image", off, 5))
+    orders.append(covariate("image radius", np.hypot(*off), 5))
+    orders.append(replace(covariate("image azimuth", np.arctan2(off[1], off[0]), 8), angle=True))
+    orders.append(covariate("distance from the camera", in_camera[2], 4))
+    return orders
 
 
 def covariate(name: str, values: Array, degree: int) -> Covariate:

@@ -119,12 +119,12 @@ def check_diameters(group: Group, predicted: Array, radius: Array) -> None:
             "unit?"
         )
     if abs(middle - 1) > allowed:
-        found = middle * float(np.median(expected))
-        spread = found * (allowed + float(np.median(edge)) * (1 / middle - 1))
+        diameter = middle * float(np.median(expected))
+        spread = diameter * (allowed + float(np.median(edge)) * (1 / middle - 1))
         declared = np.unique(expected)
         sizes = listed([format_quantity(value, "mm") for value in declared.tolist()], 3)
         raise InputError(
-            f"the images show targets of {found:.3g} mm diameter (to {spread:.2g} mm), where {sizes} is declared: "
+            f"the images show targets of {diameter:.3g} mm diameter (to {spread:.2g} mm), where {sizes} is declared: "
             "correct the diameter of the pattern or radius_mm of the targets (or the pitch or coordinates that scale "
             "them); `eccentricity: ignore` does not use it"
         )

@@ -272,13 +272,13 @@ def _matched(table: Table, targets: Targets) -> tuple[np.ndarray[tuple[int], np.
     place = {name: i for i, name in enumerate(targets.names)}
     of_target = np.asarray(table.columns["target"], dtype=str)
     names, which = np.unique(of_target, return_inverse=True)
-    found = np.array([place.get(str(name), -1) for name in names], dtype=np.intp)[which]
-    strange = np.flatnonzero(found < 0)
+    numbers = np.array([place.get(str(name), -1) for name in names], dtype=np.intp)[which]
+    strange = np.flatnonzero(numbers < 0)
     if strange.size:
         hint = "add it to the targets file, or remove the row"
         text = "target '{}' is not in the list of targets".format
         raise InputError(table.faults_at(strange, lambda row: text(of_target[row]), lambda row: hint))
-    return of_target, found
+    return of_target, numbers
 
 
 def _refuse(table: Table, rows: Mask, text: str) -> None:

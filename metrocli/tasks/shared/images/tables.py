@@ -62,17 +62,17 @@ def suspect_images(names: Sequence[str], rms: Array, counts: Array) -> list[str]
     ]
 
 
-def suspect_readings(found: Suspects, group: Group) -> list[str]:
+def suspect_readings(suspects: Suspects, group: Group) -> list[str]:
     """Return a warning that names the readings beyond the outlier bound, worst first; an empty list without any."""
-    if not found.rows.size:
+    if not suspects.rows.size:
         return []
-    order = np.argsort(-found.tests)
+    order = np.argsort(-suspects.tests)
     keys = group.observations.keys
     worst = [
         f"{keys['image'][i]}/{keys['target'][i]} (w = {t:.1f})"
-        for i, t in zip(found.rows[order].tolist(), found.tests[order].tolist(), strict=True)
+        for i, t in zip(suspects.rows[order].tolist(), suspects.tests[order].tolist(), strict=True)
     ]
-    return [beyond_bound(worst, found.critical)]
+    return [beyond_bound(worst, suspects.critical)]
 
 
 def adjustment_notes(adjusted: Adjusted) -> list[str]:

@@ -1,6 +1,6 @@
 """Digests of what jobs and files mean: equal for equal values, whatever the comments, order of keys and notation.
 
-docs/decisions/080-up-to-date-by-meaning.md has what counts as a change.
+docs/decisions/080-up-to-date-by-fingerprint.md has what counts as a change.
 """
 
 from __future__ import annotations
@@ -36,10 +36,13 @@ def of_job(job: JobFile) -> str:
     apart = ("effects", "effects_from", "output", "parts")
     heading = {name: value for name, value in _named(job.heading) if name not in apart and value is not None}
     heading |= {"require": _by_name(job.heading.require)}
-    effects = [(one.name, [form.by for form in one.forms], one.where, one.values, one.std) for one in job.effects]
+    effects = [
+        (effect.name, [form.by for form in effect.forms], effect.where, effect.values, effect.std)
+        for effect in job.effects
+    ]
     output = os.path.relpath(job.output, job.folder)
     images = [item.node for item in job.inputs if isinstance(item.value, tuple)]
-    packages = [one.state for one in job.packages]
+    packages = [package.state for package in job.packages]
     return digest([heading, job.settings, images, effects, output, *packages], job.folder)
 
 
@@ -61,7 +64,7 @@ def of_result(result: Result, record: Record) -> str:
     values = {name: value for name, value in _named(result) if name not in skipped}
     tables = {name: (table.columns, table.units) for name, table in result.tables.items()}
     verdicts = _by_name(record.verdicts)
-    return digest([values, tables, verdicts, record.doubts, sorted(one.content for one in record.inputs)])
+    return digest([values, tables, verdicts, record.doubts, sorted(file.content for file in record.inputs)])
 
 
 def of_yaml(root: Node) -> str:
@@ -79,18 +82,18 @@ def changed_inputs(before: Iterable[InputFile], now: Iterable[InputFile], conten
 
     `content` returns the digest of the content of a path as read now; it is called only where the bytes differ.
     """
-    known, found = ({one.path: one for one in files} for files in (before, now))
+    known, present = ({file.path: file for file in files} for files in (before, now))
     changed = [
         f"input {path} changed ({_short(known[path])} -> {_short(one)})"
-        for path, one in found.items()
+        for path, one in present.items()
         if path in known and one.sha256 != known[path].sha256 and content(path) != known[path].content
     ]
-    changed += [f"input {path} is new" for path in found if path not in known]
-    return changed + [f"input {path} is gone" for path in known if path not in found]
+    changed += [f"input {path} is new" for path in present if path not in known]
+    return changed + [f"input {path} is gone" for path in known if path not in present]
 
 
-def _short(one: InputFile) -> str:
-    return f"{one.bytes} bytes, sha256 {one.sha256[:8]}"
+def _short(file: InputFile) -> str:
+    return f"{file.bytes} bytes, sha256 {file.sha256[:8]}"
 
 
 def changed_settings(before: Node, now: Node) -> list[str]:
@@ -110,7 +113,7 @@ def _leaves(node: Node) -> Iterable[tuple[str, str]]:
 
 def _by_name(criteria: Iterable[Requirement | Verdict]) -> list[Requirement | Verdict]:
     """Return criteria so that the order of the names in `require:` does not count; those of one name stay in order."""
-    return sorted(criteria, key=lambda one: one.name)
+    return sorted(criteria, key=lambda file: file.name)
 
 
 def _named(value: Any) -> Iterable[tuple[str, Any]]:
@@ -122,9 +125,9 @@ def digest(value: Any, folder: Path = Path()) -> str:
 
     The order of keys does not count; paths count relative to `folder`. Raises TypeError for anything else.
     """
-    found = hashlib.sha256()
-    _add(value, found.update, folder)
-    return found.hexdigest()
+    sha = hashlib.sha256()
+    _add(value, sha.update, folder)
+    return sha.hexdigest()
 
 
 _FORMS: dict[str, Callable[[type], bool]] = {

@@ -37,7 +37,7 @@ class Outcome:
     error: str = ""
 
 
-class Crew(Protocol):
+class Executor(Protocol):
     """Computes jobs, several at once or one after the other."""
 
     places: int
@@ -64,7 +64,7 @@ def attempt(job: JobFile, strict: bool, progress: Progress = SILENT, workers: Wo
         return Outcome(exit_code=MetrocliError.exit_code, error=f"{traceback.format_exc()}\n{_DEFECT}")
 
 
-class Alone:
+class InThisProcess:
     """This process, with all its threads for one job at a time."""
 
     places = 1
@@ -152,15 +152,15 @@ def _outcome(future: Future[Outcome]) -> Outcome:
 
 @contextmanager
 def processes(count: int) -> Iterator[Processes]:
-    """Yield a crew of processes; they end when the block ends, however it does."""
-    crew = Processes(count)
+    """Yield a executor of processes; they end when the block ends, however it does."""
+    executor = Processes(count)
     try:
-        yield crew
+        yield executor
     except BaseException:
-        crew.kill()
+        executor.kill()
         raise
     finally:
-        crew.end()
+        executor.end()
 
 
 def _new_pool(count: int) -> ProcessPoolExecutor:

@@ -1,0 +1,165 @@
+"""From an adjusted job to its measurement: the linearised system, its candidates, and what else can enter.
+
+Among the candidates are causes that are not known: waves of a covariate, and a motion in proportion to one. They are
+structure that no effect and no correlated error has: images in turn left and right, a unit that creeps.
+Method: docs/algorithms/evidence.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
+from metrocli.diagnosis.evidence.functions import process_bases
+from metrocli.diagnosis.evidence.measurement import Measurement
+from metrocli.diagnosis.evidence.parts import Knots
+from metrocli.diagnosis.evidence.prices import counted
+from metrocli.diagnosis.linear.candidates import Alternative, Family, families_of, families_throughout
+from metrocli.diagnosis.linear.columns import Columns
+from metrocli.diagnosis.linear.linearised import linearised
+from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.signatures import signature
+from metrocli.diagnosis.noise import variance_groups
+from metrocli.effects.effect import Effect, Parameter
+
+_PLACES = 6
+"""Fewest places of an effect that acts at all of them at once"""
+_MOST = 2e10
+"""Largest product of rows and squared columns for that"""
+_REDUNDANT = 1e-3
+"""Smallest redundancy of a reading whose error shows"""
+_SEED = 20
+_STEPS = 6
+"""Fewest different values of a covariate whose waves are tried"""
+_MOST_WAVES = 40
+"""Largest number of frequencies, half a period over the range apart"""
+_EFFECT = Effect("", "a cause that is not known", (Parameter("size"),))
+
+
+def measurement_of(
+    job: AdjustedJob, weights: Mapping[str, Array] | None = None, like: Measurement | None = None, quick: bool = False
+) -> Measurement:
+    """Return a job linearised about its solution; one `like` it, of the same candidates, gives the numbers of tests.
+
+    A quick one has no random parts and no variance groups: effects and wrong readings alone are looked for in it.
+    """
+    system = _with_standing(job, linearised(job.model, weights or {}))
+    families, not_tested = families_of(job, system)
+    every = [*families, *families_throughout(job, system)]
+    families += unknown_families(job, system)
+    places = _places(system, job)
+    readings = int((1 - system.basis.squares(places[:, 0]) > _REDUNDANT).sum())
+    same = like is not None and [one.form for one in like.families] == [one.form for one in families]
+    prices = like.prices if same and like else counted(system, families, readings, np.random.default_rng(_SEED))
+    return Measurement(
+        job,
+        system,
+        tuple(families),
+        not_tested,
+        () if quick else tuple(_scatters(job, system, every)),
+        () if quick else tuple(Knots.of(one) for one in process_bases(job, system)),
+        places,
+        () if quick else tuple(variance_groups(job, system)),
+        prices,
+    )
+
+
+def _places(system: System, job: AdjustedJob) -> Index:
+    """Return the rows of each reading that may be wrong; of single components, those of each by itself."""
+    groups = [group for group in system.model.readings if group.name not in job.certified]
+    most = max(len(group.observations.readings) for group in groups)
+    parts = []
+    for group in groups:
+        d, n = group.observations.readings.shape
+        rows = system.first[group.name] + d * np.arange(n)[:, None] + np.arange(d)
+        parts.append(np.pad(rows, ((0, 0), (0, most - d)), constant_values=-1))
+    found = np.concatenate(parts)
+    return found[found >= 0][:, None] if job.single_components else found
+
+
+def _scatters(job: AdjustedJob, system: System, families: Sequence[Family]) -> list[tuple[Family, ...]]:
+    """Return the families of each effect that usually acts at all its places, if it has enough of them."""
+    from metrocli.effects.extension import can_act_everywhere
+
+    by_name: dict[str, list[Family]] = {}
+    for family in families:
+        effect = family.alternatives[0].effect if family.alternatives else None
+        if effect is not None and effect.of_all and can_act_everywhere(system.model, effect):
+            by_name.setdefault(family.name, []).append(family)
+    found = []
+    for own in by_name.values():
+        places = sum(one.columns.count for one in own)
+        columns = sum(one.columns.count * one.columns.parameters for one in own)
+        if places >= _PLACES and system.rows * columns**2 <= _MOST:
+            found.append(tuple(own))
+    return found
+
+
+def _with_standing(job: AdjustedJob, system: System) -> System:
+    """Return a system with the residuals that it would have without the effects at fixed sizes in its model.
+
+    Their contribution is linear about their sizes theta: `r + G theta`.
+    """
+    residual = system.residual
+    for one in job.standing:
+        residual = residual + signature(job.model, system, one.effect, one.instance, {}) @ np.array(one.sizes)
+    return replace(system, residual=system.seen(residual)) if job.standing else system
+
+
+def unknown_families(job: AdjustedJob, system: System) -> Iterator[Family]:
+    """Yield the waves of each periodic covariate, and the motion in proportion to each that is one."""
+    for covariate in job.covariates:
+        columns = []
+        if covariate.together:
+            columns = [_motion(job, system, covariate)]
+        elif covariate.periodic:
+            columns = list(_waves(job, system, covariate))
+        if columns:
+            yield _family(system, covariate.name, columns)
+
+
+def _family(system: System, name: str, columns: Sequence[Array]) -> Family:
+    whole = Columns.of(np.stack(columns, axis=1))
+    alternatives = tuple(Alternative(_EFFECT, (str(number),)) for number in range(len(columns)))
+    return Family(f"varies with {name}", alternatives, whole, whole.norms(), whole.grams(system.basis), name)
+
+
+def _motion(job: AdjustedJob, system: System, covariate: Covariate) -> Array:
+    """Return the coordinates of a covariate, which are changes of the readings themselves, whitened."""
+    found = np.zeros((system.rows, len(next(iter(covariate.values.values())))))
+    for group in job.model.readings:
+        d, n = group.observations.readings.shape
+        rows = slice(system.first[group.name], system.first[group.name] + d * n)
+        found[rows] = np.repeat(covariate.values[group.name].T, d, axis=0) / system.scale[rows][:, None]
+    return found
+
+
+def _waves(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Array]:
+    """Yield cosine and sine of each component, from one period over the range up to one in two steps (Nyquist)."""
+    values = {name: one for name, one in covariate.values.items() if np.ndim(one) == 1}
+    every = np.concatenate([*values.values(), np.zeros(0)])
+    steps = np.unique(every)
+    if len(steps) < _STEPS:
+        return
+    low, span = float(steps[0]), float(np.ptp(steps))
+    turns = np.arange(1.0, (len(steps) - 1) / 2 + 0.1, 0.5)
+    for turn in turns[:_MOST_WAVES]:
+        parts = []
+        for group in job.model.readings:
+            if group.name in values:
+                d, n = group.observations.readings.shape
+                phase = np.repeat(2 * np.pi * turn * (values[group.name] - low) / span, d)
+                rows = slice(system.first[group.name], system.first[group.name] + d * n)
+                own = np.zeros((system.rows, 2 * d))
+                for component in range(d):
+                    at = np.arange(rows.start, rows.stop)[component::d]
+                    factor = group.observations.deviations.T.ravel()[component::d] / system.scale[at]
+                    own[at, 2 * component] = np.cos(phase[component::d]) * factor
+                    own[at, 2 * component + 1] = np.sin(phase[component::d]) * factor
+                parts.append(own)
+        yield np.concatenate(parts, axis=1)
