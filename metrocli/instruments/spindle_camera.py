@@ -137,11 +137,11 @@ class Rays:
 def rays(spindle: Array, camera: Array, angle: float, seen: Array, points: Array) -> Rays:
     """Return the lines of sight for a clamping angle.
 
-    Spindle poses are (n, 6), the camera in the taper is (6,), unit vectors `seen` in the camera (3, n).
+    Spindle poses are (n, 6), the camera in the taper is (6,), vectors `seen` in the camera (3, n).
     """
     held = camera_in_machine(spindle, angle, camera)
     direction = (poses.rotation_of(held) @ seen.T[:, :, None])[:, :, 0]
-    return Rays(held[:, :3], direction, points)
+    return Rays(held[:, :3], direction / np.linalg.norm(direction, axis=1, keepdims=True), points)
 
 
 def camera_in_machine(spindle: Array, angle: float, camera: Array) -> Array:

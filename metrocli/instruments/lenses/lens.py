@@ -61,11 +61,11 @@ def ideal_point(values: Mapping[str, float], u: Array, v: Array, convention: str
 
 
 def direction(values: Mapping[str, float], u: Array, v: Array, convention: str = "forward") -> Array:
-    """Return the unit vector (3, n) towards what is seen at (u, v); nan where the lens has no inverse."""
+    """Return the vector (3, n), of any length, to what is seen at (u, v); nan where the lens has no inverse."""
     x, y = ideal_point(values, u, v, convention)
     if convention == "fisheye":
         return unit_vector(np.stack([x, y]))
-    return np.stack([x, y, np.ones_like(x)]) / np.sqrt(x * x + y * y + 1)
+    return np.stack([x, y, np.ones_like(x)])
 
 
 def unit_vector(flat: Array) -> Array:

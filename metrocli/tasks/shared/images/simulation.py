@@ -208,7 +208,9 @@ def drawer(shown: Shown, pattern: Pattern, image: int, chosen: list[int], seed: 
 
 
 def _rays(shown: Shown, uv: Array) -> Array:
-    return direction(shown.lens, uv[:, 0], uv[:, 1], shown.convention).T
+    seen = direction(shown.lens, uv[:, 0], uv[:, 1], shown.convention).T
+    unit: Array = seen / np.linalg.norm(seen, axis=1, keepdims=True)
+    return unit
 
 
 def _scene(shown: Shown, pattern: Pattern, image: int, chosen: list[int]) -> list[render.Placed]:
