@@ -32,6 +32,8 @@ _TWO_SIDED = 1.96
 """Standard deviations that 5 % of normal errors exceed"""
 _VANISHED = 1e-100
 """Norm of a column that counts as 0: the square of a smaller one can be"""
+_ROUNDING = 1e-15
+"""Least eigenvalue of a bound, relative to its largest"""
 _NOTHING = 1e-9
 """Change of the result, relative to the change of all readings, that is rounding"""
 
@@ -181,7 +183,8 @@ def _largest(squares: Array, bounds: Array, least: float = 0.0) -> tuple[float, 
     """
     k, m, q, _ = squares.shape
     values, vectors = np.linalg.eigh(bounds)
-    root = vectors / np.sqrt(values)[..., None, :]
+    # a direction that the readings hardly show has an eigenvalue of rounding, which can be below 0
+    root = vectors / np.sqrt(np.maximum(values, _ROUNDING * values[..., -1:]))[..., None, :]
     inverse = root @ np.swapaxes(root, -1, -2)
     traces = np.stack([(squares.reshape(k, m, q * q) @ one.reshape(k, q * q, 1))[:, :, 0] for one in inverse])
     highest = traces.max(axis=2, initial=0.0)

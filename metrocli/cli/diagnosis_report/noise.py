@@ -25,9 +25,9 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"noise: {interval} times that of the job ({declared}); the estimated part follows the residuals"
     elif noise.as_declared:
         others = " for the others" if any(unit.key != DECLARED_SIGMA for unit in diagnosis.noisier_units) else ""
-        yield f"noise: as declared{others} ({interval} times {declared})"
+        yield f"noise: as declared{others} ({interval} times {declared or 'it'})"
     else:
-        yield f"noise: {interval} times the declared noise ({declared})"
+        yield f"noise: {interval} times the declared noise{f' ({declared})' if declared else ''}"
         yield f"  The result's standard uncertainties are for the declared noise; {_REAL} take the real."
         if noise.low > 1:
             yield f"  Usual reasons: {_USUAL}."

@@ -28,6 +28,8 @@ _SWAPS, _CERTAIN, _TRIED = 3, 30.0, 3
 """Rounds of swaps, the net evidence beyond which a part is not tried to be replaced, and by how many others"""
 _ALIKE = float(np.log(20.0))
 """Difference of scores up to which two causes explain the readings alike"""
+_NEARLY = float(np.log(5.0))
+"""Difference up to which an effect is preferred to a correlated error: real readings nearly always have one"""
 
 
 def _with_all_readings(state: State) -> State:
@@ -102,7 +104,8 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
     # a sigma that the job states explains as much as an effect at all places: it is what can be corrected
     given = [one for one, move in alike if move.given]
     # so can an effect: noise of its place, or a correlated error, does not say what is wrong there
-    names = [] if chosen.is_cause else [one for one, move in alike if move.is_cause]
+    least = best.score - (_ALIKE if chosen.noise is not None else _NEARLY)
+    names = [] if chosen.is_cause else [one for one, move in alike if move.is_cause and one.score > least]
     return next(iter([*given, *names]), best)
 
 
@@ -170,9 +173,10 @@ def _margin(state: State, other: State) -> float:
     Noise of a place, or a correlated error, does not say what is wrong: a state with more effects is preferred to one
     that explains the readings alike.
     """
-    if len(other.measurement.noise) > len(state.measurement.noise) or len(other.named) < len(state.named):
+    if len(other.measurement.noise) > len(state.measurement.noise):
         return _ALIKE
-    return -_ALIKE if len(other.named) > len(state.named) else _GAINED
+    more = len(other.named) - len(state.named)
+    return -_NEARLY * float(np.sign(more)) if more else _GAINED
 
 
 def _others_in_turn(state: State, but: Fixed | Random) -> float:
