@@ -18,7 +18,7 @@ import numpy as np
 
 from metrocli.adjust.model.observations import Observations
 from metrocli.geometry import poses
-from metrocli.instruments.lens import image_point
+from metrocli.instruments.lenses.lens import image_point
 from metrocli.tasks.calibrate_camera.build import build
 from metrocli.tasks.calibrate_camera.settings import Camera
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images

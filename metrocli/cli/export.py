@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import print_files
-from metrocli.errors import Fault, InputError
-from metrocli.exports import FORMATS, export
+from metrocli.cli.console import Console, print_files
+from metrocli.errors import Fault, InputError, UsageError
+from metrocli.exports import FORMATS, WITHIN, export
 from metrocli.table import Table
 
+_NOTE = re.compile(r"^(?:#|%|<!--) note: (.*?)(?: -->)?$", re.MULTILINE)
+_HEAD = 1000
+"""Length of the part of a file that has notes"""
 SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items())
 
 
@@ -23,12 +27,24 @@ SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items(
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder to write to (default: beside the result)."
 )
+@click.option(
+    "--within",
+    metavar="LENGTH",
+    help=f"Cameras: largest difference where a format can only approach the lens; default '{WITHIN} px'.",
+)
 @options.ACCEPT
 @options.FORCE
 @options.JSON
 @options.QUIET
 def command(
-    result: Path, form: str, out: Path | None, accept_doubtful: bool, force: bool, as_json: bool, quiet: bool
+    result: Path,
+    form: str,
+    out: Path | None,
+    within: str | None,
+    accept_doubtful: bool,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
 ) -> int:
     """Write the files of a format: as NAME into the given folder, else as RESULT.NAME beside the result.
 
@@ -52,11 +68,28 @@ def command(
 
     record = with_standards(result, record)
     contents = {}
-    for name, content in export(form, found, record).items():
+    for name, content in export(form, found, record, _pixels(form, within)).items():
         path = inside(out, name) if out is not None else inside(result.parent, f"{result.stem}.{name}")
-        contents[path] = (csv.to_text(content) if isinstance(content, Table) else content).encode()
+        text = csv.to_text(content) if isinstance(content, Table) else content
+        contents[path] = text.encode()
+        for note in _NOTE.findall(text, 0, _HEAD):
+            Console(quiet).warning(f"{path.name}: {note}")
     used = [str(path) for path in contents if os.path.realpath(path) in inputs]
     if used and not force:
         hint = "choose another folder, or use --force"
         raise InputError([Fault("the result is made from this file", path, hint=hint) for path in used])
     return print_files(write_all(contents, force), as_json, quiet, status=record.status)
+
+
+def _pixels(form: str, within: str | None) -> float:
+    """Return the largest difference that is allowed; raises UsageError for a text without pixels."""
+    from metrocli.units import QuantityError, parse_quantity
+
+    if within is None:
+        return WITHIN
+    if not FORMATS[form].nearest:
+        raise UsageError(f"--to {form} takes no --within: it is for cameras")
+    try:
+        return parse_quantity(within, "pixel")
+    except QuantityError as error:
+        raise UsageError(f"--within: {error}; write e.g. '{WITHIN} px'") from error

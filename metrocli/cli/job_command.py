@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from glob import glob
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,7 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
-from metrocli.errors import UsageError
+from metrocli.errors import Fault, InputError, UsageError
 from metrocli.tasks import KINDS
 
 
@@ -28,12 +30,40 @@ def make(kind: str) -> click.Command:
         options.VERBOSE,
     ]
 
-    @options.all_of(options.JOB, options.OUTPUT, options.SET, *questions, *shared)
-    def command(job: Path, quiet: bool, verbose: bool, **wanted: Any) -> int:
-        return _carry_out(kind, job, Console(quiet, verbose), wanted)
+    described = KINDS[kind].described
+    argument = options.job(required=not described)
+
+    @options.all_of(argument, options.OUTPUT, options.SET, *map(options.asking, described), *questions, *shared)
+    def command(job: Path | None, quiet: bool, verbose: bool, **wanted: Any) -> int:
+        path = job if job is not None and not described else _job_file(kind, job, wanted)
+        return _carry_out(kind, path, Console(quiet, verbose), wanted)
 
     help_text = f"{KINDS[kind].summary[0].upper()}{KINDS[kind].summary[1:]}."
     return click.command(kind, help=help_text)(command)
+
+
+def _job_file(kind: str, job: Path | None, wanted: dict[str, Any]) -> Path:
+    """Return the job file of the command, which is written beside the result if options describe the job."""
+    options_given = {one.name: wanted.pop(one.name) for one in KINDS[kind].described}
+    values = [value for value in options_given.values() if value]
+    names = " and ".join(f"--{name}" for name in options_given)
+    if job is not None and values:
+        raise UsageError(f"{job} beside {names}: name a job or describe it; put a pattern of file names in quotes")
+    if job is not None:
+        return job
+    if len(values) < len(options_given):
+        raise UsageError(f"name a job file, or describe the job by {names}")
+    from metrocli.formats.own_files import write_all
+
+    result = wanted["output"] or Path("camera.h5")
+    path = result.with_suffix(".yaml")
+    files, *others = values
+    text = KINDS[kind].job_of(os.path.relpath(files, path.parent), *others, result.name)
+    if not glob(files):
+        raise InputError([Fault(f"--images: no file matches '{files}'")])
+    wanted["output"] = None
+    list(write_all({path: text.encode()}, wanted["force"]))
+    return path
 
 
 def _carry_out(kind: str, path: Path, console: Console, wanted: dict[str, Any]) -> int:

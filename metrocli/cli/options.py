@@ -11,7 +11,15 @@ import click
 from metrocli.tasks.kind import Question
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
-JOB = click.argument("job", type=click.Path(path_type=Path), metavar="JOB.yaml")
+
+
+def job(required: bool = True) -> Decorator:
+    """Return the argument of a job file."""
+    metavar = "JOB.yaml" if required else "[JOB.yaml]"
+    return click.argument("job", type=click.Path(path_type=Path), metavar=metavar, required=required)
+
+
+JOB = job()
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON and nothing else on stdout.")
 FORCE = click.option("--force", is_flag=True, help="Overwrite whatever is at the output.")
 SET = click.option(

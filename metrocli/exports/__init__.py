@@ -33,6 +33,8 @@ class Format:
     """Whether the files also state what the record of the result holds: job, inputs, certificate"""
     function: str = "files"
     """Name of its function, where a module has several formats"""
+    nearest: bool = False
+    """Whether it takes the largest difference [px] of a camera that its models can only approach"""
 
 
 FORMATS: dict[str, Format] = {
@@ -47,15 +49,18 @@ FORMATS: dict[str, Format] = {
     "siemens-trafo5": Format("metrocli.exports.pivots", "5-axis transformation", function="siemens_trafo5"),
     "etalon": Format("metrocli.exports.volumetric", "Etalon exchange format"),
     **{
-        name: Format("metrocli.exports.camera_models", f"camera of {program}", function=name)
+        name: Format("metrocli.exports.camera_models", f"camera of {program}", function=name, nearest=True)
         for name, program in (
             ("opencv", "OpenCV (YAML)"),
             ("ros", "ROS (camera_info)"),
             ("colmap", "COLMAP (cameras.txt)"),
             ("kalibr", "Kalibr (camchain)"),
             ("mrcal", "mrcal (cameramodel)"),
+            ("metashape", "Metashape (XML)"),
+            ("matlab", "MATLAB (cameraIntrinsics)"),
         )
     },
+    "opencv-yaml": Format("metrocli.exports.camera_models", "same as opencv", function="opencv", nearest=True),
     "sa-ascii": Format("metrocli.exports.sa_ascii", "points for SpatialAnalyzer"),
     "dcc": Format("metrocli.exports.dcc", "Digital Calibration Certificate of PTB (XML)", recorded=True),
 }
@@ -63,17 +68,21 @@ FORMATS: dict[str, Format] = {
 
 _OF_PIVOTS = ("fanuc", "heidenhain", "linuxcnc")
 """Formats that have the lines of the rotary axes of a machine with such"""
+WITHIN = 0.05
+"""Largest difference [px] of a camera in a format that can only approach it"""
 
 
-def export(name: str, result: Result, record: Record | None = None) -> Exported:
+def export(name: str, result: Result, record: Record | None = None, within: float = WITHIN) -> Exported:
     """Return the files of a result in a format; raises InputError if the result has nothing to export in it.
 
     Beside the files of a result with doubts, a text states them.
     """
-    files: Callable[..., Exported] = getattr(import_module(FORMATS[name].module), FORMATS[name].function)
+    form = FORMATS[name]
+    files: Callable[..., Exported] = getattr(import_module(form.module), form.function)
     doubts = {"doubtful.txt": "\n".join([*result.doubts, ""])} if result.doubts else {}
     if "rotary_axes" in result.tables and name in _OF_PIVOTS:
         from metrocli.exports.pivots import OF_CONTROLS
 
         return {**OF_CONTROLS[name](result), **doubts}
-    return {**(files(result, record) if FORMATS[name].recorded else files(result)), **doubts}
+    more = (record,) if form.recorded else (within,) if form.nearest else ()
+    return {**files(result, *more), **doubts}

@@ -47,11 +47,11 @@ FORMATS: dict[str, Format] = {
         "mapping",
     ),
     **dict.fromkeys(
-        ("opencv", "ros", "colmap"),
+        ("opencv", "ros", "colmap", "kalibr", "mrcal", "metashape", "matlab"),
         Format(
             "metrocli.imports.cameras",
             "camera of another program, as the camera file of align-part",
-            "OpenCV, camera_calibration; sensor_msgs/CameraInfo; COLMAP, Camera Models",
+            "OpenCV, camera_calibration; and the manuals of the other programs",
         ),
     ),
     "gama-xml": Format(

@@ -14,7 +14,7 @@ from metrocli.adjust.movements import of_members, of_points
 from metrocli.arrays import Array
 from metrocli.geometry import poses
 from metrocli.instruments.frames import Into, OutOf, PointOf
-from metrocli.instruments.lens import PIXELS, Lens, LensBackward
+from metrocli.instruments.lenses.lens import UNITS, Lens, LensBackward
 
 LENS, VIEW, TARGET, TAPER = "lens", "view", "target", "camera"
 """Blocks: lens parameters, a pose for each image, target coordinates, pose of the camera in the reference frame."""
@@ -28,9 +28,8 @@ def lens_block(values: Mapping[str, float], free: Sequence[str], image_size: Seq
     reach = []
     for name in values:
         size = float(max(image_size))
-        reach.append(
-            {"f": _TURN, "fx": _TURN, "fy": _TURN}.get(name, 0.0) * values[name] or (size if name in PIXELS else np.inf)
-        )
+        of_focal = {"f": _TURN, "fx": _TURN, "fy": _TURN}.get(name, 0.0) * values[name]
+        reach.append(of_focal or (size if UNITS.get(name) == "px" else np.inf))
     return Block(
         LENS,
         np.array([list(values.values())]),
@@ -60,8 +59,8 @@ def target_block(points: Array, names: Sequence[str], free: Array | bool, extent
 
 
 def lens_link(convention: str) -> Link:
-    """Return the lens link of a convention, 'forward' or 'backward'."""
-    return LensBackward(LENS) if convention == "backward" else Lens(LENS)
+    """Return the lens link of a convention, 'forward', 'backward' or 'fisheye'."""
+    return LensBackward(LENS) if convention == "backward" else Lens(LENS, convention == "fisheye")
 
 
 def to_camera(rig: str) -> tuple[Link, ...]:

@@ -134,14 +134,13 @@ class Rays:
     """Observed points in the frame of the part (n, 3)"""
 
 
-def rays(spindle: Array, camera: Array, angle: float, ideal: Array, points: Array) -> Rays:
+def rays(spindle: Array, camera: Array, angle: float, seen: Array, points: Array) -> Rays:
     """Return the lines of sight for a clamping angle.
 
-    Spindle poses are (n, 6), the camera in the taper is (6,), ideal image points are (2, n).
+    Spindle poses are (n, 6), the camera in the taper is (6,), vectors `seen` in the camera (3, n).
     """
     held = camera_in_machine(spindle, angle, camera)
-    along = np.stack([*ideal, np.ones(ideal.shape[1])], axis=1)
-    direction = (poses.rotation_of(held) @ along[:, :, None])[:, :, 0]
+    direction = (poses.rotation_of(held) @ seen.T[:, :, None])[:, :, 0]
     return Rays(held[:, :3], direction / np.linalg.norm(direction, axis=1, keepdims=True), points)
 
 

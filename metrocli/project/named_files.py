@@ -11,6 +11,8 @@ from typing import Any
 from metrocli.errors import Fault, InputError
 from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.frozen import dataclass
+from metrocli.imports.cameras import as_yaml
+from metrocli.imports.lines import Lines
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.settings import (
@@ -103,24 +105,19 @@ def _names_files(spec: Any) -> bool:
     return of_a_file or (isinstance(spec, MapOf) and _names_files(spec.value))
 
 
-_OF_ROS = "camera_matrix"
-"""Key of a camera file of other programs"""
-
-
 def _with_content(item: Input, faults: list[Fault]) -> Input:
-    """Read the YAML file of an input into its dataclass."""
-    path, section = item.value, getattr(item.spec, "section", None)
-    if section is None or path.suffix.lower() not in (".yaml", ".yml") or not path.is_file():
+    """Read the YAML file of an input, or that of another program, into its dataclass."""
+    path, section, others = item.value, getattr(item.spec, "section", None), getattr(item.spec, "others", ())
+    if section is None or path.suffix.lower() not in (".yaml", ".yml", *others) or not path.is_file():
         return item
     try:
         bytes_read = read_bytes(path, "a job file", most=yaml_text.MOST_BYTES)
-        root = yaml_text.parse(yaml_text.text_of(bytes_read, str(path)), str(path), path.parent)
+        text = yaml_text.text_of(bytes_read, str(path))
+        if others:
+            text = as_yaml(Lines(str(path), text.splitlines())) or text
+        root = yaml_text.parse(text, str(path), path.parent)
     except InputError as error:
         faults.extend(error.faults)
-        return item
-    if (node := root.get(_OF_ROS)) is not None:
-        hint = f"`metrocli import {path} --from ros` writes it as camera.yaml, which this job reads"
-        faults.append(Fault("this is a camera as ROS or OpenCV write it", str(path), node.line, hint=hint))
         return item
     return replace(item, held=Section(section).read(root, faults), bytes=bytes_read)
 

@@ -142,6 +142,8 @@ class FileOf(OfText):
     """Kinds of job whose results are accepted."""
     section: type | None = None
     """The dataclass that a YAML file is read into."""
+    others: tuple[str, ...] = ()
+    """Endings of files of other programs that are read into it, too."""
 
     @property
     def expects(self) -> str:
@@ -151,6 +153,7 @@ class FileOf(OfText):
     def read(self, node: Node, faults: list[Fault]) -> Any:
         path = _path(self, node, faults)
         endings = ((".h5", ".hdf5") if self.results else ()) + ((".yaml", ".yml") if self.section else ())
+        endings += self.others
         if path is not BAD and path.suffix.lower() not in endings:
             return refuse(self, node, faults, f"'{node.text}' does not end in {' or '.join(endings)}")
         return path

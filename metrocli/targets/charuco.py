@@ -80,7 +80,8 @@ def _layouts(pattern: Pattern) -> Iterator[tuple[Pattern, str]]:
 
 def _dictionaries(pattern: Pattern) -> Iterator[tuple[Pattern, str]]:
     for name in DICTIONARIES:
-        if name.endswith("_250") and name[0] != pattern.dictionary[0]:
+        other = name[0] != pattern.dictionary[0] or not name[0].isdigit()
+        if other and name != pattern.dictionary and not name.endswith(("_50", "_100", "_1000")):
             for legacy in (pattern.legacy, not pattern.legacy):
                 words = f", legacy: {str(legacy).lower()}" if legacy != pattern.legacy else ""
                 yield replace(pattern, dictionary=name, legacy=legacy), f"dictionary: {name}{words}"
@@ -92,7 +93,7 @@ def artwork(pattern: Pattern) -> tuple[Array, int]:
     Raises ValueError if a square is not a whole number of the marker's cells.
     """
     rows, columns = pattern.shape
-    marker = int(pattern.dictionary[0]) + 2
+    marker = _dictionary(pattern.dictionary).markerSize + 2
     _, length = _sizes(pattern)
     count = round(marker / length)
     if abs(count * length - marker) > 1e-6 * marker or (count - marker) % 2:
@@ -103,11 +104,24 @@ def artwork(pattern: Pattern) -> tuple[Array, int]:
 
 def _board(pattern: Pattern) -> cv2.aruco.CharucoBoard:
     rows, columns = pattern.shape
-    number = getattr(cv2.aruco, f"DICT_{pattern.dictionary.upper()}")
     square, marker = _sizes(pattern)
-    board = cv2.aruco.CharucoBoard((columns + 1, rows + 1), square, marker, cv2.aruco.getPredefinedDictionary(number))
+    board = cv2.aruco.CharucoBoard((columns + 1, rows + 1), square, marker, _dictionary(pattern.dictionary))
     board.setLegacyPattern(pattern.legacy)
     return board
+
+
+def _dictionary(name: str) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name.upper()}"))
+
+
+def markers_in(picture: Picture) -> tuple[str, int]:
+    """Return the dictionary of which an image shows the most markers, and their number."""
+    seen, counts = eight_bit(picture), dict[str, int]()
+    for name in DICTIONARIES:
+        if not name.endswith(("_50", "_100", "_1000")):
+            ids = cv2.aruco.ArucoDetector(_dictionary(name)).detectMarkers(seen)[1]
+            counts[name] = 0 if ids is None else len(ids)
+    return max(counts.items(), key=lambda one: one[1])
 
 
 def _sizes(pattern: Pattern) -> tuple[float, float]:

@@ -55,6 +55,15 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
     return points([names(pattern)[place] for place in seen], flat[seen], spread[seen])
 
 
+def shown_size(picture: Picture) -> tuple[int, int] | None:
+    """Return columns and rows of the chessboard that an image shows, columns the larger; None without one."""
+    grey, least, flags = eight_bit(picture), (4, 4), cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
+    if min(grey.shape) < LEAST_SIDE:
+        return None
+    found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, least, flags)
+    return (max(meta.shape), min(meta.shape)) if found and meta is not None else None
+
+
 def _coarse(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
     """Return the corners (n, 2) to about a pixel, from a reduced image or, if that fails, from the image as it is.
 

@@ -1,11 +1,9 @@
-"""Finding the targets of a pattern in an image, and the size that a board probably has."""
+"""Finding the targets of a pattern in an image."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from importlib import import_module
-from itertools import product
 
 import numpy as np
 
@@ -67,42 +65,3 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
     module = import_module(f"metrocli.targets.{MODULES[pattern.type]}")
     sightings: Sightings = module.find(pattern, picture)
     return sightings
-
-
-COUNTED = ("chessboard", "circles", "asymmetric-circles")
-"""Types of pattern that are found by their number of points alone"""
-_SIDE = 1000
-"""Chessboards are searched in images reduced to about this longer side, in pixels"""
-_SHARE = 0.5
-"""A size is likely if more than this share of the images shows it"""
-
-
-def likely_size(pattern: Pattern, pictures: Iterable[Picture]) -> tuple[int, int] | None:
-    """Return columns and rows of the board that most pictures show, at most one off in each; None if none fits.
-
-    Of sizes that equally many pictures show, the largest counts: a board contains all smaller ones.
-    """
-    if pattern.type not in COUNTED:
-        return None
-    rows, columns = pattern.shape
-    reduced = [_reduced(pattern, picture) for picture in pictures]
-    sizes = [(columns + c, rows + r) for c, r in product((-1, 0, 1), repeat=2) if (c, r) != (0, 0)]
-    votes: dict[tuple[int, int], int] = {}
-    for size in sorted((size for size in sizes if min(size) >= 2), key=lambda size: -size[0] * size[1]):
-        other = replace(pattern, columns=size[0], rows=size[1])
-        votes[size] = sum(len(find(other, picture)) > 0 for picture in reduced)
-        if votes[size] == len(reduced):  # no smaller board can be more likely
-            break
-    best = max(votes, key=lambda size: (votes[size], size[0] * size[1]))
-    return best if reduced and votes[best] > _SHARE * len(reduced) else None
-
-
-def _reduced(pattern: Pattern, picture: Picture) -> Picture:
-    factor = max(picture.shape) // _SIDE
-    if pattern.type != "chessboard" or factor < 2:
-        return picture
-    size = (picture.shape[1] // factor, picture.shape[0] // factor)
-    import cv2  # which takes longer to load than most jobs without images
-
-    smaller = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    return smaller.astype(np.uint16) if picture.dtype == np.uint16 else smaller.astype(np.uint8)

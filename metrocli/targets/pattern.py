@@ -19,8 +19,11 @@ GRIDS = ("chessboard", "circles", "asymmetric-circles", "charuco")
 TYPES = (*GRIDS, "coded-rings", "dot")
 """All types of pattern."""
 
-DICTIONARIES = tuple(f"{bits}x{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250))
-"""ArUco dictionaries; a larger one begins with the markers of the smaller ones with the same number of bits."""
+DICTIONARIES = (
+    *(f"{bits}x{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
+    *("aruco_original", "aruco_mip_36h12", "apriltag_16h5", "apriltag_25h9", "apriltag_36h10", "apriltag_36h11"),
+)
+"""OpenCV's dictionaries; a larger one begins with the markers of the smaller ones with the same number of bits."""
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ class Kind:
         result_questions: tuple[Question, ...] = (),
         chunked: bool = False,
         package: str = "",
+        described: tuple[Question, ...] = (),
     ) -> None:
         self.name = name
         """Its name in job files and on the command line, such as `align-part`"""
@@ -52,6 +53,8 @@ class Kind:
         """Whether it computes in independent chunks; its command then has the options --workers and --scheduler"""
         self.package = package
         """Package of its modules; if empty, the package of its name in `metrocli.tasks`"""
+        self.described = described
+        """Options of its own command that together describe a job, without a file of it; all are needed"""
 
     def settings(self) -> type:
         """Import and return the dataclass of the settings in a job file."""
@@ -67,6 +70,11 @@ class Kind:
         """Return the figures that results of a job with these settings can have, as `metrocli.tasks.shared.figures`."""
         figures: dict[str, str] = self._module("settings").figures(settings)
         return figures
+
+    def job_of(self, *values: str) -> str:
+        """Return the text of the job that the values of the options `described` and the name of its output give."""
+        text: str = self._module("settings").job_of(*values)
+        return text
 
     def _module(self, name: str) -> Any:
         package = self.package or f"metrocli.tasks.{self.name.replace('-', '_')}"

@@ -18,7 +18,7 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.geometry import poses
 from metrocli.instruments import camera, spindle_camera
 from metrocli.instruments.frames import DistanceBetween, OutOf, PointOf
-from metrocli.instruments.lens import Lens
+from metrocli.instruments.lenses.lens import Lens
 
 Array = npt.NDArray[np.float64]
 NOISE = 0.1

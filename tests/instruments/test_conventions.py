@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from metrocli.instruments.conventions import converted, image_grid, photogrammetric, projection_range
-from metrocli.instruments.lens import ideal_point, image_point
+from metrocli.instruments.lenses.conventions import converted, image_grid, photogrammetric, projection_range
+from metrocli.instruments.lenses.lens import ideal_point, image_point
 
 SIZE = (2400, 1800)
 FORWARD = {"f": 2600.0, "cx": 1210.0, "cy": 885.0, "k1": -0.12, "k2": 0.09, "k3": -0.02, "p1": 4e-4, "p2": -3e-4}

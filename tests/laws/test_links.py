@@ -15,11 +15,13 @@ from metrocli.adjust.model.groups import Group, ReadBlock, ReadBlocks
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
+from metrocli.effects.links.lens_shape import Knots, LensShape
 from metrocli.geometry import poses
-from metrocli.instruments import frames, launch_unit, lens, spindle_camera, tracer
+from metrocli.instruments import frames, launch_unit, spindle_camera, tracer
 from metrocli.instruments.frames import DistanceBetween, Into, OutOf, PointOf
 from metrocli.instruments.launch_unit import AboutBase, BeamBack, BeamLength, BeamOut, Encoders, Reading
-from metrocli.instruments.lens import PARAMETERS, Lens, LensBackward
+from metrocli.instruments.lenses import lens
+from metrocli.instruments.lenses.lens import PARAMETERS, Lens, LensBackward
 from metrocli.instruments.spindle_camera import Coupling, UncertainPoses
 from metrocli.instruments.tracer import LengthFrom, Returned
 
@@ -187,6 +189,16 @@ CASES: dict[str, Case] = {
             "all, distortion 0": {**ALL, **dict.fromkeys([*COEFFICIENTS, *RATIONAL, *PRISM], 0.0)},
         }.items()
     },
+    **{
+        f"tilted, {name}": Case(Lens(), (lens_block(**{**ONE_F, **CENTRE, **values, "tau_x": 0.03, "tau_y": -0.02}),))
+        for name, values in {"usual": COEFFICIENTS, "pinhole": {"tau_x": 0.0}}.items()
+    },
+    "LensShape": Case(
+        LensShape(Knots((2400, 1800), (7, 6)), np.random.default_rng(4).normal(size=(84, 5))),
+        (Block("lens-shape", np.array([[3.0, -2.0, 1.0, 4.0, -1.0]]), ("w1", "w2", "w3", "w4", "w5")),),
+        value_size=2,
+    ),
+    "fisheye": Case(Lens(fisheye=True), (lens_block(**{**ALL, "tau_x": 0.03, "tau_y": -0.02, "k5": 0.0, "k6": 0.0}),)),
     **{f"{kind.__name__}, several": Case(kind(), (lens_blocks(**ALL),)) for kind in (Lens, LensBackward)},
     "Varied": Case(
         Varied(Lens(), "lens", Warmer()),

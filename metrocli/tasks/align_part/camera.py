@@ -14,9 +14,9 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.imageset import ImageSet
 from metrocli.instruments.camera import LENS, TAPER
-from metrocli.instruments.lens import PARAMETERS
+from metrocli.instruments.lenses.lens import PARAMETERS
 from metrocli.result import Result
-from metrocli.tasks.shared.images.settings import CameraFile
+from metrocli.tasks.shared.images.settings import CameraFile, OfCameraFile
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,12 @@ class CameraModel:
     image_size: tuple[int, int]
     convention: str
     estimated: tuple[str, ...] = ()
-    """Lens parameters in the covariance; x y z alpha beta gamma follow them"""
+    """Lens parameters in the covariance; x y z alpha beta gamma follow them if `placed`"""
     covariance: Array | None = None
     """None: the camera is exact"""
+    placed: bool = True
+    """Whether the covariance has the pose in the taper"""
+    warnings: tuple[str, ...] = ()
 
     def must_fit(self, images: ImageSet) -> None:
         """Raise InputError if the images do not have the size with which the camera was calibrated."""
@@ -48,8 +51,8 @@ class CameraModel:
         held = {"k1": 0.0, **self.lens}  # the effect radial-distortion needs k1, even if the calibration has none
         columns, values = tuple(held), np.array([list(held.values())])
         lens = Block(LENS, values, columns, free=np.isin(columns, self.estimated) if known else np.array(False))
-        taper = Block(TAPER, self.taper[None], poses.COLUMNS, free=np.array(known), space=Space.POSE)
-        return lens, taper
+        free = np.array(known and self.placed)
+        return lens, Block(TAPER, self.taper[None], poses.COLUMNS, free=free, space=Space.POSE)
 
     def prior(self) -> list[Group]:
         """Return the calibration as a correlated observation, so that its covariance enters the adjustment.
@@ -60,30 +63,55 @@ class CameraModel:
             return []
         lens, taper = self.blocks()
         k = len(self.estimated)
-        to_step = np.eye(k + 6)
-        to_step[k:, k:] = np.linalg.inv(poses.euler_form_by_step(self.taper))
-        order = tuple(lens.columns.index(name) for name in self.estimated)
-        return [joint_prior([lens, taper], [order, tuple(range(6))], to_step @ self.covariance @ to_step.T)]
+        to_step = np.eye(len(self.covariance))
+        parts = [(lens, tuple(lens.columns.index(name) for name in self.estimated))]
+        if self.placed:
+            to_step[k:, k:] = np.linalg.inv(poses.euler_form_by_step(self.taper))
+            parts.append((taper, tuple(range(6))))
+        blocks, columns = zip(*((block, chosen) for block, chosen in parts if chosen), strict=True)
+        return [joint_prior(blocks, columns, to_step @ self.covariance @ to_step.T)]
 
 
-def camera_of(source: Result | CameraFile) -> CameraModel:
+def camera_of(source: Result | CameraFile, more: OfCameraFile | None = None) -> CameraModel:
     """Return the camera of a calibration result or of a YAML file; raises InputError without its pose in the taper."""
-    return camera_of_file(source) if isinstance(source, CameraFile) else camera_of_result(source)
+    if isinstance(source, CameraFile):
+        return camera_of_file(source, more or OfCameraFile())
+    if more is not None:
+        raise InputError("camera: the result of calibrate-camera states its place and its covariance: leave it out")
+    return camera_of_result(source)
 
 
-def camera_of_file(file: CameraFile) -> CameraModel:
-    """Return the camera of a YAML file, taken as exact; raises InputError without extrinsics."""
-    if file.extrinsics is None:
+def camera_of_file(file: CameraFile, more: OfCameraFile) -> CameraModel:
+    """Return the camera of a YAML file, exact but for the job's uncertainties; raises InputError without extrinsics."""
+    e = more.extrinsics or file.extrinsics
+    if e is None:
         raise InputError(
             "the camera file has no extrinsics, the pose of the camera in the taper: "
-            "e.g. extrinsics: {x: -2.1 mm, y: .., z: .., alpha: -0.003 rad, ..}"
+            "e.g. camera: {extrinsics: {x: -2.1 mm, y: .., z: .., alpha: -0.003 rad, ..}}"
         )
     width, height = file.image_size
-    lens = {"cx": (width - 1) / 2, "cy": (height - 1) / 2, **file.given()}
-    e = file.extrinsics
+    given = {"cx": (width - 1) / 2, "cy": (height - 1) / 2, **file.given()}
+    lens = {name: given[name] for name in PARAMETERS if name in given}
+    std = {name: value for name, value in vars(more.uncertainty).items() if value} if more.uncertainty else {}
+    if strange := [name for name in std if name in ("f", "fx", "fy") and name not in lens]:
+        raise InputError(f"camera: uncertainty: the camera file has no {' '.join(strange)}")
     taper = poses.pose_from_euler(np.array([e.x, e.y, e.z]), np.array([e.alpha, e.beta, e.gamma]))
+    of_lens = {name: value for name, value in std.items() if name in PARAMETERS}
+    lens = {name: lens.get(name, 0.0) for name in PARAMETERS if name in lens or name in of_lens}
+    ordered = [*(std[name] for name in lens if name in std), *(std[name] for name in poses.EULER if name in std)]
+    exact = (
+        f"the camera file of {file.program} states no covariance: it counts as exact; "
+        "camera: {uncertainty: {f: 1 px, ...}} gives its standard uncertainties",
+    )
     return CameraModel(
-        {name: lens[name] for name in PARAMETERS if name in lens}, taper, file.image_size, file.convention
+        lens,
+        taper,
+        file.image_size,
+        file.convention,
+        tuple(name for name in lens if name in std),
+        np.diag(ordered) ** 2 if ordered else None,
+        "x" in std,
+        exact if file.program and not ordered else (),
     )
 
 
@@ -93,6 +121,10 @@ def camera_of_result(result: Result) -> CameraModel:
         raise InputError(
             f"the camera was calibrated with rig {result.statistics.get('rig')}; "
             "only rig cmm determines its place in the taper"
+        )
+    if "lens_shape" in result.tables:
+        raise InputError(
+            "align-part reads no camera of the model spline: calibrate it with the model opencv or fisheye"
         )
     table = result.tables["camera"]
     lens = dict(zip(table.texts("parameter"), table.numbers("value").tolist(), strict=True))

@@ -18,7 +18,7 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import TARGET, lens_link, list_datum, target_block
-from metrocli.instruments.lens import ideal_point
+from metrocli.instruments.lenses.lens import direction
 from metrocli.table import Table
 from metrocli.tasks.align_part.camera import CameraModel
 from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION
@@ -130,7 +130,7 @@ def build(
     nominal = {TARGET: targets.points}
     model = Model(blocks, (group, *others), datum, (IMAGES,), places, nominal=nominal)
     notes = () if commanded.machine is None else (note_of(motion),)
-    told = (*listed.warnings, *warnings, *commanded.warnings())
+    told = (*camera.warnings, *listed.warnings, *warnings, *commanded.warnings())
     sources = {"machine": Source(spindle.MACHINE, motion.turn, motion.digest)} if len(motion.turn) else {}
     return Problem(model, camera, sighted, told, notes=notes, sources=sources)
 
@@ -158,11 +158,12 @@ def _with_poses(sighted: Sighted, table: Table) -> tuple[Index, tuple[str, ...],
 def _start(camera: CameraModel, sighted: Sighted, held: Array, free_angle: bool) -> tuple[Array, float]:
     """Return the starting pose of the part and the starting clamping angle: 0, or the best of twelve if 0 fails."""
     uv = sighted.observations.readings
-    ideal = np.nan_to_num(np.stack(ideal_point(camera.lens, uv[0], uv[1], camera.convention)))
+    seen = direction(camera.lens, uv[0], uv[1], camera.convention)
+    seen = np.where(np.isfinite(seen[0]), seen, [[0.0], [0.0], [1.0]])
     points = sighted.targets.points[sighted.target]
 
     def tried(angle: float) -> tuple[Array, float]:
-        return spindle.start_pose(spindle.rays(held[sighted.view], camera.taper, angle, ideal, points))
+        return spindle.start_pose(spindle.rays(held[sighted.view], camera.taper, angle, seen, points))
 
     best, misfit = tried(0.0)
     chosen = 0.0

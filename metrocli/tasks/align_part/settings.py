@@ -16,8 +16,10 @@ from metrocli.targets.pattern import Pattern
 from metrocli.tasks.align_part.fixturing import SUPPORTS
 from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.tasks.shared.images.settings import (
+    CAMERA_FILES,
     CameraFile,
     Extrinsics,
+    OfCameraFile,
     eccentricity_setting,
     image_faults,
     shutter_setting,
@@ -48,8 +50,8 @@ class Files:
     """The camera, the spindle's poses, the targets, and their image points or the images."""
 
     camera: Result | CameraFile = content(
-        FileOf(("calibrate-camera",), CameraFile),
-        "result of calibrate-camera (rig cmm), or a camera written by hand (.yaml)",
+        FileOf(("calibrate-camera",), CameraFile, CAMERA_FILES),
+        "result of calibrate-camera (rig cmm), or a camera written by hand (.yaml) or by another program",
     )
     poses: Table = content(TableFile(POSES), "commanded pose of the spindle for each image")
     targets: Table | Result = content(
@@ -97,6 +99,11 @@ class Settings:
         ListOf(Choice("part-pose", "clamping-angle"), distinct=True),
         "unknowns: the 6D or the 7D job",
         default=("part-pose", "clamping-angle"),
+    )
+    camera: OfCameraFile | None = setting(
+        Section(OfCameraFile),
+        "what the camera file does not state: its place in the taper, uncertainties",
+        default=None,
     )
     part: Part | None = setting(
         Section(Part), "temperature and expansion of the part in the machine; its targets are listed at 20 degC", None

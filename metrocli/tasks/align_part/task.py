@@ -68,7 +68,7 @@ def prepared(job: Job[Settings, Files]) -> Problem:
     settings, files = job.settings, job.files
     if files.supports is not None:
         must_level(files.supports)
-    model = camera_of(files.camera)
+    model = camera_of(files.camera, settings.camera)
     if files.images is not None:
         model.must_fit(files.images)
     listed = target_list(files.targets, settings.part)
@@ -91,7 +91,7 @@ def check(job: Job[Settings, Files]) -> None:
             if files.supports is not None:
                 must_level(files.supports)
         with each():
-            camera_of(files.camera).must_fit(images)
+            camera_of(files.camera, job.settings.camera).must_fit(images)
         with each():
             target_list(files.targets, job.settings.part)
         with each():
@@ -123,7 +123,7 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     truth, poses = settings.simulation, files.poses
     if truth is None:
         raise InputError("simulate needs the truth: give `simulation: {part: {x: 10 mm, ...}, clamping_angle: 1 mm/m}`")
-    model = camera_of(files.camera)
+    model = camera_of(files.camera, settings.camera)
     rng = np.random.default_rng(options.seed)
     listed = target_list(files.targets, settings.part)
     known = listed.drawn(known_targets(settings.pattern, listed.table, 0.0), rng)

@@ -12,5 +12,9 @@ KIND = Kind(
     "camera model from images or observed points",
     measured=("observations", "images"),
     planned=("observations", "images"),
+    described=(
+        Question("images", "Images of a board, in quotes, instead of a job, which is then written.", ("PATTERN",)),
+        Question("board", "The board: e.g. 'chessboard 9x6 25 mm', 'charuco 11x8 15 mm 11 mm 4x4_50'.", ("BOARD",)),
+    ),
     questions=(Question("compare", "Fit each lens model and print how well it fits, without writing a result."),),
 )

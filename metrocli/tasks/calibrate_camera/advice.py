@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -13,11 +14,12 @@ from metrocli.arrays import Array, Index, Mask
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import plane_frame
-from metrocli.instruments.conventions import projection_range
-from metrocli.instruments.lens import RATIONAL
+from metrocli.instruments.lenses.conventions import projection_range
+from metrocli.instruments.lenses.distortion import RATIONAL
 from metrocli.table import Table
 from metrocli.targets.lattice import GATE, determines_homography, homography, projected
 from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.camera_parameters import HIGH
 from metrocli.words import listed
 
@@ -247,6 +249,19 @@ def not_found(problem: Problem, images: Group, residuals: Array) -> list[str]:
         for name, size in each
         if size > max(_LOST * most, _APART * typical)
     ]
+
+
+def folds(problem: Problem, adjusted: Adjusted) -> Iterator[tuple[str, bool]]:
+    """Yield where the lens model folds over inside the image, and whether there are readings so far out."""
+    lens, fisheye = adjusted.solution.blocks[camera.LENS].named(), problem.convention == "fisheye"
+    fold = None if problem.convention == "backward" else projection_range(lens, problem.image_size, fisheye)
+    if fold is not None:
+        u, v = adjusted.group.observations.readings
+        yield (
+            f"the lens model folds over at {fold:.0f} px from the principal point, inside the image; "
+            "use fewer distortion parameters",
+            bool(np.hypot(u - lens["cx"], v - lens["cy"]).max() >= fold),
+        )
 
 
 def correlation_warnings(table: Table) -> list[str]:

@@ -18,7 +18,9 @@ from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import Scene, plane_frame, start
-from metrocli.instruments.lens import DISTORTION, PRISM, RATIONAL, plane_point, undistort
+from metrocli.instruments.fisheye_start import start_of_fisheye
+from metrocli.instruments.lenses.distortion import DISTORTION, PRISM, RATIONAL, TILT, undistort
+from metrocli.instruments.lenses.lens import plane_point
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.image_groups import with_groups
 from metrocli.tasks.calibrate_camera.problem import Problem
@@ -51,7 +53,7 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
     check_targets(rig, sighted)
     targets = sighted.targets
     values = _lens_values(settings, size)
-    focal, views = _start(rig, sighted, values, size)
+    focal, views = _start(rig, settings.convention, sighted, values, size)
     for name in ("f", "fx", "fy"):
         if name in values and name not in settings.given():
             values[name] = focal
@@ -102,15 +104,21 @@ def _lens_values(settings: Camera, size: tuple[int, int]) -> dict[str, float]:
     return values
 
 
-def _start(rig: str, sighted: Sighted, values: Mapping[str, float], size: Sequence[int]) -> tuple[float, Array]:
+def _start(
+    rig: str, convention: str, sighted: Sighted, values: Mapping[str, float], size: Sequence[int]
+) -> tuple[float, Array]:
     known = values.get("f") or values.get("fx") or None
     centre = np.array([values["cx"], values["cy"]])
     uv = sighted.observations.readings
+    view, views = (np.zeros_like(sighted.view), 1) if rig == "cmm" else (sighted.view, len(sighted.images))
+    if convention == "fisheye":
+        scene = Scene(sighted.targets.points, uv, sighted.target, view, views)
+        focal, found = start_of_fisheye(scene, values, known, float(max(size)))
+        return focal, found if rig == "board" else poses.inverse(found)
     if known and any(values.get(name) for name in DISTORTION):
         x, y = undistort(*plane_point(values, uv[0], uv[1]), values)
         uv = np.nan_to_num(np.stack([x * known + centre[0], y * known + centre[1]]))
-    view = np.zeros_like(sighted.view) if rig == "cmm" else sighted.view
-    scene = Scene(sighted.targets.points, uv, sighted.target, view, 1 if rig == "cmm" else len(sighted.images))
+    scene = Scene(sighted.targets.points, uv, sighted.target, view, views)
     focal, found = start(scene, centre, known, float(max(size)))
     return focal, found if rig == "board" else poses.inverse(found)
 
@@ -121,7 +129,8 @@ def _better_start(problem: Problem, settings: Camera) -> Problem:
     If the first start ends far from the readings, other focal lengths are tried. Rational and prism terms come last,
     in steps: a richer model starts from the solution of the simpler one that it contains.
     """
-    simple = [name for name in settings.estimate if name not in (*RATIONAL, *PRISM)]
+    last = PRISM if problem.convention == "fisheye" else (*RATIONAL, *PRISM)
+    simple = [name for name in settings.estimate if name not in (*last, *TILT)]
     best = robustly(problem.with_estimate(simple))
     if "f" not in settings.given() and "fx" not in settings.given():
         for guess in _GUESSES:
@@ -138,7 +147,7 @@ def _better_start(problem: Problem, settings: Camera) -> Problem:
 
 def robustly_started(problem: Problem, settings: Camera) -> bool:
     """Return whether the values of a built problem come from a robust start with all its unknowns and readings."""
-    richer = {*RATIONAL, *PRISM} & set(settings.estimate)
+    richer = {*(() if problem.convention == "fisheye" else RATIONAL), *PRISM, *TILT} & set(settings.estimate)
     return not (richer or problem.effects or problem.sighted.eccentric)
 
 
@@ -179,7 +188,7 @@ def _resected(problem: Problem, targets: Array) -> Problem:
     """Return a calibration with its targets at places (n, 3), and with poses found anew by these and its lens."""
     name = camera.view_name(problem.rig)
     sighted = replace(problem.sighted, targets=replace(problem.sighted.targets, points=targets))
-    _, views = _start(problem.rig, sighted, problem.blocks[camera.LENS].named(), problem.image_size)
+    _, views = _start(problem.rig, problem.convention, sighted, problem.blocks[camera.LENS].named(), problem.image_size)
     found = {name: views, camera.TARGET: targets}
     return problem.with_blocks(
         {**problem.blocks, **{key: problem.blocks[key].with_values(one) for key, one in found.items()}}
@@ -193,7 +202,8 @@ def _retried(problem: Problem, focal: float) -> Problem:
         **lens.named(),
         **{name: focal for name in lens.columns if name in ("f", "fx", "fy")},
     }
-    _, views = _start(problem.rig, problem.sighted, {**values, **dict.fromkeys(DISTORTION, 0.0)}, problem.image_size)
+    plain = {**values, **dict.fromkeys(DISTORTION, 0.0)}
+    _, views = _start(problem.rig, problem.convention, problem.sighted, plain, problem.image_size)
     name = camera.view_name(problem.rig)
     return problem.with_blocks(
         {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -13,10 +13,12 @@ from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
-from metrocli.instruments.conventions import projection_range
-from metrocli.instruments.lens import DISTORTION, PRISM, RATIONAL
+from metrocli.instruments.lenses.conventions import projection_range
+from metrocli.instruments.lenses.distortion import DISTORTION, PRISM, RATIONAL
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.shape.found import link_of
+from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.shared.images.tables import root_mean_square
 from metrocli.units import find_unit
 
@@ -30,6 +32,13 @@ LADDER: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("rational + prism", ("k1", "k2", "k3", *RATIONAL, "p1", "p2", *PRISM)),
 )
 """Each model contains the one before it."""
+FISHEYES: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("fisheye k1", ("k1",)),
+    ("fisheye k1 k2", ("k1", "k2")),
+    ("fisheye k1 k2 k3 k4", ("k1", "k2", "k3", "k4")),
+    ("fisheye k1 k2 k3 k4 p1 p2", ("k1", "k2", "k3", "k4", "p1", "p2")),
+)
+"""Likewise"""
 _ALL_FOLDS, _FOLDS = 20, 10
 """Up to 20 images are held out one by one; more are held out in 10 folds"""
 _FOLD_STEPS = 100
@@ -58,13 +67,16 @@ class Fitted:
         return float(np.sqrt(total / count))
 
 
-def compare_models(problem: Problem) -> Table:
-    """Fit the ladder of nested models and return a row for each.
+def compare_models(problems: Sequence[Problem]) -> Table:
+    """Fit the ladder of nested models of each calibration and return a row for each model.
 
     The simplest model whose held-out error is within one standard error of the smallest one is marked as chosen.
     """
-    fitted = list(_climb(problem))
+    ladders = [list(_climb(problem)) for problem in problems]
+    fitted = [model for ladder in ladders for model in ladder]
+    fitted += _splines(fitted[_chosen(fitted)])
     chosen = _chosen(fitted)
+    p_values = [p for ladder in ladders for p in (np.nan, *(_significance(a, b) for a, b in pairwise(ladder)))]
     moves = [_moved(model, fitted[chosen]) for model in fitted]
     remarks = [_remark(model, i == chosen) for i, model in enumerate(fitted)]
     return Table.of(
@@ -73,7 +85,7 @@ def compare_models(problem: Problem) -> Table:
             "unknowns": [model.solution.unknowns for model in fitted],
             "rms [px]": [model.rms for model in fitted],
             "held_out [px]": [model.held_out for model in fitted],
-            "p_value": [float("nan"), *(_significance(a, b) for a, b in pairwise(fitted))],
+            "p_value": [*p_values, *[np.nan] * (len(fitted) - len(p_values))],
             "camera_moves [um]": [find_unit("um", "length").outside(move) for move, _ in moves],
             "camera_turns [arcsec]": [find_unit("arcsec", "angle").outside(turn) for _, turn in moves],
             "remark": remarks,
@@ -83,14 +95,26 @@ def compare_models(problem: Problem) -> Table:
 
 def _climb(problem: Problem) -> Iterator[Fitted]:
     """Fit each model from the solution of the one before, so that the RMS never rises."""
+    ladder = FISHEYES if problem.convention == "fisheye" else LADDER
     lens = problem.blocks[camera.LENS]
     plain = [name for name in lens.columns if name not in DISTORTION and lens.free[0, lens.column(name)]]
-    here = problem.with_lens(dict.fromkeys(LADDER[-1][1], 0.0))
-    for name, terms in LADDER:
+    here = problem.with_lens(dict.fromkeys(ladder[-1][1], 0.0))
+    for name, terms in ladder:
         here = here.with_estimate([*plain, *terms])
         solution = adjust(here.blocks.values(), [here.images, *here.others], here.datum)
         here = here.with_blocks({**here.blocks, **solution.blocks})
         yield Fitted(name, here, solution, root_mean_square(here.images.residuals(here.blocks)), _held_out(here))
+
+
+def _splines(base: Fitted) -> list[Fitted]:
+    """Return the model with the shape of its lens, if the readings show one; its size is that of all images."""
+    shaped = with_shape(base.problem, noise_known=False)
+    if link_of(shaped) is None:
+        return []
+    solution = adjust(shaped.blocks.values(), [shaped.images, *shaped.others], shaped.datum)
+    here = shaped.with_blocks({**shaped.blocks, **solution.blocks})
+    rms = root_mean_square(here.images.residuals(here.blocks))
+    return [Fitted(f"{base.name} + spline", here, solution, rms, _held_out(here))]
 
 
 def _held_out(problem: Problem) -> Array:
@@ -113,9 +137,8 @@ def _held_out(problem: Problem) -> Array:
             Control(limit=_FOLD_STEPS, covariance=False),
         ).blocks
         test = problem.of_images(inside)
-        held = {**test.blocks, **{name: fitted[name].fixed() for name in (camera.LENS, camera.TARGET)}}
-        if problem.rig == "cmm":
-            held[camera.TAPER] = fitted[camera.TAPER].fixed()
+        own = camera.VIEW if problem.rig != "cmm" else ""
+        held = {name: block if name == own else fitted[name].fixed() for name, block in test.blocks.items()}
         posed = adjust(held.values(), [test.images], None, Control(limit=_FOLD_STEPS, covariance=False)).blocks
         residual = test.images.residuals(posed)
         found.append([float((residual**2).sum()), test.images.observations.count])
@@ -130,7 +153,8 @@ def _chosen(fitted: list[Fitted]) -> int:
     """
     sound = [i for i, model in enumerate(fitted) if model.solution.outcome.good] or [0]
     best = min(sound, key=lambda i: fitted[i].held_out)
-    for i in (i for i in sound if i < best):
+    unknowns = [model.solution.unknowns for model in fitted]
+    for i in sorted((i for i in sound if unknowns[i] < unknowns[best]), key=lambda i: unknowns[i]):
         model = fitted[i]
         excess = model.held[:, 0] - fitted[best].held[:, 0]
         if excess.sum() <= np.sqrt(len(excess)) * excess.std(ddof=1):
@@ -165,8 +189,9 @@ def _remark(model: Fitted, chosen: bool) -> str:
         words.append("not determined by these readings")
     elif not model.solution.outcome.good:
         words.append("did not converge")
-    fold = projection_range(model.problem.blocks[camera.LENS].named(), model.problem.image_size)
-    if model.problem.convention == "forward" and fold is not None:
+    lens, convention = model.problem.blocks[camera.LENS].named(), model.problem.convention
+    fold = projection_range(lens, model.problem.image_size, convention == "fisheye")
+    if convention != "backward" and fold is not None:
         words.append(f"folds over at {fold:.0f} px")
     if chosen and model.held_out > _LOST:
         words.append("no model of the ladder fits this lens")

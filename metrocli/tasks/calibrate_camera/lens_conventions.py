@@ -10,8 +10,8 @@ from metrocli.adjust.schur.covariance import Covariance
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array
 from metrocli.instruments import camera
-from metrocli.instruments.conventions import Photogrammetric, converted, photogrammetric
-from metrocli.instruments.lens import PRISM, RATIONAL
+from metrocli.instruments.lenses.conventions import Photogrammetric, converted, photogrammetric
+from metrocli.instruments.lenses.distortion import PRISM, RATIONAL, TILT
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.settings import Camera
@@ -28,15 +28,16 @@ def conventions_table(problem: Problem, settings: Camera, solution: Solution, co
     """
     values = solution.blocks[camera.LENS].named()
     std = dict(zip(values, np.sqrt(np.diag(covariance.of(camera.LENS))).tolist(), strict=True))
-    other = converted(values, problem.convention, problem.image_size)
-    name_of_other = "backward" if problem.convention == "forward" else "forward"
     rows: list[_Row] = [
         (problem.convention, name, value, std[name], unit_of(name), 0.0, 0.0) for name, value in values.items()
     ]
-    rows += [
-        (name_of_other, name, value, std.get(name, float("nan")), unit_of(name), other.rms, other.largest)
-        for name, value in other.values.items()
-    ]
+    if problem.convention != "fisheye":
+        name_of_other = "backward" if problem.convention == "forward" else "forward"
+        other = converted(values, problem.convention, problem.image_size)
+        rows += [
+            (name_of_other, name, value, std.get(name, float("nan")), unit_of(name), other.rms, other.largest)
+            for name, value in other.values.items()
+        ]
     if settings.pixel_size is not None:
         rows += _in_mm(problem, settings.pixel_size, values, std)
     form = photogrammetric_form(problem, settings, solution)
@@ -51,7 +52,7 @@ def photogrammetric_form(problem: Problem, settings: Camera, solution: Solution)
     None without a pixel size, and for a lens that has no such form: backward, or with rational or prism terms.
     """
     values, pixel = solution.blocks[camera.LENS].named(), settings.pixel_size
-    if pixel is None or problem.convention != "forward" or any(values.get(name) for name in (*RATIONAL, *PRISM)):
+    if pixel is None or problem.convention != "forward" or any(values.get(name) for name in (*RATIONAL, *PRISM, *TILT)):
         return None
     r0 = settings.reference_radius
     if r0 is None:

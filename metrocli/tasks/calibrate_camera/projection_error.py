@@ -7,8 +7,10 @@ import numpy as np
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index
 from metrocli.instruments import camera
-from metrocli.instruments.lens import focal, ideal_point, image_point
+from metrocli.instruments.lenses.lens import equidistant, focal, ideal_point, image_point, unit_vector
 from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.shape.found import by_shape, link_of
+from metrocli.tasks.calibrate_camera.shape.spline import SHAPE
 from metrocli.tasks.shared.statistics import Statistics
 from metrocli.units.people import two_digits
 
@@ -38,9 +40,13 @@ def corner_std(problem: Problem, solution: Solution, readings: Array) -> float:
     there = _Linear(problem, lens.columns, lens.values[0])
     at_corners, by_turn = there.by_lens(corners, free), there.by_turn(corners)
     near, near_turn = there.by_lens(some, free), there.by_turn(some)
+    if (link := link_of(problem)) is not None:
+        at_corners, near = (
+            np.concatenate([lens, by_shape(link, uv)], axis=1) for lens, uv in ((at_corners, corners), (near, some))
+        )
     imitated = np.linalg.lstsq(near_turn, near, rcond=None)[0]
     change = at_corners - by_turn @ imitated
-    covariance = solution.covariance_or_raise().of(camera.LENS)[np.ix_(free, free)]
+    covariance = solution.joint((camera.LENS, *([SHAPE] if link is not None else [])))
     variance = np.einsum("ia,ab,ib->i", change, covariance, change)
     return float(np.sqrt(np.maximum(variance.reshape(2, -1).sum(axis=0), 0.0).max()))
 
@@ -60,12 +66,13 @@ class _Linear:
         A polynomial may have further ones beyond its fold; where it folds before the image point, that of the fold.
         """
         lens = self.named(self.values)
-        if self.convention != "forward":
+        if self.convention == "backward":
             return np.array(ideal_point(lens, uv[0], uv[1], self.convention))
         fx, fy = focal(lens)
         centre = np.array([[lens["cx"]], [lens["cy"]]])
         away = (uv - centre) / [[fx], [fy]]
-        reached = np.array(image_point(lens, *(away[:, :, None] * _ALONG))) - centre[:, :, None]
+        tried = away[:, :, None] * _ALONG
+        reached = np.array(image_point(lens, tried[0], tried[1], self.convention == "fisheye")) - centre[:, :, None]
         radius, wanted = np.hypot(*reached), np.hypot(*(uv - centre))[:, None]
         grows = np.cumprod(np.diff(radius, axis=1, prepend=0.0) > 0, axis=1)
         last = np.maximum((grows * (radius < wanted)).sum(axis=1), 1) - 1
@@ -73,8 +80,8 @@ class _Linear:
 
     def image(self, values: Array, uv: Array, directions: Array) -> Array:
         lens = self.named(values)
-        if self.convention == "forward":
-            return np.concatenate(image_point(lens, *directions))
+        if self.convention != "backward":
+            return np.concatenate(image_point(lens, directions[0], directions[1], self.convention == "fisheye"))
         # the measured point is corrected: a change of its direction at a fixed pixel, in pixels
         fx, fy = focal(lens)
         x, y = ideal_point(lens, uv[0], uv[1], self.convention)
@@ -94,10 +101,23 @@ class _Linear:
         """Return the derivatives by a rotation of the camera about x, y and z, (2 n, 3), without distortion."""
         fx, fy = focal(self.named(self.values))
         x, y = self.directions(uv)
+        if self.convention == "fisheye":
+            return self._turned(np.stack([x, y]), np.array([[fx], [fy]]))
         by_x = np.concatenate([fx * x * y, fy * (1 + y**2)])
         by_y = np.concatenate([fx * (1 + x**2), fy * x * y])
         by_z = np.concatenate([fx * -y, fy * x])
         return np.stack([by_x, by_y, by_z], axis=1)
+
+    @staticmethod
+    def _turned(flat: Array, focals: Array) -> Array:
+        """Return the derivatives `by_turn` of a fisheye at points of its plane (2, n), by differences."""
+        seen = unit_vector(flat)
+        columns = []
+        for axis in np.eye(3) * _STEP:
+            moved = np.cross(axis, seen, axisb=0, axisc=0)
+            ahead, behind = (equidistant(seen + sign * moved) for sign in (1, -1))
+            columns.append((focals * [ahead.x - behind.x, ahead.y - behind.y] / (2 * _STEP)).ravel())
+        return np.stack(columns, axis=1)
 
 
 def coverage_note(statistics: Statistics) -> str:

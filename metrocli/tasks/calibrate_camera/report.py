@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
@@ -14,11 +12,16 @@ from metrocli.effects.estimates import tables as effect_results
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
-from metrocli.instruments.conventions import projection_range
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
-from metrocli.tasks.calibrate_camera.advice import correlation_warnings, not_found, seen_from_behind, turned_too_little
+from metrocli.tasks.calibrate_camera.advice import (
+    correlation_warnings,
+    folds,
+    not_found,
+    seen_from_behind,
+    turned_too_little,
+)
 from metrocli.tasks.calibrate_camera.diagnosis import uncontrolled
 from metrocli.tasks.calibrate_camera.doubts import PrincipalPoint, held_doubts, principal_point, too_near, unmodelled
 from metrocli.tasks.calibrate_camera.length_errors import LengthErrors, length_errors
@@ -28,9 +31,11 @@ from metrocli.tasks.calibrate_camera.lens_conventions import (
     form_covariance,
     photogrammetric_form,
 )
+from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.projection_error import corner_std, coverage_note, coverage_warnings
 from metrocli.tasks.calibrate_camera.settings import Camera, Settings
+from metrocli.tasks.calibrate_camera.shape.found import shape_notes, shape_rms, shape_table
 from metrocli.tasks.calibrate_camera.turned_images import turned_images
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.camera_parameters import POSE_UNITS, Parameters, parameters, unit_of
@@ -53,6 +58,9 @@ from metrocli.tasks.shared.statistics import (
 )
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.uncertainty.predicted import POINTS_COVARIANCE
+
+_POOR = 2.0
+"""sigma0 above which another lens model is tried"""
 
 
 @dataclass(frozen=True)
@@ -115,6 +123,7 @@ def report(problem: Problem, job: Settings, adjusted: Adjusted, tests: Table | N
             *(tested.notes if tested is not None else ()),
             *adjustment_notes(adjusted),
             coverage_note(statistics),
+            *shape_notes(problem, solution, settings.model),
             *(noise_notes(solution) if adjusted.noise is None else ()),
             *in_words(hidden),
         ),
@@ -141,6 +150,7 @@ def _tables_and_arrays(solved: _Calibration, views: Table, hidden: Table) -> tup
         "significance": p.significance(),
         "conventions": conventions_table(problem, settings, solution, covariance),
         "camera": _camera(solved),
+        **shape_table(problem, solution),
         TABLE: hidden,
         **effect_tables,
     }
@@ -178,6 +188,7 @@ def _statistics(solved: _Calibration) -> Statistics:
         "targets": len(np.unique(observations.index[camera.TARGET])),
         **coverage(observations.readings, problem.image_size, (lens["cx"], lens["cy"])),
         "corner_std": corner_std(problem, solution, observations.readings),
+        "shape_rms": shape_rms(problem, solution),
         "sigma0_low": low,
         "sigma0_high": high,
         "condition": float(np.sqrt(eigenvalues.max(initial=1.0) / max(eigenvalues.min(initial=1.0), 1e-300))),
@@ -265,7 +276,7 @@ def _warnings(solved: _Calibration, views: Table) -> list[str]:
     lines += turned_too_little(problem, solved.solution) + seen_from_behind(problem, solved.solution)
     lines += noise_warnings(solved.solution) if adjusted.noise is None else []
     lines += solved.centre.warnings() if solved.centre is not None else []
-    return lines + [text for text, among in _folds(solved) if not among]
+    return lines + [text for text, among in folds(solved.problem, adjusted) if not among]
 
 
 def _doubts(solved: _Calibration) -> list[str]:
@@ -276,23 +287,14 @@ def _doubts(solved: _Calibration) -> list[str]:
     does not describe the images.
     """
     problem, residuals = solved.problem, solved.adjusted.group.residuals(solved.solution.blocks)
+    folded = [text for text, among in folds(problem, solved.adjusted) if among]
+    lost = not_found(problem, solved.adjusted.group, residuals)
+    smooth = [] if lost else unmodelled(problem, solved.adjusted)
+    poor = lost or smooth or folded or solved.solution.sigma0 > _POOR
+    if poor and (other := fisheye_instead(problem, solved.settings, root_mean_square(residuals))):
+        return other
     centre = solved.centre.doubts() if solved.centre is not None else []
     near = too_near(problem, solved.adjusted, solved.settings.pixel_size)
     held = held_doubts(problem, solved.settings, solved.adjusted)
-    lost = not_found(problem, solved.adjusted.group, residuals)
-    smooth = [] if lost else unmodelled(problem, solved.adjusted)
     turned = [] if lost or smooth else turned_images(problem, solved.adjusted)
-    return [*turned, *lost, *smooth, *centre, *held, *near, *(text for text, among in _folds(solved) if among)]
-
-
-def _folds(solved: _Calibration) -> Iterator[tuple[str, bool]]:
-    """Yield where the lens model folds over inside the image, and whether there are readings so far out."""
-    problem, lens = solved.problem, solved.lens.named()
-    fold = projection_range(lens, problem.image_size) if problem.convention == "forward" else None
-    if fold is not None:
-        u, v = solved.adjusted.group.observations.readings
-        yield (
-            f"the lens model folds over at {fold:.0f} px from the principal point, inside the image; "
-            "use fewer distortion parameters",
-            bool(np.hypot(u - lens["cx"], v - lens["cy"]).max() >= fold),
-        )
+    return [*turned, *lost, *smooth, *centre, *held, *near, *folded]

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
-from metrocli.instruments.lens import PARAMETERS, PIXELS
+from metrocli.instruments.lenses.lens import PARAMETERS, UNITS
 from metrocli.settings import Choice, Either, ImageFiles, ListOf, Quantity, Section, TableFile, Whole, setting
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import Columns, Table, columns
+from metrocli.targets.board_in_words import board_in_words
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.tasks.shared.images.settings import (
     ESTIMATE,
+    SPLINE,
     Extrinsics,
+    LensModel,
     LensValues,
     eccentricity_setting,
     image_faults,
@@ -58,8 +62,12 @@ class LengthLimit:
             yield "constant", "the limit is zero for every length: give constant or proportional"
 
 
+_USUAL = {"fisheye": ("k1", "k2", "k3", "k4"), "division": ("k4",)}
+"""Distortion that is estimated unless the job names others"""
+
+
 @dataclass(frozen=True, kw_only=True)
-class Camera(LensValues):
+class Camera(LensModel):
     """The camera to calibrate; a given parameter is known, or the starting value if it is estimated too."""
 
     image_size: tuple[int, int] | None = setting(
@@ -72,13 +80,8 @@ class Camera(LensValues):
     )
     estimate: tuple[str, ...] = setting(
         ListOf(Choice(*PARAMETERS), distinct=True),
-        "parameters to estimate",
-        default=("f", "cx", "cy", "k1", "k2", "p1", "p2"),
-    )
-    convention: str = setting(
-        Choice("forward", "backward"),
-        "forward: distortion at the ideal point; backward: correction at the measured point",
-        default="forward",
+        "parameters to estimate; f cx cy k1 k2 p1 p2 unless given, k1 to k4 for a fisheye, k4 for division",
+        default=None,
     )
     reference_radius: float | None = setting(
         Quantity("length"),
@@ -86,9 +89,25 @@ class Camera(LensValues):
         default=None,
     )
 
+    base: str = setting(Choice("opencv", "fisheye"), "the lens that a spline shifts", default="opencv")
+
+    @property
+    def formula(self) -> str:
+        """Return the model that its parameters belong to: that of the base of a spline."""
+        return self.base if self.model == SPLINE else super().formula
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.estimate is None:
+            usual = _USUAL.get(self.formula, ("k1", "k2", "p1", "p2"))
+            object.__setattr__(self, "estimate", ("f", "cx", "cy", *usual))
+
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield (key, message) for keys that contradict each other."""
         chosen = set(self.estimate) | set(self.given())
+        yield from self.model_faults(chosen, "estimate")
+        if self.base != "opencv" and self.model != SPLINE:
+            yield "base", "base is the lens that a spline shifts: write model: spline"
         if "f" in chosen and chosen & {"fx", "fy"}:
             yield "estimate", "f is one focal length for both axes: name either f, or fx and fy"
         if "aspect" in chosen and chosen & {"fx", "fy"}:
@@ -202,10 +221,19 @@ class Settings:
             yield "length_limit", "a limit needs the lengths it is for: give `inputs: test_lengths`"
 
 
+def job_of(images: str, board: str, output: str) -> str:
+    """Return the text of the job of images and the board that they show; raises UsageError as `board_in_words`."""
+    pattern = ", ".join(f"{key}: {value}" for key, value in board_in_words(board).items())
+    return (
+        f"metrocli: 1\njob: calibrate-camera\nrig: board\ninputs: {{images: {json.dumps(images)}}}\n"
+        f"pattern: {{{pattern}}}\nnoise: estimated\noutput: {json.dumps(output)}\n"
+    )
+
+
 _STATISTICS = (
     "noise", "rank", "rms_u", "rms_v", "readings", "rejected", "images", "targets", "coverage_cells", "coverage_hull",
-    "coverage_radius", "corner_std", "sigma0_low", "sigma0_high", "condition", "image_width", "image_height",
-    "pixel_size",
+    "coverage_radius", "corner_std", "shape_rms", "sigma0_low", "sigma0_high", "condition", "image_width",
+    "image_height", "pixel_size",
 )  # fmt: skip
 _LENGTHS = ("test_lengths", "length_measuring_error", "length_max_en", "length_error_over_limit")
 """Of lengths that test the network"""
@@ -213,5 +241,5 @@ _LENGTHS = ("test_lengths", "length_measuring_error", "length_max_en", "length_e
 
 def figures(settings: Settings) -> dict[str, str]:
     """Return the units of the figures; the pose is there only with rig cmm."""
-    lens = {name: "px" if name in PIXELS else "1" for name in PARAMETERS}
+    lens = {name: UNITS.get(name, "1") for name in PARAMETERS}
     return adjusted(lens | POSE, (*_STATISTICS, *_LENGTHS), ["px"])

@@ -22,15 +22,17 @@ from metrocli.tasks.calibrate_camera.compare import compare_models
 from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
+from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.report import report
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
+from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_views, true_model, with_lengths
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.camera_parameters import delivered
 from metrocli.tasks.shared.images.places import not_sought
-from metrocli.tasks.shared.images.settings import ESTIMATE
+from metrocli.tasks.shared.images.settings import ESTIMATE, SPLINE
 from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
 from metrocli.tasks.shared.images.simulation import (
     Draw,
@@ -42,6 +44,7 @@ from metrocli.tasks.shared.images.simulation import (
     sights,
     true_targets,
 )
+from metrocli.tasks.shared.images.tables import root_mean_square
 from metrocli.tasks.shared.images.target_list import known_targets
 from metrocli.tasks.shared.lists import listed_places
 
@@ -70,8 +73,10 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
 
 
 def compare(job: Job[Settings, Files]) -> Table:
-    """Return a row for each lens model, from pinhole to rational with thin prism."""
-    return compare_models(prepared(replace(job, effects=()))[1])
+    """Return a row for each lens model, from pinhole to rational with thin prism, and for fisheyes."""
+    plain = replace(job.settings, camera=replace(job.settings.camera, model=job.settings.camera.formula, base="opencv"))
+    settings, problem = prepared(replace(job, settings=plain, effects=()))
+    return compare_models([problem, *other_models(problem, settings.camera)])
 
 
 def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
@@ -86,6 +91,8 @@ def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
     sighted = sightings(settings, files.observations, files.targets, images, needs)
     must_not_be_used(files.test_lengths, files.scale_bars)
     problem = build(settings.rig, settings.camera, sighted, files.scale_bars)
+    if settings.camera.model == SPLINE:
+        problem = with_shape(problem, settings.noise not in FROM_RESIDUALS)
     return settings, problem.with_effects(job.effects)
 
 
@@ -115,7 +122,10 @@ def solved(settings: Settings, problem: Problem) -> Adjusted:
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW or ran_out(problem, solution):
         raise UndeterminedError(explained(problem, solution, adjusted.rejected), solution.misfit)
-    must_converge(solution, () if solution.outcome.good else strange_images(problem, problem.images))
+    if not solution.outcome.good:
+        off = root_mean_square(problem.images.residuals({**problem.blocks, **solution.blocks}))
+        other = fisheye_instead(problem, settings.camera, off)
+        must_converge(solution, (*other, *strange_images(problem, problem.images)))
     return adjusted
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from metrocli.adjust.model.observations import Observations
 from metrocli.geometry import poses
-from metrocli.instruments.lens import image_point
+from metrocli.instruments.lenses.lens import image_point
 from metrocli.tasks.calibrate_camera.build import build
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.settings import Camera

@@ -60,8 +60,18 @@ def board(folder: Path, lens: Callable[[Array, Array], Array], near: float, imag
     return folder / "job.yaml"
 
 
+def waved(x: Array, y: Array) -> Array:
+    """A lens with a shape that no polynomial of its radius has, nor a fisheye."""
+    return 420 * np.stack([x + 0.006 * np.sin(9 * y), y - 0.006 * np.sin(8 * x)])
+
+
 def test_a_fisheye_as_pinhole_is_doubtful(tmp_path: Path, metrocli: Metrocli) -> None:
     ran = metrocli("calibrate-camera", board(tmp_path, fisheye, 125.0))
+    assert ran.code == 6 and "the lens is a fisheye" in ran.out
+
+
+def test_a_shape_that_no_lens_model_has_is_doubtful(tmp_path: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("calibrate-camera", board(tmp_path, waved, 200.0))
     assert ran.code == 6
     assert "are smooth in each image" in ran.out and "--compare shows" in ran.out
 

@@ -1,6 +1,6 @@
 """probing: build the adjustment of balls on the workpiece that a probe at the spindle finds.
 
-A reading is the displacement of a ball against the probe, `B_w b - B_t T` in the axes of the bed, which an R-test shows.
+A reading is the displacement of a ball against the probe, `B_w b - B_t T` in the axes of the bed, as an R-test has it.
 It is zero for a touch probe, since its commanded position is where it found the centre.
 """
 

@@ -14,7 +14,8 @@ from metrocli.effects.model import Added
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
-from metrocli.instruments.lens import DISTORTION, PIXELS
+from metrocli.instruments.lenses.distortion import DISTORTION
+from metrocli.instruments.lenses.lens import UNITS
 from metrocli.table import Table
 
 HIGH = 0.95
@@ -66,7 +67,7 @@ class Parameters:
 
 def unit_of(name: str) -> str:
     """Return the unit of a lens parameter."""
-    return "px" if name in PIXELS else "1"
+    return UNITS.get(name, "1")
 
 
 def delivered(rig: str, effects: Sequence[Added] = ()) -> tuple[str, ...]:

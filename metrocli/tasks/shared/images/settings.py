@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Protocol
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import make_dataclass
+from typing import Any, Protocol
 
 from metrocli.frozen import dataclass
-from metrocli.instruments.lens import PARAMETERS
+from metrocli.geometry.poses import EULER
+from metrocli.instruments.lenses.distortion import DISTORTION, OF_FISHEYE, RATIONAL, TILT
+from metrocli.instruments.lenses.forms import PROGRAMS
+from metrocli.instruments.lenses.lens import PARAMETERS, UNITS
 from metrocli.settings import Choice, ListOf, Number, Quantity, Section, Whole, setting
 from metrocli.targets.pattern import GRIDS, Pattern
+from metrocli.tasks.shared.figures import POSE
 
 ESTIMATE = "estimate"
 """Value of `targets` with which coordinates without a standard deviation are unknowns"""
@@ -74,8 +79,18 @@ def image_faults(
         yield "inputs", "the key 'targets' is missing in 'inputs': the coordinates of the targets"
 
 
+SPLINE = "spline"
+MODELS = {"opencv": "forward", "fisheye": "fisheye", "backward": "backward", "division": "backward"}
+"""The convention of each lens model"""
+_TERMS = {
+    "fisheye": OF_FISHEYE,
+    "backward": tuple(name for name in DISTORTION if name not in TILT),
+    "division": RATIONAL,
+}
+"""Distortion parameters of models that lack some"""
 _PX = Quantity("pixel")
 _FOCAL = Quantity("pixel", minimum=1.0)
+_ANGLE = Quantity("angle")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +107,7 @@ class LensValues:
     k1: float | None = setting(Number(), "radial distortion", default=None)
     k2: float | None = setting(Number(), "radial distortion", default=None)
     k3: float | None = setting(Number(), "radial distortion", default=None)
-    k4: float | None = setting(Number(), "rational radial distortion", default=None)
+    k4: float | None = setting(Number(), "rational radial distortion; the fourth radial one of a fisheye", default=None)
     k5: float | None = setting(Number(), "rational radial distortion", default=None)
     k6: float | None = setting(Number(), "rational radial distortion", default=None)
     p1: float | None = setting(Number(), "tangential distortion", default=None)
@@ -101,10 +116,51 @@ class LensValues:
     s2: float | None = setting(Number(), "thin prism", default=None)
     s3: float | None = setting(Number(), "thin prism", default=None)
     s4: float | None = setting(Number(), "thin prism", default=None)
+    tau_x: float | None = setting(_ANGLE, "tilt of the sensor about x", default=None)
+    tau_y: float | None = setting(_ANGLE, "tilt of the sensor about y", default=None)
 
     def given(self) -> dict[str, float]:
         """Return the parameters that the file gives, by name."""
         return {name: value for name in PARAMETERS if (value := getattr(self, name)) is not None}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LensModel(LensValues):
+    """Lens parameters with the model that they belong to."""
+
+    model: str | None = setting(
+        Choice(*MODELS, SPLINE),
+        "opencv: distortion of the tangent of the angle from the axis; fisheye: of the angle itself (equidistant); "
+        "backward: correction at the measured point; division: backward, with k4 k5 k6 only; "
+        "spline: base, with a smooth shift over the image",
+        default=None,
+    )
+    convention: str = setting(
+        Choice("forward", "backward"),
+        "forward: distortion at the ideal point; backward: correction at the measured point",
+        default=None,
+    )
+
+    @property
+    def formula(self) -> str:
+        """Return the model that its parameters belong to."""
+        return self.model or "opencv"
+
+    def __post_init__(self) -> None:
+        if self.convention is None:
+            object.__setattr__(self, "convention", MODELS[self.formula])
+
+    def model_faults(self, chosen: Collection[str], key: str) -> Iterable[tuple[str, str]]:
+        """Yield (key, message) for a model and a convention, or parameters, that contradict each other."""
+        if self.model and self.convention != MODELS[self.formula]:
+            yield (
+                "model",
+                f"the model {self.model} does not go with the convention {self.convention}: leave out convention",
+            )
+        named = self.formula if self.model else self.convention
+        lacking = set(chosen) - set(_TERMS.get(named, DISTORTION))
+        if wrong := [name for name in DISTORTION if name in lacking]:
+            yield key, f"the model {named} has no {' '.join(wrong)}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,19 +175,52 @@ class Extrinsics:
     gamma: float = setting(Quantity("angle"), "turn about z, third")
 
 
+_SPREAD: Mapping[str, Any] = {
+    "px": Quantity("pixel", minimum=0.0), "rad": Quantity("angle", minimum=0.0), "mm": Quantity("length", minimum=0.0)
+}  # fmt: skip
+CameraUncertainty: Any = make_dataclass(
+    "CameraUncertainty",
+    [
+        (name, float | None, setting(_SPREAD.get(unit, Number(minimum=0.0)), f"of {name}", default=None))
+        for name, unit in ({name: UNITS.get(name, "1") for name in PARAMETERS} | POSE).items()
+    ],
+    frozen=True,
+    kw_only=True,
+)
+CameraUncertainty.__doc__ = "Standard uncertainties of a camera file: lens parameters, and the camera in the taper."
+
+
 @dataclass(frozen=True, kw_only=True)
-class CameraFile(LensValues):
-    """A calibrated camera written by hand, taken as exact."""
+class OfCameraFile:
+    """What a camera file does not state."""
+
+    extrinsics: Extrinsics | None = setting(Section(Extrinsics), "the camera in the taper", default=None)
+    uncertainty: Any = setting(
+        Section(CameraUncertainty), "standard uncertainties, as if independent; what is left out is exact", default=None
+    )
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield (key, message) for a pose of which some uncertainties are missing."""
+        given = {name for name, value in vars(self.uncertainty).items() if value} if self.uncertainty else set()
+        if lacking := sorted(set(EULER) - given, key=EULER.index) if given & set(EULER) else []:
+            text = "the pose of the camera has uncertainties of all six or of none: {} missing"
+            yield "uncertainty", text.format(" ".join(lacking))
+
+
+CAMERA_FILES = (".txt", ".xml", ".cameramodel", ".m")
+"""Endings of camera files of other programs that are no YAML"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraFile(LensModel):
+    """A calibrated camera written by hand or by another program."""
 
     image_size: tuple[int, int] = setting(
         ListOf(Whole(minimum=2, maximum=100_000), length=2), "width and height in pixels"
     )
     pixel_size: float | None = setting(Quantity("length", positive=True), "side of a pixel", default=None)
-    convention: str = setting(
-        Choice("forward", "backward"),
-        "forward: distortion at the ideal point; backward: correction at the measured point",
-        default="forward",
-    )
+    model: str | None = setting(Choice(*MODELS), "opencv, fisheye, backward or division", default=None)
+    program: str | None = setting(Choice(*PROGRAMS), "the program whose file this was", default=None)
     extrinsics: Extrinsics | None = setting(Section(Extrinsics), "the camera in the taper", default=None)
 
     def faults(self) -> Iterable[tuple[str, str]]:
@@ -141,3 +230,4 @@ class CameraFile(LensValues):
             yield "", "the focal length is missing: give f, or fx and fy"
         if "f" in given and given & {"fx", "fy"}:
             yield "f", "give either f, or fx and fy"
+        yield from self.model_faults(given, "model")

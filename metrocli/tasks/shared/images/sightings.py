@@ -15,7 +15,7 @@ from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
 from metrocli.table import Columns, Table, columns
-from metrocli.targets.find import find, likely_size
+from metrocli.targets.find import find
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.images.eccentricity import SIZE
 from metrocli.tasks.shared.images.settings import ImageSettings
@@ -109,15 +109,17 @@ def _refuse_few(sighted: Sighted, names: Sequence[str], pattern: Pattern | None,
     if len(lost) <= _MOST_LOST * whole:
         return
     text = f"{len(lost)} of {whole} images cannot be used, more than a third: {listed(lost, 5)}"
-    size = _shown_size(pattern, images, lost) if pattern is not None and images is not None else ""
+    size = _shown_board(pattern, images, lost) if pattern is not None and images is not None else ""
     raise InputError([Fault(text + size, hint="; ".join(sighted.warnings[:3]))])
 
 
-def _shown_size(pattern: Pattern, images: ImageSet, lost: Sequence[str]) -> str:
-    """Return the end of a message, with the size of the board that some of the lost images show; empty without one."""
+def _shown_board(pattern: Pattern, images: ImageSet, lost: Sequence[str]) -> str:
+    """Return the end of a message, with the board that some of the lost images show; empty without one."""
+    from metrocli.targets.likely_board import likely_board  # OpenCV takes longer to load than most jobs without images
+
     chosen = set(lost[:: max(len(lost) // _TRIED, 1)][:_TRIED])
-    size = likely_size(pattern, (picture for name, picture in images if name in chosen))
-    return f"; they show {size[0]} x {size[1]}: is it columns: {size[0]}, rows: {size[1]}?" if size else ""
+    board = likely_board(pattern, (picture for name, picture in images if name in chosen))
+    return f"; they show {board}" if board else ""
 
 
 def placed(sighted: Sighted, least: Index) -> Sighted:
@@ -196,7 +198,7 @@ def _in_all(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]
         sizes.append(np.sqrt(found.axes.prod(axis=1)))
     uv = np.concatenate([*parts, np.zeros((0, 2))])
     if not len(uv):
-        text = f"no target found in any of {len(images.names)} images{_shown_size(pattern, images, images.names)}"
+        text = f"no target found in any of {len(images.names)} images{_shown_board(pattern, images, images.names)}"
         raise InputError([Fault(text, hint="; ".join(warnings[:3]))])
     table = Table.of({"image": names, "target": targets, "u v [px]": uv, SIZE: np.concatenate(sizes)})
     if copied := copies.faults(table, OBSERVATIONS):

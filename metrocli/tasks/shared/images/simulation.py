@@ -19,7 +19,7 @@ from metrocli.errors import InputError, UsageError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.camera import TARGET
-from metrocli.instruments.lens import ideal_point, image_point
+from metrocli.instruments.lenses.lens import direction, equidistant, ideal_point, image_point
 from metrocli.table import Table
 from metrocli.targets import drawings, render
 from metrocli.targets.codes import codes
@@ -95,9 +95,11 @@ def sightings_table(shown: Shown, seen: Sights, sigma: float, rng: np.random.Gen
 def _projected(shown: Shown, image: int, chosen: Index) -> tuple[Array, Mask]:
     """Return image points (n, 2) and whether the image of the whole target, radius included, is inside the image."""
     points = poses.apply(shown.to_camera[image], shown.targets.points[chosen])
-    front = points[:, 2] > 0
-    z = np.where(front, points[:, 2], 1.0)
-    x, y = points[:, 0] / z, points[:, 1] / z
+    fisheye = shown.convention == "fisheye"
+    front = (points[:, 2] > 0) | fisheye
+    z = np.linalg.norm(points, axis=1) if fisheye else np.where(front, points[:, 2], 1.0)
+    flat = equidistant(points.T) if fisheye else None
+    x, y = (points[:, 0] / z, points[:, 1] / z) if flat is None else (flat.x, flat.y)
     u, v = _distorted(shown, x, y)
     size = (
         max(shown.lens.get("f", 0.0), shown.lens.get("fx", 0.0)) * np.nan_to_num(shown.targets.radius[chosen]) / z
@@ -120,8 +122,8 @@ def _mapped(shown: Shown, x: Array, y: Array, u: Array, v: Array) -> Mask:
 
 def _distorted(shown: Shown, x: Array, y: Array) -> tuple[Array, Array]:
     """Return the image points u, v [px] of ideal points x, y in the plane Z = 1; a backward lens is iterated."""
-    if shown.convention == "forward":
-        return image_point(shown.lens, x, y)
+    if shown.convention != "backward":
+        return image_point(shown.lens, x, y, shown.convention == "fisheye")
     u, v = image_point(
         {name: value for name, value in shown.lens.items() if name[0] not in "kps" or name == "skew"}, x, y
     )
@@ -206,9 +208,8 @@ def drawer(shown: Shown, pattern: Pattern, image: int, chosen: list[int], seed: 
 
 
 def _rays(shown: Shown, uv: Array) -> Array:
-    x, y = ideal_point(shown.lens, uv[:, 0], uv[:, 1], shown.convention)
-    both = np.column_stack([x, y, np.ones_like(x)])
-    unit: Array = both / np.linalg.norm(both, axis=1, keepdims=True)
+    seen = direction(shown.lens, uv[:, 0], uv[:, 1], shown.convention).T
+    unit: Array = seen / np.linalg.norm(seen, axis=1, keepdims=True)
     return unit
 
 

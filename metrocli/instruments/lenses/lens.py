@@ -1,4 +1,7 @@
-"""The lens: link from a point in the camera frame to an image point in pixels, with forward or backward distortion."""
+"""The lens: link from a point in the camera frame to an image point in pixels.
+
+The distortion is a function of the ideal point (forward, fisheye) or of the measured point (backward).
+"""
 
 from __future__ import annotations
 
@@ -11,111 +14,13 @@ from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
+from metrocli.instruments.lenses.distortion import DISTORTION, TILT, Distorted, distort, undistort
 
-RADIAL, RATIONAL = ("k1", "k2", "k3"), ("k4", "k5", "k6")
-TANGENTIAL, PRISM = ("p1", "p2"), ("s1", "s2", "s3", "s4")
-DISTORTION = (*RADIAL, *RATIONAL, *TANGENTIAL, *PRISM)
 PARAMETERS = ("f", "fx", "fy", "aspect", "cx", "cy", "skew", *DISTORTION)
 """All lens parameters. With one focal length, `fx = f (1 + aspect)` and `fy = f`, else aspect is not used; skew adds
 `fx skew y'` to u."""
-PIXELS = ("f", "fx", "fy", "cx", "cy")
-"""Parameters in pixels; all others have no unit."""
-
-
-@dataclass(frozen=True)
-class Distorted:
-    """Distorted points of the plane Z = 1 with their derivatives."""
-
-    x: Array
-    y: Array
-    by_x: tuple[Array, Array]
-    """(dx'/dx, dy'/dx)"""
-    by_y: tuple[Array, Array]
-    terms: Mapping[str, tuple[Array | float, Array | float]]
-    """(dx'/dk, dy'/dk) for each wanted parameter"""
-
-
-def distort(x: Array, y: Array, k: Mapping[str, float], wanted: tuple[str, ...] = ()) -> Distorted:
-    """Return the distorted points of the plane Z = 1 with derivatives by x, y and by the wanted parameters.
-
-    - `x' = x R + 2 p1 x y + p2 (r2 + 2 x2) + s1 r2 + s2 r4`, and likewise y'
-    - `R = (1 + k1 r2 + k2 r4 + k3 r6) / (1 + k4 r2 + k5 r4 + k6 r6)`
-
-    Names and meaning of the parameters are those of OpenCV.
-    """
-    g = {name: k.get(name, 0.0) for name in DISTORTION}
-    xx, yy, xy = x * x, y * y, x * y
-    r2 = xx + yy
-    top = 1 + r2 * (g["k1"] + r2 * (g["k2"] + r2 * g["k3"]))
-    top_by = g["k1"] + r2 * (2 * g["k2"] + r2 * (3 * g["k3"]))
-    radial, radial_by, below = top, top_by, None
-    if any(name in wanted or np.any(k.get(name, False)) for name in RATIONAL):
-        bottom = 1 + r2 * (g["k4"] + r2 * (g["k5"] + r2 * g["k6"]))
-        below = 1 / bottom
-        radial = top * below
-        radial_by = (top_by - radial * (g["k4"] + r2 * (2 * g["k5"] + r2 * (3 * g["k6"])))) * below
-    xd = x * radial + 2 * g["p1"] * xy + g["p2"] * (r2 + 2 * xx)
-    yd = y * radial + g["p1"] * (r2 + 2 * yy) + 2 * g["p2"] * xy
-    cross = 2 * xy * radial_by + 2 * (g["p1"] * x + g["p2"] * y)
-    by_x = (radial + 2 * xx * radial_by + 2 * g["p1"] * y + 6 * g["p2"] * x, cross)
-    by_y = (cross, radial + 2 * yy * radial_by + 6 * g["p1"] * y + 2 * g["p2"] * x)
-    if any(np.any(k.get(name, False)) for name in PRISM):
-        slope_x, slope_y = 2 * g["s1"] + 4 * g["s2"] * r2, 2 * g["s3"] + 4 * g["s4"] * r2
-        xd, yd = xd + r2 * (g["s1"] + g["s2"] * r2), yd + r2 * (g["s3"] + g["s4"] * r2)
-        by_x = (by_x[0] + x * slope_x, by_x[1] + x * slope_y)
-        by_y = (by_y[0] + y * slope_x, by_y[1] + y * slope_y)
-    return Distorted(xd, yd, by_x, by_y, _terms(x, y, radial, below, wanted))
-
-
-def _terms(
-    x: Array, y: Array, radial: Array, below: Array | None, wanted: tuple[str, ...]
-) -> dict[str, tuple[Array | float, Array | float]]:
-    r2 = x * x + y * y
-    terms: dict[str, tuple[Array | float, Array | float]] = {}
-    power = r2 if below is None else r2 * below
-    for name in RADIAL:
-        if name in wanted:
-            terms[name] = (x * power, y * power)
-        power = power * r2
-    if below is not None:
-        power = -radial * r2 * below
-        for name in RATIONAL:
-            if name in wanted:
-                terms[name] = (x * power, y * power)
-            power = power * r2
-    if "p1" in wanted:
-        terms["p1"] = (2 * x * y, r2 + 2 * y * y)
-    if "p2" in wanted:
-        terms["p2"] = (r2 + 2 * x * x, 2 * x * y)
-    prism: tuple[tuple[Array | float, Array | float], ...] = ((r2, 0.0), (r2 * r2, 0.0), (0.0, r2), (0.0, r2 * r2))
-    for name, term in zip(PRISM, prism, strict=True):
-        if name in wanted:
-            terms[name] = term
-    return terms
-
-
-def undistort(x: Array, y: Array, k: Mapping[str, float], steps: int = 30) -> tuple[Array, Array]:
-    """Return the points whose distorted images are (x, y), by Newton's method; nan if the model has no inverse."""
-    px, py = x / _plain(distort(x, y, k).x, x), y / _plain(distort(x, y, k).y, y)
-    for _ in range(steps):
-        d = distort(px, py, k)
-        ex, ey = x - d.x, y - d.y
-        (a, c), (b, e) = d.by_x, d.by_y
-        determinant = a * e - b * c
-        px, py = px + (e * ex - b * ey) / determinant, py + (a * ey - c * ex) / determinant
-        if np.nanmax(np.abs(ex) + np.abs(ey), initial=0.0) < 1e-15:
-            break
-    left = distort(px, py, k)
-    good = (np.abs(left.x - x) + np.abs(left.y - y) < 1e-9) & (
-        left.by_x[0] * left.by_y[1] - left.by_x[1] * left.by_y[0] > 0
-    )
-    return np.where(good, px, np.nan), np.where(good, py, np.nan)
-
-
-def _plain(distorted: Array, ideal: Array) -> Array:
-    """Return the ratio distorted / ideal, a first guess for inverting the distortion; 1 near the axis."""
-    ratio = np.where(np.abs(ideal) > 1e-12, distorted / np.where(np.abs(ideal) > 1e-12, ideal, 1.0), 1.0)
-    return np.where((ratio > 0.5) & (ratio < 2.0), ratio, 1.0)
+UNITS = {**dict.fromkeys(("f", "fx", "fy", "cx", "cy"), "px"), **dict.fromkeys(TILT, "rad")}
+"""Units of the parameters that have one."""
 
 
 def focal(values: Mapping[str, float]) -> tuple[float, float]:
@@ -132,27 +37,83 @@ def _focal_terms(values: Mapping[str, float]) -> dict[str, tuple[float, float]]:
     return {"fx": (1.0, 0.0), "fy": (0.0, 1.0)}
 
 
-def image_point(values: Mapping[str, float], x: Array, y: Array) -> tuple[Array, Array]:
-    """Return (u, v) in pixels of points (x, y) of the plane Z = 1 in the forward convention."""
+def image_point(values: Mapping[str, float], x: Array, y: Array, fisheye: bool = False) -> tuple[Array, Array]:
+    """Return (u, v) in pixels of points (x, y) of the plane before distortion; not for backward lenses."""
     fx, fy = focal(values)
-    d = distort(x, y, values)
+    d = distort(x, y, values, (), fisheye)
     return fx * (d.x + values.get("skew", 0.0) * d.y) + values["cx"], fy * d.y + values["cy"]
 
 
 def plane_point(values: Mapping[str, float], u: Array, v: Array) -> tuple[Array, Array]:
-    """Return the point (x, y) of the plane Z = 1 at the image point (u, v); distortion is not removed."""
+    """Return the point (x, y) of the plane at the image point (u, v); distortion is not removed."""
     fx, fy = focal(values)
     y = (v - values["cy"]) / fy
     return (u - values["cx"]) / fx - values.get("skew", 0.0) * y, y
 
 
 def ideal_point(values: Mapping[str, float], u: Array, v: Array, convention: str = "forward") -> tuple[Array, Array]:
-    """Return the point (x, y) of the plane Z = 1 at the image point (u, v), with distortion removed."""
+    """Return the point (x, y) of the plane at the image point (u, v), with distortion removed."""
     x, y = plane_point(values, u, v)
     if convention == "backward":
         d = distort(x, y, values)
         return d.x, d.y
-    return undistort(x, y, values)
+    return undistort(x, y, values, fisheye=convention == "fisheye")
+
+
+def direction(values: Mapping[str, float], u: Array, v: Array, convention: str = "forward") -> Array:
+    """Return the vector (3, n), of any length, to what is seen at (u, v); nan where the lens has no inverse."""
+    x, y = ideal_point(values, u, v, convention)
+    if convention == "fisheye":
+        return unit_vector(np.stack([x, y]))
+    return np.stack([x, y, np.ones_like(x)])
+
+
+def unit_vector(flat: Array) -> Array:
+    """Return the unit vectors (3, n) of points (2, n) of the plane of a fisheye, the inverse of `equidistant`."""
+    angle = np.hypot(*flat)
+    across = np.sinc(angle / np.pi)  # sin(angle) / angle
+    return np.stack([flat[0] * across, flat[1] * across, np.cos(angle)])
+
+
+@dataclass(frozen=True)
+class Projected:
+    """Points of the camera in the plane before distortion."""
+
+    x: Array
+    y: Array
+    by_z: tuple[Array, Array]
+    """(dx/dZ, dy/dZ)"""
+    scale: Array
+    """x / X = y / Y"""
+    bend: Array | None = None
+    """dx/dX = scale + X X bend, dx/dY = X Y bend; None: 0"""
+
+
+def rectilinear(point: Array) -> Projected:
+    """Return the points `x = X/Z, y = Y/Z` of the plane Z = 1; nan behind the camera."""
+    scale = 1 / np.where(point[2] > 0, point[2], np.nan)
+    x, y = point[0] * scale, point[1] * scale
+    return Projected(x, y, (-x * scale, -y * scale), scale)
+
+
+_NEAR_AXIS = 0.02
+"""Tangent of the angle below which the series of `bend` is more accurate than its closed form"""
+
+
+def equidistant(point: Array) -> Projected:
+    """Return the points of the plane at the distance of the angle from the axis, `atan2(hypot(X, Y), Z)`, up to pi."""
+    x, y, z = point
+    rho2 = x * x + y * y
+    rho, length2 = np.sqrt(rho2), rho2 + z * z
+    length2 = np.where(length2 > 0, length2, np.nan)
+    near = rho < _NEAR_AXIS * z
+    safe = np.where(near, 1.0, np.where(rho > 0, rho, np.nan))
+    t2 = np.where(near, rho2, 0.0) / np.where(near, z * z, 1.0)
+    series = (1 - t2 * (1 / 3 - t2 * (1 / 5 - t2 * (1 / 7 - t2 / 9)))) / np.where(near, z, 1.0)
+    scale = np.where(near, series, np.arctan2(rho, z) / safe)
+    bent = -(2 / 3 - t2 * (4 / 5 - t2 * (6 / 7 - t2 * (8 / 9 - t2 * 10 / 11)))) / np.where(near, z, 1.0) ** 3
+    bend = np.where(near, bent, (z / length2 - scale) / safe**2)
+    return Projected(x * scale, y * scale, (-x / length2, -y / length2), scale, bend)
 
 
 def _parameters(local: Local, name: str) -> dict[str, Any]:
@@ -174,31 +135,29 @@ class Lens(OfBlock):
     """Link to the image of a point in the camera, with the distortion as a function of the ideal point (OpenCV)."""
 
     block: str = "lens"
+    fisheye: bool = False
+    """Whether the plane before distortion has the angle from the axis as radius, not its tangent"""
     takes = Quantity.POINT_IN_CAMERA
     gives = Quantity.IMAGE_POINT
 
     def step(self, value: Array, local: Local) -> Step:
         """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n).
 
-        Behind the camera it is nan. Without wanted blocks there are no derivatives.
+        Behind a camera that is no fisheye it is nan. Without wanted blocks there are no derivatives.
         """
         block = local.blocks[self.block]
         k, wanted = _parameters(local, self.block), _wanted(local, self.block)
         fx, fy = focal(k)
         skew = k.get("skew", 0.0)
-        inverse_z = 1 / np.where(value[2] > 0, value[2], np.nan)
-        x, y = value[0] * inverse_z, value[1] * inverse_z
-        d = distort(x, y, k, wanted)
+        flat = equidistant(value) if self.fisheye else rectilinear(value)
+        d = distort(flat.x, flat.y, k, wanted, self.fisheye)
         uv = np.stack([fx * (d.x + skew * d.y) + k["cx"], fy * d.y + k["cy"]])
         if not local.wanted:
             return Step(uv)
         u_x, u_y = fx * (d.by_x[0] + skew * d.by_x[1]), fx * (d.by_y[0] + skew * d.by_y[1])
         v_x, v_y = fy * d.by_x[1], fy * d.by_y[1]
-        by_point = np.empty((2, 3, len(x)))
-        for row, (by_x, by_y) in enumerate(((u_x, u_y), (v_x, v_y))):
-            by_point[row, 0], by_point[row, 1] = by_x * inverse_z, by_y * inverse_z
-            by_point[row, 2] = -(by_point[row, 0] * x + by_point[row, 1] * y)
-        by_lens = np.zeros((2, block.size, len(x)))
+        by_point = np.stack([_by_point(flat, value, u_x, u_y), _by_point(flat, value, v_x, v_y)])
+        by_lens = np.zeros((2, block.size, len(flat.x)))
         focals = _focal_terms(k)
         for place, name in enumerate(block.columns):
             if name not in wanted:
@@ -213,6 +172,14 @@ class Lens(OfBlock):
                 term_x, term_y = d.terms[name]
                 by_lens[0, place], by_lens[1, place] = fx * (term_x + skew * term_y), fy * term_y
         return Step(uv, by_point, {self.block: by_lens} if wanted else {})
+
+
+def _by_point(flat: Projected, point: Array, by_x: Array, by_y: Array) -> Array:
+    """Return the derivatives (3, n) by the point in the camera of what has these by x and y of the plane."""
+    found = np.stack([by_x * flat.scale, by_y * flat.scale, by_x * flat.by_z[0] + by_y * flat.by_z[1]])
+    if flat.bend is not None:
+        found[:2] += (by_x * point[0] + by_y * point[1]) * flat.bend * point[:2]
+    return found
 
 
 @dataclass(frozen=True)

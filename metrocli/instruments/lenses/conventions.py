@@ -8,7 +8,8 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.instruments.lens import DISTORTION, RADIAL, distort, focal, image_point, plane_point, undistort
+from metrocli.instruments.lenses.distortion import DISTORTION, RADIAL, TANGENTIAL, TILT, distort, undistort
+from metrocli.instruments.lenses.lens import focal, image_point, plane_point
 
 _GRID = 33
 
@@ -121,8 +122,8 @@ def _photo(values: Mapping[str, float], pixel: float, image_size: Sequence[int],
     return np.array([c, x0, y0, *radial, b1, b2, c1, c2])
 
 
-def projection_range(values: Mapping[str, float], image_size: Sequence[int]) -> float | None:
-    """Return the image radius [px] up to which the image radius of a forward lens grows with the field angle.
+def projection_range(values: Mapping[str, float], image_size: Sequence[int], fisheye: bool = False) -> float | None:
+    """Return the image radius [px] up to which the image radius of a lens grows with the field angle; not backward.
 
     Beyond it the model folds over (or has a pole) and must not be used. Returns None if it lies outside the image.
     """
@@ -131,10 +132,12 @@ def projection_range(values: Mapping[str, float], image_size: Sequence[int]) -> 
         [[0, 0], [image_size[0] - 1, 0], [0, image_size[1] - 1], [image_size[0] - 1, image_size[1] - 1]], dtype=float
     )
     reach = float(np.hypot((corners[:, 0] - values["cx"]) / fx, (corners[:, 1] - values["cy"]) / fy).max())
-    x = np.linspace(0, 10 * reach, 20001)
-    d = distort(x, np.zeros_like(x), {name: values.get(name, 0.0) for name in (*RADIAL, "k4", "k5", "k6")})
+    x = np.linspace(0, np.pi if fisheye else 10 * reach, 20001)
+    radial = {name: values.get(name, 0.0) for name in (*RADIAL, "k4", "k5", "k6")}
+    d = distort(x, np.zeros_like(x), radial, (), fisheye)
     falling = np.flatnonzero(np.diff(d.x) <= 0)
     if not falling.size or d.x[: falling[0] + 1].max() > reach:
         return None
-    u, _ = image_point({**values, "p1": 0.0, "p2": 0.0}, x[falling[:1]], np.zeros(1))
+    plain = {**values, **dict.fromkeys((*TANGENTIAL, *TILT), 0.0)}
+    u, _ = image_point(plain, x[falling[:1]], np.zeros(1), fisheye)
     return float(u[0] - values["cx"])

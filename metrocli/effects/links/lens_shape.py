@@ -1,0 +1,108 @@
+"""The shape of a lens that no polynomial has: a smooth shift of image points over the image, on knots.
+
+Uniform cubic B-splines (de Boor, A Practical Guide to Splines). Beyond the image the shift is that at its border.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.arrays import Array, Index
+from metrocli.frozen import dataclass
+
+_REACH = 4
+"""Knots on which a cubic spline depends at one place"""
+_ROUNDS = 40
+"""Each reduces the error of an unshifted point to the slope of the shift, far below 0.5"""
+
+
+@dataclass(frozen=True)
+class Knots:
+    """Coefficients of a spline over the image, of shift u and then of shift v, each row by row."""
+
+    image_size: tuple[int, int]
+    counts: tuple[int, int]
+    """Columns and rows, at least four of each"""
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return 2 * self.counts[0] * self.counts[1]
+
+    def places(self) -> Array:
+        """Return the image points (counts, 2) [px] of the coefficients of one shift."""
+        u, v = (
+            (np.arange(n) - 1) * (extent - 1) / (n - _REACH + 1)
+            for extent, n in zip(self.image_size, self.counts, strict=True)
+        )
+        return np.stack([np.tile(u, len(v)), np.repeat(v, len(u))], axis=1)
+
+    def basis(self, uv: Array, slope: int | None = None) -> Array:
+        """Return the splines (n, counts) at image points (2, n), or their derivatives by u (slope 0) or v (slope 1)."""
+        parts = [_along(self.image_size[a], self.counts[a], uv[a], a == slope) for a in (0, 1)]
+        (column, across), (row, down) = parts
+        place = (row[:, :, None] * self.counts[0] + column[:, None, :]).reshape(uv.shape[1], -1)
+        weight = (down[:, :, None] * across[:, None, :]).reshape(uv.shape[1], -1)
+        found = np.zeros((uv.shape[1], self.counts[0] * self.counts[1]))
+        np.put_along_axis(found, place, weight, axis=1)
+        return found
+
+    def shift(self, coefficients: Array, uv: Array) -> Array:
+        """Return the shift (2, n) [px] at image points (2, n) of coefficients (2, counts)."""
+        moved: Array = coefficients @ self.basis(uv).T
+        return moved
+
+    def unshifted(self, coefficients: Array, uv: Array) -> Array:
+        """Return the image points (2, n) of the base lens that are shifted to (2, n)."""
+        found = uv
+        for _ in range(_ROUNDS):
+            found = uv - self.shift(coefficients, found)
+        return found
+
+
+def _along(extent: int, count: int, x: Array, slope: bool) -> tuple[Index, Array]:
+    """Return knots (n, 4) and weights (n, 4) of the splines along one axis."""
+    spaces = count - _REACH + 1
+    t = np.nan_to_num(x.clip(0, extent - 1)) * (spaces / (extent - 1))
+    first = np.minimum(t.astype(np.intp), spaces - 1)
+    f = t - first
+    if slope:
+        inside = np.where((x > 0) & (x < extent - 1), spaces / (extent - 1) / 2, 0.0)
+        weights = [-((1 - f) ** 2), 3 * f * f - 4 * f, -3 * f * f + 2 * f + 1, f * f]
+        return first[:, None] + np.arange(_REACH), np.stack(weights, axis=1) * inside[:, None]
+    weights = [(1 - f) ** 3, 3 * f**3 - 6 * f * f + 4, -3 * f**3 + 3 * f * f + 3 * f + 1, f**3]
+    return first[:, None] + np.arange(_REACH), np.stack(weights, axis=1) / 6
+
+
+@dataclass(frozen=True)
+class LensShape:
+    """Link that shifts image points: `(u, v) += sum_k B_k(u, v) (N w)_k`, w its own block.
+
+    N takes the unknowns to coefficients, so that they change neither the base lens nor the pose of the camera.
+    """
+
+    knots: Knots
+    to_coefficients: Array
+    """N (coefficients, size)"""
+    block: str = "lens-shape"
+    takes = gives = Quantity.IMAGE_POINT
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Its own block."""
+        return (self.block,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the shifted image point (2, n) [px], with derivatives by the image point and the unknowns."""
+        both = self.to_coefficients.reshape(2, -1, self.to_coefficients.shape[1])
+        coefficients = both @ local.rows(self.block)[:, 0]
+        at = self.knots.basis(value)
+        moved = value + coefficients @ at.T
+        if not local.wanted:
+            return Step(moved)
+        by_point = np.stack([coefficients @ self.knots.basis(value, slope).T for slope in (0, 1)], axis=1)
+        by_point = by_point + np.eye(2)[:, :, None]
+        by_shape = np.stack([(at @ one).T for one in both])
+        return Step(moved, by_point, {self.block: by_shape} if self.block in local.wanted else {})

@@ -1,0 +1,1 @@
+"""Lenses: distortion, the link to image points, and the same lens in the words of others."""

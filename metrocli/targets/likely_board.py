@@ -1,0 +1,70 @@
+"""The board that images show where the pattern of the job is not found in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import product
+
+import cv2
+import numpy as np
+
+from metrocli.arrays import Picture
+from metrocli.targets.charuco import markers_in
+from metrocli.targets.chessboard import shown_size
+from metrocli.targets.find import find
+from metrocli.targets.pattern import Pattern
+
+_SIDE = 1000
+"""Chessboards are searched in images reduced to about this longer side, in pixels"""
+_SHARE = 0.5
+"""A board is likely if more than this share of the images shows it"""
+_MARKERS = 6
+"""Fewest markers in an image of a ChArUco board"""
+
+
+def likely_board(pattern: Pattern, pictures: Iterable[Picture]) -> str:
+    """Return the board that most pictures show and the keys to write for it; empty if none is likely."""
+    reduced = [_reduced(picture) for picture in pictures]
+    if pattern.type in ("circles", "asymmetric-circles") and (size := _likely_circles(pattern, reduced)):
+        return _in_words(size, "")
+    sizes = [size for picture in reduced if (size := shown_size(picture)) is not None]
+    size = max(sizes, key=sizes.count, default=None)
+    if size is not None and sizes.count(size) > _SHARE * len(reduced):
+        return _in_words(size, "" if pattern.type == "chessboard" else "type: chessboard, ")
+    if pattern.type == "charuco":
+        return ""  # its search has named other layouts and dictionaries
+    names = [name for name, count in map(markers_in, reduced) if count >= _MARKERS]
+    name = max(names, key=names.count, default="")
+    likely = names.count(name) > _SHARE * len(reduced)
+    return f"markers of {name}: is it type: charuco, dictionary: {name}?" if likely else ""
+
+
+def _in_words(size: tuple[int, int], kind: str) -> str:
+    return f"{size[0]} x {size[1]}: is it {kind}columns: {size[0]}, rows: {size[1]}?"
+
+
+def _likely_circles(pattern: Pattern, pictures: Sequence[Picture]) -> tuple[int, int] | None:
+    """Return columns and rows of the grid that most pictures show, at most one off in each; None if none fits.
+
+    Of sizes that equally many pictures show, the largest counts: a grid contains all smaller ones.
+    """
+    rows, columns = pattern.shape
+    sizes = [(columns + c, rows + r) for c, r in product((-1, 0, 1), repeat=2) if (c, r) != (0, 0)]
+    found: dict[tuple[int, int], int] = {}
+    for size in sorted((one for one in sizes if min(one) >= 2), key=lambda one: -one[0] * one[1]):
+        other = replace(pattern, columns=size[0], rows=size[1])
+        found[size] = sum(len(find(other, picture)) > 0 for picture in pictures)
+        if found[size] == len(pictures):  # no smaller grid can be more likely
+            break
+    best = max(found, key=lambda size: (found[size], size[0] * size[1]))
+    return best if pictures and found[best] > _SHARE * len(pictures) else None
+
+
+def _reduced(picture: Picture) -> Picture:
+    factor = max(picture.shape) // _SIDE
+    if factor < 2:
+        return picture
+    size = (picture.shape[1] // factor, picture.shape[0] // factor)
+    smaller = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    return smaller.astype(np.uint16) if picture.dtype == np.uint16 else smaller.astype(np.uint8)

@@ -1,0 +1,1 @@
+"""The model spline: the shape of a lens beside its base model."""

@@ -1,0 +1,111 @@
+"""A calibration with the shape of its lens: knots over the image, unknowns that leave the base lens alone, their size.
+
+The base lens keeps its meaning: over the image, the shape has no part that its estimated parameters or a rotation of
+the camera could take.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.chain import Local
+from metrocli.adjust.model.groups import Group, joint_prior
+from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array
+from metrocli.effects.links.lens_shape import Knots, LensShape
+from metrocli.instruments import camera
+from metrocli.instruments.lenses.conventions import image_grid
+from metrocli.instruments.lenses.lens import direction
+from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.shape.size import Evidence, likely
+
+SHAPE = "lens-shape"
+_KNOTS = 12
+"""Knots along the longer side of the image"""
+_WIDE = 3.0
+"""Standard deviation [px] of the coefficients with which the readings are asked"""
+_REACHES = (0.1, 0.2, 0.4)
+"""Lengths over which shapes are alike that are tried, in units of the longer side of the image"""
+_STEPS = 100
+_SHOWN = 4.0
+"""Gain in the logarithm of the likelihood below which the readings show no shape"""
+
+
+def with_shape(problem: Problem, noise_known: bool) -> Problem:
+    """Return the calibration with the shape of its lens as unknowns with a prior; as it is if they show no shape."""
+    base = _adjusted(problem)
+    if not base.outcome.good:
+        return problem
+    problem = problem.with_blocks({**problem.blocks, **base.blocks})
+    link = LensShape(_knots(problem.image_size), _free_of(problem))
+    size = likely(_evidence(problem, link, noise_known), _kernels(link, problem.image_size))
+    if size.gain < _SHOWN:
+        return problem
+    return _extended(problem, link, size.covariance)
+
+
+def _adjusted(problem: Problem) -> Solution:
+    return adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, Control(limit=_STEPS))
+
+
+def _knots(image_size: tuple[int, int]) -> Knots:
+    spacing = max(image_size) / (_KNOTS - 3)
+    across, down = (max(round(extent / spacing) + 3, 4) for extent in image_size)
+    return Knots(image_size, (across, down))
+
+
+def _free_of(problem: Problem) -> Array:
+    """Return N: coefficients whose shift over the image is orthogonal to base lens and rotations of the camera."""
+    knots, lens = _knots(problem.image_size), problem.blocks[camera.LENS]
+    uv = np.stack(image_grid(problem.image_size))
+    seen = direction(lens.named(), uv[0], uv[1], problem.convention)
+    known = np.isfinite(seen[0])
+    uv, seen = uv[:, known], seen[:, known]
+    local = Local({camera.LENS: lens}, Observations(uv, np.ones(1), {}), frozenset({camera.LENS}))
+    step = camera.lens_link(problem.convention).step(seen, local)
+    turned = np.cross(np.eye(3)[:, :, None], seen[None], axisa=1, axisb=1, axisc=1)  # (3, 3, n): about x, y, z
+    by_turn = np.einsum("apn,kpn->akn", np.asarray(step.by_input), turned)
+    change = np.concatenate([step.by_block[camera.LENS][:, lens.free[0]], by_turn], axis=1)
+    basis = knots.basis(uv)
+    overlap = np.concatenate([change[axis] @ basis for axis in (0, 1)], axis=1)
+    overlap /= np.linalg.norm(overlap, axis=1, keepdims=True)
+    _, values, rows = np.linalg.svd(overlap, full_matrices=True)
+    nothing: Array = rows[int((values > 1e-9).sum()) :].T
+    return nothing
+
+
+def _kernels(link: LensShape, image_size: tuple[int, int]) -> list[Array]:
+    """Return covariances of the unknowns for shapes that are alike over several lengths: `exp(-d^2 / 2 r^2)`."""
+    places = link.knots.places()
+    apart = ((places[:, None] - places[None]) ** 2).sum(axis=2)
+    kernels = [np.exp(-apart / (2 * (reach * max(image_size)) ** 2)) for reach in _REACHES]
+    n = link.to_coefficients
+    return [n.T @ np.kron(np.eye(2), one) @ n for one in kernels]
+
+
+def _extended(problem: Problem, link: LensShape, covariance: Array) -> Problem:
+    size = link.to_coefficients.shape[1]
+    block = Block(SHAPE, np.zeros((1, size)), tuple(f"w{k + 1}" for k in range(size)))
+    prior = joint_prior([block], [tuple(range(size))], covariance)
+    images = problem.images
+    group = Group(images.name, images.chain.spliced([link]), images.observations, images.weights)
+    model = problem.model.with_group(group)
+    groups = (*model.groups, prior)
+    return problem.with_model(replace(model, groups=groups, blocks={**model.blocks, SHAPE: block}))
+
+
+def _evidence(problem: Problem, link: LensShape, noise_known: bool) -> Evidence:
+    """Return what the readings know of the shape, from an adjustment with a wide prior that is taken off again."""
+    size = link.to_coefficients.shape[1]
+    wide = np.eye(size) * _WIDE**2
+    solution = _adjusted(_extended(problem, link, wide))
+    values = solution.blocks[SHAPE].values[0]
+    inverse = np.linalg.inv(solution.covariance_or_raise().of(SHAPE))
+    right = inverse @ values
+    dof = solution.dof
+    return Evidence(inverse - np.eye(size) / _WIDE**2, right, solution.cost + float(values @ right), dof, noise_known)
