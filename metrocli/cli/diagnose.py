@@ -106,7 +106,7 @@ def _once(
 
     console, limit = Console(wanted["quiet"] or as_json, wanted["verbose"]), _seconds(wanted["limit"])
     with ordered_on(wanted["scheduler"], alike_for([(loaded.kind, loaded.own.packages)])) as ordered:
-        first = _first_answer if console.is_watched and not wanted["quick"] else None
+        first = _first_answer if console.is_watched and not (console.quiet or wanted["quick"]) else None
         diagnosis = diagnosed.carry_out(loaded, console, limit, first_interrupt, ordered, wanted["quick"], first)
     extended = _extended(loaded, diagnosis, output, force)
     proposed = None if following is None else next_readings(diagnosis, following)
@@ -122,11 +122,11 @@ def _once(
 
 
 def _first_answer(diagnosis: Diagnosis) -> None:
-    """Print what effects and wrong readings alone explain, while all else is looked for."""
-    from metrocli.cli.diagnosis_report.headline import headline, summary
+    """Print what effects alone explain, while all else is looked for."""
+    from metrocli.cli.diagnosis_report.headline import summary
 
-    if diagnosis.findings or diagnosis.outliers:
-        echo("\n".join([f"first answer: {headline(diagnosis)}", *summary(diagnosis)]), err=True)
+    lines = list(summary(diagnosis)) or ["  no effect explains most of the misfit"]
+    echo("\n".join(["first answer, to be refined:", *lines]), err=True)
 
 
 def _extended(job: JobFile, diagnosis: Diagnosis, output: Path | None, force: bool) -> Extended | None:

@@ -79,7 +79,7 @@ def diagnose(
             found = with_laws(state, _in_white_noise(state), ordered)
             state, laws = found.state, found.laws
     progress.doing("cross-validating: predicting parts of the readings from the others", job.budget.left())
-    state, names, gained, unconfirmed = _confirmed(state, ordered)
+    state, names, gained, unconfirmed = _confirmed(state, ordered, quick)
     kept = readings_kept(state)
     fit = extended_fit(first.measurement.job, names, kept) if names else None
     shifts = result_changes(first.measurement.job, names, fit, kept)
@@ -116,12 +116,13 @@ def diagnose(
 
 
 def _confirmed(
-    state: State, ordered: Ordered
+    state: State, ordered: Ordered, quick: bool
 ) -> tuple[State, tuple[IdentifiedEffect, ...], list[Gain], tuple[Unconfirmed, ...]]:
     """Return the state without what held-out readings speak against, its effects with their gains, and what it lost.
 
     The log score of held-out readings and the net evidence of all are both logarithms of odds: an effect stays while
-    their sum is positive. Folds that lie between others show little of a jump, whose evidence is large.
+    their sum is positive. Folds that lie between others show little of a jump, whose evidence is large. In a quick
+    diagnosis the log score alone has to be: its evidence is that in white noise.
     """
     lost: list[Unconfirmed] = []
     while True:
@@ -131,7 +132,7 @@ def _confirmed(
         against = [
             (one, name, gain)
             for one, name, gain in zip(state.named, names, gained, strict=False)
-            if gain.log_score + nets[one.key] <= 0
+            if gain.log_score + (0.0 if quick else nets[one.key]) <= 0
         ]
         if not against:
             return state, names, gained, tuple(lost)

@@ -34,6 +34,8 @@ class Verdict(StrEnum):
     """Structure remains that no known effect explains"""
     MISTAKEN = "mistaken"
     """A file has a mistake; the rest of the diagnosis is for the corrected job"""
+    NOT_DECIDED = "not-decided"
+    """A quick diagnosis, which did not look for all that could be left"""
 
 
 _LITTLE = 0.05
@@ -173,14 +175,15 @@ class Diagnosis:
     @property
     def ended_early(self) -> str:
         """Why it ended before all was tried, in words; "" if it did not."""
-        limited = "" if self.limited is None else f"limit of {self.limited:g} s"
-        return "interrupted" if self.interrupted else limited or ("quick" if self.quick else "")
+        return "interrupted" if self.interrupted else f"limit of {self.limited:g} s" if self.limited is not None else ""
 
     @property
     def verdict(self) -> Verdict:
         """The verdict, which the report states first."""
         if self.mistaken is not None:
             return Verdict.MISTAKEN
+        if self.quick:
+            return Verdict.NOT_DECIDED
         if self.left is not None and not self._little_is_left:
             return Verdict.UNEXPLAINED
         if not self.findings and not self.scatters:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.identified import all_identified
 from metrocli.diagnosis.evidence.measured_job import measurement_of
@@ -42,7 +43,8 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
 
     A quick search looks for effects and wrong readings alone. Raises UndeterminedError if no reading is redundant.
     """
-    m = measurement_of(job, quick=quick)
+    alone = quick and job.noise_model != STRUCTURED  # a job that declares correlated errors has them
+    m = measurement_of(job, quick=alone)
     if m.system.dof < 1:
         raise UndeterminedError(
             "the job has no redundant reading, so no reading can contradict its model\n"
@@ -59,5 +61,5 @@ def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:
         if fit is None:
             state = forward(state, least=_MOST_OF_IT if quick else 0.0)
             break
-        m = measurement_of(relinearised(job, names, fit), None, m, quick)
+        m = measurement_of(relinearised(job, names, fit), None, m, alone)
     return first, pruned(refined(state if quick else swapped(state)))

@@ -576,7 +576,8 @@ def test_the_first_answer_names_what_explains_most(folder: Path, metrocli: Metro
     (first,), (last,) = quick["effects"], whole["effects"]
     assert (first["name"], first["where"]) == (last["name"], last["where"])
     assert quick["quick"] and not quick["candidates"] and not whole["quick"]
-    assert "so far (quick)" in metrocli("diagnose", job, "--quick").out
+    assert quick["verdict"] == "not-decided"
+    assert metrocli("diagnose", job, "--quick").out.startswith("verdict: not-decided\n  dead-path-drift")
     assert metrocli("diagnose", write(folder, measured()), "--quick", "--require", "clean").code == 6
     refused = metrocli("diagnose", job, "--quick", "--next", "3")
     assert refused.code == 2 and "--quick is the first answer alone" in refused.err
@@ -587,7 +588,8 @@ def test_a_terminal_shows_the_first_answer_while_the_rest_is_computed(
 ) -> None:
     monkeypatch.setattr(Console, "is_watched", True)
     shown = metrocli("diagnose", write(folder, measured("dead-path-drift")))
-    assert "first answer: indistinct so far (quick)\n  dead-path-drift" in shown.err
+    assert "first answer, to be refined:\n  dead-path-drift" in shown.err
+    assert "first answer" not in metrocli("diagnose", "job.yaml", "--json").err
     assert shown.out.startswith("verdict: indistinct\n")
 
 

@@ -52,8 +52,10 @@ def candidate_lines(
 def count_of_candidates(diagnosis: Diagnosis) -> str:
     """Return how many candidates have each status, which the full report lists."""
     named = [one.effect for one in diagnosis.findings]
+    scattered = [one.effect.name for one in diagnosis.scatters]
     decided = not diagnosis.ended_early
     words = [status.status(one, named, decided) for one in diagnosis.design.candidates]
+    words += [status.status_of_scatter(one, scattered) for one in diagnosis.design.scatters]
     words += [status.Status.NOT_TESTED for _ in diagnosis.design.not_tested]
     counts = ", ".join(f"{count} {word}" for word, count in Counter(words).items())
     return f"candidates: {counts}; `--full` lists them with what each could hide" if counts else "no candidates"

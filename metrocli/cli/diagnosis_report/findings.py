@@ -44,7 +44,8 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
         parts.append(text_table(_HEAD, [*rows, *together]))
     if diagnosis.outliers:
         parts.append(list(_wrong(diagnosis.outliers)))
-    parts.append([*_structure(diagnosis), *_processes(diagnosis), *noise_lines(diagnosis)])
+    if not diagnosis.quick:
+        parts.append([*_structure(diagnosis), *_processes(diagnosis), *noise_lines(diagnosis)])
     if diagnosis.laws:
         parts.append(list(law_lines(diagnosis, None if extended is None else extended.law)))
     parts += [list(_about_scatter(one)) for one in diagnosis.scatters]
@@ -72,7 +73,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
     if extended is not None:
         parts.append([f"next: run {extended.path}, {_extension(diagnosis, extended.law)}"])
     if diagnosis.quick:
-        parts.append(["Effects and wrong readings alone were looked for; without `--quick` also what else is wrong."])
+        parts.append(["This is the first answer: what explains most. Without `--quick` the search goes on."])
     elif full:
         scattered = [one.effect.name for one in diagnosis.scatters]
         decided = not diagnosis.ended_early

@@ -23,14 +23,22 @@ def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict with what limits it: wrong readings, and noise that is not as declared."""
     noise, count = diagnosis.noise, len(diagnosis.outliers)
     wrong = f", with {count} wrong reading{'s' if count > 1 else ''}" if count else ""
+    if diagnosis.quick:
+        return f"{diagnosis.verdict}{wrong}"
     as_declared = noise.as_declared or diagnosis.job.noise_model or ESTIMATED in diagnosis.job.declared
-    limits = [] if as_declared else [f"the noise is {noise.ratio:.2g} times what was declared"]
+    limits = [] if as_declared else [f"the noise is {_times(noise.ratio)} times what was declared"]
     limits += [noisier(unit) for unit in diagnosis.noisier_units if unit.key != DECLARED_SIGMA]
     if diagnosis.left is None and diagnosis.job.noise_model != STRUCTURED:
         limits += [f"an {smooth(one)} is not in the uncertainties of the result" for one in diagnosis.processes]
     where = f" in {diagnosis.job.part}" if diagnosis.job.part else ""
     where += f" so far ({diagnosis.ended_early})" if diagnosis.ended_early else ""
     return f"{diagnosis.verdict}{where}{wrong}{', but ' if limits else ''}{', and '.join(limits)}"
+
+
+def _times(ratio: float) -> str:
+    """Return a ratio to two digits, and to three where these are those of 1."""
+    text = f"{ratio:.2g}"
+    return text if text != "1" else f"{ratio:.3g}"
 
 
 def summary(diagnosis: Diagnosis) -> Iterator[str]:

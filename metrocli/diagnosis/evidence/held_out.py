@@ -42,11 +42,14 @@ class Model:
 
     def fitted(self, m: Measurement) -> Fit:
         """Return the fit of the model to all rows, at its sizes, computed once."""
-        key = ("fit", *(id(one) for one in self.fixed), *(id(one) for one in self.random), self.logs.tobytes())
-        if key not in m.fits:
-            # the parts stand beside their fit, so that no other ones get their identity
-            m.fits[key] = self, fit_at(products_of(m, self.fixed, self.random), self.logs)
-        return cast("Fit", m.fits[key][1])
+        parts = (*self.fixed, *self.random)
+        key = ("fit", *map(id, parts), self.logs.tobytes())
+        model, fit = m.fits.get(key, (None, None))
+        # in another process other objects can have these identities
+        if model is None or any(a is not b for a, b in zip((*model.fixed, *model.random), parts, strict=True)):
+            fit = fit_at(products_of(m, self.fixed, self.random), self.logs)
+            m.fits[key] = self, fit
+        return cast("Fit", fit)
 
     def with_fixed(self, fixed: Iterable[Fixed]) -> Model:
         """Return the model with other fixed parts."""
@@ -221,10 +224,10 @@ class Train:
 
         m, rows = self.fold.measurement, self.fold.rows
         columns, raw = m.families[number].columns, m.families[number].raw
-        key = "of train", number, self.basis.local.shape[1]
-        if key not in m.held:
-            m.held[key] = columns.grams(self.basis)
-        gram, along = m.held[key], self._along(number)
+        key, held = ("gram", number, columns.count), self.state.held
+        if key not in held:
+            held[key] = columns.grams(self.basis)
+        gram, along = held[key], self._along(number)
         if self.fold.whole:
             own = self.fold.candidates(number)
             both = np.concatenate([one[rows] for _, one in self.parts], axis=1)

@@ -50,6 +50,11 @@ class Move:
         return any(one.sort == EFFECT for one in self.fixed) or (self.found is not None and self.found.kind == SCATTER)
 
     @property
+    def has_correlated(self) -> bool:
+        """Whether a correlated error enters, of all readings or of any unit."""
+        return self.found is not None and self.found.kind == CORRELATED
+
+    @property
     def is_correlated(self) -> bool:
         """Whether an error of all readings, or of each unit, enters that is correlated over a covariate."""
         return self.found is not None and self.found.kind == CORRELATED and self.found.key[2] < 0

@@ -105,8 +105,9 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
     given = [one for one, move in alike if move.given]
     # so can an effect: noise of its place, or a correlated error, does not say what is wrong there
     least = best.score - (_ALIKE if chosen.noise is not None else _NEARLY)
-    names = [] if chosen.is_cause else [one for one, move in alike if move.is_cause and one.score > least]
-    return next(iter([*given, *names]), best)
+    says_little = chosen.noise is not None or chosen.has_correlated
+    names = [one for one, move in alike if move.is_cause and one.score > least] if says_little else []
+    return next(iter(given), max(names, key=lambda one: one.score, default=best))
 
 
 def pruned(state: State) -> State:
@@ -158,7 +159,7 @@ def swapped(state: State) -> State:
             if own > _CERTAIN or _others_in_turn(less, one) < own / 2:
                 continue
             other = forward(less, 3, without=one)
-            if other.score > state.score + _margin(state, other):
+            if other.score > state.score + _margin(state, other, one):
                 better = other
                 break
         if better is None:
@@ -167,8 +168,8 @@ def swapped(state: State) -> State:
     return state
 
 
-def _margin(state: State, other: State) -> float:
-    """Return by how much the score of another state has to exceed that of a state, to stand in its place.
+def _margin(state: State, other: State, gone: Fixed | Random) -> float:
+    """Return by how much the score of another state, without some part, has to exceed that of a state.
 
     Noise of a place, or a correlated error, does not say what is wrong: a state with more effects is preferred to one
     that explains the readings alike.
@@ -176,7 +177,9 @@ def _margin(state: State, other: State) -> float:
     if len(other.measurement.noise) > len(state.measurement.noise):
         return _ALIKE
     more = len(other.named) - len(state.named)
-    return -_NEARLY * float(np.sign(more)) if more else _GAINED
+    if more > 0:
+        return -_NEARLY if isinstance(gone, Random) and gone.kind == CORRELATED else _GAINED
+    return _NEARLY if more < 0 else _GAINED
 
 
 def _others_in_turn(state: State, but: Fixed | Random) -> float:

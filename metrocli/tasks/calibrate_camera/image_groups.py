@@ -53,8 +53,8 @@ def with_groups(model: Model, rig: str) -> Model:
 
 def _by_name(names: Sequence[str]) -> _Groups:
     """Return the groups of views whose names begin alike up to their last number: day1_07.png, day2_01.png."""
-    begins = [re.sub(r"\d+[^\d]*$", "", name) for name in names]
-    return _groups(begins)
+    stems = [re.sub(r"\.[A-Za-z][A-Za-z0-9]{1,4}$", "", name) for name in names]
+    return _groups([re.sub(r"\d+[^\d]*$", "", stem) or "numbers only" for stem in stems])
 
 
 def _by_pauses(times: Array) -> _Groups:
@@ -66,16 +66,17 @@ def _by_pauses(times: Array) -> _Groups:
     number = np.zeros(len(times), dtype=np.intp)
     number[order] = np.concatenate([[0], np.cumsum(gaps > _PAUSE * usual)])
     first = [float(times[number == group].min()) for group in range(int(number.max(initial=0)) + 1)]
-    return _groups([f"from {first[group]:g} s" for group in number.tolist()])
+    return _groups([f"from {first[group]:.12g} s" for group in number.tolist()])
 
 
 def _groups(labels: Sequence[str]) -> _Groups:
-    """Return groups of equal labels, that of most views first; one if some have too few views."""
-    names, number, counts = np.unique(np.array(labels), return_inverse=True, return_counts=True)
-    if counts.min() < _FEWEST:
-        return ("",), np.zeros(len(labels), dtype=np.intp)
+    """Return groups of equal labels, that of most views first; views with too few of their own are of this one."""
+    names, number, counts = np.unique(np.array(labels, dtype=str), return_inverse=True, return_counts=True)
     order = np.argsort(-counts, kind="stable")
-    return tuple(names[order].tolist()), np.argsort(order)[number]
+    kept = [*order[:1].tolist(), *(one for one in order[1:].tolist() if counts[one] >= _FEWEST)]
+    place = np.zeros(len(names), dtype=np.intp)
+    place[kept] = np.arange(len(kept))
+    return tuple(names[kept].tolist()), place[number]
 
 
 def _of_views(rotations: Array) -> _Groups:

@@ -102,3 +102,15 @@ def test_pauses_part_images_into_series() -> None:
     names, number = image_groups._by_pauses(times)
     assert names == ("from 0 s", "from 3600 s") and number.tolist() == [0, 0, 0, 0, 1, 1, 1]
     assert len(image_groups._by_pauses(times[:4])[0]) == 1
+
+
+@pytest.mark.parametrize("begin", [0.0, 1764190000.0])
+def test_the_times_of_series_may_be_those_of_a_clock(begin: float) -> None:
+    names, _ = image_groups._by_pauses(begin + np.array([0.0, 10, 20, 3600, 3610]))
+    assert names == (f"from {begin:.10g} s", f"from {begin + 3600:.10g} s")
+
+
+def test_series_have_names_whatever_the_files_are_called() -> None:
+    names, number = image_groups._by_name(["left_1.jp2", "left_2.jp2", "left_3.jp2", "04.jp2", "05.jp2", "extra.jp2"])
+    assert names == ("left_", "numbers only") and number.tolist() == [0, 0, 0, 1, 1, 0]
+    assert image_groups._by_name(["a.png", "b.png", "c.png"])[0] == ("a",)
