@@ -153,7 +153,7 @@ def seen() -> Seen:
 
 @pytest.fixture
 def diagnosed(gear: Path, metrocli: Metrocli) -> str:
-    return str(metrocli("diagnose", gear / "jobs/tip3.yaml").out)
+    return str(metrocli("diagnose", gear / "jobs/tip3.yaml", "--full").out)
 
 
 def in_mm(text: str) -> list[float]:

@@ -27,8 +27,9 @@ _WIDEST = np.cos(np.radians(80))
 def as_fisheye(problem: Problem, settings: Camera) -> Problem:
     """Return the calibration of the same readings with the model fisheye, with starting values of its own."""
     usual = Camera(model="fisheye", image_size=problem.image_size)
-    given = {name: getattr(settings, name) for name in ("cx", "cy") if name not in settings.estimate}
-    estimate = tuple(name for name in usual.estimate if given.get(name) is None)
+    # a principal point that the job holds is held here, too: what its freedom explains is no matter of the model
+    given = {name: problem.blocks[camera.LENS].named()[name] for name in ("cx", "cy") if name not in settings.estimate}
+    estimate = tuple(name for name in usual.estimate if name not in given)
     return build(problem.rig, replace(usual, estimate=estimate, **given), replace(problem.sighted, warnings=()))
 
 
