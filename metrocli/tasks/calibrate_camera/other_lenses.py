@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,8 @@ def as_fisheye(problem: Problem, settings: Camera) -> Problem:
     """Return the calibration of the same readings with the model fisheye, with starting values of its own."""
     usual = Camera(model="fisheye", image_size=problem.image_size)
     # a principal point that the job holds is held here, too: what its freedom explains is no matter of the model
-    given = {name: problem.blocks[camera.LENS].named()[name] for name in ("cx", "cy") if name not in settings.estimate}
+    lens = problem.blocks[camera.LENS].named()
+    given: dict[str, Any] = {name: lens[name] for name in ("cx", "cy") if name not in settings.estimate}
     estimate = tuple(name for name in usual.estimate if name not in given)
     return build(problem.rig, replace(usual, estimate=estimate, **given), replace(problem.sighted, warnings=()))
 
