@@ -83,9 +83,13 @@ def carry_out(
     progress.doing("adjusting")
     held = counting(read_inputs(job), progress)
     adjusted, mistaken = without_mistakes(held, adjust, _others(job, held, adjust))
-    if first is not None:
-        first(diagnose(adjusted, progress, limit, attended, ordered, quick=True))
-    diagnosis = diagnose(adjusted, progress, limit, attended, counted(ordered, progress), quick)
+    answer = None if first is None else diagnose(adjusted, progress, limit, attended, ordered, quick=True)
+    if first is not None and answer is not None:
+        first(answer)
+    if answer is not None and answer.interrupted:
+        diagnosis = answer  # one interruption ends both
+    else:
+        diagnosis = diagnose(adjusted, progress, limit, attended, counted(ordered, progress), quick)
     if mistaken is not None and mistaken.after >= mistaken.before and diagnosis.findings:
         mistaken = None  # a wrong list that no correction mends explains less than an effect does
     return replace(diagnosis, mistaken=mistaken)
