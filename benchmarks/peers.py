@@ -28,8 +28,8 @@ from benchmarks.beside.environments import python_of, version_of
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "benchmarks.md"
-MARK = "<!-- measured -->"
-"""What stands before the tables of the page, which are written by `peers`"""
+MARK, TRUTH = "<!-- peers -->", "<!-- truth -->"
+"""What stands before the tables of the page, which `peers` and `truth` write"""
 RUNS, FEW = 5, 2
 PATIENCE_S = 600
 
@@ -191,10 +191,11 @@ def main(arguments: list[str]) -> int:
         rows.append(measured(pair, FEW if quick else RUNS))
         print(" | ".join(rows[-1].cells), flush=True)
     if not arguments:
-        about = [f"Measured {datetime.now(UTC):%Y-%m-%d} by `make bench-peers`, five runs in turn, CPU seconds, one thread:"]
+        about = [f"Measured {datetime.now(UTC):%Y-%m-%d} by `make bench-peers`, five runs in turn, CPU seconds:"]
         about += [f"{machine()}, Python {platform.python_version()}, numpy {version_of('numpy')}.", ""]
-        head = PAGE.read_text(encoding="utf-8").partition(MARK)[0]
-        PAGE.write_text("\n".join([head + MARK, *about, *table(rows), ""]), encoding="utf-8")
+        head, _, rest = PAGE.read_text(encoding="utf-8").partition(MARK)
+        truth = TRUTH + rest.partition(TRUTH)[2]
+        PAGE.write_text("\n".join([head + MARK, *about, *table(rows), "", truth]), encoding="utf-8")
     return int(not all(row.met for row in rows))
 
 

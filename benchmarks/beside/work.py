@@ -1,4 +1,4 @@
-"""Run one function of this folder once, and print its CPU seconds and its values as JSON.
+"""Run one function of this folder once, and print its CPU seconds, peak memory [MB] and values as JSON.
 
     python -m benchmarks.beside.work MODULE FUNCTION SIZE
 """
@@ -28,7 +28,8 @@ def main() -> None:
     work: Work = getattr(importlib.import_module(f"benchmarks.beside.{module}"), name)(int(size))
     before = spent()
     values = work()
-    print(json.dumps({"seconds": spent() - before, "values": values}))
+    peak = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    print(json.dumps({"seconds": spent() - before, "megabytes": peak / 1024, "values": values}))
 
 
 if __name__ == "__main__":

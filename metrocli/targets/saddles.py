@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-from metrocli.arrays import Array, Picture
+from metrocli.arrays import Array, Index, Mask, Picture
 from metrocli.frozen import dataclass
 
 WINDOW = 0.45
@@ -68,9 +68,10 @@ class _Windows:
         weight = np.where(there, np.minimum(1.0, 2 * (1 - rim) + 0.1), 0.0)
         return cls(start, across, bend, u.astype(float), v.astype(float), grey, weight)
 
-    def some(self, rows: Array) -> _Windows:
+    def some(self, rows: Index | Mask) -> _Windows:
         """Return the windows of some corners."""
-        return _Windows(*(getattr(self, name)[rows] for name in ("start", "across", "bend", "u", "v", "grey", "weight")))
+        parts = (self.start, self.across, self.bend, self.u, self.v, self.grey, self.weight)
+        return _Windows(*(one[rows] for one in parts))
 
     @property
     def count(self) -> Array:
@@ -202,8 +203,9 @@ def bends(corners: Array) -> Array:
 
 def _fit_all(picture: Picture, corners: Array, curvature: Array, window: float) -> tuple[Array, Array]:
     down, right = np.gradient(corners, axis=(0, 1))
-    flat = corners.reshape(-1, 2), np.stack([right, down], axis=-1).reshape(-1, 2, 2), curvature.reshape(-1, 2)
-    parts = (slice(first, first + _AT_ONCE) for first in range(0, len(flat[0]), _AT_ONCE))
-    fits = [_fitted(_Windows.of(picture, *(one[part] for one in flat), window)) for part in parts]
-    centres, sigma = (np.concatenate(each) for each in zip(*fits, strict=True))
+    start, across = corners.reshape(-1, 2), np.stack([right, down], axis=-1).reshape(-1, 2, 2)
+    bend, centres, sigma = curvature.reshape(-1, 2), np.empty_like(start), np.empty(len(start))
+    for first in range(0, len(start), _AT_ONCE):
+        own = slice(first, first + _AT_ONCE)
+        centres[own], sigma[own] = _fitted(_Windows.of(picture, start[own], across[own], bend[own], window))
     return centres.reshape(corners.shape), sigma.reshape(corners.shape[:2])

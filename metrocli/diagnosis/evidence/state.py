@@ -91,8 +91,9 @@ class State(Scored):
         left = self.measurement.system.residual
         if not self.members_are_free:
             return self.seen(left)
-        ends = np.cumsum([0, *(one.shape[1] for one in self._columns)])
-        return np.asarray(left - sum(x @ self.fit.sizes[a:b] for x, (a, b) in zip(self._columns, pairwise(ends))))
+        ends = np.cumsum([one.shape[1] for one in self._columns])[:-1]
+        sizes = np.split(self.fit.sizes, ends) if self._columns else []
+        return np.asarray(left - sum(x @ own for x, own in zip(self._columns, sizes, strict=True)))
 
     @cached_property
     def members_are_free(self) -> bool:
