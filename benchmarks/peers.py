@@ -5,7 +5,7 @@
     python -m benchmarks peers cameras    # those of one module of benchmarks/beside
 
 Each program runs in a process of its own, on one thread, those from PyPI in an environment of their own in build/peers.
-Counted are CPU seconds without the start of the interpreter, unless the work says that a whole command runs. A program
+CPU seconds count, without the start of the interpreter except where a whole command runs. A program
 that is not there is named and skipped. The ratio is that of the medians, with the smallest and the largest of the runs'
 own. Values agree within some of our standard uncertainties where they have one, or within some relative difference.
 """

@@ -173,6 +173,8 @@ def _untestable(model: Model, effect: Effect) -> list[NotTested]:
     places = [dict(zip(effect.keys, place, strict=True)) for place in _places(model, effect)]
     if not places and effect.definition:
         return [NotTested(effect, f"this measurement has no {effect.keys[0]}")]
+    if not places and effect.keys[0] in model.places:
+        return [NotTested(effect, f"all readings share one {effect.keys[0]}")]
     found = [NotTested(effect, lacking(model, effect, at), at) for at in places if not can_act(model, effect, at)]
     if len(found) == len(places) and len({one.reason for one in found}) == 1:
         return [NotTested(effect, found[0].reason)]
