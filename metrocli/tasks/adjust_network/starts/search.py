@@ -10,29 +10,19 @@ import numpy as np
 
 from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import UndeterminedError
-from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.tracker import cartesian
 from metrocli.tasks.adjust_network.readings import Readings
+from metrocli.tasks.adjust_network.starts.agreement import Start, disagreement, must_agree
 from metrocli.tasks.adjust_network.starts.rough_poses import fitted
 from metrocli.words import listed
 
 _ENOUGH = 200
 """Shared points that show whether they are on a line"""
+_LOOSE = 0.01
+"""Share of the extent by which set-ups disagree where the list of points is too wrong to begin with"""
 _LINE = 1e-3
 """Thickness of shared points, relative to their extent, below which they are on a line"""
-
-
-@dataclass(frozen=True)
-class Start:
-    """Rough values of all unknowns."""
-
-    points: Array
-    """(points, 3), nan where nothing is known"""
-    poses: Array
-    """(stations, 6), nan where nothing is known"""
-    gamma: Array
-    """Azimuth of each round of a levelled station, (rounds,)"""
 
 
 def _whole(places: Array) -> Mask:
@@ -152,6 +142,10 @@ class _Search:
             self.points[seen.point[rows]] = poses.apply(turned, self.local[rows])
         self._place_over()
 
+    def found(self) -> Start:
+        """Return what is placed."""
+        return Start(self.points, self.poses, np.nan_to_num(self.gamma))
+
     def begin_with(self, number: int) -> None:
         """Place a set-up at the origin."""
         self._set(number, self.readings.sightings.rounds[number][0], np.zeros(6))
@@ -177,17 +171,22 @@ class _Search:
 
 
 def start(readings: Readings) -> Start:
-    """Return rough values of points and stations; raises UndeterminedError that names set-ups that cannot be joined."""
+    """Return rough values of points and stations.
+
+    Set-ups are placed on the list of points, if they agree there, and else on each other. Raises UndeterminedError that
+    names set-ups that cannot be joined, and NotConvergedError for set-ups that contradict each other.
+    """
     levelled = np.array([readings.of(i).is_levelled for i in range(len(readings.stations.names))])
     given = readings.points.listed
     search = _Search(readings, given, levelled)
     search.run()
-    if not np.isfinite(search.gamma).any() and len(search.gamma):
+    if len(search.gamma) and (not np.isfinite(search.gamma).any() or disagreement(readings, search.found())[0] > _LOOSE):
         search = _alone(readings, levelled)
         _onto_list(search, given)
     search.intersect()
     _must_be_joined(search)
-    return Start(search.points, search.poses, np.nan_to_num(search.gamma))
+    must_agree(readings, search.found())
+    return search.found()
 
 
 def _alone(readings: Readings, levelled: Mask) -> _Search:
