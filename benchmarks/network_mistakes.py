@@ -83,11 +83,12 @@ def metres(net: Network, rng: Rng) -> Files:
 
 
 def unmarked_face(net: Network, rng: Rng) -> Files:
-    """Azimuths of face 2 are raw, elevations are reduced, and nothing marks the face."""
+    """Azimuths of face 2 are raw and elevations are reduced; in half of the files nothing marks the face."""
     net = net if (net.face == 2).any() else network(rng, **MAKES[0])
     seen = net.seen.copy()
     seen[net.face == 2, 0] += np.pi
-    return Files(replace(net, seen=seen, face=np.ones_like(net.face)), ("face 2",))
+    face = np.ones_like(net.face) if rng.random() < 0.5 else net.face
+    return Files(replace(net, seen=seen, face=face, times=True), ("face 2",))
 
 
 def points_at_a_station(net: Network, rng: Rng) -> Files:

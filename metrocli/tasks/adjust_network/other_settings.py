@@ -124,7 +124,7 @@ def _exchanged(job: Job[Settings, Files], readings: Readings, rough: Start) -> I
 
 
 def _faces(job: Job[Settings, Files], readings: Readings) -> Iterator[_Other]:
-    """Yield azimuths of face 2 that are raw beside reduced elevations, so that nothing marks the face.
+    """Yield azimuths of face 2 that are raw beside reduced elevations, which mark no face.
 
     A station reads such a point a second time half a turn away.
     """
@@ -138,7 +138,8 @@ def _faces(job: Job[Settings, Files], readings: Readings) -> Iterator[_Other]:
     raw = second[(turn > np.pi - _ALIKE) & near]
     if not azimuth or not raw.size or 2 * raw.size < first.size:
         return
-    words = f"{azimuth} of face 2 is raw, and face 2 is not marked, in {raw.size} rows"
+    marked = "" if (seen.face[raw] < 0).all() else ", and face 2 is not marked,"
+    words = f"{azimuth} of face 2 is raw{marked} in {raw.size} rows"
     write = f"{azimuth} minus half a turn and 2 in the column face"
     values, face = table.numbers(azimuth).copy(), table.numbers("face", 1.0).copy()
     values[raw] -= np.pi

@@ -146,6 +146,11 @@ class _Search:
         """Return what is placed."""
         return Start(self.points, self.poses, np.nan_to_num(self.gamma))
 
+    def stuck(self) -> bool:
+        """Return whether the points at the beginning place no set-up."""
+        read = np.isfinite(self.readings.sightings.values[0]).any()
+        return bool(len(self.gamma)) and not np.isfinite(self.gamma if read else self.poses[:, 0]).any()
+
     def begin_with(self, number: int) -> None:
         """Place a set-up at the origin."""
         self._set(number, self.readings.sightings.rounds[number][0], np.zeros(6))
@@ -180,7 +185,7 @@ def start(readings: Readings) -> Start:
     given = readings.points.listed
     search = _Search(readings, given, levelled)
     search.run()
-    if len(search.gamma) and (not np.isfinite(search.gamma).any() or disagreement(readings, search.found())[0] > _LOOSE):
+    if search.stuck() or disagreement(readings, search.found())[0] > _LOOSE:
         search = _alone(readings, levelled)
         _onto_list(search, given)
     search.intersect()
