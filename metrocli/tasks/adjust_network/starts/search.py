@@ -2,6 +2,7 @@
 
 The sightings of a set-up (a round of a levelled station) give points in its own frame. A set-up is placed where it
 fits the points that are known: levelled ones by a shift and a turn about z, others by a pose. New points then follow.
+Method: docs/algorithms/joined-set-ups.md.
 """
 
 from __future__ import annotations
