@@ -34,12 +34,12 @@ _ALIKE = 0.02
 """Two readings of a point from one station agree so well: distances as a share, azimuths in rad"""
 _ANGLES = ("az", "hz", "el", "zd")
 _PAIRS = (
-    ("az", "hz", "counts clockwise"),
-    ("hz", "az", "counts counter-clockwise"),
-    ("el", "zd", "is a zenith distance"),
-    ("zd", "el", "is an elevation"),
+    ("az", "hz", "counts clockwise", "handed"),
+    ("hz", "az", "counts counter-clockwise", "handed"),
+    ("el", "zd", "is a zenith distance", "zenith"),
+    ("zd", "el", "is an elevation", "zenith"),
 )
-"""Columns of angles, what they may be instead, and in words"""
+"""Columns of angles, what they may be instead, in words, and the sort of the mistake"""
 _Other = tuple[Mistake, Job[Settings, Files]]
 
 
@@ -78,9 +78,10 @@ def _angles(job: Job[Settings, Files]) -> Iterator[_Other]:
             write = f"{' and '.join(f'{name}_{symbol}' for name in angles)} in the heading"
             changed = {name: table.numbers(name) * factor for name in angles}
             yield _with(job, Mistake("readings", words, write, file=table.file, sort="angles", columns=0), changed)
-    for name, other, words in _PAIRS:
+    for name, other, words, sort in _PAIRS:
         if name in table:
-            mistake = Mistake("readings", f"{name} {words}", f"{other} in the heading", file=table.file, columns=0)
+            write = f"{other} in the heading"
+            mistake = Mistake("readings", f"{name} {words}", write, file=table.file, sort=sort, columns=0)
             yield mistake, replace(job, files=replace(job.files, readings=_renamed(table, name, other)))
 
 
@@ -111,7 +112,7 @@ def _exchanged(job: Job[Settings, Files], readings: Readings, rough: Start) -> I
             where = readings.stations.names[station]
             words = f"{names[0]} and {names[1]} are exchanged at station {where}"
             write = f"{names[1]} for {names[0]} and {names[0]} for {names[1]} in the rows of {where}"
-            mistake = Mistake("readings", words, write, file=seen.table.file, columns=0)
+            mistake = _exchange("readings", words, write, seen.table)
             yield mistake, replace(job, files=replace(job.files, readings=_swapped(seen.table, names, where)))
     table = job.files.points
     if not isinstance(table, Table):
@@ -119,8 +120,12 @@ def _exchanged(job: Job[Settings, Files], readings: Readings, rough: Start) -> I
     for first, second in _pairs(readings.points.listed, middle):
         names = readings.points.names[first], readings.points.names[second]
         words = f"{names[0]} and {names[1]} are exchanged"
-        mistake = Mistake("points", words, f"{names[1]} for {names[0]}, and the reverse", file=table.file, columns=0)
+        mistake = _exchange("points", words, f"{names[1]} for {names[0]}, and the reverse", table)
         yield mistake, replace(job, files=replace(job.files, points=_swapped(table, names)))
+
+
+def _exchange(key: str, words: str, write: str, table: Table) -> Mistake:
+    return Mistake(key, words, write, file=table.file, sort="exchanged", columns=0)
 
 
 def _faces(job: Job[Settings, Files], readings: Readings) -> Iterator[_Other]:
@@ -166,7 +171,7 @@ def _stations(job: Job[Settings, Files], readings: Readings) -> Iterator[_Other]
         names = stations.names[first], stations.names[second]
         words = f"{names[0]} and {names[1]} are exchanged"
         write = f"{names[1]} for {names[0]} and {names[0]} for {names[1]}"
-        mistake = Mistake("stations", words, write, file=table.file, columns=0)
+        mistake = _exchange("stations", words, write, table)
         yield mistake, replace(job, files=replace(job.files, stations=_swapped(table, names, column="station")))
 
 
