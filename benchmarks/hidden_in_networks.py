@@ -122,7 +122,7 @@ def visible(net: Network, change: Array) -> float:
 
 
 def least(net: Network, folder: Path, name: str, where: dict[str, str]) -> float:
-    """Return the strength of an effect that is found with 80 % power, in standard deviations; inf if it is not tested."""
+    """Return the strength of an effect that is found with 80 % power, inf if it is not tested."""
     tests = measurement_of(adjusted_job_of(load(net.write(folder))))
     for one in design(State.of(tests)).candidates:
         alternative = one.alternative

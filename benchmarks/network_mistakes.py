@@ -3,7 +3,7 @@
     python -m benchmarks network_mistakes [COUNT] [NAME ...]    # 20 networks for each mistake unless given
 
 Networks are drawn afresh by the plain formulas of the tests, and written with one mistake. Three times as many are
-right: a third of them as they are, a third with wrong readings, a third with an error of the tracker far beyond its noise.
+right: a third of them as they are, a third with wrong readings, a third with an error of the tracker beyond its noise.
 Bars: each mistake recognised in all, and a wrong correction offered for 1 % of the right files at most.
 """
 
@@ -170,7 +170,11 @@ def right(number: int, net: Network, rng: Rng) -> Files:
     if number % 3 == 2:
         odd = np.where(net.face == 1, 1.0, -1.0)
         size = rng.uniform(30, 300)
-        tilt, index, zero = 2e-6 * size * odd / np.cos(net.seen[:, 1]), 2e-6 * size * odd, np.full(len(odd), size * 2e-3)
+        tilt, index, zero = (
+            2e-6 * size * odd / np.cos(net.seen[:, 1]),
+            2e-6 * size * odd,
+            np.full(len(odd), size * 2e-3),
+        )
         return Files(net.with_effect(np.stack([tilt, index, zero], axis=1) * rng.integers(0, 2, 3)), ())
     return _over_marks(net, rng) if net.levelled and number % 2 else Files(net, ())
 
@@ -214,7 +218,7 @@ def main(arguments: list[str]) -> int:
                 net = network(rng, **MAKES[number % len(MAKES)])
                 files = right(number, net, rng) if name == "right" else MISTAKES[name](net, rng)
                 said = offered(files, Path(where))
-                good = any(word in said[0] for word in files.words) if files.words and said else not files.words and not said
+                good = any(word in said[0] for word in files.words) if said else not files.words
                 known += good
                 if not good:
                     print(f"  {name}, case {number}: {said or 'nothing'} for {files.words or 'nothing'}", flush=True)

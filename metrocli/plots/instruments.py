@@ -107,9 +107,11 @@ def draw(canvas: Canvas, shown: Rows) -> str:
     if shown.bound:
         return (
             f"Normalised residuals (reading minus model), one row for each instrument and quantity. {signs} Pure noise "
-            f"has a root mean square of 1, and its largest value is inside the dashed lines in 95 % of measurements.{more}"
+            "has a root mean square of 1, and its largest value is inside the dashed lines in 95 % of measurements."
+            f"{more}"
         )
     return (
         "Half of face 1 less face 2 of each point, across and along the beam, one row for each station. "
-        f"{signs} A mean beyond the scatter is an error of the instrument that changes its sign between the faces.{more}"
+        f"{signs} A mean beyond the scatter is an error of the instrument that changes its sign between the faces."
+        f"{more}"
     )

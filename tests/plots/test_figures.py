@@ -90,7 +90,10 @@ def test_instruments_and_faces_have_a_row_each() -> None:
     rows = {row.name: row.values.tolist() for row in shown.panels[0][1]}
     assert rows == {"A az": [-1.0, 1.0, 3.0], "B d": [2.0, 2.0]}
     assert shown.bound == pytest.approx(2.57, abs=0.01)  # of five values
-    faces = {name: [(row.name, row.values.tolist()) for row in rows] for name, rows in plots.data_of("two-face", results.instruments()).panels}
+    faces = {
+        name: [(row.name, row.values.tolist()) for row in rows]
+        for name, rows in plots.data_of("two-face", results.instruments()).panels
+    }
     assert faces == {"azimuth": [("S1", [2.0, 4.0])], "elevation": [("S1", [0.0, 0.0]), ("S2", [0.0])]}
 
 

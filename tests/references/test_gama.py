@@ -100,7 +100,9 @@ def test_distances_and_zenith_angles_from_fixed_points(tmp_path: Path, metrocli:
     # Gama scales by its variance factor, 1.0814613e-4 / 5 over an a priori 0.01
     assert result.statistics["chi2"] == pytest.approx(1.0814613, rel=1e-6)
     scale = 1.0814613 / 5
-    assert points.stacked(["sx", "sy", "sz"])[row] ** 2 * scale == pytest.approx([29.516446, 29.516446, 8.4015657], rel=1e-5)
+    assert points.stacked(["sx", "sy", "sz"])[row] ** 2 * scale == pytest.approx(
+        [29.516446, 29.516446, 8.4015657], rel=1e-5
+    )
 
 
 def test_station_with_heights_of_instrument_and_targets(tmp_path: Path, metrocli: Metrocli) -> None:

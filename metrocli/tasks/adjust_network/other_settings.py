@@ -183,7 +183,7 @@ def _pairs(own: Array, middle: Array) -> Iterator[tuple[int, int]]:
         apart = float(np.linalg.norm(middle[first] - middle[second]))
         crossed = [np.linalg.norm(own[a] - middle[b]) for a, b in ((first, second), (second, first))]
         if min(off[first], off[second]) > _FAR * apart and max(crossed) < _NEAR * apart:
-            yield first, second
+            yield min(first, second), max(first, second)
 
 
 def _swapped(table: Table, names: tuple[str, str], station: str = "", column: str = "point") -> Table:
