@@ -18,7 +18,7 @@ from metrocli.instruments.tracker import DISTANCE
 from metrocli.table import Table
 from metrocli.tasks.adjust_network.readings import Readings, read
 from metrocli.tasks.adjust_network.settings import Files, Settings
-from metrocli.tasks.adjust_network.starts.agreement import Start, medians, placed
+from metrocli.tasks.adjust_network.starts.agreement import Start, astray, disagreement, medians, placed
 from metrocli.tasks.adjust_network.starts.search import start
 from metrocli.tasks.job import Job
 
@@ -26,6 +26,8 @@ _GON = 0.9
 """Degrees in a gon"""
 _NEAR, _FAR = 0.1, 0.5
 """Shares of the distance of two points: exchanged ones are so near to each other's place, and so far from their own"""
+_RIGHT = 0.005
+"""Share of the extent by which set-ups and list disagree at most where angles are of the right sort"""
 _MOST = 20
 """Most corrections of one sort that are tried"""
 _CLOSE = 0.05
@@ -58,7 +60,13 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[_Other]:
         yield from _exchanged(job, readings, rough)
         yield from _heights(job, readings, rough)
     yield from _stations(job, readings)
-    yield from _angles(job)
+    if rough is None or not _agrees(readings, rough):
+        yield from _angles(job)
+
+
+def _agrees(readings: Readings, rough: Start) -> bool:
+    """Return whether set-ups agree with each other and with the list, as none does with angles of another sort."""
+    return max(disagreement(readings, rough)[0], astray(readings, rough)) < _RIGHT
 
 
 def _started(readings: Readings) -> Start | None:

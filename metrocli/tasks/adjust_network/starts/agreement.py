@@ -67,12 +67,25 @@ def disagreement(readings: Readings, rough: Start) -> tuple[float, str]:
     if not shared.any():
         return 0.0, ""
     off = np.linalg.norm(places - middle[seen.point[rows]], axis=1)[shared]
-    extent = float(np.nanmax(np.ptp(places, axis=0))) or 1.0
+    extent = _extent(places)
     station = seen.station[rows][shared]
     of = {int(one): float(np.median(off[station == one])) for one in np.unique(station)}
     worst = sorted(of, key=lambda one: -of[one])[:3]
     words = listed([f"{readings.stations.names[one]} by {of[one]:.3g} mm" for one in worst])
     return float(np.median(off)) / extent, words
+
+
+def astray(readings: Readings, rough: Start) -> float:
+    """Return how far sightings put points from their list, as a share of the extent: the median over the points."""
+    rows, places = placed(readings, rough)
+    middle = medians(places, readings.sightings.point[rows], readings.points.count)
+    off = np.linalg.norm(middle - readings.points.listed, axis=1)
+    known = np.isfinite(off)
+    return float(np.median(off[known])) / _extent(places) if known.any() else 0.0
+
+
+def _extent(places: Array) -> float:
+    return float(np.ptp(places, axis=0).max()) or 1.0
 
 
 def must_agree(readings: Readings, rough: Start) -> None:

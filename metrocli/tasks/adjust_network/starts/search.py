@@ -14,14 +14,14 @@ from metrocli.errors import UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments.tracker import cartesian
 from metrocli.tasks.adjust_network.readings import Readings
-from metrocli.tasks.adjust_network.starts.agreement import Start, disagreement, must_agree
+from metrocli.tasks.adjust_network.starts.agreement import Start, astray, disagreement, must_agree
 from metrocli.tasks.adjust_network.starts.rough_poses import fitted
 from metrocli.words import listed
 
 _ENOUGH = 200
 """Shared points that show whether they are on a line"""
 _LOOSE = 0.01
-"""Share of the extent by which set-ups disagree where the list of points is too wrong to begin with"""
+"""Share of the extent by which set-ups and list disagree where the list is too wrong to begin with"""
 _LINE = 1e-3
 """Thickness of shared points, relative to their extent, below which they are on a line"""
 
@@ -186,7 +186,8 @@ def start(readings: Readings) -> Start:
     given = readings.points.listed
     search = _Search(readings, given, levelled)
     search.run()
-    if search.stuck() or disagreement(readings, search.found())[0] > _LOOSE:
+    begun = search.found()
+    if search.stuck() or max(disagreement(readings, begun)[0], astray(readings, begun)) > _LOOSE:
         search = _alone(readings, levelled)
         _onto_list(search, given)
     search.intersect()
