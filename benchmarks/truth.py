@@ -2,7 +2,7 @@
 
     python -m benchmarks truth [COUNT]        # cases of each campaign, 120 unless given (make bench-truth)
 
-Each campaign is a benchmark of its own, which tells how its truth is made: simulations by plain formulas that share
+Each campaign is a benchmark of its own, with a truth of its own: simulations by plain formulas that share
 nothing with the solver, effects planted into real measurements, halves of real sets, published values. It writes the
 second table of docs/benchmarks.md.
 """
