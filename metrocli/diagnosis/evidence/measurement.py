@@ -161,15 +161,20 @@ class Measurement:
                 end += size
         return np.concatenate(parts, axis=1), at
 
+    @cached_property
+    def held_of_families(self) -> dict[object, Array]:
+        """Cache of products with its families; a measurement with other families shares `held`, not this."""
+        return {}
+
     def whole_grams(self, family: int) -> Array:
         """Return the Gram matrices of the whole columns of a family, (alternatives, parameters, parameters)."""
         columns = self.families[family].columns
-        key = "grams", family, columns.count
-        if key not in self.held:
+        held, key = self.held_of_families, ("grams", family)
+        if key not in held:
             rows = self.system.rows
             nothing = Basis(np.zeros((rows, 0)), np.full(rows, -1), 0, np.zeros((rows, 0)))
-            self.held[key] = columns.grams(nothing)
-        return self.held[key]
+            held[key] = columns.grams(nothing)
+        return held[key]
 
     def effect(self, family: int, number: int) -> Fixed:
         """Return an effect at a place as fixed columns."""

@@ -29,6 +29,8 @@ _APART = 0.3
 """Largest correlation of wrong readings that are taken in one step"""
 _ESTIMATES, _STAYS = 6, 1.03
 """Largest number of estimates of the noise of a group, and the ratio of two that ends them"""
+_STALE = 2.0
+"""Gain from which the noise of a group is estimated anew: that of the others has changed since"""
 _MASKED, _TOGETHER = 2.0, 8
 """Variance of the noise, in that declared, from which several wrong readings are sought together, and how many"""
 
@@ -104,19 +106,28 @@ def moves(state: State, quiet: set[int] | None = None) -> list[Move]:
 
 
 def _noise(state: State) -> list[Move]:
-    """Return the noisier variance groups of one step: the most certain, and those of its kind nearly as certain."""
-    of_readings = [one[0] not in (READING, DECLARED_SIGMA) for one in state.measurement.units]
+    """Return the variance groups of one step that are noisier, of given values and of readings.
+
+    They are the most certain, and those of its kind nearly as certain.
+    """
+    kinds, known = [one[0] for one in state.measurement.units], state.measurement.noise
     # one of many units that is quieter than the others is no cause for anything
     groups = [
         one
         for one in noisier_groups(state)
-        if one[0] > 0 and (one[2] > AS_OTHERS or (one[2] < 1 / AS_OTHERS and not of_readings[one[1]]))
+        if (one[0] > _STALE if one[1] in known else one[0] > 0)
+        and (
+            one[2] > AS_OTHERS
+            or one[1] in known
+            or (one[2] < 1 / AS_OTHERS and kinds[one[1]] in (READING, DECLARED_SIGMA))
+        )
     ]
-    if not groups:
-        return []
-    kind = state.measurement.units[groups[0][1]][0]
-    alike = [one for one in groups if state.measurement.units[one[1]][0] == kind and one[0] > groups[0][0] / 2]
-    return [Move(groups[0][0], noise={number: ratio for _, number, ratio in alike}, given=kind == DECLARED_SIGMA)]
+    found = []
+    for given in (True, False):
+        own = [one for one in groups if (kinds[one[1]] == DECLARED_SIGMA) == given]
+        alike = [one for one in own if kinds[one[1]] == kinds[own[0][1]] and one[0] > own[0][0] / 2]
+        found += [Move(own[0][0], noise={number: ratio for _, number, ratio in alike}, given=given)] if own else []
+    return found
 
 
 def effects(state: State, most: int = 2) -> list[Move]:

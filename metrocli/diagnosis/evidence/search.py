@@ -15,6 +15,8 @@ from metrocli.diagnosis.evidence.parts import CORRELATED, Fixed, Random
 from metrocli.diagnosis.evidence.refined import refined
 from metrocli.diagnosis.evidence.scored import at_sizes
 from metrocli.diagnosis.evidence.state import State
+from metrocli.diagnosis.evidence.weights import with_noise
+from metrocli.diagnosis.noise import AS_OTHERS
 
 _MOST = 60
 _GAINED = 1e-3
@@ -73,7 +75,7 @@ def forward(
             break
         best = _best(state, [one for one in moves(state, quiet) if without is None or not one.is_like(without)])
         if best is None or best.score <= state.score + max(_GAINED, least * (state.score - begin)):
-            whole = without_weak_random(state)
+            whole = without_weak_noise(without_weak_random(state))
             if whole is state or whole.score <= state.score + _GAINED:
                 break
             best = whole
@@ -140,6 +142,16 @@ def without_weak_random(state: State) -> State:
         if fewer.score < state.score or fewer is state:
             break
         state = fewer
+    return state
+
+
+def without_weak_noise(state: State) -> State:
+    """Return the state without the noise of a group that has come near to that of the others, if it no longer pays."""
+    for number, ratio in state.measurement.noise.items():
+        if 1 / AS_OTHERS < ratio < AS_OTHERS:
+            other = state.at(with_noise(state.measurement, {number: 1 / ratio}))
+            if other.score > state.score:
+                return without_weak_noise(other)
     return state
 
 

@@ -100,14 +100,15 @@ class State(Scored):
         """Whether no errors of single members are in it, so that products with the columns since entered suffice."""
         return not any(one.local for one in self.random)
 
-    def within(self, name: object, columns: Callable[[Array], Array]) -> Array:
+    def within(self, name: object, columns: Callable[[Array], Array], held: dict[object, Array] | None = None) -> Array:
         """Return `v'columns` (k, ...), where no member has errors, by the products of columns with others (rows, p).
 
-        The products with each part are computed once for a name of the columns.
+        The products with each part are computed once for a name of the columns in a cache, the measurement's unless
+        another is given.
         """
         from scipy.linalg import solve_triangular
 
-        held, found = self.measurement.held, list[Array]()
+        held, found = self.measurement.held if held is None else held, list[Array]()
         for key, x in self._parts:
             at = "within", name, key
             along = held[at] if at in held else columns(x)
@@ -174,14 +175,15 @@ class State(Scored):
 
     def _of_columns(self, family: int) -> Array:
         """Return what entered along the columns of a family, (k, alternatives, parameters)."""
-        columns = self.measurement.families[family].columns
-        return self.within(("family", family, columns.count), lambda x: columns.products(x).transpose(2, 0, 1))
+        columns, held = self.measurement.families[family].columns, self.measurement.held_of_families
+        return self.within(family, lambda x: columns.products(x).transpose(2, 0, 1), held)
 
     @cached_property
     def _along(self) -> Array:
         """Coordinates of the small families in what the state takes, and last their products with the residual."""
-        dense, _ = self.measurement.side_by_side
-        taken = self.within("side by side", lambda x: x.T @ dense) if self.members_are_free else self._inside(dense)
+        (dense, _), held = self.measurement.side_by_side, self.measurement.held_of_families
+        free = self.members_are_free
+        taken = self.within("side by side", lambda x: x.T @ dense, held) if free else self._inside(dense)
         return np.concatenate([taken, (dense.T @ self.residual)[None]])
 
     def _inside(self, columns: Array) -> Array:

@@ -221,25 +221,27 @@ def noisier_groups(state: State) -> list[tuple[float, int, float]]:
     taken, r = state.absorbed(), state.residual
     dof, squares = state.freedoms, state.fit.squares
     for number, (kind, _, rows) in enumerate(m.units):
+        # a group that has its own noise already costs nothing more
+        price = 0.0 if number in m.noise else m.price_of_noise
         if kind == DECLARED_SIGMA and rows.sum() <= _MOST_GIVEN:
-            net, ratio = _noise_of_given(state, rows)
-            if net > 0:
-                found.append((net, number, ratio))
+            gain, ratio = _noise_of_given(state, rows)
+            if gain > price:
+                found.append((gain - price, number, ratio))
                 continue
         own = float(rows.sum()) - float(taken[rows].sum())
         s = float(r[rows] @ r[rows])
         rest, left = dof - own, squares - s
         if own >= 1 and rest >= 1 and left > 0 and s > 0:
             gain = (dof * np.log(squares / dof) - own * np.log(s / own) - rest * np.log(left / rest)) / 2
-            found.append((gain - m.price_of_noise, number, float(np.sqrt(s / own / (left / rest)))))
+            found.append((gain - price, number, float(np.sqrt(s / own / (left / rest)))))
     return sorted(found, reverse=True)
 
 
 def _noise_of_given(state: State, rows: Mask) -> tuple[float, float]:
-    """Return the net gain of larger noise of some rows, `V = I + g E E'`, and the ratio of their deviations."""
+    """Return the gain of larger noise of some rows, `V = I + g E E'`, and the ratio of their deviations."""
     at = np.flatnonzero(rows)
     left = np.eye(len(at)) - state.products(at[None])[0]
     d, vectors = np.linalg.eigh(left)
     along = (vectors.T @ state.residual[at]) ** 2 / np.maximum(d, 1e-300)
     gain, log = gain_of_variance(d, along, state.fit.squares, state.fit.dof)
-    return gain - state.measurement.price_of_noise, float(np.sqrt(1 + np.exp(log)))
+    return gain, float(np.sqrt(1 + np.exp(log)))

@@ -17,6 +17,8 @@ from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.candidates import Family
 from metrocli.diagnosis.linear.projection import System
 
+_ROUNDING = 1e-9
+
 
 def with_noise(measurement: Measurement, ratios: Mapping[int, float]) -> Measurement:
     """Return a measurement in which some variance groups have noise that is so many times as large as before.
@@ -64,6 +66,8 @@ def _system_weighted(measurement: Measurement, ratios: Mapping[int, float], fact
     known = dict(measurement.noise)
     for number, ratio in ratios.items():
         known[number] = known.get(number, 1.0) * ratio
+        if abs(known[number] - 1) < _ROUNDING:
+            del known[number]
     return replace(
         measurement,
         system=replace(bare, residual=bare.seen(system.residual * factor)),
