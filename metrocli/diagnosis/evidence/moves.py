@@ -5,7 +5,7 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import islice
 
 import numpy as np
@@ -72,17 +72,28 @@ class Move:
             return self.found.kind == CORRELATED and self.found.key[0] == part.key[0]
         return part.key in self.keys
 
+    def tried(self, state: State) -> tuple[float, Callable[[], State]]:
+        """Return the score of the state after the move, and what makes that state.
+
+        Other noise weights all candidates anew, which is left until the move is chosen.
+        """
+        if self.noise is not None:
+            score, ratios = _settled(state, self.noise)
+            return score, lambda: state.at(with_noise(state.measurement, ratios)) if ratios else state
+        made = self.made(state)
+        return made.score, lambda: made
+
     def made(self, state: State) -> State:
         """Return the state after the move."""
         if self.noise is not None:
-            return _with_noise(state, self.noise)
+            return self.tried(state)[1]()
         if self.found is not None:
             return state.plus(random=[self.found.part(state.measurement)], logs=[self.found.log])
         return state.plus(self.fixed)
 
 
-def _with_noise(state: State, noise: Mapping[int, float]) -> State:
-    """Return a state whose variance groups have a noise of their own, estimated until it stays."""
+def _settled(state: State, noise: Mapping[int, float]) -> tuple[float, dict[int, float]]:
+    """Return the score with the noise of variance groups, estimated until it stays, and their ratios."""
     best, held, tried = state.score if state.measurement.noise else -np.inf, dict[int, float](), dict(noise)
     for _ in range(_ESTIMATES):
         score, after = ratios_in(state, tried)
@@ -91,7 +102,7 @@ def _with_noise(state: State, noise: Mapping[int, float]) -> State:
         best, held, tried = score, tried, after
         if all(1 / _STAYS < tried[number] / ratio < _STAYS for number, ratio in held.items()):
             break
-    return state.at(with_noise(state.measurement, held)) if held else state
+    return best, held
 
 
 def moves(state: State, quiet: set[int] | None = None) -> list[Move]:

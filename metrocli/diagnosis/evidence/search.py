@@ -33,6 +33,9 @@ _ALIKE = float(np.log(20.0))
 _NEARLY = float(np.log(5.0))
 """Difference up to which an effect is preferred to a correlated error: real readings nearly always have one"""
 
+_Tried = tuple[float, Callable[[], State], Move]
+"""Score of a move, what makes the state after it, and the move"""
+
 
 def _with_all_readings(state: State) -> State:
     """Return the state with the wrong readings that show at the same sizes of the random parts, step by step."""
@@ -90,26 +93,33 @@ def _best(state: State, possible: Sequence[Move]) -> State | None:
     """Return the best of the states after moves; where sizes stay as they are, the quick gains are exact."""
     if not possible or possible[0].net <= 0:
         return None
-    first, tried, named = possible[0].net, list[tuple[State, Move]](), None
+    first, tried, named = possible[0].net, list[_Tried](), None
     for move in possible[:_MOST_TRIED]:
         if move.net < first - max(_NEAR, 0.3 * first):
             break
-        made = move.made(state)
-        tried.append((_with_all_readings(made) if any(one.is_reading for one in move.fixed) else made, move))
+        if any(one.is_reading for one in move.fixed):
+            tried.append(_kept(_with_all_readings(move.made(state)), move))
+        else:
+            tried.append((*move.tried(state), move))
         if move.is_correlated:
             named = _with_all_effects(state) if named is None else named
-            tried += [(move.made(named), move)] if named is not state else []
+            tried += [_kept(move.made(named), move)] if named is not state else []
         if not state.random and move.fixed:
             break
-    best, chosen = max(tried, key=lambda one: one[0].score)
-    alike = [(one, move) for one, move in tried if one.score > best.score - _ALIKE]
+    best = max(tried, key=lambda one: one[0])
+    chosen = best[2]
+    alike = [one for one in tried if one[0] > best[0] - _ALIKE]
     # a sigma that the job states explains as much as an effect at all places: it is what can be corrected
-    given = [one for one, move in alike if move.given]
+    given = [one for one in alike if one[2].given]
     # so can an effect: noise of its place, or a correlated error, does not say what is wrong there
-    least = best.score - (_ALIKE if chosen.noise is not None else _NEARLY)
+    least = best[0] - (_ALIKE if chosen.noise is not None else _NEARLY)
     says_little = chosen.noise is not None or chosen.has_correlated
-    names = [one for one, move in alike if move.is_cause and one.score > least] if says_little else []
-    return next(iter(given), max(names, key=lambda one: one.score, default=best))
+    names = [one for one in alike if one[2].is_cause and one[0] > least] if says_little else []
+    return next(iter(given), max(names, key=lambda one: one[0], default=best))[1]()
+
+
+def _kept(state: State, move: Move) -> _Tried:
+    return state.score, lambda: state, move
 
 
 def pruned(state: State) -> State:
