@@ -69,6 +69,8 @@ def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: b
         if dry_run:
             return _dry_run(list(states(steps, order.force, order.strict)), console, as_json)
         reports = _run(steps, order, console, how["jobs"], how["scheduler"])
+        if how["only"]:
+            depfile.renew(file, [report.step for report in reports if not report.exit_code])
     labels = {report.step.name: report.sealed for report in reports if not report.exit_code}
     if plain and len(labels) == len(steps):
         memo.remember(file, steps, begun, labels)

@@ -75,6 +75,16 @@ def test_several_at_once_give_the_same_results(project: Path, metrocli: Callable
     assert {name: hdf5.read_label(Path(f"results/{name}.h5")).content for name in ALL} == alone
 
 
+def test_a_result_that_stays_is_no_older_than_its_job_after_only(project: Path, metrocli: Callable[..., Any]) -> None:
+    result = Path("results/d.h5")
+    assert metrocli("run").code == 0
+    os.utime(result, (1e9, 1e9))
+    assert metrocli("run").code == 0 and result.stat().st_mtime == 1e9, "a run of all leaves its time"
+    assert ran(metrocli("run", "--only", "results/d.h5")) == ""
+    used = (Path("jobs/d.yaml"), Path("results/c.h5"), Path("metrocli.yaml"))
+    assert all(result.stat().st_mtime_ns >= path.stat().st_mtime_ns for path in used)
+
+
 def test_parts_of_a_project(project: Path, metrocli: Callable[..., Any]) -> None:
     assert ran(metrocli("run", "--only", "jobs/d.yaml")) == "cd"
     assert ran(metrocli("run", "--only", "results/b.h5", "--dry-run")) == ""

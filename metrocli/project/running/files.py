@@ -6,7 +6,7 @@ import contextlib
 import os
 import re
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -49,6 +49,18 @@ def locked(project_file: Path, wait: bool) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
+
+
+def renew(project_file: Path, steps: Iterable[Step]) -> None:
+    """Give results that are older than what they depend on the present time, without which Make would run for ever.
+
+    These are results that are up to date or came out as before, which else keep their time.
+    """
+    for step in steps:
+        needed = step.job.file, project_file, *step.job.stated_in, *step.job.files
+        youngest = max(path.stat().st_mtime_ns for path in needed if path.exists())
+        if step.job.output.exists() and step.job.output.stat().st_mtime_ns < youngest:
+            os.utime(step.job.output)
 
 
 _SPECIAL = re.compile(r"(\\*)([ #:*?\[])")
