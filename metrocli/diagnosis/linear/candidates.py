@@ -146,7 +146,7 @@ def families_of(job: AdjustedJob, system: System) -> tuple[list[Family], list[No
 
 def families_throughout(job: AdjustedJob, system: System) -> tuple[Family, ...]:
     """Return the effects that are sought at all their places at once only, as far as they can act somewhere."""
-    wanted = [one for one in job.effects if one.throughout and one.keys[0] in job.model.places]
+    wanted = [one for one in job.effects if one.throughout and set(one.keys) <= set(job.model.places)]
     return tuple(family for effect in wanted for family in _of_effect(job, system, effect, []))
 
 

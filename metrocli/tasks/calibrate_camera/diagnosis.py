@@ -20,6 +20,7 @@ from metrocli.tasks.calibrate_camera.doubts import PrincipalPoint
 from metrocli.tasks.calibrate_camera.effects import EFFECTS
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.settings import Camera
+from metrocli.tasks.calibrate_camera.shape.effect import LENS_SHAPE, lens_shape
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.covariates import at_solution, covariate, covariates, folds, named, refit
 from metrocli.tasks.shared.images.eccentricity import diameters
@@ -39,7 +40,7 @@ def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
     return AdjustedJob(
         KIND.name,
         model,
-        EFFECTS,
+        tuple(lens_shape(problem.with_model(model)) if one is LENS_SHAPE else one for one in EFFECTS),
         named(found),
         () if cmm else ("image",),
         folds(index[camera.TARGET if cmm else "view"]),

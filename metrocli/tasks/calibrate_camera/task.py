@@ -26,6 +26,7 @@ from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.report import report
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
+from metrocli.tasks.calibrate_camera.shape.effect import beside_base
 from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_views, true_model, with_lengths
 from metrocli.tasks.job import Job, Task
@@ -93,7 +94,7 @@ def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
     problem = build(settings.rig, settings.camera, sighted, files.scale_bars)
     if settings.camera.model == SPLINE:
         problem = with_shape(problem, settings.noise not in FROM_RESIDUALS)
-    return settings, problem.with_effects(job.effects)
+    return settings, problem.with_effects(beside_base(problem, job.effects))
 
 
 def _must_have_size(images: ImageSet, settings: Settings) -> None:
