@@ -26,8 +26,8 @@ from benchmarks.hidden.rates import Rate
 from metrocli.adjust.model.chain import Local
 from metrocli.adjust.model.observations import Observations
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.instruments.lenses.lens import Lens
 from metrocli.effects.links.lens_shape import LensShape
+from metrocli.instruments.lenses.lens import Lens
 from metrocli.project.diagnosed import carry_out, write_extended
 from metrocli.project.job import load
 from metrocli.project.runner import content
@@ -44,7 +44,9 @@ _MIDDLE = (np.array(SIZE) - 1) / 2
 def _polynomial(x: Array, y: Array, k: Array) -> tuple[Array, Array]:
     r2 = x * x + y * y
     radial = 1 + k[0] * r2 + k[1] * r2**2
-    return x * radial + 2 * k[2] * x * y + k[3] * (r2 + 2 * x * x), y * radial + k[2] * (r2 + 2 * y * y) + 2 * k[3] * x * y
+    return x * radial + 2 * k[2] * x * y + k[3] * (r2 + 2 * x * x), y * radial + k[2] * (r2 + 2 * y * y) + 2 * k[
+        3
+    ] * x * y
 
 
 def true_lens(kind: str, rng: np.random.Generator) -> Project:
@@ -118,7 +120,9 @@ def held_out(project: Project, fresh: list[View]) -> float:
     squares, count = 0.0, 0
     for view in fresh:
         found = least_squares(
-            lambda p, v=view: (project(_seen(p))[v.target] - v.uv).ravel(), view.pose, x_scale=[10, 10, 10, 0.1, 0.1, 0.1]
+            lambda p, v=view: (project(_seen(p))[v.target] - v.uv).ravel(),
+            view.pose,
+            x_scale=[10, 10, 10, 0.1, 0.1, 0.1],
         )
         squares, count = squares + 2 * float(found.cost), count + view.uv.size
     return float(np.sqrt(squares / count))
@@ -211,7 +215,10 @@ def main(arguments: list[str]) -> int:
             results.setdefault(kind, []).append(one)
             errors = " ".join(f"{error:.4f}" for error in one.errors)
             again = "" if one.again is None else one.again.verdict
-            print(f"{kind} {number}: {one.first.verdict} {one.names}, then {again}; {errors} px, {one.seconds:.1f} s", flush=True)
+            print(
+                f"{kind} {number}: {one.first.verdict} {one.names}, then {again}; {errors} px, {one.seconds:.1f} s",
+                flush=True,
+            )
     for kind, each in results.items():
         clean = sum(one.again is not None and one.again.verdict in ("clean", "explained") for one in each)
         print(Rate(f"{kind}: found", sum(one.first.verdict != "clean" for one in each), len(each), least=0.95))

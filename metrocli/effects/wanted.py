@@ -107,7 +107,9 @@ def _at_all_places(forms: Sequence[Effect], node: Node, faults: list[Fault]) -> 
     spec = forms[0].common
     for written, _ in node.entries:
         if written.text not in ("name", "std"):
-            hint = f"with `std` the effect acts {forms[0].everywhere}, with sizes of its own: leave '{written.text}' out"
+            hint = (
+                f"with `std` the effect acts {forms[0].everywhere}, with sizes of its own: leave '{written.text}' out"
+            )
             faults.append(written.fault(f"{forms[0].name}: '{written.text}' beside 'std'", hint))
             return None
     below = node.get("std")

@@ -15,6 +15,7 @@ from typing import Any
 from metrocli import tasks
 from metrocli.adjust.allowance import allowance
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Ordered
+from metrocli.diagnosis.corrections import Mistake
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import LIMIT, Attended, diagnose, no_interrupt, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
@@ -164,7 +165,7 @@ def write_extended(
     """
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
     confirmed = any(one.confirmed for one in diagnosis.findings)
-    others = bool(confirmed or diagnosis.scatters or proposed_noise(diagnosis))
+    others = bool(confirmed or diagnosis.scatters or proposed_noise(diagnosis) or _correction(diagnosis))
     if not others and diagnosis.law is None:
         return None
     if not force:
@@ -245,11 +246,30 @@ def _extended(
     changed = {"inputs": moved, "effects_from": moved, "noise": noise}
     kept = [
         (key, changed[key.text](value) if key.text in changed else value)
-        for key, value in job.root.entries
+        for key, value in _corrected(job, found)
         if key.text not in (*below, "output")
     ]
     more = [(_key(job, key), items) for key, items in below.items() if items.items]
     return replace(job.root, entries=(*kept, *more, (_key(job, "output"), _key(job, os.path.relpath(output, folder)))))
+
+
+def _correction(found: Diagnosis) -> Mistake | None:
+    """Return the mistake in a section of the job whose right entries are known; None without one."""
+    first = None if found.mistaken is None else found.mistaken.mistakes[0]
+    return first if first is not None and first.entries else None
+
+
+def _corrected(job: JobFile, found: Diagnosis) -> Sequence[tuple[Node, Node]]:
+    """Return the sections of a job, that of a mistake with the right entries."""
+    wrong = _correction(found)
+    if wrong is None:
+        return job.root.entries
+    old = job.root.get(wrong.input)
+    kept = [] if old is None else [(key, value) for key, value in old.entries if key.text not in wrong.entries]
+    new = [(_key(job, key), _node(job, value)) for key, value in wrong.entries.items() if value]
+    section = replace(job.root, kind="mapping", text="", entries=(*kept, *new), items=())
+    others = [(key, value) for key, value in job.root.entries if key.text != wrong.input]
+    return [*others, (_key(job, wrong.input), section)]
 
 
 def _longer(job: JobFile, key: str, more: Sequence[Node]) -> Node:

@@ -22,7 +22,7 @@ from metrocli.tasks.calibrate_camera.compare import compare_models
 from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
-from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
+from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models, other_settings
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.report import report
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
@@ -178,4 +178,5 @@ TASK = Task(
     effects=EFFECTS,
     places=PLACES,
     answers={"compare": compare},
+    other_settings=other_settings,
 )

@@ -19,7 +19,7 @@ from metrocli.errors import InputError
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.shape.spline import SHAPE, kernels, link_free_of_base
 
-_SMALL = 1e-4
+_SMALL = 3e-3
 """Share of the largest variance below which a direction of the shape is left out"""
 _ANY = Knots((640, 480), (6, 5))
 """Knots where no calibration gives the image"""
