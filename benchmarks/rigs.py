@@ -72,16 +72,17 @@ def _image(points: Array, lens: Array) -> Array:
     return np.stack([f * u + cx, f * v + cy], axis=1)
 
 
+def _lens(rng: np.random.Generator) -> Array:
+    centre = np.array(SIZE) / 2 - 0.5 + rng.normal(0, 10, 2)
+    return np.array([rng.uniform(900, 1300), *centre, rng.uniform(-0.25, 0), 0.05, *rng.normal(0, 5e-4, 2)])
+
+
 def z_of_rig(number: int) -> Array:
     """Return (value - truth) / std of all estimates of a simulated rig."""
     rng = np.random.default_rng([71, number])
     count = 2 + number % 2
     names = ["left", "right", "top"][:count]
-    lenses = [
-        np.array([rng.uniform(900, 1300), 639.5 + rng.normal(0, 10), 479.5 + rng.normal(0, 10), rng.uniform(-0.25, 0), 0.05,
-                  *rng.normal(0, 5e-4, 2)])
-        for _ in names
-    ]  # fmt: skip
+    lenses = [_lens(rng) for _ in names]
     turns = [np.eye(3), *(Rotation.from_rotvec(rng.normal(0, 0.15, 3)).as_matrix() for _ in names[1:])]
     shifts = [np.zeros(3), *(np.array([90.0 * i, 0, 0]) + rng.normal(0, 15, 3) for i in range(1, count))]
     seen = []
@@ -96,11 +97,9 @@ def z_of_rig(number: int) -> Array:
                 seen += [(f"{name}{exposure:02d}.png", int(i), uv[i]) for i in np.flatnonzero(inside)]
     size = f"image_size: [{SIZE[0]}, {SIZE[1]}]"
     result = solved(seen, BOARD, {name: f'{{images: "{name}*.png", {size}}}' for name in names}, f"{NOISE} px")
-    truth = {
-        f"{name}.{key}": value
-        for name, lens in zip(names, lenses, strict=True)
-        for key, value in zip(LENS, lens, strict=True)
-    }
+    truth = {}
+    for name, lens in zip(names, lenses, strict=True):
+        truth |= {f"{name}.{key}": value for key, value in zip(LENS, lens, strict=True)}
     for name, turn, shift in zip(names[1:], turns[1:], shifts[1:], strict=True):
         truth |= {f"{name}.{key}": value for key, value in zip(POSE, [*shift, *_euler(turn)], strict=True)}
     return np.array([(one.value - truth[one.name]) / one.std for one in result.estimates])
@@ -144,7 +143,7 @@ def opencv() -> bool:
     values = {one.name: one.value for one in _stereo(seen, board, "estimated").estimates}
     held = {name: {key: values[f"{name}.{key}"] for key in LENS} for name in ("left", "right")}
     more = [
-        f", estimate: []{''.join(f', {key}: {_written(key, value)}' for key, value in one.items())}"
+        ", estimate: []" + "".join(f", {key}: {_written(key, value)}" for key, value in one.items())
         for one in held.values()
     ]
     fixed = _stereo(seen, board, "1 px", more)
@@ -175,22 +174,19 @@ def opencv() -> bool:
 def halves(count: int) -> bool:
     """Print the root mean square z between the halves of the stereo images."""
     seen, board = corners()
-    shots = sorted({image.removeprefix("left") for image, _, _ in seen if image.startswith("left")})
-    z = []
+
+    def shot(image: str) -> str:
+        return image.removeprefix("left").removeprefix("right")
+
+    shots, z = sorted({shot(image) for image, _, _ in seen}), []
     for number in range(count):
         order = np.random.default_rng([72, number]).permutation(shots)
         half = [set(order[: len(order) // 2]), set(order[len(order) // 2 :])]
-        one, other = (
-            _stereo(
-                [row for row in seen if row[0].removeprefix("left").removeprefix("right") in mine], board, "structured"
-            )
-            for mine in half
-        )
-        z.append(
-            [(a.value - b.value) / np.hypot(a.std, b.std) for a, b in zip(one.estimates, other.estimates, strict=True)]
-        )
+        results = [_stereo([row for row in seen if shot(row[0]) in mine], board, "structured") for mine in half]
+        pairs = zip(*(result.estimates for result in results), strict=True)
+        z.append([(a.value - b.value) / np.hypot(a.std, b.std) for a, b in pairs])
     rms = np.sqrt(np.mean(np.square(z), axis=0))
-    names = [estimate.name for estimate in one.estimates]
+    names = [estimate.name for estimate in results[0].estimates]
     print(f"{count} halvings: z rms {np.sqrt(np.mean(np.square(z))):.2f} (0.7 to 1.3); of each:")
     print("  " + ", ".join(f"{name} {value:.2f}" for name, value in zip(names, rms, strict=True)))
     return bool(0.7 <= np.sqrt(np.mean(np.square(z))) <= 1.3)
@@ -200,11 +196,9 @@ def main(arguments: list[str]) -> int:
     """Run what is named, or all."""
     count = next((int(one) for one in arguments if one.isdigit()), 0)
     tests = {"simulated": lambda: simulated(count or 100), "opencv": opencv, "halves": lambda: halves(count or 20)}
-    return (
-        0
-        if all([test() for name, test in tests.items() if name in arguments or not set(tests) & set(arguments)])
-        else 1
-    )
+    chosen = [name for name in tests if name in arguments] or list(tests)
+    met = [tests[name]() for name in chosen]
+    return 0 if all(met) else 1
 
 
 if __name__ == "__main__":

@@ -55,7 +55,9 @@ def pose_between(first: Seen, second: Seen, points: Array) -> Array:
     fits = off[best] <= second.limit
     if not fits.all():
         pose = held[best] if fits.mean() >= _MOST else _by_all(first, second, points)
-        lines = list(_strangers(first, second, points, pose, (at, to)))
+        found = list(_strangers(first, second, points, pose, (at, to)))
+        # a pose that few pairs fit is none
+        lines = [line for line, _ in found] if fits.mean() >= _MOST or any(known for _, known in found) else []
         raise InputError([Fault(_refusal(first, second, lines, len(at)), hint="rename the images, or leave them out")])
     chosen: Array = held[best]
     return chosen
@@ -79,15 +81,18 @@ def _refusal(first: Seen, second: Seen, lines: Sequence[str], pairs: int) -> str
     return f"{text}: {'; '.join(lines[:6])}{'; ...' if lines[6:] else ''}"
 
 
-def _strangers(first: Seen, second: Seen, points: Array, pose: Array, pairs: tuple[Index, Index]) -> Iterator[str]:
-    """Yield each image that does not fit its partner, and the one with which it was taken."""
+def _strangers(
+    first: Seen, second: Seen, points: Array, pose: Array, pairs: tuple[Index, Index]
+) -> Iterator[tuple[str, bool]]:
+    """Yield each image that does not fit its partner, the one with which it was taken, and whether that is known."""
     for i, j in zip(*pairs, strict=True):
         there = np.broadcast_to(second.places[j], first.places.shape)
         off = _off(pose, first.places, there, second.focal, points)
         if off[i] > second.limit:
             fits = int(np.argmin(off))
-            other = f", but with {first.images[fits]}" if off[fits] <= second.limit else ""
-            yield f"{second.images[j]} not with {first.images[i]}{other}"
+            known = bool(off[fits] <= second.limit)
+            other = f", but with {first.images[fits]}" if known else ""
+            yield f"{second.images[j]} not with {first.images[i]}{other}", known
 
 
 def _by_all(first: Seen, second: Seen, points: Array) -> Array:
