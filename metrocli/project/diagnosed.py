@@ -10,7 +10,6 @@ from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 from metrocli import tasks
 from metrocli.adjust.allowance import allowance
@@ -39,7 +38,7 @@ from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedEr
 from metrocli.formats.csv_text import numeric
 from metrocli.formats.file_bytes import written_aside
 from metrocli.frozen import dataclass
-from metrocli.nodes import Node
+from metrocli.nodes import Node, node_of, relocated
 from metrocli.progress import SILENT, Named, Progress, counted
 from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
@@ -203,8 +202,8 @@ def _write(job: JobFile, diagnosis: Diagnosis, law: Law | None, place: tuple[Pat
     scatters = [one for one in diagnosis.scatters if not declares(job.root.get("noise"), one)]
     named = [*map(scatter_as_job, scatters), *(as_job(one.effect) for one in diagnosis.findings if one.confirmed)]
     called = _free_name(diagnosis)
-    new = [_node(job, entry) for entry in (*named, *([] if law is None else [as_wanted(law, called)]))]
-    defined = [] if law is None else [_node(job, as_define(law, called))]
+    new = [node_of(job.root, entry) for entry in (*named, *([] if law is None else [as_wanted(law, called)]))]
+    defined = [] if law is None else [node_of(job.root, as_define(law, called))]
     body = yaml_text.emit(_extended(job, new, defined, diagnosis, (path.parent, result)))
     text = f"# {job.file.name}{_NAMED if new or diagnosis.scatters else _SHARED}\n{_DIGEST}{_digest(body)[:16]}\n{body}"
     with written_aside(path) as aside:
@@ -241,7 +240,7 @@ def _extended(
     folder, result = to
     below = {"define": _longer(job, "define", defined), "effects": _longer(job, "effects", effects)}
     output = result or job.output.with_name(f"{job.output.stem}.extended.h5")
-    moved: Callable[[Node], Node] = lambda value: _relocated(value, job.folder, folder)  # noqa: E731
+    moved: Callable[[Node], Node] = lambda value: relocated(value, job.folder, folder)  # noqa: E731
     noise: Callable[[Node], Node] = lambda value: _noise(job, value, found)  # noqa: E731
     changed = {"inputs": moved, "effects_from": moved, "noise": noise}
     kept = [
@@ -249,8 +248,9 @@ def _extended(
         for key, value in _corrected(job, found)
         if key.text not in (*below, "output")
     ]
-    more = [(_key(job, key), items) for key, items in below.items() if items.items]
-    return replace(job.root, entries=(*kept, *more, (_key(job, "output"), _key(job, os.path.relpath(output, folder)))))
+    more = [(node_of(job.root, key), items) for key, items in below.items() if items.items]
+    written = node_of(job.root, "output"), node_of(job.root, os.path.relpath(output, folder))
+    return replace(job.root, entries=(*kept, *more, written))
 
 
 def _correction(found: Diagnosis) -> Mistake | None:
@@ -266,10 +266,10 @@ def _corrected(job: JobFile, found: Diagnosis) -> Sequence[tuple[Node, Node]]:
         return job.root.entries
     old = job.root.get(wrong.input)
     kept = [] if old is None else [(key, value) for key, value in old.entries if key.text not in wrong.entries]
-    new = [(_key(job, key), _node(job, value)) for key, value in wrong.entries.items() if value]
+    new = [(node_of(job.root, key), node_of(job.root, value)) for key, value in wrong.entries.items() if value]
     section = replace(job.root, kind="mapping", text="", entries=(*kept, *new), items=())
     others = [(key, value) for key, value in job.root.entries if key.text != wrong.input]
-    return [*others, (_key(job, wrong.input), section)]
+    return [*others, (node_of(job.root, wrong.input), section)]
 
 
 def _longer(job: JobFile, key: str, more: Sequence[Node]) -> Node:
@@ -290,31 +290,6 @@ def _noise(job: JobFile, declared: Node, found: Diagnosis) -> Node:
 def _with_model(job: JobFile, declared: Node, model: str) -> Node:
     """Return the noise of a job with a model: beside its declared parts, else in their place."""
     if declared.kind != "mapping":
-        return _key(job, model)
+        return node_of(job.root, model)
     parts = tuple((key, value) for key, value in declared.entries if key.text != MODEL)
-    return replace(declared, entries=(*parts, (_key(job, MODEL), _key(job, model))))
-
-
-def _relocated(node: Node, old: Path, new: Path) -> Node:
-    """Return a node with its paths, relative to `old`, rewritten relative to `new`."""
-    if os.path.abspath(old) == os.path.abspath(new) or (node.kind == "scalar" and Path(node.text).is_absolute()):
-        return node
-    if node.kind == "scalar":
-        return replace(node, text=Path(os.path.relpath(old / node.text, new)).as_posix())
-    items = (_relocated(item, old, new) for item in node.items)
-    entries = ((key, _relocated(value, old, new)) for key, value in node.entries)
-    return replace(node, items=tuple(items), entries=tuple(entries))
-
-
-def _key(job: JobFile, text: str) -> Node:
-    return replace(job.root, kind="scalar", text=text, entries=(), items=())
-
-
-def _node(job: JobFile, value: Any) -> Node:
-    """Return texts, lists and mappings of texts as a node."""
-    if isinstance(value, Mapping):
-        entries = tuple((_key(job, key), _node(job, item)) for key, item in value.items())
-        return replace(job.root, kind="mapping", text="", entries=entries, items=())
-    if isinstance(value, list):
-        return replace(job.root, kind="list", text="", entries=(), items=tuple(_node(job, item) for item in value))
-    return _key(job, value)
+    return replace(declared, entries=(*parts, (node_of(job.root, MODEL), node_of(job.root, model))))

@@ -84,8 +84,8 @@ def connected(exposed: Exposures) -> list[tuple[int, int]]:
         if not among.any():
             alone, rest = (in_a_row([exposed.cameras[i] for i in some]) for some in (others, reached))
             raise UndeterminedError(
-                f"{alone} and {rest} have no exposure in common, so nothing places them in one frame\n"
-                "  exposures are known by what * stands for in the names of images (`cameras: images`)\n"
+                f"{alone} and {rest} have no exposure in common, so nothing places them in one frame.\n"
+                "  Images of one exposure have the same text for * in their names (`cameras: images`).\n"
                 "  what would determine it: images of both at once that show the targets"
             )
         i, j = np.unravel_index(int(among.argmax()), among.shape)

@@ -56,7 +56,7 @@ def pose_between(first: Seen, second: Seen, points: Array) -> Array:
     if not fits.all():
         pose = held[best] if fits.mean() >= _MOST else _by_all(first, second, points)
         found = list(_strangers(first, second, points, pose, (at, to)))
-        # a pose that few pairs fit is none
+        # a pose that few pairs fit is chance
         lines = [line for line, _ in found] if fits.mean() >= _MOST or any(known for _, known in found) else []
         raise InputError([Fault(_refusal(first, second, lines, len(at)), hint="rename the images, or leave them out")])
     chosen: Array = held[best]

@@ -21,14 +21,15 @@ from metrocli.tasks.calibrate_camera.shape.spline import SHAPE, kernels, link_fr
 
 _SMALL = 3e-3
 """Share of the largest variance below which a direction of the shape is left out"""
-_ANY = Knots((640, 480), (6, 5))
-"""Knots where no calibration gives the image"""
+_ANY = Knots((2592, 1944), (8, 7))
+"""Knots where no calibration gives the image; the shape is then a bump in its middle"""
+_BUMP = np.eye(_ANY.size)[:, [_ANY.size // 4 + _ANY.counts[0] // 2]]
 
 LENS_SHAPE = Effect(
     SHAPE,
     "the lens images in a way that its polynomial does not have: a wide angle, a tilted sensor, a cover glass",
     sizes("z", "pixel", "3 px"),
-    lambda block, where: LensShape(_ANY, np.ones((_ANY.size, 1)), block),
+    lambda block, where: LensShape(_ANY, _BUMP, block),
     confused_with=("radial-distortion", "thin-prism"),
     formula="(u, v) += sum_k B_k(u, v) (N R z)_k    # cubic B-splines on knots over the image",
     note="It has no part that the estimated lens or a turn of the camera could take. `std` is the size of the shift; "
