@@ -50,8 +50,8 @@ def _fisheye(settings: Camera) -> Camera:
 
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
     """Yield the model fisheye where a job calibrates a pinhole; nothing if a declared noise fits."""
-    old = job.settings.camera
-    if old.convention != "forward" or old.model == SPLINE or (fits and isinstance(job.settings.noise, float)):
+    old, known = job.settings.camera, fits and isinstance(job.settings.noise, float)
+    if known or job.settings.cameras is not None or old.convention != "forward" or old.model == SPLINE:
         return
     new = _fisheye(old)
     write: dict[str, str | list[str]] = {"model": "fisheye", "convention": ""}

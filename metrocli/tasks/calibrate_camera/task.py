@@ -71,6 +71,8 @@ def run(job: Job[Settings, Files]) -> Result:
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the adjusted job for `diagnose`, with all its readings, outliers included; raises as `run` does."""
+    if job.settings.cameras is not None:
+        return multi_camera.diagnosed(job, job.settings.cameras)
     settings, problem = prepared(job)
     found = adjusted_job(problem, solved(replace(settings, outliers="report"), problem))
     return replace(found, not_sought=not_sought(settings.shutter, found.model))

@@ -7,9 +7,11 @@ from dataclasses import replace
 
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
 from metrocli.adjust.outcome import Outcome
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.result import Result
 from metrocli.tasks.calibrate_camera.advice import in_words
+from metrocli.tasks.calibrate_camera.multi_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.multi_camera.report import delivered, report
 from metrocli.tasks.calibrate_camera.multi_camera.system import System, system_of
 from metrocli.tasks.calibrate_camera.settings import Files, OneOfSeveral, Settings
@@ -26,6 +28,12 @@ def run(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> Resul
     if job.settings.noise == STRUCTURED:
         adjusted = adjusted.with_structure(delivered(system))
     return report(system, adjusted)
+
+
+def diagnosed(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> AdjustedJob:
+    """Return the adjusted cameras for `diagnose`, with all their readings; raises as `run`."""
+    system = prepared(job, cameras)
+    return adjusted_job(system, _solved(replace(job.settings, outliers="report"), system))
 
 
 def prepared(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> System:
