@@ -51,6 +51,7 @@ _STEPS = 400
 """Steps of a try of an extended job, its starts included: a law that needs more is not determined"""
 _NAMED = " with the effects that metrocli diagnose named"
 _SHARED = " with the noise that metrocli diagnose proposes"
+_RIGHT = " with the setting that metrocli diagnose corrected"
 """Ends of the first line of an extended job, by which it is recognised before it is overwritten"""
 _DIGEST = "# sha256 of the lines below, by which diagnose sees whether they were edited: "
 """Begin of its second line"""
@@ -205,7 +206,8 @@ def _write(job: JobFile, diagnosis: Diagnosis, law: Law | None, place: tuple[Pat
     new = [node_of(job.root, entry) for entry in (*named, *([] if law is None else [as_wanted(law, called)]))]
     defined = [] if law is None else [node_of(job.root, as_define(law, called))]
     body = yaml_text.emit(_extended(job, new, defined, diagnosis, (path.parent, result)))
-    text = f"# {job.file.name}{_NAMED if new or diagnosis.scatters else _SHARED}\n{_DIGEST}{_digest(body)[:16]}\n{body}"
+    how = _NAMED if new or diagnosis.scatters else _RIGHT if _correction(diagnosis) else _SHARED
+    text = f"# {job.file.name}{how}\n{_DIGEST}{_digest(body)[:16]}\n{body}"
     with written_aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
 
@@ -220,7 +222,7 @@ def _refuse_foreign(path: Path) -> None:
         raise InputError(
             [Fault(f"cannot be read: {error.strerror}", str(path), hint="give another --output")]
         ) from error
-    if not first.rstrip().endswith((_NAMED, _SHARED)):
+    if not first.rstrip().endswith((_NAMED, _SHARED, _RIGHT)):
         raise InputError([Fault("the file exists and is not an extended job", str(path), hint="give another --output")])
     digest, _, body = rest.partition("\n")
     if digest != f"{_DIGEST}{_digest(body)[:16]}":

@@ -109,12 +109,12 @@ def test_opencv_finds_the_same_pose_with_the_same_lenses(tmp_path: Path, metrocl
 @pytest.mark.parametrize(
     ("moved", "told"),
     [
-        ({3: 6, 6: 3}, "2 of 9 images of right were not taken with those of left: right3.png not with left3.png, but with left6.png"),
-        ({i: (i + 1) % 9 for i in range(9)}, "9 of 9 images"),
+        ({3: 5, 5: 3}, "2 of 6 images of right were not taken with those of left: right3.png not with left3.png, but with left5.png"),
+        ({i: (i + 1) % 6 for i in range(6)}, "6 of 6 images"),
     ],
 )  # fmt: skip
 def test_images_of_wrong_pairs_are_named(moved: dict[int, int], told: str, tmp_path: Path, metrocli: Metrocli) -> None:
-    images = seen()
+    images = seen(6)
     wrong = {f"right{i}.png": images[f"right{j}.png"] for i, j in moved.items()}
     ran = metrocli("calibrate-camera", job(tmp_path, images | wrong))
     assert ran.code == 3 and told in ran.err
@@ -133,19 +133,10 @@ def test_images_of_no_camera_are_refused(tmp_path: Path, metrocli: Metrocli) -> 
 
 
 def test_faults_are_all_listed(tmp_path: Path, metrocli: Metrocli) -> None:
-    text = (
-        JOB.format(inputs=TABLES, left="", right=", model: fisheye")
-        .replace("right*", "right")
-        .replace("board", "network")
-    )
+    text = JOB.format(inputs=TABLES, left="", right=", model: fisheye").replace("board", "network")
     (tmp_path / "rig.yaml").write_text(text + "camera: {image_size: [640, 480]}\n")
     ran = metrocli("check", tmp_path / "rig.yaml")
-    for told in (
-        "images has not one *",
-        "both camera and cameras",
-        "one lens model",
-        "placed by a CMM",
-        "image_size is missing",
-    ):
-        assert told in ran.err or "images has not one *" in ran.err
-    assert ran.code == 3
+    told = ("both camera and cameras", "one lens model", "placed by a CMM", "image_size is missing")
+    assert ran.code == 3 and all(one in ran.err for one in told), ran.err
+    (tmp_path / "rig.yaml").write_text(text.replace("right*", "right"))
+    assert "images has not one *" in metrocli("check", tmp_path / "rig.yaml").err
