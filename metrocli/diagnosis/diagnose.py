@@ -122,9 +122,10 @@ def _confirmed(
 
     The log score of held-out readings and the net evidence of all are both logarithms of odds: an effect stays while
     their sum is positive. Folds that lie between others show little of a jump, whose evidence is large. In a quick
-    diagnosis the log score alone has to be: its evidence is that in white noise.
+    diagnosis the log score alone has to be: its evidence is that in white noise. A smooth effect, which fits whatever
+    readings share, stays where its gain is shown.
     """
-    lost: list[Unconfirmed] = []
+    state, lost = _with_shown(state)
     while True:
         names = all_identified(state)
         gained = gains(state, names, ordered) if names else []
@@ -138,6 +139,18 @@ def _confirmed(
             return state, names, gained, tuple(lost)
         lost += [Unconfirmed(str(name.alternative), gain.log_score) for _, name, gain in against]
         state = state.minus([one for one, _, _ in against])
+
+
+def _with_shown(state: State) -> tuple[State, list[Unconfirmed]]:
+    """Return the state without smooth effects whose gain held-out readings do not show, and these."""
+    lost: list[Unconfirmed] = []
+    for one in [one for one in state.random if one.kind == SCATTER]:
+        effect = state.measurement.scatters[one.key[0]][0].alternatives[0].effect
+        less = state.minus([one])
+        if effect.is_smooth and not (gain := gain_between(less, state)).shown:
+            lost.append(Unconfirmed(f"{effect.name} {effect.everywhere}", gain.log_score))
+            state = less
+    return state, lost
 
 
 def _in_white_noise(state: State) -> State:
