@@ -21,6 +21,7 @@ from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identif
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.parts import SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.prices import LEVEL
+from metrocli.diagnosis.evidence.scored import remade
 from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects
@@ -35,6 +36,7 @@ from metrocli.diagnosis.power.alike import separations
 from metrocli.diagnosis.residual_structure import REPEATS, PureError, RemainingStructure, pure_error
 from metrocli.diagnosis.rounds import searched
 from metrocli.diagnosis.wrong_readings import wrong_readings
+from metrocli.effects.effect import Effect
 from metrocli.progress import SILENT, Progress
 
 Attended = Callable[[Callable[[], None]], AbstractContextManager[object]]
@@ -144,20 +146,37 @@ def _confirmed(
 def _with_shown(state: State) -> tuple[State, list[Unconfirmed]]:
     """Return the state without smooth effects whose gain held-out readings do not show, and these."""
     lost: list[Unconfirmed] = []
-    for one in [one for one in state.random if one.kind == SCATTER]:
-        effect = state.measurement.scatters[one.key[0]][0].alternatives[0].effect
+    for number in _smooth(state):
+        one = state.random[number]
         less = state.minus([one])
-        if effect.is_smooth and not (gain := gain_between(less, state)).shown:
+        if not (gain := gain_between(less, state)).shown:
+            effect = _effect_of(state, one)
             lost.append(Unconfirmed(f"{effect.name} {effect.everywhere}", gain.log_score))
             state = less
     return state, lost
 
 
+def _effect_of(state: State, one: Random) -> Effect:
+    """Return the effect that acts at all its places by a random part of a state."""
+    return state.measurement.scatters[one.key[0]][0].alternatives[0].effect
+
+
+def _smooth(state: State) -> list[int]:
+    """Return the numbers of the random parts of a state that are smooth effects."""
+    return [j for j, one in enumerate(state.random) if one.kind == SCATTER and _effect_of(state, one).is_smooth]
+
+
 def _in_white_noise(state: State) -> State:
-    """Return the identified effects and wrong readings of a state beside white noise, as the job declares it."""
-    if not state.random and not state.measurement.noise:
+    """Return the identified effects and wrong readings of a state beside white noise, as the job declares it.
+
+    A smooth effect is identified too.
+    """
+    smooth = _smooth(state)
+    if len(state.random) == len(smooth) and not state.measurement.noise:
         return state
-    return pruned(state.at(state.measurement.unweighted or state.measurement, random=False))
+    m = state.measurement.unweighted or state.measurement
+    kept = [remade(m, state.random[j]) for j in smooth]
+    return pruned(state.at(m, random=False).plus(random=kept, logs=[float(state.logs[j]) for j in smooth]))
 
 
 def strongest(state: State) -> float:
