@@ -168,7 +168,7 @@ def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple
     Lengths to a point at one time share a stop; the reading of a station is zero at its first point.
     """
     names, station, flow, points = _readings_of_stations(job, truth.machine, rng)
-    places = station_places(truth.machine, job.files.stations, len(names))
+    places = station_places(truth.machine, job.files.listed_stations, len(names))
     block = tracer_block(
         np.column_stack([places, np.zeros(len(names)), np.ones(len(names))]), names, np.array(True), 1.0
     )
@@ -205,7 +205,7 @@ def _readings_of_stations(
     job: _Measurement, machine: Machine, rng: np.random.Generator
 ) -> tuple[list[str], Index, Flow, np.typing.NDArray[np.str_]]:
     """Return the names of the stations, the station of each length, its commanded position, and its point."""
-    table, listed = job.files.lengths, job.files.stations
+    table, listed = job.files.lengths, job.files.listed_stations
     if table is not None:
         names = list(dict.fromkeys(table.texts("station")))
         station = np.array([names.index(name) for name in table.texts("station")])

@@ -103,7 +103,7 @@ def plan(job: Job[Settings, Files]) -> Plan:
     planned = {
         STANDSTILL: lambda: plan_of_points(settings, files.points),
         SIX_DOF: lambda: plan_of_lines(settings, files.lines),
-        LENGTHS: lambda: plan_of_stations(settings, files.lengths, files.stations),
+        LENGTHS: lambda: plan_of_stations(settings, files.lengths, files.listed_stations),
         ON_THE_FLY: lambda: plan_of_path(settings, files.path),
     }[settings.method]()
     return replace(planned, warnings=(*planned.warnings, _WITHOUT)) if job.effects else planned
