@@ -24,7 +24,7 @@ from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.evidence.scored import remade
 from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects
+from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth, with_shown
 from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, result_changes, sizes
 from metrocli.diagnosis.findings import Diagnosis, Finding, Unconfirmed
 from metrocli.diagnosis.laws.search import Law, with_laws
@@ -36,7 +36,6 @@ from metrocli.diagnosis.power.alike import separations
 from metrocli.diagnosis.residual_structure import REPEATS, PureError, RemainingStructure, pure_error
 from metrocli.diagnosis.rounds import searched
 from metrocli.diagnosis.wrong_readings import wrong_readings
-from metrocli.effects.effect import Effect
 from metrocli.progress import SILENT, Progress
 
 Attended = Callable[[Callable[[], None]], AbstractContextManager[object]]
@@ -127,7 +126,7 @@ def _confirmed(
     diagnosis the log score alone has to be: its evidence is that in white noise. A smooth effect, which fits whatever
     readings share, stays where its gain is shown.
     """
-    state, lost = _with_shown(state)
+    state, lost = with_shown(state)
     while True:
         names = all_identified(state)
         gained = gains(state, names, ordered) if names else []
@@ -143,35 +142,12 @@ def _confirmed(
         state = state.minus([one for one, _, _ in against])
 
 
-def _with_shown(state: State) -> tuple[State, list[Unconfirmed]]:
-    """Return the state without smooth effects whose gain held-out readings do not show, and these."""
-    lost: list[Unconfirmed] = []
-    for number in _smooth(state):
-        one = state.random[number]
-        less = state.minus([one])
-        if not (gain := gain_between(less, state)).shown:
-            effect = _effect_of(state, one)
-            lost.append(Unconfirmed(f"{effect.name} {effect.everywhere}", gain.log_score))
-            state = less
-    return state, lost
-
-
-def _effect_of(state: State, one: Random) -> Effect:
-    """Return the effect that acts at all its places by a random part of a state."""
-    return state.measurement.scatters[one.key[0]][0].alternatives[0].effect
-
-
-def _smooth(state: State) -> list[int]:
-    """Return the numbers of the random parts of a state that are smooth effects."""
-    return [j for j, one in enumerate(state.random) if one.kind == SCATTER and _effect_of(state, one).is_smooth]
-
-
 def _in_white_noise(state: State) -> State:
     """Return the identified effects and wrong readings of a state beside white noise, as the job declares it.
 
     A smooth effect is identified too.
     """
-    smooth = _smooth(state)
+    smooth = smooth(state)
     if len(state.random) == len(smooth) and not state.measurement.noise:
         return state
     m = state.measurement.unweighted or state.measurement
