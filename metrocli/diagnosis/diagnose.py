@@ -147,12 +147,12 @@ def _in_white_noise(state: State) -> State:
 
     A smooth effect is identified too.
     """
-    smooth = smooth(state)
-    if len(state.random) == len(smooth) and not state.measurement.noise:
+    shapes = smooth(state)
+    if len(state.random) == len(shapes) and not state.measurement.noise:
         return state
     m = state.measurement.unweighted or state.measurement
-    kept = [remade(m, state.random[j]) for j in smooth]
-    return pruned(state.at(m, random=False).plus(random=kept, logs=[float(state.logs[j]) for j in smooth]))
+    kept = [remade(m, state.random[j]) for j in shapes]
+    return pruned(state.at(m, random=False).plus(random=kept, logs=[float(state.logs[j]) for j in shapes]))
 
 
 def strongest(state: State) -> float:
