@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from metrocli.errors import Fault
 from metrocli.frozen import dataclass
@@ -83,3 +85,24 @@ def without_lines(node: Node) -> Node:
     items = tuple(without_lines(item) for item in node.items)
     entries = tuple((without_lines(key), without_lines(value)) for key, value in node.entries)
     return replace(node, items=items, entries=entries, line=None, column=None)
+
+
+def node_of(like: Node, value: Any) -> Node:
+    """Return texts, lists and mappings of texts as a node, at the place of another."""
+    if isinstance(value, Mapping):
+        entries = tuple((node_of(like, key), node_of(like, item)) for key, item in value.items())
+        return replace(like, kind="mapping", text="", entries=entries, items=())
+    if isinstance(value, list):
+        return replace(like, kind="list", text="", entries=(), items=tuple(node_of(like, item) for item in value))
+    return replace(like, kind="scalar", text=value, entries=(), items=())
+
+
+def relocated(node: Node, old: Path, new: Path) -> Node:
+    """Return a node with its paths, relative to `old`, rewritten relative to `new`."""
+    if os.path.abspath(old) == os.path.abspath(new) or (node.kind == "scalar" and Path(node.text).is_absolute()):
+        return node
+    if node.kind == "scalar":
+        return replace(node, text=Path(os.path.relpath(old / node.text, new)).as_posix())
+    items = (relocated(item, old, new) for item in node.items)
+    entries = ((key, relocated(value, old, new)) for key, value in node.entries)
+    return replace(node, items=tuple(items), entries=tuple(entries))

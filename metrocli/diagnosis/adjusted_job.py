@@ -43,6 +43,8 @@ class Covariate:
     """Whether sines of it are tried, over a scan of periods"""
     together: bool = False
     """Whether its coordinates (k, n) are the terms themselves, for all groups at once (e.g. an unknown rigid motion)"""
+    of_units: bool = False
+    """Whether errors over it are tried unit by unit only, because an effect is the error that all readings share"""
 
 
 @dataclass(frozen=True)

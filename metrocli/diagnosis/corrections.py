@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from itertools import combinations, permutations
 from typing import TYPE_CHECKING
 
@@ -36,6 +36,10 @@ class Mistake:
     """`units`, `handed`, or what is wrong: mistakes of one sort can be indistinguishable, also in two files"""
     columns: int = 1
     """Number of columns that its correction changes"""
+    steps: int = 24
+    """Steps that its try may take, starts included; a job that is read rightly takes 12 to 15"""
+    entries: Mapping[str, str | Sequence[str]] = field(default_factory=dict, compare=False)
+    """If the input is a section of the job: the right entries by their keys, "" for one that is left out"""
 
     def __str__(self) -> str:
         return f"{self.input}: {self.words}"

@@ -21,9 +21,10 @@ from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identif
 from metrocli.diagnosis.evidence.measured_job import measurement_of
 from metrocli.diagnosis.evidence.parts import SCATTER, Fixed, Random
 from metrocli.diagnosis.evidence.prices import LEVEL
+from metrocli.diagnosis.evidence.scored import remade
 from metrocli.diagnosis.evidence.search import pruned
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects
+from metrocli.diagnosis.explanations import correlated_errors, noise_instead, random_effects, smooth, with_shown
 from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, result_changes, sizes
 from metrocli.diagnosis.findings import Diagnosis, Finding, Unconfirmed
 from metrocli.diagnosis.laws.search import Law, with_laws
@@ -122,9 +123,10 @@ def _confirmed(
 
     The log score of held-out readings and the net evidence of all are both logarithms of odds: an effect stays while
     their sum is positive. Folds that lie between others show little of a jump, whose evidence is large. In a quick
-    diagnosis the log score alone has to be: its evidence is that in white noise.
+    diagnosis the log score alone has to be: its evidence is that in white noise. A smooth effect, which fits whatever
+    readings share, stays where its gain is shown.
     """
-    lost: list[Unconfirmed] = []
+    state, lost = with_shown(state)
     while True:
         names = all_identified(state)
         gained = gains(state, names, ordered) if names else []
@@ -141,10 +143,16 @@ def _confirmed(
 
 
 def _in_white_noise(state: State) -> State:
-    """Return the identified effects and wrong readings of a state beside white noise, as the job declares it."""
-    if not state.random and not state.measurement.noise:
+    """Return the identified effects and wrong readings of a state beside white noise, as the job declares it.
+
+    A smooth effect is identified too.
+    """
+    shapes = smooth(state)
+    if len(state.random) == len(shapes) and not state.measurement.noise:
         return state
-    return pruned(state.at(state.measurement.unweighted or state.measurement, random=False))
+    m = state.measurement.unweighted or state.measurement
+    kept = [remade(m, state.random[j]) for j in shapes]
+    return pruned(state.at(m, random=False).plus(random=kept, logs=[float(state.logs[j]) for j in shapes]))
 
 
 def strongest(state: State) -> float:

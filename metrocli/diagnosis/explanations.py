@@ -19,9 +19,10 @@ from metrocli.diagnosis.evidence.parts import CORRELATED, EFFECT, SCATTER, Fixed
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.evidence.weights import with_noise
 from metrocli.diagnosis.extended_fit import readings_kept, result_change, with_random_effect
-from metrocli.diagnosis.findings import Instead, RandomEffect
+from metrocli.diagnosis.findings import Instead, RandomEffect, Unconfirmed
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.noise import AS_OTHERS
+from metrocli.effects.effect import Effect
 
 AS_LIKELY = float(np.log(20.0))
 """Difference of log-likelihoods up to which two variances explain the readings alike"""
@@ -159,3 +160,26 @@ def _visible(state: State, one: Random) -> float:
     else:
         inside = float((m.system.basis.coordinates(one.columns) ** 2).sum())
     return float(np.sqrt(max(1 - inside / max(whole, 1e-300), 0.0)))
+
+
+def with_shown(state: State) -> tuple[State, list[Unconfirmed]]:
+    """Return the state without smooth effects whose gain held-out readings do not show, and these."""
+    lost: list[Unconfirmed] = []
+    for number in smooth(state):
+        one = state.random[number]
+        less = state.minus([one])
+        if not (gain := gain_between(less, state)).shown:
+            effect = _effect_of(state, one)
+            lost.append(Unconfirmed(f"{effect.name} {effect.everywhere}", gain.log_score))
+            state = less
+    return state, lost
+
+
+def _effect_of(state: State, one: Random) -> Effect:
+    """Return the effect that acts at all its places by a random part of a state."""
+    return state.measurement.scatters[one.key[0]][0].alternatives[0].effect
+
+
+def smooth(state: State) -> list[int]:
+    """Return the numbers of the random parts of a state that are smooth effects."""
+    return [j for j, one in enumerate(state.random) if one.kind == SCATTER and _effect_of(state, one).is_smooth]

@@ -36,8 +36,6 @@ _SUSPECT_PLACES = 0.2
 """Share of the implausible distance of places from their lists above which other readings of the files are tried"""
 _MOST_ROWS = 20_000
 """Jobs with more rows are not tried by a task, since each try is an adjustment"""
-_STEPS = 24
-"""Steps that one try may take, its starts included; a job that is read rightly takes 12 to 15"""
 _OTHER_FITS = 2.0
 """Another setting is reported if it makes the squared residuals so many times smaller"""
 _SURELY = 1.05
@@ -187,7 +185,7 @@ def _tried(
         if settled not in ("", mistake.sort):
             continue
         try:
-            with allowance(_STEPS):
+            with allowance(mistake.steps):
                 job = adjusted()
         except FAILURES:
             continue

@@ -180,15 +180,26 @@ class Effect:
         return len(self.scanned) == 1 and self.scanned[0].grid is change_points
 
     @property
+    def is_smooth(self) -> bool:
+        """Whether its parameters scatter about 0 themselves, as those of the shape of a lens do."""
+        return self.throughout and not self.keys
+
+    @property
+    def everywhere(self) -> str:
+        """Where it acts at all its places, for messages: "at every image"."""
+        return "throughout" if self.is_smooth else f"at every {self.keys[0]}"
+
+    @property
     def common(self) -> Parameter | None:
         """The standard deviation of its parameters if it can act at all places of one kind at once, else None.
 
         Each place then has sizes of its own that scatter about 0: all targets of a printed list are off, or all poses.
+        Without a kind of place, its parameters do: those of the shape of a lens.
         """
         first = self.parameters[0]
         alike = all(p.dimension == first.dimension for p in self.parameters)
         apart = self.selects or self.scanned or self.of_one_reading or self.turns
-        if self.link is None or len(self.keys) != 1 or apart or not alike:
+        if self.link is None or not (len(self.keys) == 1 or self.is_smooth) or apart or not alike:
             return None
         return Parameter("std", first.dimension, first.plausible)
 

@@ -113,13 +113,13 @@ def tables(added: Sequence[Added], solution: Adjusted) -> tuple[dict[str, Table]
 
 def _everywhere(addition: Added, block: Block, std: Array) -> Table:
     """Return the parameters of an effect that acts at all places, place by place."""
-    count, names = len(block.members) - 1, [p.name for p in addition.effect.parameters]
-    chosen = [block.column(name) for name in names]
-    columns = {
-        addition.effect.keys[0]: np.repeat(np.array(block.members[1:]), len(names)),
+    names, first = [p.name for p in addition.effect.parameters], 0 if addition.effect.is_smooth else 1
+    chosen, count = [block.column(name) for name in names], len(block.members) - first
+    places = {key: np.repeat(np.array(block.members[1:]), len(names)) for key in addition.effect.keys}
+    columns = places | {
         "name": np.tile(np.array(names), count),
-        "value": block.values[1:, chosen].ravel(),
-        "std": std[1:, chosen].ravel(),
+        "value": block.values[first:, chosen].ravel(),
+        "std": std[first:, chosen].ravel(),
         "unit": np.tile(np.array([p.unit for p in addition.effect.parameters]), count),
         "estimated": np.ones(count * len(names), dtype=bool),
     }

@@ -46,7 +46,7 @@ def extended(model: Model, wanted: Iterable[Wanted]) -> Model:
         elif effect is not None:
             values = {key: _number(model, effect, key, value) for key, value in request.values.items()}
             model = with_effect(model, effect, [tuple(request.where[key] for key in effect.keys)], values)
-        elif not own and request.std and not model.places[request.forms[0].keys[0]].index:
+        elif not own and request.std and any(not model.places[key].index for key in request.forms[0].keys):
             key = request.forms[0].keys[0]
             hint = f"write one entry for each {key}: {{name: {request.name}, {key}: {model.places[key].names[0]}}}"
             own.append(
@@ -165,7 +165,7 @@ def with_known_effect(model: Model, effect: Effect, values: Mapping[str, float],
 
 def can_act_everywhere(model: Model, effect: Effect) -> bool:
     """Whether an effect can have sizes of its own at all places of its kind, which readings must distinguish."""
-    return effect.common is not None and bool(model.places[effect.keys[0]].index) and bool(places_of(model, effect))
+    return bool(effect.common and all(model.places[key].index for key in effect.keys) and places_of(model, effect))
 
 
 def with_effect_everywhere(model: Model, effect: Effect, std: float) -> Model:
@@ -173,7 +173,7 @@ def with_effect_everywhere(model: Model, effect: Effect, std: float) -> Model:
     model = with_effect(model, effect, places_of(model, effect), {})
     added = replace(model.added[-1], std=std)
     block = model.blocks[added.block]
-    members = np.arange(1, len(block.members))
+    members = np.arange(int(not effect.is_smooth), len(block.members))
     scatter = prior(block, members, np.full((len(members), len(effect.parameters)), std))
     return replace(model, groups=(*model.groups, scatter), added=(*model.added[:-1], added))
 

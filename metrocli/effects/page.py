@@ -40,7 +40,7 @@ def _facts(effect: Effect) -> Iterator[str]:
     if effect.reveal:
         yield f"- To tell it apart, measure: {effect.reveal}"
     if effect.common and effect.of_all:
-        yield f"- At every {effect.keys[0]}, with `std`: {effect.of_all}"
+        yield f"- {effect.everywhere.capitalize()}, with `std`: {effect.of_all}"
     if effect.note:
         yield f"- {effect.note}"
     if effect.source:

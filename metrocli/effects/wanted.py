@@ -104,10 +104,12 @@ def _read(table: Sequence[Effect], node: Node, faults: list[Fault]) -> Wanted | 
 
 def _at_all_places(forms: Sequence[Effect], node: Node, faults: list[Fault]) -> Wanted | None:
     """Return an effect with sizes of its own at every place: {name, std}."""
-    (key,), spec = forms[0].keys, forms[0].common
+    spec = forms[0].common
     for written, _ in node.entries:
         if written.text not in ("name", "std"):
-            hint = f"with `std` the effect acts at every {key}, each with sizes of its own: leave '{written.text}' out"
+            hint = (
+                f"with `std` the effect acts {forms[0].everywhere}, with sizes of its own: leave '{written.text}' out"
+            )
             faults.append(written.fault(f"{forms[0].name}: '{written.text}' beside 'std'", hint))
             return None
     below = node.get("std")
@@ -168,8 +170,9 @@ def _to_plant(wanted: Wanted) -> str:
     effect = wanted.forms[0]
     if not wanted.std:
         return "a simulation needs a value for every parameter"
-    drawn = f"; a scatter at every {effect.keys[0]} is `--set noise.{effect.noise}=...`" if effect.noise else ""
-    return f"a simulation draws no sizes from `std`: name one {effect.keys[0]}, and a value for every parameter{drawn}"
+    drawn = f"; a scatter {effect.everywhere} is `--set noise.{effect.noise}=...`" if effect.noise else ""
+    named = "".join(f": name one {key}, and a value for every parameter" for key in effect.keys)
+    return f"a simulation draws no sizes from `std`{named}{drawn}"
 
 
 def schema(table: Sequence[Effect]) -> Schema:
@@ -181,7 +184,7 @@ def schema(table: Sequence[Effect]) -> Schema:
 
 
 def _common_schema(effect: Effect) -> Schema:
-    name = {"const": effect.name, "description": f"at every {effect.keys[0]}: {effect.cause}"}
+    name = {"const": effect.name, "description": f"{effect.everywhere}: {effect.cause}"}
     std = effect.common.spec.schema() if effect.common else {}
     return {
         "type": "object",

@@ -5,105 +5,16 @@ Where no model is exactly the lens, the file begins with a note on the differenc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from metrocli.arrays import Array
-from metrocli.effects.links.lens_shape import Knots
-from metrocli.errors import InputError
-from metrocli.frozen import dataclass
-from metrocli.instruments.lenses.conventions import Converted, projection_range
-from metrocli.instruments.lenses.forms import PROGRAMS, Form, nearest
+from metrocli.exports.expressed_cameras import Camera, expressed
+from metrocli.geometry.rotations import vector_from_rotation
 from metrocli.result import Result
-from metrocli.units.people import two_digits
-
-
-@dataclass(frozen=True)
-class _Camera:
-    form: Form
-    values: dict[str, float]
-    """Of the form's terms, cx and cy counted as the program does"""
-    size: tuple[int, int]
-    notes: tuple[str, ...] = ()
-
-    @property
-    def matrix(self) -> list[float]:
-        fx, fy, cx, cy = self.intrinsics
-        return [fx, fx * self.values.get("skew", 0.0), cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-
-    @property
-    def intrinsics(self) -> list[float]:
-        """Return fx, fy, cx, cy."""
-        return [self.values[name] for name in ("fx", "fy", "cx", "cy")]
-
-    @property
-    def distortion(self) -> list[float]:
-        own = ("f", "fx", "fy", "cx", "cy", "skew")
-        return [value for name, value in self.values.items() if name not in own]
-
-    def commented(self, lines: Iterable[str], begin: str = "# ", end: str = "") -> str:
-        """Return the text of lines behind the notes."""
-        return "\n".join([*(f"{begin}note: {note}{end}" for note in self.notes), *lines, ""])
-
-
-def _expressed(program: str, result: Result, within: float) -> _Camera:
-    """Return the camera of a result in the first model of a program that holds it, else in the nearest.
-
-    Raises InputError for a result that is no camera, and where the nearest differs by more than `within` [px].
-    """
-    if "camera" not in result.tables or "image_width" not in result.statistics:
-        raise InputError(f"a result of {result.kind} is no camera: this format takes results of calibrate-camera")
-    table = result.tables["camera"]
-    lens = dict(zip(table.texts("parameter"), table.numbers("value").tolist(), strict=True))
-    width, height = (int(float(result.statistics[name])) for name in ("image_width", "image_height"))  # type: ignore[arg-type]
-    forms, pixel = PROGRAMS[program].forms, PROGRAMS[program].pixel
-    convention = str(result.statistics["convention"])
-    unshifted = _base_of(result, (width, height))
-    exact = next((form for form in forms if unshifted is None and form.holds(lens, convention)), None)
-    notes: tuple[str, ...] = ()
-    if exact is not None:
-        form, values = exact, exact.of(lens)
-    else:
-        fitted = ((one, nearest(lens, convention, (width, height), one, unshifted or np.asarray)) for one in forms)
-        form, fit = _near([(one, fit) for one, fit in fitted if fit is not None], program, within)
-        values, notes = dict(fit.values), (f"{form.title} is the nearest model of {program}: {_difference(fit)}",)
-    if convention != "backward" and (fold := projection_range(lens, (width, height), convention == "fisheye")):
-        notes += (f"beyond {fold:.0f} px from its principal point the lens folds over and has no direction",)
-    shifted = {name: value + pixel * (name in ("cx", "cy")) for name, value in values.items()}
-    return _Camera(form, shifted, (width, height), notes)
-
-
-def _base_of(result: Result, image_size: tuple[int, int]) -> Callable[[Array], Array] | None:
-    """Return what takes image points to those of the base lens; None for a lens without a shape."""
-    if "lens_shape" not in result.tables:
-        return None
-    table = result.tables["lens_shape"]
-    knots = Knots(image_size, (len(np.unique(table.numbers("u"))), len(np.unique(table.numbers("v")))))
-    coefficients = np.stack([table.numbers("du"), table.numbers("dv")])
-    return lambda uv: knots.unshifted(coefficients, uv)
-
-
-_AS_NEAR = 1.1
-"""Ratio of largest differences up to which the model with fewer parameters is taken"""
-
-
-def _near(fitted: Sequence[tuple[Form, Converted]], program: str, within: float) -> tuple[Form, Converted]:
-    """Return the nearest, with few parameters; raises InputError with its difference if that is above `within` [px]."""
-    if not fitted:
-        raise InputError(f"no model of {program} sees all that this lens sees")
-    least = min(fit.largest for _, fit in fitted)
-    form, fit = next(one for one in fitted if one[1].largest <= _AS_NEAR * least)
-    if fit.largest <= within:
-        return form, fit
-    raise InputError(
-        f"no model of {program} is within {within:g} px of this lens; the nearest is {form.title}: {_difference(fit)}. "
-        f"Allow it by e.g. --within '{two_digits(fit.largest * 1.1)} px', or calibrate with its parameters"
-    )
-
-
-def _difference(fit: Converted) -> str:
-    return f"rms {two_digits(fit.rms)} px, largest difference {two_digits(fit.largest)} px over the image"
+from metrocli.units import find_unit
 
 
 def _row(values: Sequence[float]) -> str:
@@ -112,9 +23,14 @@ def _row(values: Sequence[float]) -> str:
 
 
 def opencv(result: Result, within: float) -> dict[str, str]:
-    """Return the YAML of cv::FileStorage, with the names that OpenCV's samples use."""
-    camera = _expressed("opencv", result, within)
+    """Return the YAML of cv::FileStorage, with the names that OpenCV's samples use.
 
+    Of several cameras each has R and T [mm] of cv::stereoCalibrate, from the frame of the first.
+    """
+    return {one.file("opencv.yml"): _of_opencv(one) for one in expressed("opencv", result, within, posed=True)}
+
+
+def _of_opencv(camera: Camera) -> str:
     def stored(name: str, rows: int, columns: int, values: Sequence[float]) -> list[str]:
         head = f"{name}: !!opencv-matrix"
         return [head, f"   rows: {rows}", f"   cols: {columns}", "   dt: d", f"   data: [ {_row(values)} ]"]
@@ -122,60 +38,106 @@ def opencv(result: Result, within: float) -> dict[str, str]:
     lines = [f"image_width: {camera.size[0]}", f"image_height: {camera.size[1]}"]
     lines += [f"fisheye_model: {int(camera.form.fisheye)}", *stored("camera_matrix", 3, 3, camera.matrix)]
     lines += stored("distortion_coefficients", 1, len(camera.distortion), camera.distortion)
-    return {"opencv.yml": "%YAML:1.0\n---\n" + camera.commented(lines)}
+    if camera.pose is not None:
+        turn, shift = camera.from_first
+        lines += [*stored("R", 3, 3, turn.ravel().tolist()), *stored("T", 3, 1, shift.tolist())]
+    return "%YAML:1.0\n---\n" + camera.commented(lines)
 
 
 def ros(result: Result, within: float) -> dict[str, str]:
     """Return the YAML of ROS camera_calibration (sensor_msgs/CameraInfo)."""
-    camera = _expressed("ros", result, within)
+    return {one.file("ros.yaml"): _of_ros(one) for one in expressed("ros", result, within)}
+
+
+def _of_ros(camera: Camera) -> str:
     fx, fy, cx, cy = camera.intrinsics
 
     def matrix(name: str, rows: int, columns: int, values: Sequence[float]) -> list[str]:
         return [f"{name}:", f"  rows: {rows}", f"  cols: {columns}", f"  data: [{_row(values)}]"]
 
-    lines = [f"image_width: {camera.size[0]}", f"image_height: {camera.size[1]}", "camera_name: camera"]
+    lines = [f"image_width: {camera.size[0]}", f"image_height: {camera.size[1]}"]
+    lines += [f"camera_name: {camera.name or 'camera'}"]
     lines += matrix("camera_matrix", 3, 3, camera.matrix) + [f"distortion_model: {camera.form.name}"]
     lines += matrix("distortion_coefficients", 1, len(camera.distortion), camera.distortion)
     lines += matrix("rectification_matrix", 3, 3, [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
     lines += matrix("projection_matrix", 3, 4, [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0])
-    return {"ros.yaml": camera.commented(lines)}
+    return camera.commented(lines)
+
+
+def _all_noted(cameras: Sequence[Camera], lines: Iterable[str]) -> str:
+    """Return the text of lines behind the notes of all cameras."""
+    notes = [f"{camera.name}: {note}" if camera.name else note for camera in cameras for note in camera.notes]
+    return replace(cameras[0], notes=tuple(notes)).commented(lines)
 
 
 def colmap(result: Result, within: float) -> dict[str, str]:
-    """Return cameras.txt of COLMAP."""
-    camera = _expressed("colmap", result, within)
-    numbers = " ".join(map(repr, camera.values.values()))
-    lines = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
-    lines += [f"1 {camera.form.name} {camera.size[0]} {camera.size[1]} {numbers}"]
-    return {"cameras.txt": camera.commented(lines)}
+    """Return cameras.txt of COLMAP; of several cameras also rigs.txt, with the first as reference, in mm."""
+    cameras = expressed("colmap", result, within, posed=True)
+    lines, sensors = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"], list[str]()
+    for number, camera in enumerate(cameras, 1):
+        numbers = " ".join(map(repr, camera.values.values()))
+        lines += [f"# {camera.name}"] if camera.name else []
+        lines += [f"{number} {camera.form.name} {camera.size[0]} {camera.size[1]} {numbers}"]
+        if camera.pose is not None:
+            turn, shift = camera.from_first
+            sensors.append(f"CAMERA {number} 1 {' '.join(map(repr, [*_quaternion(turn), *shift.tolist()]))}")
+    files = {"cameras.txt": _all_noted(cameras, lines)}
+    if sensors:
+        head = "# RIG_ID, NUM_SENSORS, REF_SENSOR_TYPE, REF_SENSOR_ID, SENSORS[] as (SENSOR_TYPE, SENSOR_ID, HAS_POSE, "
+        rig = f"1 {len(cameras)} CAMERA 1 {' '.join(sensors)}"
+        files["rigs.txt"] = f"{head}[QW, QX, QY, QZ, TX, TY, TZ])\n{rig}\n"
+    return files
+
+
+def _quaternion(turn: Array) -> list[float]:
+    """Return the unit quaternion w, x, y, z of a rotation (3, 3)."""
+    vector = vector_from_rotation(turn)
+    half = float(np.linalg.norm(vector)) / 2
+    return [float(np.cos(half)), *(np.sinc(half / np.pi) / 2 * vector).tolist()]
 
 
 def kalibr(result: Result, within: float) -> dict[str, str]:
-    """Return a camchain of Kalibr."""
-    camera = _expressed("kalibr", result, within)
-    lines = [
-        "cam0:",
-        "  camera_model: pinhole",
-        f"  intrinsics: [{_row(camera.intrinsics)}]",
-        f"  distortion_model: {camera.form.name}",
-        f"  distortion_coeffs: [{_row(camera.distortion)}]",
-        f"  resolution: [{camera.size[0]}, {camera.size[1]}]",
-    ]
-    return {"camchain.yaml": camera.commented(lines)}
+    """Return a camchain of Kalibr; T_cn_cnm1 [m] takes points from the camera before to a camera."""
+    cameras = expressed("kalibr", result, within, posed=True)
+    lines, metre = list[str](), find_unit("m", "length")
+    before = np.eye(4)
+    for number, camera in enumerate(cameras):
+        lines += [
+            f"cam{number}:" + (f"  # {camera.name}" if camera.name else ""),
+            "  camera_model: pinhole",
+            f"  intrinsics: [{_row(camera.intrinsics)}]",
+            f"  distortion_model: {camera.form.name}",
+            f"  distortion_coeffs: [{_row(camera.distortion)}]",
+            f"  resolution: [{camera.size[0]}, {camera.size[1]}]",
+        ]
+        here = np.eye(4)
+        here[:3, :3], shift = camera.from_first
+        here[:3, 3] = [metre.outside(one) for one in shift.tolist()]
+        if number:
+            step = here @ np.linalg.inv(before)
+            lines += ["  T_cn_cnm1:", *(f"  - [{_row(row)}]" for row in step.tolist())]
+        before = here
+    return {"camchain.yaml": _all_noted(cameras, lines)}
 
 
 def mrcal(result: Result, within: float) -> dict[str, str]:
-    """Return a camera model of mrcal."""
-    camera = _expressed("mrcal", result, within)
+    """Return a camera model of mrcal, each of several with its extrinsics [m] from the frame of the first."""
+    return {one.file("camera.cameramodel"): _of_mrcal(one) for one in expressed("mrcal", result, within, posed=True)}
+
+
+def _of_mrcal(camera: Camera) -> str:
+    turn, shift = camera.from_first
+    metre = find_unit("m", "length")
+    place = [*vector_from_rotation(turn).tolist(), *(metre.outside(one) for one in shift.tolist())]
     lines = [
         "{",
         f"    'lensmodel': '{camera.form.name}',",
-        "    'extrinsics': [ 0, 0, 0, 0, 0, 0 ],",
+        f"    'extrinsics': [ {_row(place) if camera.pose is not None else '0, 0, 0, 0, 0, 0'} ],",
         f"    'intrinsics': [ {_row([*camera.values.values()])} ],",
         f"    'imagersize': [ {camera.size[0]}, {camera.size[1]} ],",
         "}",
     ]
-    return {"camera.cameramodel": camera.commented(lines)}
+    return camera.commented(lines)
 
 
 def metashape(result: Result, within: float) -> dict[str, str]:
@@ -183,7 +145,10 @@ def metashape(result: Result, within: float) -> dict[str, str]:
 
     Its p1, p2 are OpenCV's p2, p1.
     """
-    camera = _expressed("metashape", result, within)
+    return {one.file("metashape.xml"): _of_metashape(one) for one in expressed("metashape", result, within)}
+
+
+def _of_metashape(camera: Camera) -> str:
     fx, fy, cx, cy = camera.intrinsics
     values = {**camera.values, "f": fy, "b1": fx - fy, "b2": fx * camera.values["skew"]}
     values |= {"cx": cx - camera.size[0] / 2, "cy": cy - camera.size[1] / 2}
@@ -193,12 +158,15 @@ def metashape(result: Result, within: float) -> dict[str, str]:
     names = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2")
     lines += [f"  <{name}>{values.get(name, 0.0)!r}</{name}>" for name in names]
     text = camera.commented([*lines, "</calibration>"], "<!-- ", " -->")
-    return {"metashape.xml": f'<?xml version="1.0" encoding="UTF-8"?>\n{text}'}
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}'
 
 
 def matlab(result: Result, within: float) -> dict[str, str]:
     """Return a script of MATLAB's Computer Vision Toolbox that makes a cameraIntrinsics."""
-    camera = _expressed("matlab", result, within)
+    return {one.file("camera.m"): _of_matlab(one) for one in expressed("matlab", result, within)}
+
+
+def _of_matlab(camera: Camera) -> str:
     fx, fy, cx, cy = camera.intrinsics
     k1, k2, k3, p1, p2 = camera.distortion
     lines = [
@@ -207,4 +175,4 @@ def matlab(result: Result, within: float) -> dict[str, str]:
         f"    'RadialDistortion', [{_row([k1, k2, k3])}], 'TangentialDistortion', [{_row([p1, p2])}], ...",
         f"    'Skew', {fx * camera.values['skew']!r});",
     ]
-    return {"camera.m": camera.commented(lines, "% ")}
+    return camera.commented(lines, "% ")

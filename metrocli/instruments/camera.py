@@ -16,8 +16,9 @@ from metrocli.geometry import poses
 from metrocli.instruments.frames import Into, OutOf, PointOf
 from metrocli.instruments.lenses.lens import UNITS, Lens, LensBackward
 
-LENS, VIEW, TARGET, TAPER = "lens", "view", "target", "camera"
-"""Blocks: lens parameters, a pose for each image, target coordinates, pose of the camera in the reference frame."""
+LENS, VIEW, TARGET, TAPER, MOUNT = "lens", "view", "target", "camera", "mount"
+"""Blocks: lens parameters, a pose for each image, target coordinates, pose of the camera in the reference frame, and
+the pose of each of several cameras in the frame of the first"""
 
 _TURN = 0.5
 """Plausible reach of a rotation [rad], and relative reach of a focal length or a distance."""
@@ -58,27 +59,37 @@ def target_block(points: Array, names: Sequence[str], free: Array | bool, extent
     )
 
 
+def mount_block(values: Array, cameras: Sequence[str], distance: float) -> Block:
+    """Return the block of poses of several cameras in the frame of the first, (cameras, 6), which is fixed."""
+    free = np.ones(values.shape, dtype=bool)
+    free[0] = False
+    reach = np.array([distance] * 3 + [np.pi] * 3)
+    return Block(MOUNT, values, poses.COLUMNS, tuple(cameras), free, reach, Space.POSE, noun="camera")
+
+
 def lens_link(convention: str) -> Link:
     """Return the lens link of a convention, 'forward', 'backward' or 'fisheye'."""
     return LensBackward(LENS) if convention == "backward" else Lens(LENS, convention == "fisheye")
 
 
-def to_camera(rig: str) -> tuple[Link, ...]:
+def to_camera(rig: str, several: bool = False) -> tuple[Link, ...]:
     """Return the links from a target to the camera frame.
 
     For board, the pose of a view transforms from the board to the camera. For cmm and network, the pose is that of the
-    camera in the frame of the targets: one for all images (cmm) or one for each (network).
+    camera in the frame of the targets: one for all images (cmm) or one for each (network). Where several cameras are
+    fixed to each other, it is the pose of the first, and one more link leads to the camera.
     """
-    camera = Quantity.POINT_IN_CAMERA
+    camera = Quantity.POINT_IN_RIG if several else Quantity.POINT_IN_CAMERA
+    mount = (Into(MOUNT, camera, Quantity.POINT_IN_CAMERA),) if several else ()
     if rig == "board":
-        return (PointOf(TARGET, Quantity.POINT_ON_BOARD), OutOf(VIEW, Quantity.POINT_ON_BOARD, camera))
+        return (PointOf(TARGET, Quantity.POINT_ON_BOARD), OutOf(VIEW, Quantity.POINT_ON_BOARD, camera), *mount)
     targets = Quantity.POINT_ON_TARGETS
-    return (PointOf(TARGET, targets), Into(TAPER if rig == "cmm" else VIEW, targets, camera))
+    return (PointOf(TARGET, targets), Into(TAPER if rig == "cmm" else VIEW, targets, camera), *mount)
 
 
-def chain(rig: str, convention: str) -> Chain:
-    """Return the forward model of an image point."""
-    return Chain((*to_camera(rig), lens_link(convention)))
+def chain(rig: str, convention: str, several: bool = False) -> Chain:
+    """Return the forward model of an image point, of one camera or of several that are fixed to each other."""
+    return Chain((*to_camera(rig, several), lens_link(convention)))
 
 
 def view_name(rig: str) -> str:
@@ -111,7 +122,12 @@ def list_datum(targets: Block, takes_part: Array, pose: str, scale: bool) -> Dat
         moves = np.zeros((*values.shape, len(points.shift)))
         moves[:, :3, :3] = moves[:, 3:, 3:6] = -rotation
         moves[:, :3, 6:] = values[:, :3, None]
-        return {TARGET: points.at(blocks[TARGET].values, slice(None)), pose: moves}
+        moved = {TARGET: points.at(blocks[TARGET].values, slice(None)), pose: moves}
+        if MOUNT in blocks and scale:
+            held = blocks[MOUNT].values
+            moved[MOUNT] = np.zeros((*held.shape, len(points.shift)))
+            moved[MOUNT][:, :3, 6] = held[:, :3]
+        return moved
 
     return Datum(TARGET, targets.values, takes_part, movements, FREEDOMS[: len(points.shift)])
 

@@ -10,11 +10,11 @@ from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 from metrocli import tasks
 from metrocli.adjust.allowance import allowance
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Ordered
+from metrocli.diagnosis.corrections import Mistake
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import LIMIT, Attended, diagnose, no_interrupt, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
@@ -38,7 +38,7 @@ from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedEr
 from metrocli.formats.csv_text import numeric
 from metrocli.formats.file_bytes import written_aside
 from metrocli.frozen import dataclass
-from metrocli.nodes import Node
+from metrocli.nodes import Node, node_of, relocated
 from metrocli.progress import SILENT, Named, Progress, counted
 from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
@@ -51,6 +51,7 @@ _STEPS = 400
 """Steps of a try of an extended job, its starts included: a law that needs more is not determined"""
 _NAMED = " with the effects that metrocli diagnose named"
 _SHARED = " with the noise that metrocli diagnose proposes"
+_RIGHT = " with the setting that metrocli diagnose corrected"
 """Ends of the first line of an extended job, by which it is recognised before it is overwritten"""
 _DIGEST = "# sha256 of the lines below, by which diagnose sees whether they were edited: "
 """Begin of its second line"""
@@ -165,7 +166,7 @@ def write_extended(
     """
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
     confirmed = any(one.confirmed for one in diagnosis.findings)
-    others = bool(confirmed or diagnosis.scatters or proposed_noise(diagnosis))
+    others = bool(confirmed or diagnosis.scatters or proposed_noise(diagnosis) or _correction(diagnosis))
     if not others and diagnosis.law is None:
         return None
     if not force:
@@ -203,10 +204,11 @@ def _write(job: JobFile, diagnosis: Diagnosis, law: Law | None, place: tuple[Pat
     scatters = [one for one in diagnosis.scatters if not declares(job.root.get("noise"), one)]
     named = [*map(scatter_as_job, scatters), *(as_job(one.effect) for one in diagnosis.findings if one.confirmed)]
     called = _free_name(diagnosis)
-    new = [_node(job, entry) for entry in (*named, *([] if law is None else [as_wanted(law, called)]))]
-    defined = [] if law is None else [_node(job, as_define(law, called))]
+    new = [node_of(job.root, entry) for entry in (*named, *([] if law is None else [as_wanted(law, called)]))]
+    defined = [] if law is None else [node_of(job.root, as_define(law, called))]
     body = yaml_text.emit(_extended(job, new, defined, diagnosis, (path.parent, result)))
-    text = f"# {job.file.name}{_NAMED if new or diagnosis.scatters else _SHARED}\n{_DIGEST}{_digest(body)[:16]}\n{body}"
+    how = _NAMED if new or diagnosis.scatters else _RIGHT if _correction(diagnosis) else _SHARED
+    text = f"# {job.file.name}{how}\n{_DIGEST}{_digest(body)[:16]}\n{body}"
     with written_aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
 
@@ -220,7 +222,7 @@ def _refuse_foreign(path: Path) -> None:
     except OSError as error:
         fault = Fault(f"cannot be read: {error.strerror}", str(path), hint="give another --output")
         raise InputError([fault]) from error
-    if not first.rstrip().endswith((_NAMED, _SHARED)):
+    if not first.rstrip().endswith((_NAMED, _SHARED, _RIGHT)):
         raise InputError([Fault("the file exists and is not an extended job", str(path), hint="give another --output")])
     digest, _, body = rest.partition("\n")
     if digest != f"{_DIGEST}{_digest(body)[:16]}":
@@ -240,16 +242,36 @@ def _extended(
     folder, result = to
     below = {"define": _longer(job, "define", defined), "effects": _longer(job, "effects", effects)}
     output = result or job.output.with_name(f"{job.output.stem}.extended.h5")
-    moved: Callable[[Node], Node] = lambda value: _relocated(value, job.folder, folder)  # noqa: E731
+    moved: Callable[[Node], Node] = lambda value: relocated(value, job.folder, folder)  # noqa: E731
     noise: Callable[[Node], Node] = lambda value: _noise(job, value, found)  # noqa: E731
     changed = {"inputs": moved, "effects_from": moved, "noise": noise}
     kept = [
         (key, changed[key.text](value) if key.text in changed else value)
-        for key, value in job.root.entries
+        for key, value in _corrected(job, found)
         if key.text not in (*below, "output")
     ]
-    more = [(_key(job, key), items) for key, items in below.items() if items.items]
-    return replace(job.root, entries=(*kept, *more, (_key(job, "output"), _key(job, os.path.relpath(output, folder)))))
+    more = [(node_of(job.root, key), items) for key, items in below.items() if items.items]
+    written = node_of(job.root, "output"), node_of(job.root, os.path.relpath(output, folder))
+    return replace(job.root, entries=(*kept, *more, written))
+
+
+def _correction(found: Diagnosis) -> Mistake | None:
+    """Return the mistake in a section of the job whose right entries are known; None without one."""
+    first = None if found.mistaken is None else found.mistaken.mistakes[0]
+    return first if first is not None and first.entries else None
+
+
+def _corrected(job: JobFile, found: Diagnosis) -> Sequence[tuple[Node, Node]]:
+    """Return the sections of a job, that of a mistake with the right entries."""
+    wrong = _correction(found)
+    if wrong is None:
+        return job.root.entries
+    old = job.root.get(wrong.input)
+    kept = [] if old is None else [(key, value) for key, value in old.entries if key.text not in wrong.entries]
+    new = [(node_of(job.root, key), node_of(job.root, value)) for key, value in wrong.entries.items() if value]
+    section = replace(job.root, kind="mapping", text="", entries=(*kept, *new), items=())
+    others = [(key, value) for key, value in job.root.entries if key.text != wrong.input]
+    return [*others, (node_of(job.root, wrong.input), section)]
 
 
 def _longer(job: JobFile, key: str, more: Sequence[Node]) -> Node:
@@ -270,31 +292,6 @@ def _noise(job: JobFile, declared: Node, found: Diagnosis) -> Node:
 def _with_model(job: JobFile, declared: Node, model: str) -> Node:
     """Return the noise of a job with a model: beside its declared parts, else in their place."""
     if declared.kind != "mapping":
-        return _key(job, model)
+        return node_of(job.root, model)
     parts = tuple((key, value) for key, value in declared.entries if key.text != MODEL)
-    return replace(declared, entries=(*parts, (_key(job, MODEL), _key(job, model))))
-
-
-def _relocated(node: Node, old: Path, new: Path) -> Node:
-    """Return a node with its paths, relative to `old`, rewritten relative to `new`."""
-    if os.path.abspath(old) == os.path.abspath(new) or (node.kind == "scalar" and Path(node.text).is_absolute()):
-        return node
-    if node.kind == "scalar":
-        return replace(node, text=Path(os.path.relpath(old / node.text, new)).as_posix())
-    items = (_relocated(item, old, new) for item in node.items)
-    entries = ((key, _relocated(value, old, new)) for key, value in node.entries)
-    return replace(node, items=tuple(items), entries=tuple(entries))
-
-
-def _key(job: JobFile, text: str) -> Node:
-    return replace(job.root, kind="scalar", text=text, entries=(), items=())
-
-
-def _node(job: JobFile, value: Any) -> Node:
-    """Return texts, lists and mappings of texts as a node."""
-    if isinstance(value, Mapping):
-        entries = tuple((_key(job, key), _node(job, item)) for key, item in value.items())
-        return replace(job.root, kind="mapping", text="", entries=entries, items=())
-    if isinstance(value, list):
-        return replace(job.root, kind="list", text="", entries=(), items=tuple(_node(job, item) for item in value))
-    return _key(job, value)
+    return replace(declared, entries=(*parts, (node_of(job.root, MODEL), node_of(job.root, model))))

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
@@ -323,3 +324,49 @@ def test_a_lens_sees_beyond_ninety_degrees() -> None:
     flat = equidistant(seen)
     u, v = image_point(FISHEYE, flat.x, flat.y, fisheye=True)
     assert Lens(fisheye=True).fisheye and (u[0], v[0]) == pytest.approx((641.0 + 390.0 * radius, 482.0))
+
+
+NAMES, TURN, SHIFT = ("left", "right"), Rotation.from_euler("xyz", [0.02, -0.1, 0.3]), np.array([95.0, -4.0, 12.0])
+"""Pose of the right camera in the frame of the left one: `X_left = R X_right + d`, mm"""
+
+
+def several() -> Result:
+    rows = [(name, key, value) for name in NAMES for key, value in USUAL.items()]
+    camera, parameter, value = zip(*rows, strict=True)
+    place = np.stack([np.zeros(6), [*SHIFT, *TURN.as_euler("xyz")]])
+    sizes = {"image_width": [float(SIZE[0])] * 2, "image_height": [float(SIZE[1])] * 2}
+    cameras = Table.of({"camera": NAMES, **sizes, "x y z [mm]": place[:, :3], "alpha beta gamma [rad]": place[:, 3:]})
+    tables = {"camera": Table.of({"camera": camera, "parameter": parameter, "value": value}), "cameras": cameras}
+    return Result("calibrate-camera", "", (), np.zeros((0, 0)), {"convention": "forward"}, tables)
+
+
+def posed(program: str) -> tuple[Array, Array]:
+    """Rotation and shift [mm] from the left to the right camera, as the program reads its file."""
+    files = {name: str(text) for name, text in export(program, several()).items()}
+    if program == "opencv":
+        stored = cv2.FileStorage(files["right.yml"], cv2.FILE_STORAGE_READ + cv2.FILE_STORAGE_MEMORY)
+        return stored.getNode("R").mat(), stored.getNode("T").mat()[:, 0]
+    if program == "kalibr":
+        step = np.array(yaml.safe_load(files["camchain.yaml"])["cam1"]["T_cn_cnm1"])
+        return step[:3, :3], 1000 * step[:3, 3]
+    if program == "mrcal":
+        text = "\n".join(line for line in files["right.cameramodel"].splitlines() if line[0] != "#")
+        place = np.array(ast.literal_eval(text)["extrinsics"])
+        return Rotation.from_rotvec(place[:3]).as_matrix(), 1000 * place[3:]
+    row = files["rigs.txt"].splitlines()[-1].split()
+    assert row[:8] == ["1", "2", "CAMERA", "1", "CAMERA", "2", "1"] + row[7:8]
+    w, *numbers = map(float, row[7:])
+    return Rotation.from_quat([*numbers[:3], w]).as_matrix(), np.array(numbers[3:])
+
+
+@pytest.mark.parametrize("program", ["opencv", "kalibr", "mrcal", "colmap"])
+def test_where_several_cameras_are_stands_in_their_files(program: str) -> None:
+    turn, shift = posed(program)
+    assert turn == pytest.approx(TURN.inv().as_matrix(), abs=1e-12)
+    assert shift == pytest.approx(-TURN.inv().apply(SHIFT), abs=1e-9)
+
+
+@pytest.mark.parametrize("program", ["ros", "metashape", "matlab"])
+def test_a_format_without_poses_says_so(program: str) -> None:
+    left, right = map(str, export(program, several()).values())
+    assert "the pose of right beside left is not in this format" in right and "pose" not in left

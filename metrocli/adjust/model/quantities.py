@@ -21,6 +21,7 @@ class Quantity(Enum):
     POINT_IN_MACHINE = "point in the machine"
     POINT_IN_SPINDLE = "point in the spindle"
     POINT_IN_TAPER = "point in the taper of the camera's holder"
+    POINT_IN_RIG = "point in the frame of the first of several cameras"
     POINT_IN_CAMERA = "point in the camera"
     IMAGE_POINT = "image point in pixels"
     MACHINE_READING = "point as the machine reads it"

@@ -211,15 +211,16 @@ def _about(finding: Finding) -> Iterator[str]:
 
 
 def _about_scatter(one: RandomEffect) -> Iterator[str]:
-    effect, key = one.effect, one.effect.keys[0]
-    yield f"{effect.name} at every {key} ({one.places}): {effect.of_all or effect.cause}"
+    effect = one.effect
+    places = "" if effect.is_smooth else f" ({one.places})"
+    yield f"{effect.name} {effect.everywhere}{places}: {effect.of_all or effect.cause}"
 
 
 def _row_of_scatter(one: RandomEffect, adjusted: AdjustedJob) -> tuple[str, ...]:
     effect = one.effect
     std = Size(effect.common or effect.parameters[0], one.std, one.spread)
     return (
-        f"{effect.name} at every {effect.keys[0]}",
+        f"{effect.name} {effect.everywhere}",
         _parameter(std),
         _chance(float(np.exp(one.log_level))),
         ", ".join(map(str, one.rivals)),

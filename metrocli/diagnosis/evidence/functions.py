@@ -118,7 +118,7 @@ def process_bases(job: AdjustedJob, system: System) -> Iterator[Functions]:
     alone = [one for one in job.covariates if not one.together and all(name in one.values for name in named)]
     # those of several coordinates need the most memory while they are made: nothing else is held yet
     for covariate in sorted(alone, key=lambda one: -len(np.atleast_2d(one.values[named[0]]))):
-        for by in (*job.units, ""):
+        for by in (*job.units, *([] if covariate.of_units else [""])):
             basis = _basis(job, system, covariate, by)
             if basis is not None:
                 yield basis

@@ -93,8 +93,8 @@ def _scatters(job: AdjustedJob, system: System, families: Sequence[Family]) -> l
             by_name.setdefault(family.name, []).append(family)
     found = []
     for own in by_name.values():
-        places = sum(one.columns.count for one in own)
         columns = sum(one.columns.count * one.columns.parameters for one in own)
+        places = columns if own[0].alternatives[0].effect.is_smooth else sum(one.columns.count for one in own)
         if places >= _PLACES and system.rows * columns**2 <= _MOST:
             found.append(tuple(own))
     return found

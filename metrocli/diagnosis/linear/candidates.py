@@ -145,7 +145,7 @@ def families_of(job: AdjustedJob, system: System) -> tuple[list[Family], list[No
 
 def families_throughout(job: AdjustedJob, system: System) -> tuple[Family, ...]:
     """Return the effects that are sought at all their places at once only, as far as they can act somewhere."""
-    wanted = [one for one in job.effects if one.throughout and one.keys[0] in job.model.places]
+    wanted = [one for one in job.effects if one.throughout and set(one.keys) <= set(job.model.places)]
     return tuple(family for effect in wanted for family in _of_effect(job, system, effect, []))
 
 
@@ -171,7 +171,7 @@ def _untestable(model: Model, effect: Effect) -> list[NotTested]:
     """Return the reasons why an effect cannot be modelled: one if it is the same everywhere, else place by place."""
     places = [dict(zip(effect.keys, place, strict=True)) for place in _places(model, effect)]
     if not places and (effect.definition or effect.keys[0] in model.places):
-        few = "all readings share one" if effect.keys[0] in model.places else "this measurement has no"
+        few = "this measurement has no" if effect.definition else "all readings share one"
         return [NotTested(effect, f"{few} {effect.keys[0]}")]
     found = [NotTested(effect, lacking(model, effect, at), at) for at in places if not can_act(model, effect, at)]
     if len(found) == len(places) and len({one.reason for one in found}) == 1:

@@ -122,6 +122,8 @@ def camera_of_result(result: Result) -> CameraModel:
             f"the camera was calibrated with rig {result.statistics.get('rig')}; "
             "only rig cmm determines its place in the taper"
         )
+    if "cameras" in result.tables:
+        raise InputError("align-part reads a single camera: calibrate the one in the spindle with `camera:`")
     if "lens_shape" in result.tables:
         raise InputError(
             "align-part reads no camera of the model spline: calibrate it with the model opencv or fisheye"

@@ -42,7 +42,7 @@ def explained(problem: Problem, solution: Solution, rejected: Table) -> str:
     `rejected` are the readings that were left out as outliers before.
     """
     lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
-    lines += [f"  undetermined: {_in_words(str(combination))}" for combination in solution.undetermined[:3]]
+    lines += [f"  undetermined: {in_words(str(combination))}" for combination in solution.undetermined[:3]]
     if len(solution.undetermined) > 3:
         lines.append(f"  and {len(solution.undetermined) - 3} more combinations")
     strange = strange_images(problem, problem.images)
@@ -61,12 +61,13 @@ def _left_out(rejected: Table) -> list[str]:
     ]
 
 
-def _in_words(text: str) -> str:
+def in_words(text: str) -> str:
     """Leave out the names of internal blocks."""
     return (
         text.replace(f" of {camera.LENS}", "")
         .replace(f" of {camera.VIEW} ", " of ")
         .replace(f" of {camera.TARGET} ", " of ")
+        .replace(f" of {camera.MOUNT} ", " of ")
     )
 
 

@@ -71,7 +71,7 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
     }
     group = Group(IMAGES, camera.chain(rig, settings.convention), readings(sighted, rig))
     others = (*priors(blocks[camera.TARGET], targets.sigma, free), *scale_bars(bars, targets.names, seen))
-    datum = _datum(rig, blocks[camera.TARGET]) if free.any() else None
+    datum = target_datum(rig, blocks[camera.TARGET]) if free.any() else None
     places = {"image": Place(sighted.images, "view"), "target": Place(targets.names, camera.TARGET)}
     nominal = {camera.TARGET: targets.points}
     model = Model(blocks, (group, *others), datum, (IMAGES,), places, nominal=nominal)
@@ -84,7 +84,7 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
     return started.with_model(started.model.with_group(group).with_blocks(found))
 
 
-def _datum(rig: str, targets: Block) -> Datum | None:
+def target_datum(rig: str, targets: Block) -> Datum | None:
     """Return the inner constraints on the unknown targets; None with rig cmm, whose reference frame is theirs."""
     takes_part = np.broadcast_to(targets.free, targets.values.shape).any(axis=1).astype(float)
     if rig == "board":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,8 +21,9 @@ from metrocli.tasks.calibrate_camera.doubts import PrincipalPoint
 from metrocli.tasks.calibrate_camera.effects import EFFECTS
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.settings import Camera
+from metrocli.tasks.calibrate_camera.shape.effect import LENS_SHAPE, lens_shape
 from metrocli.tasks.shared.images.adjustment import Adjusted
-from metrocli.tasks.shared.images.covariates import at_solution, covariate, covariates, folds, named, refit
+from metrocli.tasks.shared.images.covariates import PLACE, at_solution, covariate, covariates, folds, named, refit
 from metrocli.tasks.shared.images.eccentricity import diameters
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
@@ -34,12 +36,16 @@ def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
     model = at_solution(problem.model, adjusted)
     index = model.readings[0].observations.index
     points = model.blocks[camera.TARGET].values[index[camera.TARGET]]
-    found = [*covariates(model, _in_camera(problem.rig, model, points)), covariate("place of the target", points.T, 3)]
+    # what all images share over the image is the shape of the lens
+    known = (
+        replace(one, of_units=one.name == PLACE) for one in covariates(model, _in_camera(problem.rig, model, points))
+    )
+    found = [*known, covariate("place of the target", points.T, 3)]
     cmm = problem.rig == "cmm"
     return AdjustedJob(
         KIND.name,
         model,
-        EFFECTS,
+        tuple(lens_shape(problem.with_model(model)) if one is LENS_SHAPE else one for one in EFFECTS),
         named(found),
         () if cmm else ("image",),
         folds(index[camera.TARGET if cmm else "view"]),

@@ -8,6 +8,7 @@ from metrocli.effects.links.images import LensChange, TargetEccentricity
 from metrocli.effects.links.points import Growth, PlaneBend, Stretch
 from metrocli.effects.links.shifts import Shift
 from metrocli.tasks.calibrate_camera.image_groups import SERIES, TURN
+from metrocli.tasks.calibrate_camera.shape.effect import LENS_SHAPE
 from metrocli.tasks.shared.images.places import IMAGE, PERSPECTIVE_BLUR, image_point, rolling_shutter
 
 _LENS = "lens"
@@ -264,6 +265,7 @@ EFFECTS: tuple[Effect, ...] = (
     rolling_shutter("view", "axis-skew", "aspect-ratio"),
     _moved_target(Quantity.POINT_ON_BOARD),
     _moved_target(Quantity.POINT_ON_TARGETS),
+    LENS_SHAPE,
     _scale_of_targets(Quantity.POINT_ON_BOARD),
     _scale_of_targets(Quantity.POINT_ON_TARGETS),
 )

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
+from metrocli.diagnosis.corrections import Mistake
 from metrocli.errors import UndeterminedError
 from metrocli.instruments import camera
 from metrocli.instruments.lenses.lens import direction
 from metrocli.tasks.calibrate_camera.build import build
 from metrocli.tasks.calibrate_camera.problem import Problem
-from metrocli.tasks.calibrate_camera.settings import Camera
+from metrocli.tasks.calibrate_camera.settings import Camera, Files, Settings
+from metrocli.tasks.job import Job
+from metrocli.tasks.shared.images.settings import SPLINE
 from metrocli.tasks.shared.images.tables import root_mean_square
 
 _BETTER = 0.5
@@ -21,18 +25,43 @@ _BETTER = 0.5
 _FEWEST = 0.5
 """Smallest reach of the readings in units of the focal length: of a narrow view both models describe the lens"""
 _STEPS = 100
+_MOST_STEPS = 400
+"""Of a robust start and the adjustment from it"""
 _WIDEST = np.cos(np.radians(80))
 """Cosine of the angle off the axis up to which a pinhole is compared with a fisheye"""
 
 
 def as_fisheye(problem: Problem, settings: Camera) -> Problem:
     """Return the calibration of the same readings with the model fisheye, with starting values of its own."""
-    usual = Camera(model="fisheye", image_size=problem.image_size)
-    # a principal point that the job holds is held here, too: what its freedom explains is no matter of the model
-    lens = problem.blocks[camera.LENS].named()
-    given: dict[str, Any] = {name: lens[name] for name in ("cx", "cy") if name not in settings.estimate}
-    estimate = tuple(name for name in usual.estimate if name not in given)
-    return build(problem.rig, replace(usual, estimate=estimate, **given), replace(problem.sighted, warnings=()))
+    fisheye = replace(_fisheye(settings), image_size=problem.image_size)
+    return build(problem.rig, fisheye, replace(problem.sighted, warnings=()))
+
+
+def _fisheye(settings: Camera) -> Camera:
+    """Return a camera with the usual parameters of a fisheye.
+
+    A principal point that the job holds is held here, too: what its freedom explains is no matter of the model.
+    """
+    usual = Camera(model="fisheye", image_size=settings.image_size, pixel_size=settings.pixel_size)
+    held = [name for name in ("cx", "cy") if name not in settings.estimate]
+    given: dict[str, Any] = {name: value for name, value in settings.given().items() if name in held}
+    return replace(usual, estimate=tuple(name for name in usual.estimate if name not in held), **given)
+
+
+def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+    """Yield the model fisheye where a job calibrates a pinhole; nothing if a declared noise fits."""
+    old, known = job.settings.camera, fits and isinstance(job.settings.noise, float)
+    if known or job.settings.cameras is not None or old.convention != "forward" or old.model == SPLINE:
+        return
+    new = _fisheye(old)
+    write: dict[str, str | list[str]] = {"model": "fisheye", "convention": ""}
+    write |= {name: "" for name in old.given() if name not in new.given()}
+    if old.estimate != Camera().estimate:
+        write["estimate"] = list(new.estimate)
+    mistake = Mistake(
+        "camera", "the lens is a fisheye", "camera: {model: fisheye}", sort="lens", entries=write, steps=_MOST_STEPS
+    )
+    yield mistake, replace(job, settings=replace(job.settings, camera=new))
 
 
 def fisheye_instead(problem: Problem, settings: Camera, rms: float) -> list[str]:

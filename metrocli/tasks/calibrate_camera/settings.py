@@ -10,7 +10,19 @@ from metrocli.adjust.clusters.robust import FROM_RESIDUALS
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
 from metrocli.instruments.lenses.lens import PARAMETERS, UNITS
-from metrocli.settings import Choice, Either, ImageFiles, ListOf, Quantity, Section, TableFile, Whole, setting
+from metrocli.settings import (
+    Choice,
+    Either,
+    ImageFiles,
+    ListOf,
+    MapOf,
+    Quantity,
+    Section,
+    TableFile,
+    Text,
+    Whole,
+    setting,
+)
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import Columns, Table, columns
 from metrocli.targets.board_in_words import board_in_words
@@ -121,6 +133,23 @@ class Camera(LensModel):
 
 
 @dataclass(frozen=True, kw_only=True)
+class OneOfSeveral(Camera):
+    """One of several cameras that are fixed to each other."""
+
+    images: str = setting(
+        Text(), "names of its images, with one *: images of two cameras are taken at once if it stands for the same"
+    )
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield (key, message) for keys that contradict each other."""
+        yield from super().faults()
+        if self.images.count("*") != 1:
+            yield "images", "images has not one *, such as left*.jpg: what it stands for names the exposure"
+        if self.model == SPLINE:
+            yield "model", "the model spline is for a single camera: calibrate that alone, or give another model"
+
+
+@dataclass(frozen=True, kw_only=True)
 class CameraSimulation:
     """The truth that `metrocli simulate` starts from."""
 
@@ -187,6 +216,9 @@ class Settings:
         NOISE_HELP,
     )
     camera: Camera = setting(Section(Camera), "the camera", default=Camera())
+    cameras: dict[str, OneOfSeveral] | None = setting(
+        MapOf(Section(OneOfSeveral)), "several cameras that are fixed to each other, by name", default=None
+    )
     pattern: Pattern | None = setting(Section(Pattern), "what the images show", default=None)
     outliers: str = setting(
         Choice("report", "remove"), "name outliers, or leave them out and list them", default="report"
@@ -205,7 +237,8 @@ class Settings:
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield (key, message) for inputs that are missing or contradict each other."""
         yield from image_faults(self.inputs.observations, self.inputs.images, self.pattern, self.inputs.targets)
-        if self.inputs.observations is not None and self.camera.image_size is None:
+        yield from self._of_cameras()
+        if self.cameras is None and self.inputs.observations is not None and self.camera.image_size is None:
             yield (
                 "camera",
                 "image_size is missing: a table of observations does not contain it; "
@@ -219,6 +252,24 @@ class Settings:
             yield "inputs.test_lengths", "test lengths belong to rig: network"
         if self.length_limit is not None and self.inputs.test_lengths is None:
             yield "length_limit", "a limit needs the lengths it is for: give `inputs: test_lengths`"
+
+    def _of_cameras(self) -> Iterable[tuple[str, str]]:
+        """Yield (key, message) for several cameras that cannot be calibrated together."""
+        if self.cameras is None:
+            return
+        if len(self.cameras) < 2:
+            yield "cameras", "cameras are two or more: write a single one as camera: {...}"
+        if self.camera != Camera():
+            yield "camera", "both camera and cameras are given: write each camera under cameras"
+        if len({one.convention for one in self.cameras.values()}) > 1:
+            yield "cameras", "cameras are of one lens model: all opencv, all fisheye or all backward"
+        if len({"fx" in one.estimate or "fx" in one.given() for one in self.cameras.values()}) > 1:
+            yield "cameras", "either all cameras have f, or all have fx and fy"
+        if self.rig == "network":
+            yield "rig", "cameras are calibrated together from a board, or from targets placed by a CMM"
+        for name, one in self.cameras.items():
+            if self.inputs.observations is not None and one.image_size is None:
+                yield f"cameras.{name}", "image_size is missing: a table of observations does not contain it"
 
 
 def job_of(images: str, board: str, output: str) -> str:

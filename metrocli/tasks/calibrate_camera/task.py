@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.errors import InputError, UndeterminedError
+from metrocli.errors import InputError, UndeterminedError, UsageError
 from metrocli.geometry import poses
 from metrocli.imageset import ImageSet
 from metrocli.result import Result
@@ -22,10 +22,12 @@ from metrocli.tasks.calibrate_camera.compare import compare_models
 from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
-from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
+from metrocli.tasks.calibrate_camera.multi_camera import task as multi_camera
+from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models, other_settings
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.report import report
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
+from metrocli.tasks.calibrate_camera.shape.effect import beside_base
 from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_views, true_model, with_lengths
 from metrocli.tasks.job import Job, Task
@@ -58,6 +60,8 @@ def run(job: Job[Settings, Files]) -> Result:
     Raises InputError if the files do not fit together, UndeterminedError if the readings do not determine the
     parameters, and NotConvergedError if the adjustment does not converge.
     """
+    if job.settings.cameras is not None:
+        return multi_camera.run(job, job.settings.cameras)
     settings, problem = prepared(job)
     adjusted = solved(settings, problem)
     if settings.noise == STRUCTURED:
@@ -67,6 +71,8 @@ def run(job: Job[Settings, Files]) -> Result:
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the adjusted job for `diagnose`, with all its readings, outliers included; raises as `run` does."""
+    if job.settings.cameras is not None:
+        return multi_camera.diagnosed(job, job.settings.cameras)
     settings, problem = prepared(job)
     found = adjusted_job(problem, solved(replace(settings, outliers="report"), problem))
     return replace(found, not_sought=not_sought(settings.shutter, found.model))
@@ -82,6 +88,9 @@ def compare(job: Job[Settings, Files]) -> Table:
 def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
     """Return the settings completed by the size of the images, and the adjustment with starting values and effects."""
     settings, files = job.settings, job.files
+    if settings.cameras is not None:
+        names = " and ".join(settings.cameras)
+        raise UsageError(f"this is for a single camera: give a job of its own to each of {names}, with `camera:`")
     images = files.images
     if images is not None:
         _must_have_size(images, settings)
@@ -93,7 +102,7 @@ def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
     problem = build(settings.rig, settings.camera, sighted, files.scale_bars)
     if settings.camera.model == SPLINE:
         problem = with_shape(problem, settings.noise not in FROM_RESIDUALS)
-    return settings, problem.with_effects(job.effects)
+    return settings, problem.with_effects(beside_base(problem, job.effects))
 
 
 def _must_have_size(images: ImageSet, settings: Settings) -> None:
@@ -106,7 +115,9 @@ def _must_have_size(images: ImageSet, settings: Settings) -> None:
 
 def check(job: Job[Settings, Files]) -> None:
     """Raise InputError for what shows without a look into the images, and without images for all that shows."""
-    if job.files.images is None:
+    if job.files.images is None and job.settings.cameras is not None:
+        multi_camera.prepared(job, job.settings.cameras)
+    elif job.files.images is None:
         prepared(job)
     else:
         _must_have_size(job.files.images, job.settings)
@@ -135,6 +146,8 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     Pictures are added if the options ask for them. Raises InputError if the truth or the image size is missing.
     """
     settings, effects = job.settings, job.effects
+    if settings.cameras is not None:
+        raise UsageError("simulate is for a single camera: write `camera:` in place of `cameras:`")
     truth, size = settings.simulation, settings.camera.image_size
     if truth is None or size is None:
         raise InputError(
@@ -177,4 +190,5 @@ TASK = Task(
     effects=EFFECTS,
     places=PLACES,
     answers={"compare": compare},
+    other_settings=other_settings,
 )

@@ -11,10 +11,15 @@ import cv2
 import h5py
 import numpy as np
 import pytest
+import yaml
 from scipy.interpolate import BSpline
 from scipy.optimize import least_squares
 
 from metrocli.arrays import Array
+from metrocli.diagnosis.evidence.parts import SCATTER
+from metrocli.diagnosis.rounds import searched
+from metrocli.project.diagnosed import adjusted_job_of, carry_out, write_extended
+from metrocli.project.job import load
 from metrocli.tasks.calibrate_camera.shape.size import Evidence, likely
 
 Metrocli = Callable[..., Any]
@@ -100,6 +105,57 @@ def test_a_shape_is_found(tmp_path: Path, metrocli: Metrocli) -> None:
     assert off(tmp_path / "camera.h5") < 0.15  # 0.07; without the shape 0.55
     ran = metrocli("export", tmp_path / "camera.h5", "--to", "kalibr")
     assert ran.code == 3 and "no model of kalibr is within 0.05 px of this lens" in ran.err
+
+
+def test_diagnose_names_a_shape(tmp_path: Path) -> None:
+    path = job(tmp_path, shaped=True)
+    path.write_text(JOB.replace(", model: spline", "").replace("estimated", "0.1 px"))
+    _, state = searched(adjusted_job_of(load(path)))
+    names = [state.measurement.scatters[one.key[0]][0].name for one in state.random if one.kind == SCATTER]
+    assert names == ["lens-shape"] and state.variance == pytest.approx(1.0, rel=0.2)
+
+
+def test_a_job_with_a_shape_of_stated_size_has_it(tmp_path: Path, metrocli: Metrocli) -> None:
+    path = job(tmp_path, shaped=True)
+    path.write_text(JOB.replace(", model: spline", "") + "effects: [{name: lens-shape, std: 0.5 px}]\n")
+    ran = metrocli("calibrate-camera", path)
+    assert ran.code == 0 and off(tmp_path / "camera.h5") < 0.15  # as with the spline; without 0.55
+
+
+def test_a_fisheye_given_as_a_pinhole_is_named_and_extended(tmp_path: Path) -> None:
+    rng, rows = np.random.default_rng(4), ["image,target,u_px,v_px"]
+    for number in range(9):
+        place = np.array([rng.uniform(-90, 90), rng.uniform(-70, 70), rng.uniform(90, 150)])
+        points = (BOARD - BOARD.mean(axis=0)) @ cv2.Rodrigues(rng.normal(size=3) * 0.3)[0].T + place
+        across, far = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
+        ahead = points[:, 2] > 20
+        uv = 350 * points[:, :2] * (np.arctan2(across, far) / across)[:, None] + [485, 350]
+        uv += rng.normal(size=uv.shape) * 0.1
+        inside = np.flatnonzero(ahead & ((uv > 0) & (uv < np.array(SIZE) - 1)).all(axis=1))
+        rows += [f"v{number},{j},{float(uv[j, 0])},{float(uv[j, 1])}" for j in inside]
+    path = job(tmp_path, shaped=False)
+    (tmp_path / "obs.csv").write_text("\n".join(rows))
+    path.write_text(JOB.replace("model: spline", "estimate: [f, cx, cy, k1, k2]"))
+    found = carry_out(load(path), limit=0.0)
+    longer = write_extended(load(path), found)
+    assert found.verdict == "mistaken" and longer is not None
+    camera = yaml.safe_load(longer.path.read_text())["camera"]
+    assert camera == {
+        "image_size": [960, 720],
+        "model": "fisheye",
+        "estimate": ["f", "cx", "cy", "k1", "k2", "k3", "k4"],
+    }
+
+
+@pytest.mark.parametrize(
+    ("entry", "told"),
+    [("{name: lens-shape}", "std is missing"), ("{name: lens-shape, std: 0.1 px, z: 1 px}", "leave 'z' out")],
+)
+def test_the_size_of_a_shape_is_stated(entry: str, told: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    path = job(tmp_path, shaped=False)
+    path.write_text(JOB.replace(", model: spline", "") + f"effects: [{entry}]\n")
+    ran = metrocli("calibrate-camera", path)
+    assert ran.code == 3 and told in ran.err
 
 
 def test_without_a_shape_the_base_is_the_result(tmp_path: Path, metrocli: Metrocli) -> None:

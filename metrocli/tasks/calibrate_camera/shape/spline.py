@@ -42,11 +42,16 @@ def with_shape(problem: Problem, noise_known: bool) -> Problem:
     if not base.outcome.good:
         return problem
     problem = problem.with_blocks({**problem.blocks, **base.blocks})
-    link = LensShape(_knots(problem.image_size), _free_of(problem))
-    size = likely(_evidence(problem, link, noise_known), _kernels(link, problem.image_size))
+    link = link_free_of_base(problem)
+    size = likely(_evidence(problem, link, noise_known), kernels(link, problem.image_size))
     if size.gain < _SHOWN:
         return problem
     return _extended(problem, link, size.covariance)
+
+
+def link_free_of_base(problem: Problem) -> LensShape:
+    """Return the link of a shape that base lens and rotations of the camera leave; its unknowns have no scale yet."""
+    return LensShape(_knots(problem.image_size), _free_of(problem))
 
 
 def _adjusted(problem: Problem) -> Solution:
@@ -79,13 +84,13 @@ def _free_of(problem: Problem) -> Array:
     return nothing
 
 
-def _kernels(link: LensShape, image_size: tuple[int, int]) -> list[Array]:
+def kernels(link: LensShape, image_size: tuple[int, int]) -> list[Array]:
     """Return covariances of the unknowns for shapes that are alike over several lengths: `exp(-d^2 / 2 r^2)`."""
     places = link.knots.places()
     apart = ((places[:, None] - places[None]) ** 2).sum(axis=2)
-    kernels = [np.exp(-apart / (2 * (reach * max(image_size)) ** 2)) for reach in _REACHES]
+    alike = [np.exp(-apart / (2 * (reach * max(image_size)) ** 2)) for reach in _REACHES]
     n = link.to_coefficients
-    return [n.T @ np.kron(np.eye(2), one) @ n for one in kernels]
+    return [n.T @ np.kron(np.eye(2), one) @ n for one in alike]
 
 
 def _extended(problem: Problem, link: LensShape, covariance: Array) -> Problem:

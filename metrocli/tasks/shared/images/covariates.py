@@ -22,6 +22,7 @@ from metrocli.effects.model import Model
 from metrocli.instruments.camera import LENS, TARGET
 from metrocli.tasks.shared.images.adjustment import IMAGES, Adjusted
 
+PLACE = "place in the image"
 FOLDS = 10
 """Parts of the readings that cross-validation holds out in turn, at most"""
 
@@ -46,7 +47,7 @@ def covariates(model: Model, in_camera: Array) -> list[Covariate]:
     orders = [replace(order, periodic=True)]
     if WARMING in conditions:
         orders.append(covariate("temp_degC", conditions[WARMING], 5))
-    orders.append(covariate("place in the image", off, 5))
+    orders.append(covariate(PLACE, off, 5))
     orders.append(covariate("image radius", np.hypot(*off), 5))
     orders.append(replace(covariate("image azimuth", np.arctan2(off[1], off[0]), 8), angle=True))
     orders.append(covariate("distance from the camera", in_camera[2], 4))

@@ -1,0 +1,147 @@
+"""Each camera of a result in the nearest lens that the models of a program can express."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.arrays import Array
+from metrocli.effects.links.lens_shape import Knots
+from metrocli.errors import InputError
+from metrocli.frozen import dataclass
+from metrocli.geometry import poses
+from metrocli.instruments.lenses.conventions import Converted, projection_range
+from metrocli.instruments.lenses.forms import PROGRAMS, Form, nearest
+from metrocli.result import Result
+from metrocli.units.people import two_digits
+
+CAMERAS = "cameras"
+"""Table of several cameras: size of the images, and pose in the frame of the first"""
+
+
+@dataclass(frozen=True)
+class Camera:
+    form: Form
+    values: dict[str, float]
+    """Of the form's terms, cx and cy counted as the program does"""
+    size: tuple[int, int]
+    notes: tuple[str, ...] = ()
+    name: str = ""
+    """Of one of several cameras"""
+    pose: Array | None = None
+    """Its pose (6,) in the frame of the first of several; None for a single camera and for the first"""
+
+    def file(self, single: str) -> str:
+        """Return the name of its file: that of a single camera, or its own name with the same ending."""
+        return f"{self.name}.{single.rpartition('.')[2]}" if self.name else single
+
+    @property
+    def from_first(self) -> tuple[Array, Array]:
+        """Return R, t [mm] of `X_camera = R X_first + t`."""
+        back = poses.inverse(np.zeros(6) if self.pose is None else self.pose)
+        return poses.rotation_of(back), back[:3]
+
+    @property
+    def matrix(self) -> list[float]:
+        fx, fy, cx, cy = self.intrinsics
+        return [fx, fx * self.values.get("skew", 0.0), cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+
+    @property
+    def intrinsics(self) -> list[float]:
+        """Return fx, fy, cx, cy."""
+        return [self.values[name] for name in ("fx", "fy", "cx", "cy")]
+
+    @property
+    def distortion(self) -> list[float]:
+        own = ("f", "fx", "fy", "cx", "cy", "skew")
+        return [value for name, value in self.values.items() if name not in own]
+
+    def commented(self, lines: Iterable[str], begin: str = "# ", end: str = "") -> str:
+        """Return the text of lines behind the notes."""
+        return "\n".join([*(f"{begin}note: {note}{end}" for note in self.notes), *lines, ""])
+
+
+def expressed(program: str, result: Result, within: float, posed: bool = False) -> list[Camera]:
+    """Return each camera of a result in the first model of a program that holds it, else in the nearest.
+
+    `posed` states whether the format holds where several cameras are. Raises InputError for a result that is no
+    camera, and where the nearest differs by more than `within` [px].
+    """
+    if "camera" not in result.tables or "convention" not in result.statistics:
+        raise InputError(f"a result of {result.kind} is no camera: this format takes results of calibrate-camera")
+    table, convention = result.tables["camera"], str(result.statistics["convention"])
+    named = table.texts("parameter"), table.numbers("value").tolist()
+    if CAMERAS not in result.tables:
+        width, height = (int(float(result.statistics[name])) for name in _SIZE)  # type: ignore[arg-type]
+        lens, base = dict(zip(*named, strict=True)), _base_of(result, (width, height))
+        return [_of_program(program, (lens, convention), (width, height), within, base)]
+    cameras, found = result.tables[CAMERAS], list[Camera]()
+    rows = list(zip(table.texts("camera"), *named, strict=True))
+    for row, name in enumerate(cameras.texts("camera")):
+        own = {key: value for camera, key, value in rows if camera == name}
+        width, height = (int(cameras.numbers(key)[row]) for key in _SIZE)
+        one = _of_program(program, (own, convention), (width, height), within, None)
+        values = np.array([cameras.numbers(key)[row] for key in poses.EULER])
+        pose = poses.pose_from_euler(values[:3], values[3:]) if row else None
+        lost = "" if posed or pose is None else f"the pose of {name} beside {found[0].name} is not in this format"
+        found.append(replace(one, name=name, pose=pose, notes=(*one.notes, *filter(None, [lost]))))
+    return found
+
+
+def _of_program(
+    program: str,
+    lens_of: tuple[Mapping[str, float], str],
+    size: tuple[int, int],
+    within: float,
+    unshifted: Callable[[Array], Array] | None,
+) -> Camera:
+    """Return a camera, of its lens parameters and their convention, as `expressed`."""
+    lens, convention = lens_of
+    forms, pixel = PROGRAMS[program].forms, PROGRAMS[program].pixel
+    exact = next((form for form in forms if unshifted is None and form.holds(lens, convention)), None)
+    notes: tuple[str, ...] = ()
+    if exact is not None:
+        form, values = exact, exact.of(lens)
+    else:
+        fitted = ((one, nearest(lens, convention, size, one, unshifted or np.asarray)) for one in forms)
+        form, fit = _near([(one, fit) for one, fit in fitted if fit is not None], program, within)
+        values, notes = dict(fit.values), (f"{form.title} is the nearest model of {program}: {_difference(fit)}",)
+    if convention != "backward" and (fold := projection_range(lens, size, convention == "fisheye")):
+        notes += (f"beyond {fold:.0f} px from its principal point the lens folds over and has no direction",)
+    shifted = {name: value + pixel * (name in ("cx", "cy")) for name, value in values.items()}
+    return Camera(form, shifted, size, notes)
+
+
+def _base_of(result: Result, image_size: tuple[int, int]) -> Callable[[Array], Array] | None:
+    """Return what takes image points to those of the base lens; None for a lens without a shape."""
+    if "lens_shape" not in result.tables:
+        return None
+    table = result.tables["lens_shape"]
+    knots = Knots(image_size, (len(np.unique(table.numbers("u"))), len(np.unique(table.numbers("v")))))
+    coefficients = np.stack([table.numbers("du"), table.numbers("dv")])
+    return lambda uv: knots.unshifted(coefficients, uv)
+
+
+_SIZE = ("image_width", "image_height")
+_AS_NEAR = 1.1
+"""Ratio of largest differences up to which the model with fewer parameters is taken"""
+
+
+def _near(fitted: Sequence[tuple[Form, Converted]], program: str, within: float) -> tuple[Form, Converted]:
+    """Return the nearest, with few parameters; raises InputError with its difference if that is above `within` [px]."""
+    if not fitted:
+        raise InputError(f"no model of {program} sees all that this lens sees")
+    least = min(fit.largest for _, fit in fitted)
+    form, fit = next(one for one in fitted if one[1].largest <= _AS_NEAR * least)
+    if fit.largest <= within:
+        return form, fit
+    raise InputError(
+        f"no model of {program} is within {within:g} px of this lens; the nearest is {form.title}: {_difference(fit)}. "
+        f"Allow it by e.g. --within '{two_digits(fit.largest * 1.1)} px', or calibrate with its parameters"
+    )
+
+
+def _difference(fit: Converted) -> str:
+    return f"rms {two_digits(fit.rms)} px, largest difference {two_digits(fit.largest)} px over the image"

@@ -1,0 +1,199 @@
+"""The result of several cameras: the lens of each and its pose in the frame of the first, with their covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from metrocli import units
+from metrocli.adjust.solution import Solution
+from metrocli.arrays import Array
+from metrocli.effects.estimates import estimates, free_blocks
+from metrocli.effects.estimates import tables as effect_results
+from metrocli.geometry import poses
+from metrocli.instruments import camera
+from metrocli.instruments.lenses.conventions import projection_range
+from metrocli.result import Estimate, Result, ShownTable
+from metrocli.table import Table
+from metrocli.tasks.calibrate_camera import KIND
+from metrocli.tasks.calibrate_camera.advice import correlation_warnings
+from metrocli.tasks.calibrate_camera.multi_camera.system import IMAGE, System
+from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.tasks.shared.images.camera_parameters import POSE_UNITS, Parameters, unit_of
+from metrocli.tasks.shared.images.tables import (
+    adjustment_notes,
+    rms_table,
+    root_mean_square,
+    suspect_images,
+    suspect_readings,
+)
+from metrocli.tasks.shared.statistics import (
+    Statistics,
+    basic_statistics,
+    chi_interval,
+    noise_notes,
+    noise_warnings,
+    residual_table,
+    with_noise,
+)
+
+CAMERAS = "cameras"
+"""Table of the cameras: image size and pose of each"""
+
+
+def delivered(system: System) -> tuple[str, ...]:
+    """Return the blocks of the estimates."""
+    return (camera.LENS, camera.MOUNT, *((camera.TAPER,) if system.rig == "cmm" else ()), *free_blocks(system.effects))
+
+
+def report(system: System, adjusted: Adjusted) -> Result:
+    """Return the result of several cameras that were adjusted together."""
+    solution, residuals = adjusted.solution, adjusted.known_residuals()
+    p = parameters(system, solution)
+    index = adjusted.group.observations.index
+    images = rms_table(residuals.values, adjusted.group, "image", index[IMAGE], system.sighted.images)
+    effects, arrays = effect_results(system.effects, solution)
+    tables = {
+        "residuals": residual_table(residuals, adjusted.group),
+        "views": images,
+        "targets": rms_table(
+            residuals.values, adjusted.group, "target", index[camera.TARGET], system.sighted.targets.names
+        ),
+        "rejected": adjusted.rejected,
+        "correlations": p.high_correlations(),
+        "significance": p.significance(),
+        "camera": _lens_table(solution),
+        CAMERAS: _cameras(system, solution),
+        **effects,
+    }
+    warnings = [*system.sighted.warnings, *suspect_readings(adjusted.suspects, adjusted.group)]
+    warnings += suspect_images(system.sighted.images, images.numbers("rms"), images.numbers("readings"))
+    warnings += correlation_warnings(p.high_correlations())
+    known = adjusted.noise is None
+    return Result(
+        kind=KIND.name,
+        title="",
+        estimates=tuple(
+            Estimate(*row) for row in zip(p.names, p.values.tolist(), p.std.tolist(), p.units, strict=True)
+        ),
+        covariance=p.covariance,
+        statistics=_statistics(system, adjusted, residuals.values),
+        tables=tables,
+        arrays={"correlation": p.correlation, **arrays},
+        warnings=(*warnings, *(noise_warnings(solution) if known else ())),
+        doubts=tuple(_folds(system, adjusted)),
+        shown=(ShownTable(CAMERAS, ("camera", "x", "y", "z", "alpha", "beta", "gamma")),),
+        notes=(*adjustment_notes(adjusted), *_baselines(solution), *(noise_notes(solution) if known else ())),
+        details=adjusted.structured.details(p.names) if adjusted.structured is not None else {},
+        plain=("dof",),
+    )
+
+
+def parameters(system: System, solution: Solution) -> Parameters:
+    """Return the lens of each camera, then the pose of each but the first, named `right.f`, `right.x`, and effects.
+
+    The pose is that of the camera in the frame of the first, as x y z alpha beta gamma: `X_first = R X_camera + d`.
+    """
+    lens, mount = solution.blocks[camera.LENS], solution.blocks[camera.MOUNT]
+    entries = np.argwhere(lens.free).tolist()
+    names = [f"{lens.members[i]}.{lens.columns[k]}" for i, k in entries]
+    of = [unit_of(lens.columns[k]) for _, k in entries]
+    values, changes = [lens.values[lens.free]], [np.eye(len(entries))]
+    placed = [(mount.members[i], mount.values[i]) for i in range(1, len(mount.members))]
+    if system.rig == "cmm":
+        placed.append((mount.members[0], solution.blocks[camera.TAPER].values[0]))
+    for name, pose in placed:
+        values.append(poses.euler_form(pose))
+        changes.append(poses.euler_form_by_step(pose))
+        names += [f"{name}.{key}" for key in poses.EULER]
+        of += POSE_UNITS
+    found = estimates(system.effects, solution)
+    changes.append(np.eye(len(found)))
+    change = _diagonal(changes)
+    covariance = change @ solution.joint(delivered(system)) @ change.T
+    names, of = [*names, *(one.name for one in found)], [*of, *(one.unit for one in found)]
+    every = np.concatenate([*values, [one.value for one in found]])
+    return Parameters(tuple(names), every, (covariance + covariance.T) / 2, tuple(of))
+
+
+def _diagonal(parts: Sequence[Array]) -> Array:
+    size = sum(len(one) for one in parts)
+    found, at = np.zeros((size, size)), 0
+    for one in parts:
+        found[at : at + len(one), at : at + len(one)] = one
+        at += len(one)
+    return found
+
+
+def _lens_table(solution: Solution) -> Table:
+    """Return every lens parameter of every camera, estimated or fixed."""
+    lens = solution.blocks[camera.LENS]
+    count, size = lens.values.shape
+    columns = {
+        "camera [text]": np.repeat(np.array(lens.members), size),
+        "parameter [text]": np.tile(lens.columns, count),
+    }
+    numbers = {"value": lens.values.ravel(), "std": solution.std(camera.LENS).ravel()}
+    return Table.of({**columns, **numbers, "unit [text]": np.tile([unit_of(name) for name in lens.columns], count)})
+
+
+def _cameras(system: System, solution: Solution) -> Table:
+    """Return the size of the images of each camera, and its pose in the frame of the first."""
+    mount = solution.blocks[camera.MOUNT]
+    change = poses.euler_form_by_step(mount.values)
+    each = solution.covariance_or_raise().members(camera.MOUNT)
+    std = np.sqrt(np.maximum(np.einsum("vab,vbc,vac->va", change, each, change), 0.0))
+    pairs = np.swapaxes(np.stack([poses.euler_form(mount.values), std], axis=2), 0, 1)
+    headings = [f"{name} s_{name} [{unit}]" for name, unit in zip(poses.EULER, POSE_UNITS, strict=True)]
+    sizes = np.array([system.size(name) for name in mount.members])
+    own = {"camera [text]": mount.members, "image_width": sizes[:, 0], "image_height": sizes[:, 1]}
+    return Table.of({**own, **dict(zip(headings, pairs, strict=True))})
+
+
+def _statistics(system: System, adjusted: Adjusted, residuals: Array) -> Statistics:
+    solution, observations = adjusted.solution, adjusted.group.observations
+    low, high = chi_interval(solution)
+    statistics: Statistics = {
+        **basic_statistics(solution, {"px": root_mean_square(residuals)}),
+        "readings": observations.count,
+        "rejected": len(adjusted.rejected),
+        "images": len(system.sighted.images),
+        "exposures": len(system.exposed.names),
+        "targets": len(np.unique(observations.index[camera.TARGET])),
+        "sigma0_low": low,
+        "sigma0_high": high,
+        "rig": system.rig,
+        "convention": system.convention,
+    }
+    if adjusted.noise is None:
+        return statistics
+    return with_noise(statistics, solution, {"noise": adjusted.noise}, adjusted.structured)
+
+
+def _baselines(solution: Solution) -> Iterator[str]:
+    """Yield how far each camera is from the first, and how much it is turned."""
+    mount = solution.blocks[camera.MOUNT]
+    each = solution.covariance_or_raise().members(camera.MOUNT)
+    for name, pose, covariance in zip(mount.members[1:], mount.values[1:], each[1:], strict=True):
+        far = float(np.linalg.norm(pose[:3]))
+        along = pose[:3] / max(far, 1e-300)
+        std = float(np.sqrt(along @ covariance[:3, :3] @ along))
+        turn = float(np.degrees(np.linalg.norm(pose[3:])))
+        yield f"{name} is {units.format_quantity(far, 'mm', std)} from {mount.members[0]}, turned by {turn:.3g} degrees"
+
+
+def _folds(system: System, adjusted: Adjusted) -> Iterator[str]:
+    """Yield the cameras whose lens model folds over where they have readings."""
+    observations, lens = adjusted.group.observations, adjusted.solution.blocks[camera.LENS]
+    for number, name in enumerate(lens.members):
+        values = lens.named(name)
+        fold = None
+        if system.convention != "backward":
+            fold = projection_range(values, system.size(name), system.convention == "fisheye")
+        u, v = observations.readings[:, observations.index[camera.LENS] == number]
+        if fold is not None and np.hypot(u - values["cx"], v - values["cy"]).max(initial=0.0) >= fold:
+            yield (
+                f"the lens model of {name} folds over at {fold:.0f} px from the principal point, among its readings; "
+                "use fewer distortion parameters"
+            )

@@ -1,0 +1,162 @@
+"""Several cameras fixed to each other as one adjustment: one more pose between the targets and each lens."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.groups import Group, priors
+from metrocli.adjust.model.observations import Observations
+from metrocli.arrays import Array
+from metrocli.effects.model import Model, Place
+from metrocli.effects.modelled import Modelled
+from metrocli.errors import UndeterminedError
+from metrocli.frozen import dataclass
+from metrocli.geometry import poses
+from metrocli.instruments import camera
+from metrocli.instruments.lenses.lens import PARAMETERS
+from metrocli.tasks.calibrate_camera.build import build, target_datum
+from metrocli.tasks.calibrate_camera.multi_camera.images import Exposures, connected, exposures, of_camera
+from metrocli.tasks.calibrate_camera.multi_camera.start import Seen, all_in_first, pose_between
+from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.settings import OneOfSeveral, Settings
+from metrocli.tasks.shared.images.adjustment import IMAGES
+from metrocli.tasks.shared.images.eccentricity import corrected
+from metrocli.tasks.shared.images.sightings import Sighted
+
+IMAGE = "image"
+"""Index of the observations that gives the image of each reading; `view` gives its exposure"""
+_STEPS = 60
+
+
+@dataclass(frozen=True)
+class System(Modelled):
+    """Several cameras, ready to adjust."""
+
+    rig: str
+    cameras: Mapping[str, OneOfSeveral]
+    exposed: Exposures
+    sighted: Sighted
+
+    @property
+    def images(self) -> Group:
+        """The image points of all cameras."""
+        return self.model.group(IMAGES)
+
+    @property
+    def convention(self) -> str:
+        """The convention of all lenses."""
+        return next(iter(self.cameras.values())).convention
+
+    def size(self, name: str) -> tuple[int, int]:
+        """Return width and height [px] of the images of a camera."""
+        return self.cameras[name].image_size or (0, 0)
+
+
+def system_of(settings: Settings, cameras: Mapping[str, OneOfSeveral], sighted: Sighted) -> System:
+    """Return the adjustment of all cameras with its starting values, from the calibration of each.
+
+    Raises InputError and UndeterminedError as `build`, `exposures`, `connected` and `pose_between`.
+    """
+    exposed = exposures(cameras, sighted.images)
+    # targets placed by a CMM are one frame for all cameras
+    order = connected(exposed) if settings.rig == "board" else [(c, 0) for c in range(1, len(cameras))]
+    each = [_alone(settings.rig, one, of_camera(sighted, exposed, i)) for i, one in enumerate(cameras.items())]
+    seen = [_seen(exposed, i, problem) for i, problem in enumerate(each)]
+    points = sighted.targets.points
+    held = all_in_first([(c, beside, pose_between(seen[beside], seen[c], points)) for c, beside in order], len(each))
+    blocks = _blocks(settings.rig, exposed, each, (seen, held))
+    targets = sighted.targets
+    free = np.broadcast_to(blocks[camera.TARGET].free, targets.points.shape)
+    group = Group(IMAGES, camera.chain(settings.rig, each[0].convention, several=True), _readings(exposed, sighted))
+    datum = target_datum(settings.rig, blocks[camera.TARGET]) if free.any() else None
+    places = {"image": Place(sighted.images, IMAGE), "target": Place(targets.names, camera.TARGET)}
+    known = priors(blocks[camera.TARGET], targets.sigma, free)
+    model = Model(blocks, (group, *known), datum, (IMAGES,), places, nominal={camera.TARGET: targets.points})
+    warnings = (*sighted.warnings, *(line for problem in each for line in problem.sighted.warnings))
+    system = System(model, settings.rig, cameras, exposed, replace(sighted, warnings=warnings))
+    if not sighted.eccentric:
+        return system
+    group, found = corrected(group, blocks, tuple(known), datum, targets.radius)
+    return system.with_model(model.with_group(group).with_blocks(found))
+
+
+def _alone(rig: str, camera_of: tuple[str, OneOfSeveral], sighted: Sighted) -> Problem:
+    """Return the calibration of one camera, adjusted."""
+    name, settings = camera_of
+    try:
+        problem = build(rig, settings, sighted)
+    except UndeterminedError as error:
+        raise UndeterminedError(f"camera {name}: {error}") from error
+    control = Control(limit=_STEPS, covariance=False)
+    found = adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, control)
+    return problem.with_blocks({**problem.blocks, **found.blocks})
+
+
+def _seen(exposed: Exposures, number: int, problem: Problem) -> Seen:
+    values = problem.blocks[camera.view_name(problem.rig)].values
+    places = poses.inverse(values) if problem.rig == "board" else values
+    lens = problem.blocks[camera.LENS].named()
+    exposure = exposed.exposure[exposed.camera == number]
+    if problem.rig == "cmm":
+        # one pose serves all images: it is one exposure
+        exposure = np.zeros(1, dtype=np.intp)
+    focal = float(lens.get("f", lens.get("fx", 0.0)))
+    names = problem.sighted.images[: len(exposure)]
+    return Seen(exposed.cameras[number], names, exposure, places, focal, max(problem.image_size))
+
+
+def _blocks(
+    rig: str, exposed: Exposures, each: Sequence[Problem], placed: tuple[Sequence[Seen], Array]
+) -> dict[str, Block]:
+    seen, held = placed
+    rows = [problem.blocks[camera.TARGET] for problem in each]
+    counts = np.array([np.bincount(problem.sighted.target, minlength=len(rows[0].members)) for problem in each])
+    points = np.array([row.values for row in rows])[counts.argmax(axis=0), np.arange(counts.shape[1])]
+    free = np.any([np.broadcast_to(row.free, row.values.shape) for row in rows], axis=0)
+    extent = 2 * float(rows[0].reach.max())
+    views = _views(exposed, seen, held, 1 if rig == "cmm" else len(exposed.names))
+    distance = float(np.median(np.linalg.norm(views[:, :3], axis=1)))
+    name, members = camera.view_name(rig), exposed.names if rig != "cmm" else ("",)
+    values = poses.inverse(views) if rig == "board" else views
+    return {
+        camera.LENS: _lenses(exposed.cameras, [problem.blocks[camera.LENS] for problem in each]),
+        camera.MOUNT: camera.mount_block(held, exposed.cameras, distance),
+        name: camera.view_block(values, members, distance, name, "exposure" if rig != "cmm" else ""),
+        camera.TARGET: camera.target_block(points, rows[0].members, free, extent),
+    }
+
+
+def _views(exposed: Exposures, seen: Sequence[Seen], held: Array, count: int) -> Array:
+    """Return the pose of the first camera in the frame of the targets at each exposure, by the first that sees them."""
+    found = np.full((count, 6), np.nan)
+    for one, mount in zip(seen, held, strict=True):
+        back = poses.inverse(mount)
+        new = np.isnan(found[one.exposure, 0])
+        at = poses.compose(one.places, np.broadcast_to(back, one.places.shape))
+        found[one.exposure[new]] = at[new]
+    return found
+
+
+def _lenses(cameras: Sequence[str], blocks: Sequence[Block]) -> Block:
+    """Return the lenses of all cameras as one block; a parameter that a camera has not is 0 and fixed."""
+    named = {name for block in blocks for name in block.columns}
+    columns = tuple(name for name in PARAMETERS if name in named)
+    values = np.array([[block.named().get(name, 0.0) for name in columns] for block in blocks])
+    free = np.array(
+        [[name in block.columns and block.free[0, block.column(name)] for name in columns] for block in blocks]
+    )
+    reach = [max(block.reach[block.column(name)] for block in blocks if name in block.columns) for name in columns]
+    return Block(camera.LENS, values, columns, tuple(cameras), free, np.array(reach), noun="camera")
+
+
+def _readings(exposed: Exposures, sighted: Sighted) -> Observations:
+    observations = sighted.observations
+    image, count = observations.index["view"], observations.count
+    index = {**observations.index, IMAGE: image, "view": exposed.exposure[image]}
+    index |= dict.fromkeys((camera.LENS, camera.MOUNT), exposed.camera[image])
+    return replace(observations, index={**index, camera.TAPER: np.zeros(count, dtype=np.intp)})

@@ -1,0 +1,78 @@
+"""calibrate-camera with `cameras:`: run and check."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
+from metrocli.adjust.outcome import Outcome
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.errors import InputError, UndeterminedError
+from metrocli.result import Result
+from metrocli.tasks.calibrate_camera.advice import in_words
+from metrocli.tasks.calibrate_camera.multi_camera.diagnosis import adjusted_job
+from metrocli.tasks.calibrate_camera.multi_camera.report import delivered, report
+from metrocli.tasks.calibrate_camera.multi_camera.system import System, system_of
+from metrocli.tasks.calibrate_camera.settings import Files, OneOfSeveral, Settings
+from metrocli.tasks.job import Job
+from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
+from metrocli.tasks.shared.images.settings import ESTIMATE
+from metrocli.tasks.shared.images.sightings import Needs, sightings
+
+
+def run(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> Result:
+    """Calibrate several cameras together; raises as the calibration of one."""
+    system = prepared(job, cameras)
+    adjusted = _solved(job.settings, system)
+    if job.settings.noise == STRUCTURED:
+        adjusted = adjusted.with_structure(delivered(system))
+    return report(system, adjusted)
+
+
+def diagnosed(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> AdjustedJob:
+    """Return the adjusted cameras for `diagnose`, with all their readings; raises as `run`."""
+    system = prepared(job, cameras)
+    return adjusted_job(system, _solved(replace(job.settings, outliers="report"), system))
+
+
+def prepared(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> System:
+    """Return the adjustment of all cameras with starting values and effects."""
+    settings, files = job.settings, job.files
+    if files.images is not None:
+        cameras = {name: _sized(name, one, files.images.size) for name, one in cameras.items()}
+    sigma = float("nan") if settings.targets == ESTIMATE else 0.0
+    sighted = sightings(settings, files.observations, files.targets, files.images, Needs(4, sigma, sigma))
+    return system_of(settings, cameras, sighted).with_effects(job.effects)
+
+
+def _sized(name: str, one: OneOfSeveral, size: tuple[int, int]) -> OneOfSeveral:
+    declared = one.image_size or size
+    if tuple(declared) != tuple(size):
+        raise InputError(
+            f"the images are {size[0]} x {size[1]} px, but cameras: {name}: image_size is {declared[0]} x "
+            f"{declared[1]} px"
+        )
+    return replace(one, image_size=size)
+
+
+def _solved(settings: Settings, system: System) -> Adjusted:
+    """Adjust all cameras; raises UndeterminedError or NotConvergedError if there is no good solution."""
+    if settings.noise == STRUCTURED:
+        must_suffice(len(system.exposed.names), "images")
+    remove, estimate_noise = settings.outliers == "remove", settings.noise in FROM_RESIDUALS
+    size = max((system.size(name) for name in system.cameras), key=max)
+    adjusted = adjust_images(
+        system.blocks, system.images, system.others, system.datum, Options(remove, estimate_noise, size)
+    )
+    solution = adjusted.solution
+    if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
+        lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
+        lines += [f"  undetermined: {in_words(str(one))}" for one in solution.undetermined[:3]]
+        lines.append(
+            "  what would determine it: more exposures of the board by all cameras, tilted by 20 to 45 degrees, near "
+            "and far, or fewer parameters in `estimate`"
+        )
+        raise UndeterminedError("\n".join(lines), solution.misfit)
+    must_converge(solution)
+    return adjusted

@@ -1,0 +1,70 @@
+"""The shape of a lens as an effect: a smooth shift over the image whose size a job states, or `diagnose` finds.
+
+Its unknowns z are independent and scatter alike: `w = N R z`, `R R' = N' K N`, with N of `spline` and K the mean of the
+covariances over all its lengths. So the standard deviation of z is that of the shift over the image [px].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.arrays import Array
+from metrocli.effects.effect import Effect, Parameter, sizes
+from metrocli.effects.links.lens_shape import Knots, LensShape
+from metrocli.effects.wanted import Wanted
+from metrocli.errors import InputError
+from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.shape.spline import SHAPE, kernels, link_free_of_base
+
+_SMALL = 3e-3
+"""Share of the largest variance below which a direction of the shape is left out"""
+_ANY = Knots((2592, 1944), (8, 7))
+"""Knots where no calibration gives the image; the shape is then a bump in its middle"""
+_BUMP = np.eye(_ANY.size)[:, [_ANY.size // 4 + _ANY.counts[0] // 2]]
+
+LENS_SHAPE = Effect(
+    SHAPE,
+    "the lens images in a way that its polynomial does not have: a wide angle, a tilted sensor, a cover glass",
+    sizes("z", "pixel", "3 px"),
+    lambda block, where: LensShape(_ANY, _BUMP, block),
+    confused_with=("radial-distortion", "thin-prism"),
+    formula="(u, v) += sum_k B_k(u, v) (N R z)_k    # cubic B-splines on knots over the image",
+    note="It has no part that the estimated lens or a turn of the camera could take. `std` is the size of the shift; "
+    "`camera: {model: spline}` estimates that, too.",
+    usual="0.02 to 3 px",
+    reveal="corners all over the image, each place in several images with the board otherwise",
+    source="mrcal, splined stereographic lens model; Patterson and Thompson 1971 for its size",
+    of_all="a smooth shift over the image that all images share",
+    throughout=True,
+)
+"""The entry of the table; `lens_shape` returns the effect in the image and beside the lens of a calibration"""
+
+
+def lens_shape(problem: Problem) -> Effect:
+    """Return the effect beside the base lens of a calibration, with a parameter for each direction of its shape."""
+    link = link_free_of_base(problem)
+    values, vectors = np.linalg.eigh(np.mean(kernels(link, problem.image_size), axis=0))
+    kept = values > _SMALL * values[-1]
+    modes: Array = link.to_coefficients @ (vectors[:, kept] * np.sqrt(values[kept]))
+    like = LENS_SHAPE.parameters[0]
+    parameters = tuple(Parameter(f"z{i + 1}", like.dimension, like.plausible) for i in range(modes.shape[1]))
+    return replace(LENS_SHAPE, parameters=parameters, link=lambda block, where: LensShape(link.knots, modes, block))
+
+
+def beside_base(problem: Problem, wanted: Iterable[Wanted]) -> tuple[Wanted, ...]:
+    """Return the effects that a job names, a lens shape as that beside its base lens.
+
+    Raises InputError if its size is not stated.
+    """
+    wanted = tuple(wanted)
+    if not any(one.name == SHAPE for one in wanted):
+        return wanted
+    hint = "write std: 0.3 px, the size of the shift, or camera: {model: spline}, which estimates it"
+    faults = [one.node.fault("lens-shape: std is missing", hint) for one in wanted if one.name == SHAPE and not one.std]
+    if faults:
+        raise InputError(faults)
+    here = lens_shape(problem)
+    return tuple(replace(one, forms=(here,)) if one.name == SHAPE else one for one in wanted)

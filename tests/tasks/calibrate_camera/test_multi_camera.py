@@ -1,0 +1,142 @@
+"""Several cameras fixed to each other: OpenCV finds the same pose, wrong pairs are named, what is missing is said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from metrocli.arrays import Array
+
+Metrocli = Callable[..., Any]
+SIZE = (1280, 960)
+BOARD = np.array([[25.0 * i, 25.0 * j, 0.0] for j in range(5) for i in range(7)])
+LENSES = {
+    "left": (1100.0, 650.0, 470.0, -0.2, 0.05, 3e-4, -2e-4),
+    "right": (1150.0, 630.0, 485.0, -0.15, 0.03, -1e-4, 4e-4),
+}
+TURN, SHIFT = Rotation.from_rotvec([0.02, -0.15, 0.01]), np.array([95.0, -4.0, 12.0])
+"""Pose of the right camera in the frame of the left one"""
+JOB = """metrocli: 1
+job: calibrate-camera
+rig: board
+inputs: {inputs}
+noise: 0.1 px
+cameras:
+  left: {{images: "left*.png"{left}}}
+  right: {{images: "right*.png"{right}}}
+output: rig.h5
+"""
+TABLES = "{observations: obs.csv, targets: targets.csv}"
+Seen = dict[str, Array]
+
+
+def square(name: str) -> Array:
+    f, cx, cy = LENSES[name][:3]
+    return np.array([[f, 0, cx], [0, f, cy], [0, 0, 1]])
+
+
+def seen(count: int = 9) -> Seen:
+    """The image points of both cameras, by the names of the images, with noise of 0.1 px."""
+    rng, found = np.random.default_rng(8), Seen()
+    for shot in range(count):
+        turn = Rotation.from_euler("zxy", [rng.uniform(-2, 2), *rng.uniform(-0.5, 0.5, 2)])
+        points = turn.apply(BOARD - BOARD.mean(axis=0)) + [*rng.uniform(-30, 60, 2), rng.uniform(280, 420)]
+        for name, own in (("left", points), ("right", TURN.inv().apply(points - SHIFT))):
+            uv = cv2.projectPoints(own, np.zeros(3), np.zeros(3), square(name), np.array(LENSES[name][3:]))[0][:, 0]
+            found[f"{name}{shot}.png"] = uv + rng.normal(0, 0.1, uv.shape)
+    return found
+
+
+def job(folder: Path, images: Seen, held: Iterable[str] = ("", "")) -> Path:
+    rows = (f"{name},{j},{float(u)},{float(v)}" for name, uv in images.items() for j, (u, v) in enumerate(uv))
+    (folder / "obs.csv").write_text("\n".join(["image,target,u_px,v_px", *rows]))
+    listed = (f"{j},{x},{y},{z}" for j, (x, y, z) in enumerate(BOARD))
+    (folder / "targets.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm", *listed]))
+    left, right = (f", image_size: [1280, 960]{one}" for one in held)
+    (folder / "rig.yaml").write_text(JOB.format(inputs=TABLES, left=left, right=right))
+    return folder / "rig.yaml"
+
+
+def estimates(path: Path) -> dict[str, tuple[float, float]]:
+    with h5py.File(path) as file:
+        rows = file["parameters"][:]
+    return {row["name"].decode(): (float(row["value"]), float(row["std"])) for row in rows}
+
+
+def test_lenses_and_pose_are_found(tmp_path: Path, metrocli: Metrocli) -> None:
+    images = {name: uv for name, uv in seen().items() if name not in ("left2.png", "right5.png")}
+    ran = metrocli("calibrate-camera", job(tmp_path, images))
+    assert ran.code == 0, ran.err
+    found = estimates(tmp_path / "rig.h5")
+    truth = {f"{name}.f": lens[0] for name, lens in LENSES.items()} | {
+        f"{name}.cx": lens[1] for name, lens in LENSES.items()
+    }
+    truth |= dict(zip(("right.x", "right.y", "right.z"), SHIFT, strict=True))
+    truth |= dict(zip(("right.alpha", "right.beta", "right.gamma"), TURN.as_euler("xyz"), strict=True))
+    for name, value in truth.items():
+        assert abs(found[name][0] - value) < 4 * found[name][1], name
+    assert "mm from left" in ran.out
+
+
+def test_opencv_finds_the_same_pose_with_the_same_lenses(tmp_path: Path, metrocli: Metrocli) -> None:
+    images, names = seen(), ("f", "cx", "cy", "k1", "k2", "p1", "p2")
+    units = [" px"] * 3 + [""] * 4
+    held = [
+        ", estimate: [], "
+        + ", ".join(f"{key}: {value}{unit}" for key, value, unit in zip(names, lens, units, strict=True))
+        for lens in LENSES.values()
+    ]
+    assert metrocli("calibrate-camera", job(tmp_path, images, held)).code == 0
+    found = estimates(tmp_path / "rig.h5")
+    points = [BOARD.astype(np.float32)] * 9
+    sides = [[images[f"{name}{shot}.png"].astype(np.float32) for shot in range(9)] for name in LENSES]
+    lenses = [part for name, lens in LENSES.items() for part in (square(name), np.array(lens[3:]))]
+    ended = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 300, 1e-12)
+    theirs = cv2.stereoCalibrate(points, *sides, *lenses, SIZE, flags=cv2.CALIB_FIX_INTRINSIC, criteria=ended)
+    turn, shift = theirs[5], theirs[6].ravel()
+    place = [*(-turn.T @ shift), *Rotation.from_matrix(turn.T).as_euler("xyz")]
+    for name, value in zip(("x", "y", "z", "alpha", "beta", "gamma"), place, strict=True):
+        assert abs(found[f"right.{name}"][0] - value) < 0.01 * found[f"right.{name}"][1], name
+
+
+@pytest.mark.parametrize(
+    ("moved", "told"),
+    [
+        ({3: 5, 5: 3}, "2 of 6 images of right were not taken with those of left: right3.png not with left3.png, but with left5.png"),
+        ({i: (i + 1) % 6 for i in range(6)}, "6 of 6 images"),
+    ],
+)  # fmt: skip
+def test_images_of_wrong_pairs_are_named(moved: dict[int, int], told: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    images = seen(6)
+    wrong = {f"right{i}.png": images[f"right{j}.png"] for i, j in moved.items()}
+    ran = metrocli("calibrate-camera", job(tmp_path, images | wrong))
+    assert ran.code == 3 and told in ran.err
+
+
+def test_cameras_without_a_common_image_are_refused(tmp_path: Path, metrocli: Metrocli) -> None:
+    images = {name: uv for name, uv in seen(10).items() if (int(name[-5]) < 5) == name.startswith("left")}
+    ran = metrocli("calibrate-camera", job(tmp_path, images))
+    assert ran.code == 4 and "right and left have no exposure in common" in ran.err
+
+
+def test_images_of_no_camera_are_refused(tmp_path: Path, metrocli: Metrocli) -> None:
+    images = seen(4)
+    ran = metrocli("calibrate-camera", job(tmp_path, {**images, "top.png": images["left0.png"] + 1}))
+    assert ran.code == 3 and "images of no camera, or of two: top.png" in ran.err
+
+
+def test_faults_are_all_listed(tmp_path: Path, metrocli: Metrocli) -> None:
+    text = JOB.format(inputs=TABLES, left="", right=", model: fisheye").replace("board", "network")
+    (tmp_path / "rig.yaml").write_text(text + "camera: {image_size: [640, 480]}\n")
+    ran = metrocli("check", tmp_path / "rig.yaml")
+    told = ("both camera and cameras", "one lens model", "placed by a CMM", "image_size is missing")
+    assert ran.code == 3 and all(one in ran.err for one in told), ran.err
+    (tmp_path / "rig.yaml").write_text(text.replace("right*", "right"))
+    assert "images has not one *" in metrocli("check", tmp_path / "rig.yaml").err
