@@ -17,13 +17,16 @@ from metrocli.tasks.calibrate_camera.build import build
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.settings import Camera, Files, Settings
 from metrocli.tasks.job import Job
-from metrocli.tasks.shared.images.settings import SPLINE
 from metrocli.tasks.shared.images.tables import root_mean_square
 
 _BETTER = 0.5
 """Share of the rms below which the other model is named"""
 _FEWEST = 0.5
 """Smallest reach of the readings in units of the focal length: of a narrow view both models describe the lens"""
+_WHOLE = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "p1", "p2")
+"""What a pinhole estimates before a fisheye is held against it"""
+_LEAST = 0.5
+"""Residuals [px] below which no fisheye is sought: corners alone can have them"""
 _STEPS = 100
 _MOST_STEPS = 400
 """Of a robust start and the adjustment from it"""
@@ -48,10 +51,15 @@ def _fisheye(settings: Camera) -> Camera:
     return replace(usual, estimate=tuple(name for name in usual.estimate if name not in held), **given)
 
 
-def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
-    """Yield the model fisheye where a job calibrates a pinhole; nothing if a declared noise fits."""
-    old, known = job.settings.camera, fits and isinstance(job.settings.noise, float)
-    if known or job.settings.cameras is not None or old.convention != "forward" or old.model == SPLINE:
+def other_settings(job: Job[Settings, Files], problem: Problem) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+    """Yield the model fisheye where a pinhole is calibrated, and a pinhole with all its distortion is no better.
+
+    A lens whose distortion the job does not estimate is no fisheye.
+    """
+    old = job.settings.camera
+    whole = replace(Camera(image_size=problem.image_size), estimate=_WHOLE)
+    left = _left(build(problem.rig, whole, replace(problem.sighted, warnings=())))
+    if left < _LEAST or not fisheye_instead(problem, old, left):
         return
     new = _fisheye(old)
     write: dict[str, str | list[str]] = {"model": "fisheye", "convention": ""}
@@ -64,6 +72,13 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mist
     yield mistake, replace(job, settings=replace(job.settings, camera=new))
 
 
+def _left(problem: Problem) -> float:
+    """Return the root mean square of the residuals [px] of a calibration."""
+    groups = [problem.images, *problem.others]
+    found = adjust(problem.blocks.values(), groups, problem.datum, Control(limit=_STEPS, covariance=False))
+    return root_mean_square(problem.images.residuals({**problem.blocks, **found.blocks}))
+
+
 def fisheye_instead(problem: Problem, settings: Camera, rms: float) -> list[str]:
     """Return that the model fisheye fits far better than a forward lens whose residuals have this rms [px]."""
     lens, (u, v) = problem.blocks[camera.LENS].named(), problem.images.observations.readings
@@ -71,12 +86,9 @@ def fisheye_instead(problem: Problem, settings: Camera, rms: float) -> list[str]
     if problem.convention != "forward" or reach < _FEWEST:
         return []
     try:
-        other = as_fisheye(problem, settings)
+        left = _left(as_fisheye(problem, settings))
     except UndeterminedError:
         return []
-    groups = [other.images, *other.others]
-    found = adjust(other.blocks.values(), groups, other.datum, Control(limit=_STEPS, covariance=False))
-    left = root_mean_square(other.images.residuals({**other.blocks, **found.blocks}))
     if not left < _BETTER * rms:
         return []
     return [

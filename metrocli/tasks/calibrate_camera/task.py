@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +10,14 @@ import numpy as np
 from metrocli.adjust.clusters.robust import FROM_RESIDUALS, STRUCTURED, must_suffice
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.corrections import Mistake
 from metrocli.errors import InputError, UndeterminedError, UsageError
 from metrocli.geometry import poses
 from metrocli.imageset import ImageSet
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
+from metrocli.tasks.calibrate_camera import other_lenses
 from metrocli.tasks.calibrate_camera.advice import explained, ran_out, strange_images
 from metrocli.tasks.calibrate_camera.build import build, robustly_started
 from metrocli.tasks.calibrate_camera.compare import compare_models
@@ -23,7 +25,7 @@ from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
 from metrocli.tasks.calibrate_camera.multi_camera import task as multi_camera
-from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models, other_settings
+from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.report import report
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
@@ -76,6 +78,14 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     settings, problem = prepared(job)
     found = adjusted_job(problem, solved(replace(settings, outliers="report"), problem))
     return replace(found, not_sought=not_sought(settings.shutter, found.model))
+
+
+def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+    """Yield the model fisheye where a pinhole is calibrated and the lens is one; nothing if a declared noise fits."""
+    settings, camera = job.settings, job.settings.camera
+    known = fits and isinstance(settings.noise, float)
+    if not known and settings.cameras is None and camera.convention == "forward" and camera.model != SPLINE:
+        yield from other_lenses.other_settings(job, prepared(job)[1])
 
 
 def compare(job: Job[Settings, Files]) -> Table:
