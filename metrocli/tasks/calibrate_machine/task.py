@@ -72,8 +72,8 @@ def problem_of(job: Job[Settings, Files]) -> Problem:
         return six_dof(job.settings, job.files.lines)
     if job.files.lengths is not None:
         return lengths(job.settings, job.files.lengths, job.files)
-    if job.files.probing is not None and job.files.balls is not None:
-        return probing(job.settings, job.files.probing, job.files.balls, job.files.distances)
+    if job.files.probing is not None:
+        return probing(job.settings, job.files.probing, job.files)
     raise InputError(f"method {job.settings.method} has no readings")
 
 
@@ -90,8 +90,6 @@ def check(job: Job[Settings, Files]) -> None:
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
     """Return a simulated measurement of a machine with the random errors of `simulation:` and the job's effects."""
-    if job.settings.machine.turns:
-        raise InputError("simulate does not know rotary axes: it simulates machines with three linear axes")
     return simulated(job, options.seed)
 
 

@@ -19,6 +19,7 @@ from metrocli.instruments.axes.rotary import gauge
 from metrocli.instruments.machine import Machine
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support
+from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.targets import Targets, balls_of, with_distances
 from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import Settings
@@ -29,12 +30,14 @@ _FAR = 20.0
 """A ball that the nominal machine places farther from the probe than this [mm] is not the one that was probed"""
 
 
-def probing(settings: Settings, table: Table, balls: Table, distances: Table | None = None) -> Problem:
+def probing(settings: Settings, table: Table, files: Files) -> Problem:
     """Return the adjustment problem; raises InputError if poses, balls and tools do not belong together."""
+    if files.balls is None:
+        raise InputError("probing needs the approximate places of the balls: `inputs: {balls: balls.csv}`")
     machine = machine_of(settings)
     blocks = error_blocks(machine, settings)
     position = commanded(machine, table)
-    found = with_distances(balls_of(settings, blocks, table, balls), distances)
+    found = with_distances(balls_of(settings, blocks, table, files.balls), files.distances)
     must_support(machine, position, blocks)
     read = displacements(table)
     _must_meet(machine, position, found, read, table)

@@ -155,10 +155,24 @@ def met_again(
         return {}
     position = np.stack([given[axis.coordinate] for axis in machine.axes])
     ball = blocks[ON_WORKPIECE].values[observations.index[ON_WORKPIECE]].T
-    tip = machine.tools[observations.index[TOOL]].T
+    met = brought_to(machine, position, ball, machine.tools[observations.index[TOOL]].T)
+    return {
+        axis.coordinate: own for axis, own in zip(machine.axes, met, strict=True) if not isinstance(axis, RotaryAxis)
+    }
+
+
+def brought_to(machine: Machine, position: Array, ball: Array, tip: Array) -> Array:
+    """Return positions (axes, n) at which linear axes bring tips (3, n) to balls on the workpiece, without errors."""
     moved = seen_from_bed(machine, position, ball, False) - seen_from_bed(machine, position, tip, True)
-    linear = [axis for axis in machine.axes if not isinstance(axis, RotaryAxis)]
-    return {axis.coordinate: given[axis.coordinate] + moved[axis.number] for axis in linear}
+    return moved_by(machine, position, moved)
+
+
+def moved_by(machine: Machine, position: Array, way: Array) -> Array:
+    """Return positions (axes, n) whose linear axes are moved by ways (3, n) along x, y and z."""
+    linear = [i for i, axis in enumerate(machine.axes) if not isinstance(axis, RotaryAxis)]
+    found = np.array(position)
+    found[linear] += way[[machine.axes[i].number for i in linear]]
+    return found
 
 
 def _with_tools(tools: Block, listed: Table, chosen: Mask) -> tuple[Block, list[Group]]:
