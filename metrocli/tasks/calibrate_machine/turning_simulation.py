@@ -174,7 +174,7 @@ class _Reading:
         return plain.joined({"distance [mm]": distance, "azimuth elevation [rad]": np.stack([azimuth, elevation], 1)})
 
     def lengths(self, rng: np.random.Generator) -> Table:
-        """Return the poses with the lengths of the stations, as they read them in their air, from their first points."""
+        """Return the poses with the lengths that stations read in their air, zero at their first points."""
         problem, group = self.problem, self.problem.readings
         length, station = self.at(group.observations), group.observations.index[TRACER]
         first = np.array([int(np.argmax(station == i)) for i in range(len(problem.blocks[TRACER].members))])

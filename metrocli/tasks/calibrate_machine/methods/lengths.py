@@ -12,6 +12,7 @@ import numpy as np
 
 from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array, Index
+from metrocli.errors import InputError
 from metrocli.instruments import tracer as t
 from metrocli.instruments.axes.kinematics import reach
 from metrocli.instruments.axes.rotary import gauge
@@ -35,6 +36,8 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Proble
     Raises InputError if the lengths do not belong to the commanded points, and UndeterminedError if a station reads too
     few of them.
     """
+    if "length" not in table:
+        raise InputError([table.fault("the column 'length_mm' is missing", "it holds what the interferometers read")])
     machine = machine_of(settings)
     blocks = error_blocks(machine, settings)
     position = commanded(machine, table)
