@@ -30,7 +30,7 @@ from metrocli.tasks.calibrate_machine.described import tool_prior
 from metrocli.tasks.calibrate_machine.problem import tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.lists import matched, refuse, sigmas
-from metrocli.words import suggestion
+from metrocli.words import listed, suggestion
 
 BED, WORKPIECE = "bed", "workpiece"
 _REACH = 100.0
@@ -67,6 +67,19 @@ class Targets:
         """The shares of workpiece and tool in the point that is read."""
         share = self.on_workpiece.astype(float)
         return {OF_WORKPIECE: share, OF_TOOL: 1 - share}
+
+    @property
+    def read_once(self) -> tuple[str, ...]:
+        """A warning of points on the workpiece that have one reading, where nothing else is known of their places."""
+        if not self.workpiece or any(ON_WORKPIECE in group.chain.blocks for group in self.others):
+            return ()
+        block = self.blocks[ON_WORKPIECE]
+        counts = np.bincount(self.fixed[self.on_workpiece], minlength=len(block.members))
+        names = [block.members[i] for i in np.flatnonzero(counts == 1)]
+        if not names:
+            return ()
+        told = f"{listed(names)} {'has one reading each' if names[1:] else 'has one reading'}"
+        return (f"{told}: it gives the place of the {block.noun}, and nothing of the machine",)
 
     def first_seen(self, table: Table) -> dict[str, Array]:
         """Return when the target of each reading was read for the first time, if the file has times."""
