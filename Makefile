@@ -6,7 +6,7 @@ PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 LAWS := layers words docs kinds links algorithm_pages
 QUICK := $(addprefix tests/,units settings adjust geometry formats tasks/test_small_jobs.py) $(LAWS:%=tests/laws/test_%.py)
 
-.PHONY: demo quick test lint docs bench fuzz lock clean
+.PHONY: demo quick test lint docs bench bench-peers bench-quick bench-truth fuzz lock clean
 
 demo: .venv/installed
 	rm -rf demo
@@ -34,6 +34,16 @@ docs: .venv/installed
 
 bench: .venv/installed
 	$(BIN)/python -m benchmarks
+
+# Beside other programs, which are installed in build/peers; both write docs/benchmarks.md, the quick one prints only.
+bench-peers: .venv/installed
+	$(BIN)/python -m benchmarks peers
+
+bench-quick: .venv/installed
+	$(BIN)/python -m benchmarks peers quick
+
+bench-truth: .venv/installed
+	$(BIN)/python -m benchmarks truth
 
 fuzz: .venv/installed
 	$(BIN)/python -m benchmarks fuzz 600

@@ -82,6 +82,18 @@ class Problem:
         groups = [Group("lengths", tracer.chain(), read), scales]
         return {"blocks": [points, tracers], "groups": groups, "datum": tracer.datum(points, np.ones(n))}
 
+    def write_job(self, folder: Path) -> None:
+        """Write it as files of `metrocli multilaterate`."""
+        read = ((i, j, length) for i, own in enumerate(self.lengths.tolist()) for j, length in enumerate(own))
+        rows = [f"P{i},T{j},{length!r}" for i, j, length in read]
+        (folder / "lengths.csv").write_text("\n".join(["point,tracer,length_mm", *rows, ""]))
+        places = [f"P{i},{x!r},{y!r},{z!r}" for i, (x, y, z) in enumerate(self.points.tolist())]
+        (folder / "points.csv").write_text("\n".join(["point,x_mm,y_mm,z_mm", *places, ""]))
+        (folder / "job.yaml").write_text(
+            "metrocli: 1\njob: multilaterate\ninputs: {lengths: lengths.csv, points: points.csv}\n"
+            "noise: {constant: 0.1 um, proportional: 0.1 um/m}\nscale: {uncertainty: 0.5 um/m}\noutput: out.h5\n"
+        )
+
     def conditions(self) -> Array:
         """Return six conditions on three points far apart that hold the frame, (point, direction), (6, 4)."""
         first = int(np.argmin(self.points.sum(axis=1)))
@@ -228,16 +240,8 @@ def scipy_least_squares(problem: Problem) -> float:
 def command() -> tuple[float, float]:
     """Return wall and CPU seconds of `metrocli multilaterate` on 100 points and 4 tracers, the best of five."""
     with tempfile.TemporaryDirectory() as name:
-        folder, problem = Path(name), Problem.draw(100, 4)
-        readings = [(i, j, length) for i, read in enumerate(problem.lengths.tolist()) for j, length in enumerate(read)]
-        rows = [f"P{i},T{j},{length!r}" for i, j, length in readings]
-        (folder / "lengths.csv").write_text("\n".join(["point,tracer,length_mm", *rows, ""]))
-        places = [f"P{i},{x!r},{y!r},{z!r}" for i, (x, y, z) in enumerate(problem.points.tolist())]
-        (folder / "points.csv").write_text("\n".join(["point,x_mm,y_mm,z_mm", *places, ""]))
-        (folder / "job.yaml").write_text(
-            "metrocli: 1\njob: multilaterate\ninputs: {lengths: lengths.csv, points: points.csv}\n"
-            "noise: {constant: 0.1 um, proportional: 0.1 um/m}\nscale: {uncertainty: 0.5 um/m}\noutput: out.h5\n"
-        )
+        folder = Path(name)
+        Problem.draw(100, 4).write_job(folder)
         found = []
         for _ in range(5):
             before, used = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -5,15 +5,13 @@ from __future__ import annotations
 import compileall
 import os
 import resource
-import shutil
 import subprocess
 import sys
-import tempfile
 import time
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
+from benchmarks.beside.environments import program_of
 from metrocli.formats import hdf5
 from metrocli.project import fingerprint, runner
 from metrocli.project.running import memo
@@ -71,10 +69,7 @@ def _own_idle() -> dict[str, float | str]:
 
     These are the next one, one when all files have settled, one after all files moved and one without a memo.
     """
-    *jobs, _ = (step.job for step in load_project(Path()))
-    result, record = runner.compute(jobs[0])
-    for job in jobs:
-        hdf5.write(job.output, result, replace(record, job_text=job.text, meaning=fingerprint.of_job(job)))
+    _make_all()
     compileall.compile_dir(str(ROOT / "metrocli"), quiet=1)  # as pip does
     found: dict[str, float | str] = {name: cpu_of([*RUN, "--quiet"]) for name in (ONE_TO_DO, "the next")}
     time.sleep(3)  # the times of younger files do not count
@@ -87,46 +82,50 @@ def _own_idle() -> dict[str, float | str]:
     return found | {NO_MEMO: cpu_of([*RUN, "--quiet"])}
 
 
+def _make_all() -> None:
+    """Write the results of all jobs of the project in the working folder but the last."""
+    *jobs, _ = (step.job for step in load_project(Path()))
+    result, record = runner.compute(jobs[0])
+    for job in jobs:
+        hdf5.write(job.output, result, replace(record, job_text=job.text, meaning=fingerprint.of_job(job)))
+
+
+def made(count: int) -> None:
+    """Write a project whose jobs are all done but one into the working folder."""
+    write(count)
+    _make_all()
+    compileall.compile_dir(str(ROOT / "metrocli"), quiet=1)  # as pip does
+
+
+def prepared(name: str, count: int) -> list[str] | None:
+    """Write as many jobs that another program copies; return its command, None if it is not there."""
+    program = program_of(name)
+    if program is None:
+        return None
+    write(count)
+    Path(f"{name}-out").mkdir()
+    return _prepared(name, program, [(f"jobs/j{n}.yaml", f"{name}-out/j{n}") for n in range(count)])
+
+
 def bound(count: int) -> float:
     """Return the longest CPU time [ms] that a run of so many jobs may take with nothing to do."""
     return 100.0 if count <= 50 else 1000.0 if count <= 1000 else 5000.0
 
 
 OTHERS = ("make", "doit", "snakemake", "dvc")
-"""Programs that are measured too; those in Python come from PyPI, for the time of the benchmark, if they are absent"""
+"""Programs that are measured too; those in Python come from PyPI if they are absent"""
 PATIENCE_S = 300
 """Longest time for another program to copy all jobs, and then to see that all are copied [s]"""
 
 
-def _program(name: str) -> str | None:
-    found = shutil.which(name)
-    return found if found is not None or name == "make" else shutil.which(name, path=str(_installed(name)))
-
-
-@cache
-def _installed(name: str) -> Path:
-    """Return the folder of programs of a new environment with a package from PyPI, if it can be had."""
-    folder = Path(_scratch().name) / name
-    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True, capture_output=True)
-    subprocess.run([str(folder / "bin/pip"), "install", "--quiet", name], check=False, capture_output=True)
-    return folder / "bin"
-
-
-@cache
-def _scratch() -> tempfile.TemporaryDirectory[str]:
-    """Return a folder that is removed when the benchmark ends."""
-    return tempfile.TemporaryDirectory(prefix="metrocli-peers-")
-
-
 def _by_another(name: str, count: int) -> float | str:
     """Return the CPU time [ms] of another program that copies each job to a file, when all are copied."""
-    program = _program(name)
+    program = program_of(name)
     if program is None:
         return "is not there"
     Path(f"{name}-out").mkdir()
-    pairs = [(f"jobs/j{n}.yaml", f"{name}-out/j{n}") for n in range(count)]
     try:
-        command = _prepared(name, program, pairs)
+        command = _prepared(name, program, [(f"jobs/j{n}.yaml", f"{name}-out/j{n}") for n in range(count)])
         subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE_S)
         return cpu_of(command, PATIENCE_S)
     except subprocess.TimeoutExpired:

@@ -139,12 +139,12 @@ def _wrong_reading(state: State, effect: Effect, noise: float) -> WrongReading:
     """Return the smallest detectable error of a reading, `sqrt(lambda / r) sigma` (Baarda 1968)."""
     m = state.measurement
     level, first = _level(m, READINGS), m.places[:, 0]
-    redundancy = 1 - state.basis.squares(first)
+    redundancy = 1 - state.absorbed(first)
     checked = redundancy > LEAST_REDUNDANCY
     rows = m.places[checked]
     rows, rest = rows[rows >= 0], max(m.system.dof - 1, 1)
     # an error of a reading shows in its own residual by its redundancy only (Baarda)
-    unit = noise / np.sqrt(np.maximum(1 - state.basis.squares(rows), 1e-12))
+    unit = noise / np.sqrt(np.maximum(1 - state.absorbed(rows), 1e-12))
     least = np.sqrt(noncentrality(level, 1, rest, _POWER)) * unit
     hidden = np.sqrt(noncentrality(level, 1, rest, POWER)) * unit
     sizes = least * m.system.scale[rows] if len(rows) else np.array([np.inf])

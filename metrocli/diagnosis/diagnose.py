@@ -196,19 +196,25 @@ def _left(
 ) -> RemainingStructure | None:
     """Return what no identified effect explains: a law, a correlated error, or what repeated readings share.
 
-    A job whose noise is `structured` declares correlated errors. `gain` is that of all that is identified.
+    A job whose noise is `structured` declares that what its images share varies smoothly with anything. `gain` is that
+    of all that is identified.
     """
-    job = state.measurement.job
+    job, misfit = state.measurement.job, gain.before**2 if gain is not None and gain.before else None
     law = next((one for one in laws if one.chosen), None)
     if law is not None:
         names = dict.fromkeys(name for term in law.terms for name in term.form.variables)
         where = tuple(name for _, name in law.terms[0].spot.where)
-        return RemainingStructure(law.p_value, tuple(names), where, law.size)
+        return RemainingStructure(law.p_value, tuple(names), where, law.size, _share(law.size, misfit))
     for one in state.unknown:
         name = identified(state, one, with_rivals=False)
         size = _size(state, one)
         return RemainingStructure(
-            float(np.exp(name.log_level)), (state.measurement.families[one.family].unknown,), (), size
+            float(np.exp(name.log_level)),
+            (state.measurement.families[one.family].unknown,),
+            (),
+            size,
+            _share(size, misfit),
+            job.noise_model == STRUCTURED,
         )
     significant = [one for one in correlated if one.log_level < np.log(_CORRELATED)]
     if significant and job.noise_model != STRUCTURED:
@@ -221,13 +227,17 @@ def _left(
             tuple(names),
             where,
             best.std * best.visible,
-            squares / gain.before**2 if gain is not None and gain.before else None,
+            squares / misfit if misfit else None,
         )
     if repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
         return RemainingStructure(repeats.lack_of_fit, (REPEATS,))
     if job.budget.ended and (level := strongest(state)) < LEVEL:
         return RemainingStructure(level, ("what the search did not reach",))
     return None
+
+
+def _share(size: float, misfit: float | None) -> float | None:
+    return size**2 / misfit if size and misfit else None
 
 
 def _size(state: State, one: Fixed) -> float:

@@ -169,8 +169,9 @@ class Diagnosis:
 
     @property
     def _little_is_left(self) -> bool:
-        """Whether correlated errors are a small part of a misfit that identified effects explain."""
-        return self.left is not None and self.left.share is not None and self.left.share < _LITTLE
+        """Whether what is left is declared, or a small part of a misfit that identified effects explain."""
+        left = self.left
+        return left is not None and (left.declared or (left.share is not None and left.share < _LITTLE))
 
     @property
     def ended_early(self) -> str:

@@ -167,10 +167,10 @@ def strangeness(job: AdjustedJob) -> float:
 
 
 def _readings_of(inputs: Inputs, adjust: Adjust, others: Others) -> Iterator[tuple[Mistake, Callable[[], AdjustedJob]]]:
-    """Yield each possible mistake in the files and then in the settings, with what adjusts the job without it."""
+    """Yield each possible mistake, with what adjusts the job without it: first those that the kind of job knows."""
+    yield from others(False)
     for mistake, changed in corrections(inputs):
         yield mistake, partial(adjust, changed)
-    yield from others(False)
 
 
 def _tried(

@@ -27,7 +27,9 @@ class RemainingStructure:
     size: float = 0.0
     """Its visible size: root mean square over those readings, in their unit"""
     share: float | None = None
-    """Its share in the squares of held-out errors without the effects; None for what is no correlated error"""
+    """Its share in the squares of held-out errors without the effects; None if no effect is identified"""
+    declared: bool = False
+    """Whether the noise that the job declares includes it"""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """Spatial networks of GNU Gama: directions, slope distances, zenith angles and height differences, as adjust-network.
 
 Source: GNU Gama manual, XML input data format for gama-local (points in m, angles in gon or d-m-s, standard deviations
-in mm and cc or arcsec). North is +y and east +x in what is written. An observation set is a station over its point.
+in mm and cc or arcsec). North is +y and east +x in what is written. A station stands over its point, once for
+each set of observations and each height of its instrument.
 """
 
 from __future__ import annotations
@@ -54,6 +55,21 @@ def _bare(root: Element) -> Element:
     return root
 
 
+def _setups(obs: Element) -> dict[tuple[str, str], list[Element]]:
+    """Return the observations of a set by the point and the height of their instrument.
+
+    Directions do not depend on the height; they join the first set-up of their point.
+    """
+    found: dict[tuple[str, str], list[Element]] = {}
+    for one in obs:
+        name = one.get("from", obs.get("from", "")).strip()
+        key = name, one.get("from_dh", obs.get("from_dh", "0"))
+        if one.tag == "direction" and one.get("from_dh") is None:
+            key = next((other for other in found if other[0] == name), key)
+        found.setdefault(key, []).append(one)
+    return found
+
+
 @dataclass(frozen=True)
 class _Shot:
     """What one set reads of one target."""
@@ -83,17 +99,19 @@ class _Reader:
         points, shots, heights = list[tuple[str, ...]](), list[_Shot](), list[tuple[str, ...]]()
         stations: list[tuple[str, ...]] = []
         sets = [element for section in self.network.iter("points-observations") for element in section.iter("obs")]
-        often = Counter(one.get("from", "") for one in sets)
+        often = Counter(key[0] for one in sets for key in _setups(one))
         number: Counter[str] = Counter()
         for section in self.network.iter("points-observations"):
             for element in section:
                 if element.tag == "point":
                     points += self._point(element)
                 elif element.tag == "obs":
-                    name = element.get("from", "")
-                    number[name] += 1
-                    station = f"{name}-{number[name]}" if often[name] > 1 else f"S{name}"
-                    shots += self._set(section, element, station, stations)
+                    for (name, height), observations in _setups(element).items():
+                        number[name] += 1
+                        station = f"{name}-{number[name]}" if often[name] > 1 else f"S{name}"
+                        shots += self._set(section, observations, station, name)
+                        high = str(self._number(height, element) * 1000)
+                        stations.append((station, INSTRUMENT, name, high, "0"))
                 elif element.tag == "height-differences":
                     heights += self._heights(element)
                 else:
@@ -121,26 +139,21 @@ class _Reader:
             sigma[ours] = "0" if axis in element.get("fix", "").lower() else ""
         yield element.get("id", ""), *(place[axis] for axis in "xyz"), *(sigma[axis] for axis in "xyz")
 
-    def _set(self, section: Element, obs: Element, station: str, stations: list[tuple[str, ...]]) -> Iterator[_Shot]:
-        """Yield the readings of an observation set, target by target, and add its station to the list."""
+    def _set(self, section: Element, observations: list[Element], station: str, over: str) -> Iterator[_Shot]:
+        """Yield the readings of a set-up, target by target."""
         shots: dict[tuple[str, str], _Shot] = {}
-        heights = {observation.get("from_dh", obs.get("from_dh", "0")) for observation in obs}
-        if len(heights) > 1:
-            self._refuse(f"the set from {obs.get('from')} has several heights of its instrument", "one set for each")
-        for observation in obs:
-            if observation.tag not in _READ or observation.get("from", obs.get("from")) != obs.get("from"):
-                self._refuse(f"<{observation.tag}> in the set from {obs.get('from')} is not read")
+        for observation in observations:
+            if observation.tag not in _READ:
+                self._refuse(f"<{observation.tag}> in the set from {over} is not read")
                 continue
             name, default = _READ[observation.tag]
-            target, height = observation.get("to", ""), observation.get("to_dh", "")
+            target, height = observation.get("to", "").strip(), observation.get("to_dh", "")
             shot = shots.get((target, height))
             if shot is None or name in shot.cells:
                 shot = shots[target, height] = _Shot(station, target, height, {})
                 yield shot
             shot.cells[name] = self._value(observation, name)
             shot.cells[f"sigma_{name}"] = self._spread(observation, name, section.get(default, ""))
-        high = next(iter(heights), "0")
-        stations.append((station, INSTRUMENT, obs.get("from", ""), str(self._number(high, obs) * 1000), "0"))
 
     def _value(self, element: Element, name: str) -> str:
         """Return an angle in gon, or a distance in m."""

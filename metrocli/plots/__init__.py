@@ -49,6 +49,8 @@ FIGURES: dict[str, Entry] = {
     "residuals-z": Entry("against", "normalised residuals against z", "z"),
     "residuals-image": Entry("images.vectors", "residual vectors over the image"),
     "residuals-part": Entry("part_vectors", "residuals over the part"),
+    "residuals-instrument": Entry("instruments", "normalised residuals by instrument and quantity", "residuals"),
+    "two-face": Entry("instruments", "differences of the two faces by station", "faces"),
     "before-after": Entry(
         "beside.before_after", "normalised residuals before and after the model was extended", beside=True
     ),

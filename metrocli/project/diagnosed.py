@@ -83,9 +83,11 @@ def carry_out(
     progress.doing("adjusting")
     held = counting(read_inputs(job), progress)
     adjusted, mistaken = without_mistakes(held, adjust, _others(job, held, adjust))
-    if first is not None:
-        first(diagnose(adjusted, progress, limit, attended, ordered, quick=True))
-    diagnosis = diagnose(adjusted, progress, limit, attended, counted(ordered, progress), quick)
+    diagnosis = None if first is None else diagnose(adjusted, progress, limit, attended, ordered, quick=True)
+    if first is not None and diagnosis is not None:
+        first(diagnosis)
+    if diagnosis is None or not diagnosis.interrupted:  # one interruption ends both
+        diagnosis = diagnose(adjusted, progress, limit, attended, counted(ordered, progress), quick)
     if mistaken is not None and mistaken.after >= mistaken.before and diagnosis.findings:
         mistaken = None  # a wrong list that no correction mends explains less than an effect does
     return replace(diagnosis, mistaken=mistaken)
@@ -119,8 +121,7 @@ def _adjuster(job: JobFile, more: Sequence[Variable] = ()) -> Callable[..., Adju
     adjusted = task.diagnosed
     if adjusted is None:
         raise UsageError(f"{job.kind} jobs cannot be diagnosed")
-    noise = job.root.get("noise")
-    declared, model = declared_noise(noise), model_of(noise)
+    declared, model = declared_noise(job.root.get("noise")), model_of(job.root.get("noise"))
     places = columns.with_variables(task.places, more)
 
     def adjust(inputs: Mapping[str, object], settings: object = job.settings) -> AdjustedJob:
@@ -217,9 +218,8 @@ def _refuse_foreign(path: Path) -> None:
     try:
         first, _, rest = path.read_text(encoding="utf-8", errors="replace").partition("\n")
     except OSError as error:
-        raise InputError(
-            [Fault(f"cannot be read: {error.strerror}", str(path), hint="give another --output")]
-        ) from error
+        fault = Fault(f"cannot be read: {error.strerror}", str(path), hint="give another --output")
+        raise InputError([fault]) from error
     if not first.rstrip().endswith((_NAMED, _SHARED)):
         raise InputError([Fault("the file exists and is not an extended job", str(path), hint="give another --output")])
     digest, _, body = rest.partition("\n")

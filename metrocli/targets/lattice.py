@@ -228,19 +228,22 @@ def _alignments(expected: Whole, members: Whole, steps: Whole) -> list[Whole]:
     missing edge could be on either side.
     """
     outline = expected - expected.min(0)
-    fits = []
+    size, fits = outline.max(0) + 1, []
     for turn in _TURNS:
         turned = steps @ turn.T
         turned -= turned.min(0)
-        room = turned.max(0) - outline.max(0)
-        if room.min() < 0:
+        if (turned.max(0) + 1 < size).any():
             continue
         place = np.full(turned.max(0) + 1, -1)
         place[tuple(turned.T)] = members
-        shifts = np.moveaxis(np.mgrid[: room[0] + 1, : room[1] + 1], 0, -1).reshape(-1, 1, 2)
-        at = outline + shifts
+        # a pattern finds at most the points in the rectangle about it
+        sums = np.zeros(np.array(place.shape) + 1, dtype=np.intp)
+        (place >= 0).cumsum(0).cumsum(1, out=sums[1:, 1:])
+        a, b = size
+        inside = sums[a:, b:] - sums[:-a, b:] - sums[a:, :-b] + sums[:-a, :-b]
+        at = outline + np.argwhere(inside >= FEWEST * len(expected))[:, None]
         fits.append(place[at[..., 0], at[..., 1]])
-    if not fits:
+    if not sum(map(len, fits)):
         return []
     tried = np.concatenate(fits)
     seen = (tried >= 0).sum(1)

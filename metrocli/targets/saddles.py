@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-from metrocli.arrays import Array, Picture
+from metrocli.arrays import Array, Index, Mask, Picture
+from metrocli.frozen import dataclass
 
 WINDOW = 0.45
 """Half-width of the window of pixels, as a share of the distance to the neighbouring corners."""
@@ -22,118 +23,156 @@ STILL = 0.001
 """A step shorter than this, in pixels, is the last one."""
 LOST = 0.6
 """A corner that moves from its start by more than this share of the half-width is rejected."""
+_FEWEST, _AT_ONCE = 20, 64
+"""Fewest pixels of a window, and the number of corners that are fitted at once"""
+_BOUND = np.array([1.0, 1.0, 0.2, 0.2, 0.3, np.inf, np.inf, np.inf, np.inf])
+"""Largest step of each entry of a state"""
 
 
-def fit(picture: Picture, start: Array, across: Array, bend: Array, window: float = WINDOW) -> tuple[Array, float]:
-    """Fit a corner near `start` (2,); return it and its standard deviation per axis in pixels, NaN without a corner.
+@dataclass(frozen=True)
+class _Windows:
+    """The pixels about some corners, as many of each; those outside its window have no weight."""
 
-    The columns of `across` (2, 2) are the steps to the next corners, along the two edges. `bend` (2,) is the curvature
-    of the edges in 1/px, positive if they turn from u towards v.
-    """
-    at, grey, weight = _pixels(picture, start, across, window)
-    if len(grey) < 20:
-        return np.full(2, np.nan), np.nan
-    state = _start(start, across, bend, at, grey)
+    start: Array
+    """Where the corners are sought, (n, 2)"""
+    across: Array
+    """Steps to the next corners along the two edges, in columns, (n, 2, 2)"""
+    bend: Array
+    """Curvature of the edges in 1/px, positive if they turn from u towards v, (n, 2)"""
+    u: Array
+    """(n, m)"""
+    v: Array
+    grey: Array
+    weight: Array
+    """Decreases towards the rim of the window"""
+
+    @classmethod
+    def of(cls, picture: Picture, start: Array, across: Array, bend: Array, window: float) -> _Windows:
+        """Return the windows of corners (n, 2)."""
+        sides = np.linalg.norm(across, axis=1)
+        half = np.clip(window * sides, NARROWEST, WIDEST)
+        reach = np.einsum("nij,nj->ni", np.abs(across / sides[:, None]), half)
+        first, last = np.ceil(start - reach).astype(int), np.floor(start + reach).astype(int)
+        wide, high = np.maximum((last - first).max(axis=0, initial=0) + 1, 1)
+        v, u = (part.ravel() for part in np.mgrid[:high, :wide])
+        u, v = first[:, :1] + u, first[:, 1:] + v
+        to_window = np.linalg.inv(across / sides[:, None] * half[:, None])
+        inside = to_window @ np.stack([u - start[:, :1], v - start[:, 1:]], axis=1)
+        rim = np.abs(inside).max(axis=1)
+        height, width = picture.shape
+        there = (rim <= 1) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        # the pixels of a window before the others, of which most are dropped
+        kept = np.argsort(~there, axis=1, kind="stable")[:, : max(int(there.sum(axis=1).max(initial=0)), 1)]
+        u, v, rim, there = (np.take_along_axis(one, kept, 1) for one in (u, v, rim, there))
+        grey = picture[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)].astype(float)
+        weight = np.where(there, np.minimum(1.0, 2 * (1 - rim) + 0.1), 0.0)
+        return cls(start, across, bend, u.astype(float), v.astype(float), grey, weight)
+
+    def some(self, rows: Index | Mask) -> _Windows:
+        """Return the windows of some corners."""
+        parts = (self.start, self.across, self.bend, self.u, self.v, self.grey, self.weight)
+        return _Windows(*(one[rows] for one in parts))
+
+    @property
+    def count(self) -> Array:
+        """Number of pixels of each window."""
+        return np.asarray((self.weight > 0).sum(axis=1))
+
+    def first(self) -> Array:
+        """Return states: corner (2), directions of the edges (2), blur, mean, contrast, slope of light (2), (n, 9)."""
+        there = self.weight > 0
+        state = np.zeros((len(self.start), 9))
+        state[:, :2], state[:, 4], state[:, 6] = self.start, BLUR, 1.0
+        state[:, 2:4] = np.arctan2(self.across[:, 1], self.across[:, 0])
+        mean = np.where(there, self.grey, 0.0).sum(axis=1) / np.maximum(self.count, 1)
+        # grey values are linear in the contrast: it follows from one projection, with its sign
+        shape = np.where(there, self.linearised(state)[0], 0.0)
+        squares = np.maximum((shape**2).sum(axis=1), 1e-12)
+        state[:, 5], state[:, 6] = mean, (shape * (self.grey - mean[:, None])).sum(axis=1) / squares
+        return state
+
+    def linearised(self, state: Array) -> tuple[Array, Array]:
+        """Return grey values (n, m) and derivatives (n, 9, m) of `mean + contrast * e1 * e2 + slope . offset`.
+
+        e1 and e2 run from -1 to +1 across an edge, as `2 Phi(distance / blur) - 1` with the normal distribution Phi.
+        """
+        corner_u, corner_v, *angles, blur, mean, contrast, slope_u, slope_v = state.T[:, :, None]
+        du, dv = self.u - corner_u, self.v - corner_v
+        sides, slopes, along, away = [], [], [], []
+        for angle, curvature in zip(angles, self.bend.T[:, :, None], strict=True):
+            cos, sin = np.cos(angle), np.sin(angle)
+            ahead = cos * du + sin * dv
+            distance = (cos * dv - sin * du - 0.5 * curvature * ahead * ahead) / blur
+            away.append(distance)
+            sides.append(2 * ndtr(distance) - 1)
+            slopes.append(np.sqrt(2 / np.pi) * np.exp(-0.5 * distance * distance) / blur)
+            along.append(ahead)
+        first, second = contrast * slopes[0] * sides[1], contrast * slopes[1] * sides[0]
+        jacobian = np.empty((len(state), 9, du.shape[1]))
+        jacobian[:, 0] = first * np.sin(angles[0]) + second * np.sin(angles[1]) - slope_u
+        jacobian[:, 1] = -first * np.cos(angles[0]) - second * np.cos(angles[1]) - slope_v
+        jacobian[:, 2] = -first * along[0]
+        jacobian[:, 3] = -second * along[1]
+        jacobian[:, 4] = -first * away[0] - second * away[1]
+        jacobian[:, 5] = 1.0
+        jacobian[:, 6] = sides[0] * sides[1]
+        jacobian[:, 7], jacobian[:, 8] = du, dv
+        return mean + contrast * jacobian[:, 6] + slope_u * du + slope_v * dv, jacobian
+
+    def normal(self, jacobian: Array, more: float) -> tuple[Array, Array, Array]:
+        """Return weighted normal matrices (n, 9, 9) of scaled derivatives, these with weights, and their scales."""
+        scale = np.sqrt(np.einsum("nkm,nm->nk", jacobian**2, self.weight))
+        scaled = jacobian / scale[:, :, None]
+        weighted = scaled * self.weight[:, None]
+        return weighted @ np.swapaxes(scaled, 1, 2) + more * np.eye(9), weighted, scale
+
+
+def _fitted(windows: _Windows) -> tuple[Array, Array]:
+    """Fit corners; return them (n, 2) and their standard deviations per axis in pixels (n,), NaN without a corner."""
+    count = len(windows.start)
+    corners, sigma = np.full((count, 2), np.nan), np.full(count, np.nan)
+    rows = np.flatnonzero(windows.count >= _FEWEST)
+    windows = windows.some(rows)
+    state = windows.first()
     for _ in range(STEPS):
-        value, jacobian = _linearised(state, bend, at)
-        residual = grey - value
-        step = _solved(jacobian, residual, weight)
-        if step is None:
+        if not len(rows):
             break
+        value, jacobian = windows.linearised(state)
+        residual = windows.grey - value
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            normal, weighted, scale = windows.normal(jacobian, 1e-9)
+            right = np.einsum("nkm,nm->nk", weighted, residual)
+        sound = np.isfinite(normal).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+        if not sound.all():
+            rows, windows, state = rows[sound], windows.some(sound), state[sound]
+            jacobian, residual, normal, scale, right = (
+                one[sound] for one in (jacobian, residual, normal, scale, right)
+            )
+        step = np.linalg.solve(normal, right[:, :, None])[:, :, 0] / scale
         state = _moved(state, step)
-        if np.abs(step[:2]).max() < STILL:
-            return _judged(state, start, across, residual - jacobian @ step, jacobian, weight)
-    return np.full(2, np.nan), np.nan
-
-
-def _pixels(picture: Picture, start: Array, across: Array, window: float) -> tuple[Array, Array, Array]:
-    """Return the pixels (m, 2) of the window, their grey values, and weights that decrease towards its rim."""
-    sides = np.linalg.norm(across, axis=0)
-    half = np.clip(window * sides, NARROWEST, WIDEST)
-    reach = np.abs(across / sides) @ half
-    height, width = picture.shape
-    u0, u1 = max(int(np.ceil(start[0] - reach[0])), 0), min(int(start[0] + reach[0]) + 1, width)
-    v0, v1 = max(int(np.ceil(start[1] - reach[1])), 0), min(int(start[1] + reach[1]) + 1, height)
-    if u0 >= u1 or v0 >= v1:
-        return np.empty((0, 2)), np.empty(0), np.empty(0)
-    v, u = (part.ravel() for part in np.mgrid[v0:v1, u0:u1])
-    at = np.stack([u, v], axis=1).astype(float)
-    inside = (at - start) @ np.linalg.inv(across / sides * half).T
-    rim = np.abs(inside).max(1)
-    taken = rim <= 1
-    weight = np.minimum(1.0, 2 * (1 - rim[taken]) + 0.1)
-    return at[taken], picture[v, u][taken].astype(float), weight
-
-
-def _start(start: Array, across: Array, bend: Array, at: Array, grey: Array) -> Array:
-    """Return the starting state: corner (2), directions of the edges (2), blur, mean, contrast, slope of light (2)."""
-    angles = np.arctan2(across[1], across[0])
-    state = np.array([*start, *angles, BLUR, grey.mean(), 0.0, 0.0, 0.0])
-    # grey values are linear in the contrast: it follows from one projection, with its sign
-    state[6] = 1.0
-    shape = _linearised(state, bend, at)[0] - state[5]
-    state[6] = (shape @ (grey - grey.mean())) / max(float(shape @ shape), 1e-12)
-    return state
-
-
-def _linearised(state: Array, bend: Array, at: Array) -> tuple[Array, Array]:
-    """Return grey values (m,) and derivatives (m, 9) of `mean + contrast * e1 * e2 + slope . offset`.
-
-    e1 and e2 run from -1 to +1 across an edge, as `2 Phi(distance / blur) - 1` with the normal distribution Phi.
-    """
-    du, dv = at[:, 0] - state[0], at[:, 1] - state[1]
-    blur, contrast = state[4], state[6]
-    sides, slopes, along, away = [], [], [], []
-    for angle, curvature in zip(state[2:4], bend, strict=True):
-        cos, sin = np.cos(angle), np.sin(angle)
-        ahead = cos * du + sin * dv
-        distance = (cos * dv - sin * du - 0.5 * curvature * ahead * ahead) / blur
-        away.append(distance)
-        sides.append(2 * ndtr(distance) - 1)
-        slopes.append(np.sqrt(2 / np.pi) * np.exp(-0.5 * distance * distance) / blur)
-        along.append(ahead)
-    first, second = contrast * slopes[0] * sides[1], contrast * slopes[1] * sides[0]
-    jacobian = np.empty((9, len(at)))
-    jacobian[0] = first * np.sin(state[2]) + second * np.sin(state[3]) - state[7]
-    jacobian[1] = -first * np.cos(state[2]) - second * np.cos(state[3]) - state[8]
-    jacobian[2] = -first * along[0]
-    jacobian[3] = -second * along[1]
-    jacobian[4] = -first * away[0] - second * away[1]
-    jacobian[5] = 1.0
-    jacobian[6] = sides[0] * sides[1]
-    jacobian[7], jacobian[8] = du, dv
-    return state[5] + contrast * jacobian[6] + state[7] * du + state[8] * dv, jacobian.T
-
-
-def _solved(jacobian: Array, residual: Array, weight: Array) -> Array | None:
-    scale = np.sqrt(weight @ jacobian**2)
-    if not (np.isfinite(scale).all() and scale.all()):
-        return None
-    scaled = jacobian / scale
-    normal = scaled.T @ (weight[:, None] * scaled) + 1e-9 * np.eye(len(scale))
-    step = np.linalg.solve(normal, scaled.T @ (weight * residual)) / scale
-    return step if np.isfinite(step).all() else None
+        done = np.abs(step[:, :2]).max(axis=1, initial=0.0) < STILL
+        if done.any():
+            left = residual[done] - np.einsum("nkm,nk->nm", jacobian[done], step[done])
+            corners[rows[done]], sigma[rows[done]] = _judged(windows.some(done), state[done], left, jacobian[done])
+            rows, windows, state = rows[~done], windows.some(~done), state[~done]
+    return corners, sigma
 
 
 def _moved(state: Array, step: Array) -> Array:
-    bound = np.array([1.0, 1.0, 0.2, 0.2, 0.3, np.inf, np.inf, np.inf, np.inf])
-    after = state + np.clip(step, -bound, bound)
-    after[4] = np.clip(after[4], 0.3, 4.0)
+    after = state + np.clip(step, -_BOUND, _BOUND)
+    after[:, 4] = np.clip(after[:, 4], 0.3, 4.0)
     return np.asarray(after)
 
 
-def _judged(
-    state: Array, start: Array, across: Array, residual: Array, jacobian: Array, weight: Array
-) -> tuple[Array, float]:
-    sides = np.linalg.norm(across, axis=0)
-    if np.linalg.norm(state[:2] - start) > LOST * max(WINDOW * float(sides.min()), NARROWEST):
-        return np.full(2, np.nan), np.nan
-    scale = np.sqrt(weight @ jacobian**2)
-    scaled = jacobian / scale
-    inverse = np.linalg.inv(scaled.T @ (weight[:, None] * scaled) + 1e-12 * np.eye(len(scale)))
-    lever = (inverse @ (scaled * weight[:, None]).T)[:2] / scale[:2, None]
-    freedom = len(residual) / max(len(residual) - len(state), 1)
-    return state[:2], float(np.sqrt((lever**2 @ residual**2).mean() * freedom))
+def _judged(windows: _Windows, state: Array, residual: Array, jacobian: Array) -> tuple[Array, Array]:
+    """Return corners and standard deviations, NaN where the corner is far from where it was sought."""
+    sides = np.linalg.norm(windows.across, axis=1).min(axis=1)
+    lost = np.linalg.norm(state[:, :2] - windows.start, axis=1) > LOST * np.maximum(WINDOW * sides, NARROWEST)
+    normal, weighted, scale = windows.normal(jacobian, 1e-12)
+    lever = (np.linalg.inv(normal) @ weighted)[:, :2] / scale[:, :2, None]
+    freedom = windows.count / np.maximum(windows.count - state.shape[1], 1)
+    variance = np.einsum("nkm,nm->nk", lever**2, residual**2).mean(axis=1) * freedom
+    return np.where(lost[:, None], np.nan, state[:, :2]), np.where(lost, np.nan, np.sqrt(variance))
 
 
 def fit_grid(picture: Picture, corners: Array, window: float = WINDOW) -> tuple[Array, Array]:
@@ -164,8 +203,9 @@ def bends(corners: Array) -> Array:
 
 def _fit_all(picture: Picture, corners: Array, curvature: Array, window: float) -> tuple[Array, Array]:
     down, right = np.gradient(corners, axis=(0, 1))
-    across = np.stack([right, down], axis=-1)
-    centres, sigma = np.empty_like(corners), np.empty(corners.shape[:2])
-    for place in np.ndindex(*sigma.shape):
-        centres[place], sigma[place] = fit(picture, corners[place], across[place], curvature[place], window)
-    return centres, sigma
+    start, across = corners.reshape(-1, 2), np.stack([right, down], axis=-1).reshape(-1, 2, 2)
+    bend, centres, sigma = curvature.reshape(-1, 2), np.empty_like(start), np.empty(len(start))
+    for first in range(0, len(start), _AT_ONCE):
+        own = slice(first, first + _AT_ONCE)
+        centres[own], sigma[own] = _fitted(_Windows.of(picture, start[own], across[own], bend[own], window))
+    return centres.reshape(corners.shape), sigma.reshape(corners.shape[:2])

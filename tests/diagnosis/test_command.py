@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,8 +20,11 @@ from metrocli.cli.console import Console
 from metrocli.cli.diagnosis_report import findings as diagnosis_report
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.noise import Noise
 from metrocli.diagnosis.power.alike import Pair
+from metrocli.project.diagnosed import carry_out
+from metrocli.project.job import load
 
 JOB = """metrocli: 1
 job: multilaterate
@@ -597,3 +601,14 @@ def test_all_candidates_stand_in_the_full_report(folder: Path, metrocli: Metrocl
     job = write(folder, measured())
     assert "`--full` lists them" in metrocli("diagnose", job).out
     assert re.search(r"^candidate +where +status", metrocli("diagnose", job, "--full").out, re.MULTILINE)
+
+
+def test_an_interrupted_first_answer_is_the_answer(folder: Path) -> None:
+    @contextmanager
+    def attended(heeded: Callable[[], None]) -> Iterator[None]:
+        heeded()
+        yield
+
+    told = list[Diagnosis]()
+    found = carry_out(load(write(folder, measured("tracer-scale"))), attended=attended, first=told.append)
+    assert [one.interrupted for one in told] == [True] and found.quick and found.verdict == "not-decided"

@@ -108,3 +108,22 @@ def budget() -> Result:
         "report-uncertainty", "Block", (Estimate("l", 50.0005, 1e-4, "mm"),), np.array([[1e-8]]), {},
         {"budget": table}, details=details,
     )  # fmt: skip
+
+
+def instruments() -> Result:
+    """Two stations of two instruments: S1 of A reads azimuths with w = -1, 1, 3, S2 of B distances with w = 2, 2."""
+    residuals = Table(
+        {
+            "station": np.array(["S1"] * 3 + ["S2"] * 2),
+            "quantity": np.array(["az"] * 3 + ["d"] * 2),
+            "residual": np.zeros(5),
+            "normalised": np.array([-1.0, 1.0, 3.0, 2.0, 2.0]),
+        }
+    )
+    stations = Table(
+        {"station": np.array(["S1", "S2"]), "instrument": np.array(["A", "B"]), **dict.fromkeys("xyz", np.arange(2.0))}
+    )
+    faces = {"station": np.array(["S1", "S1", "S2"]), "point": np.array(["P", "Q", "P"])}
+    halves = {"azimuth": np.array([0.002, 0.004, np.nan]), "elevation": np.zeros(3), "distance": np.full(3, np.nan)}
+    tables = {"residuals": residuals, "stations": stations, "two_face": Table({**faces, **halves})}
+    return Result("adjust-network", "Hall", (), np.zeros((0, 0)), {}, tables)

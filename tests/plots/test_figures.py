@@ -85,6 +85,18 @@ def test_panels_share_the_bound_of_all_readings() -> None:
     assert next(worst(result)).endswith("|w| = 2.70 standard deviations; as noise may be (bound 3.22).")
 
 
+def test_instruments_and_faces_have_a_row_each() -> None:
+    shown = plots.data_of("residuals-instrument", results.instruments())
+    rows = {row.name: row.values.tolist() for row in shown.panels[0][1]}
+    assert rows == {"A az": [-1.0, 1.0, 3.0], "B d": [2.0, 2.0]}
+    assert shown.bound == pytest.approx(2.57, abs=0.01)  # of five values
+    faces = {
+        name: [(row.name, row.values.tolist()) for row in rows]
+        for name, rows in plots.data_of("two-face", results.instruments()).panels
+    }
+    assert faces == {"azimuth": [("S1", [2.0, 4.0])], "elevation": [("S1", [0.0, 0.0]), ("S2", [0.0])]}
+
+
 def test_vectors_over_the_image_fit_into_it() -> None:
     shown = plots.data_of("residuals-image", results.camera(UV, np.full((300, 2), 0.03)))
     assert shown.magnification == 1000.0  # 0.0424 px become 42 px, at most 640 / 14

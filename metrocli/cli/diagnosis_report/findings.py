@@ -164,6 +164,7 @@ def _structure(diagnosis: Diagnosis) -> Iterator[str]:
         return
     where = f" in the readings of {', '.join(left.where)}" if left.where else ""
     size = f", {units.sized(left.size, diagnosis.job.reading[1])} (root mean square)" if left.size else ""
+    size += "" if left.share is None else f", {100 * left.share:.2g} % of the misfit"
     yield f"structure left: {_chance(left.p_value)}, varies with {' and '.join(left.depends_on)}{where}{size}"
     yield f"  No known effect explains it. {_included(diagnosis)}"
 

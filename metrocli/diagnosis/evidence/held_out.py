@@ -201,7 +201,7 @@ class Train:
         """Return it for a model whose random parts have the sizes of a state."""
         m = fold.measurement
         fit = fit_at(fold.products(model), model.logs)
-        basis = replace(state.basis, shared=np.zeros((m.system.rows, 0)))
+        basis = state.own
         fixed = fold.others(model.fixed)
         parts = [*shared_parts(m, fixed, model.random), ("residual", m.system.residual[:, None])]
         if local_columns(m, model.random).shape[1]:

@@ -150,7 +150,7 @@ def _is_of_one_reading(state: State, family: int, number: int, explained: float)
     gram, right = (one[number] for one in state.left(family))
     whole = m.whole(family, number) @ (np.linalg.pinv(gram, hermitian=True) @ right)
     there = rows >= 0
-    blocks = np.eye(rows.shape[1]) * there[:, :, None] - state.basis.products(rows, rows)
+    blocks = np.eye(rows.shape[1]) * there[:, :, None] - state.products(rows)
     shared, _ = quadratic(blocks, np.where(there, state.seen(whole)[rows], 0.0), np.ones(rows.shape))
     return bool(shared.max() > SAME * explained)
 

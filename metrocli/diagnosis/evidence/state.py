@@ -5,6 +5,7 @@ Method: docs/algorithms/evidence.md.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
@@ -12,13 +13,17 @@ from itertools import pairwise
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.evidence.parts import READINGS, Fixed
 from metrocli.diagnosis.evidence.prices import FURTHER, OF_ALL, gain_of_columns
-from metrocli.diagnosis.evidence.products import local_columns, local_part, shared_columns
+from metrocli.diagnosis.evidence.products import NEVER_HELD, local_columns, local_part, shared_parts
 from metrocli.diagnosis.evidence.scored import Scored
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.frozen import dataclass
+
+_MOST_HELD = 2_000_000
+"""Numbers of the products of a part that are kept"""
 
 
 @dataclass(frozen=True)
@@ -40,47 +45,108 @@ class State(Scored):
         return found
 
     @cached_property
-    def basis(self) -> Basis:
-        """Columns b: `P = I - b b'` is what the state leaves of anything; not orthonormal beside random parts."""
-        m = self.measurement
-        own = self._by_members
-        basis = m.system.basis
-        if own.shape[1]:
-            basis = replace(basis, local=np.concatenate([basis.local, own], axis=1))
-        if not self.random and not self.fixed:
-            return basis
+    def own(self) -> Basis:
+        """Columns of the local unknowns and of the errors of single members."""
+        system, errors = self.measurement.system, self._by_members
+        local = np.concatenate([system.basis.local, errors], axis=1) if errors.shape[1] else system.basis.local
+        return replace(system.basis, local=local, shared=np.zeros((system.rows, 0)))
+
+    @cached_property
+    def entered(self) -> Array:
+        """Columns v beside the unknowns: `P = M - v v'` is left; those of all that is shared beside members' errors."""
         from scipy.linalg import solve_triangular
 
-        x = shared_columns(m, self.fixed, self.random, bool(own.shape[1]))
-        if own.shape[1]:
-            x = x - local_part(m, own, x)
-        v = solve_triangular(self.fit.lower, x.T, lower=True, check_finite=False).T
-        unknowns = [] if own.shape[1] else [m.system.basis.shared]
-        return replace(basis, shared=np.concatenate([*unknowns, v], axis=1))
+        m, x = self.measurement, np.concatenate([np.zeros((self.measurement.system.rows, 0)), *self._columns], axis=1)
+        x = x if self.members_are_free else x - local_part(m, self._by_members, x)
+        if not x.shape[1]:
+            return x
+        return np.asarray(solve_triangular(self.fit.lower, x.T, lower=True, overwrite_b=True, check_finite=False).T)
+
+    @cached_property
+    def _parts(self) -> list[tuple[object, Array]]:
+        """What is shared and entered, with its keys, free of the unknowns unless members have errors."""
+        return shared_parts(self.measurement, self.fixed, self.random, not self.members_are_free)
+
+    @property
+    def _columns(self) -> list[Array]:
+        return [one for _, one in self._parts]
+
+    @cached_property
+    def basis(self) -> Basis:
+        """Columns b: `P = I - b b'` is what the state leaves of anything; not orthonormal beside random parts."""
+        unknowns = [self.measurement.system.basis.shared] if self.members_are_free else []
+        return replace(self.own, shared=np.concatenate([*unknowns, self.entered], axis=1))
 
     def seen(self, values: Array) -> Array:
         """Return what the state leaves of values (rows, ...), `P values`."""
-        return np.asarray(values - self.basis.combined(self.basis.coordinates(values)))
+        if not self.members_are_free:
+            return np.asarray(values - self.basis.combined(self.basis.coordinates(values)))
+        basis = self.measurement.system.basis
+        left = values - basis.combined(basis.coordinates(values))
+        return np.asarray(left - self.entered @ np.tensordot(self.entered.T, values, 1))
 
     @cached_property
     def residual(self) -> Array:
         """What the state leaves of the residual, `P r` (rows,)."""
-        return self.seen(self.measurement.system.residual)
+        left = self.measurement.system.residual
+        if not self.members_are_free:
+            return self.seen(left)
+        ends = np.cumsum([one.shape[1] for one in self._columns])[:-1]
+        sizes = np.split(self.fit.sizes, ends) if self._columns else []
+        return np.asarray(left - sum(x @ own for x, own in zip(self._columns, sizes, strict=True)))
 
     @cached_property
-    def _alone(self) -> bool:
+    def members_are_free(self) -> bool:
         """Whether no errors of single members are in it, so that products with the columns since entered suffice."""
-        return not self._by_members.shape[1]
+        return not any(one.local for one in self.random)
 
-    @cached_property
-    def _since(self) -> Array:
-        """Columns that entered, beside the unknowns: `M - v v'` is what is left, (rows, k)."""
-        return self.basis.shared[:, self.measurement.system.basis.shared.shape[1] :]
+    def within(self, name: object, columns: Callable[[Array], Array]) -> Array:
+        """Return `v'columns` (k, ...), where no member has errors, by the products of columns with others (rows, p).
+
+        The products with each part are computed once for a name of the columns.
+        """
+        from scipy.linalg import solve_triangular
+
+        held, found = self.measurement.held, list[Array]()
+        for key, x in self._parts:
+            at = "within", name, key
+            along = held[at] if at in held else columns(x)
+            if key != NEVER_HELD and along.size < _MOST_HELD:
+                held[at] = along
+            found.append(along)
+        if not found:
+            return columns(np.zeros((self.measurement.system.rows, 0)))
+        every = np.concatenate(found)
+        flat = every.reshape(len(every), -1)
+        return np.asarray(solve_triangular(self.fit.lower, flat, lower=True, check_finite=False).reshape(every.shape))
+
+    def absorbed(self, rows: Index | Mask | slice = slice(None)) -> Array:
+        """Return the share of each reading that the state absorbs."""
+        if not self.members_are_free:
+            return self.basis.squares(rows)
+        held, entered = self.measurement.held, self.entered[rows]
+        if "absorbed" not in held:
+            held["absorbed"] = self.measurement.system.basis.squares()
+        return np.asarray(held["absorbed"][rows] + np.einsum("rk,rk->r", entered, entered))
+
+    def products(self, rows: Index) -> Array:
+        """Return the products of what the state takes of rows (n, a), -1 for none, with each other, (n, a, a)."""
+        if not self.members_are_free:
+            return self.basis.products(rows, rows)
+        m = self.measurement
+        if rows is not m.places:
+            known = m.system.basis.products(rows, rows)
+        elif "readings" not in m.held:
+            known = m.held["readings"] = m.system.basis.products(rows, rows)
+        else:
+            known = m.held["readings"]
+        entered = np.where((rows >= 0)[:, :, None], self.entered[rows], 0.0)
+        return np.asarray(known + entered @ np.swapaxes(entered, 1, 2))
 
     def ratio_of(self, group: int) -> float:
         """Return the standard deviation of a variance group relative to that of all other readings."""
         rows = self.measurement.units[group][2]
-        own = float(rows.sum()) - float(self.basis.squares(rows).sum())
+        own = float(rows.sum()) - float(self.absorbed(rows).sum())
         squares = float((self.residual[rows] ** 2).sum())
         rest = max(self.freedoms - own, 1.0)
         return float(np.sqrt(max(squares, 1e-300) / max(own, 1e-9) / (max(self.fit.squares - squares, 1e-300) / rest)))
@@ -97,32 +163,48 @@ class State(Scored):
                 taken = self._along[:-1, at[family]].reshape(-1, *shape).transpose(1, 2, 0)
             else:
                 right = one.columns.products(self.residual[:, None])[:, :, 0]
-                taken = one.columns.products(self._since) if self._alone else None
+                taken = self._of_columns(family).transpose(1, 2, 0) if self.members_are_free else None
             if taken is None:
                 gram = one.columns.grams(self.basis)
             else:
-                gram = (one.gram if self._alone else m.whole_grams(family)) - taken @ np.swapaxes(taken, 1, 2)
+                gram = (one.gram if self.members_are_free else m.whole_grams(family)) - taken @ np.swapaxes(taken, 1, 2)
             self.held[family] = gram, right
         gram, right = self.held[family]
         return gram, right
+
+    def _of_columns(self, family: int) -> Array:
+        """Return what entered along the columns of a family, (k, alternatives, parameters)."""
+        columns = self.measurement.families[family].columns
+        return self.within(("family", family, columns.count), lambda x: columns.products(x).transpose(2, 0, 1))
 
     @cached_property
     def _along(self) -> Array:
         """Coordinates of the small families in what the state takes, and last their products with the residual."""
         dense, _ = self.measurement.side_by_side
-        taken = self._since.T @ dense if self._alone else self.inside(dense)
+        taken = self.within("side by side", lambda x: x.T @ dense) if self.members_are_free else self._inside(dense)
         return np.concatenate([taken, (dense.T @ self.residual)[None]])
 
-    def inside(self, columns: Array) -> Array:
+    def _inside(self, columns: Array) -> Array:
         """Return coordinates c of columns (rows, k), (any, k): `columns' P columns` is `columns' columns - c' c`."""
-        m, basis = self.measurement, self.basis
-        if self._alone:
-            return basis.coordinates(columns)
-        order, begins = m.by_member
+        (order, begins), basis = self.measurement.by_member, self.basis
         parts = [basis.shared.T @ columns]
         for rows in (order[a:b] for a, b in pairwise(begins)):
             parts.append(basis.local[rows].T @ columns[rows])
         return np.concatenate(parts)
+
+    def gram(self, name: object, columns: Array) -> Array:
+        """Return `columns' P columns` of columns (rows, k); what does not depend on the state is computed once."""
+        held = self.measurement.held
+        if not self.members_are_free:
+            if ("whole", name) not in held:
+                held["whole", name] = columns.T @ columns
+            inside = self._inside(columns)
+            return np.asarray(held["whole", name] - inside.T @ inside)
+        if ("visible", name) not in held:
+            inside = self.measurement.system.basis.coordinates(columns)
+            held["visible", name] = columns.T @ columns - inside.T @ inside
+        inside = self.within(name, lambda x: x.T @ columns)
+        return np.asarray(held["visible", name] - inside.T @ inside)
 
     def taken_by(self, one: Fixed) -> Array:
         """Return columns d, (rows, rank): without a fixed part the state would leave `P + d d'` of anything."""
@@ -134,7 +216,7 @@ class State(Scored):
         inverse = np.linalg.inv(lower)
         own = slice(ends[j], ends[j + 1])
         covariance = inverse[:, own].T @ inverse[:, own]
-        w = self.basis.shared[:, self.basis.shared.shape[1] - (len(self.fit.lower) - at) :] @ inverse[:, own]
+        w = self.entered[:, self.entered.shape[1] - (len(self.fit.lower) - at) :] @ inverse[:, own]
         lower = np.linalg.cholesky(covariance)
         return np.asarray(solve_triangular(lower, w.T, lower=True, check_finite=False).T)
 
@@ -181,7 +263,7 @@ class State(Scored):
         m = self.measurement
         rows = m.places
         there = rows >= 0
-        gram = np.eye(rows.shape[1]) * there[:, :, None] - self.basis.products(rows, rows)
+        gram = np.eye(rows.shape[1]) * there[:, :, None] - self.products(rows)
         residual = self.residual
         if taken is not None:
             own = np.where(there[:, :, None], taken[rows], 0.0)

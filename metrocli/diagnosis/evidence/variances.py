@@ -92,43 +92,51 @@ def _blocks(state: State, number: int) -> _Blocks:
     """Return the products of the functions of a covariate beside a state, unit by unit."""
     m, own = state.measurement, state.measurement.knots[number]
     knots, count = len(own.functions.distances), own.functions.count
-    residual, basis = state.residual, state.basis
     if m.local[number]:
-        key = "compact", number
-        if key not in m.held:
-            m.held[key] = own.compact(np.eye(knots))
-        columns = m.held[key]
-        order, begins = m.by_member
-        size = columns.shape[1]
-        gram, right = np.zeros((count, size, size)), np.zeros((count, size))
-        for a, b in pairwise(begins):
-            rows = order[a:b]
-            rows = rows[own.component[rows] >= 0]
-            if len(rows):
-                c, unit = columns[rows], own.unit[rows[0]]
-                inside = np.concatenate([basis.local[rows], basis.shared[rows]], axis=1).T @ c
-                gram[unit] += c.T @ c - inside.T @ inside
-                right[unit] += c.T @ residual[rows]
-        return _Blocks(gram, right, own.components)
+        return _Blocks(*_of_units(state, number), own.components)
     matrix = own.functions.columns
-    along = np.asarray(matrix.T @ residual)
-    if state._alone:
-        gram = own.functions.gram
-        if state._since.shape[1]:
-            inside = np.asarray(matrix.T @ state._since)
-            gram = gram - inside @ inside.T
+    if state.members_are_free:
+        inside = state.within(("functions", number), lambda x: np.asarray(matrix.T @ x).T)
+        gram = own.functions.gram - inside.T @ inside
     else:
         if ("spread", number) not in m.held:
             m.held["spread", number] = matrix.toarray()
-        columns = m.held["spread", number]
-        inside = state.inside(columns)
-        gram = columns.T @ columns - inside.T @ inside
+        gram = state.gram(("spread", number), m.held["spread", number])
+    along = np.asarray(matrix.T @ state.residual)
     # from component, unit, knot to unit, component, knot
     each = own.components
     gram = gram.reshape(each, count, knots, each, count, knots).transpose(1, 0, 2, 4, 3, 5)
     size = each * knots
     right = along.reshape(each, count, knots).transpose(1, 0, 2).reshape(count, size)
     return _Blocks(gram.reshape(count * size, count * size)[None], right.reshape(1, -1), each * count)
+
+
+def _of_units(state: State, number: int) -> tuple[Array, Array]:
+    """Return the products of the functions of each unit, which has a local member, with each other and the residual."""
+    m, own = state.measurement, state.measurement.knots[number]
+    if ("compact", number) not in m.held:
+        m.held["compact", number] = own.compact(np.eye(len(own.functions.distances)))
+    columns, size = m.held["compact", number], m.held["compact", number].shape[1]
+    # what the unknowns leave is computed once, unless errors of members are taken with them
+    held, key = m.held if state.members_are_free else {}, ("visible of units", number)
+    others = [state.own.local, *([m.system.basis.shared] if state.members_are_free else [])] if key not in held else []
+    visible, taken = np.zeros((2, own.functions.count, size, size))
+    right = np.zeros((own.functions.count, size))
+    order, begins = m.by_member
+    for a, b in pairwise(begins):
+        rows = order[a:b]
+        rows = rows[own.component[rows] >= 0]
+        if len(rows):
+            c, unit = columns[rows], own.unit[rows[0]]
+            inside = state.entered[rows].T @ c
+            taken[unit] += inside.T @ inside
+            right[unit] += c.T @ state.residual[rows]
+            if others:
+                inside = np.concatenate([one[rows] for one in others], axis=1).T @ c
+                visible[unit] += c.T @ c - inside.T @ inside
+    if others:
+        held[key] = visible
+    return held[key] - taken, right
 
 
 def correlated_errors(state: State, quiet: set[int] | None = None, most: int = 3) -> list[Found]:
@@ -191,8 +199,7 @@ def scattered_effects(state: State) -> list[Found]:
         if (SCATTER, number) not in m.held:
             m.held[SCATTER, number] = m.scatter(number).columns
         columns = m.held[SCATTER, number]
-        inside = state.inside(columns)
-        d, vectors = np.linalg.eigh(columns.T @ columns - inside.T @ inside)
+        d, vectors = np.linalg.eigh(state.gram((SCATTER, number), columns))
         along = (vectors.T @ (columns.T @ state.residual)) ** 2 / np.maximum(d, 1e-300)
         kept = d > 1e-4 * max(float(d[-1]), 1e-300)
         if state.freedoms - 2 - kept.sum() >= FEWEST:
@@ -211,7 +218,7 @@ def noisier_groups(state: State) -> list[tuple[float, int, float]]:
     m, found = state.measurement, []
     if len(m.units) < 2:
         return []
-    taken, r = state.basis.squares(), state.residual
+    taken, r = state.absorbed(), state.residual
     dof, squares = state.freedoms, state.fit.squares
     for number, (kind, _, rows) in enumerate(m.units):
         if kind == DECLARED_SIGMA and rows.sum() <= _MOST_GIVEN:
@@ -231,7 +238,7 @@ def noisier_groups(state: State) -> list[tuple[float, int, float]]:
 def _noise_of_given(state: State, rows: Mask) -> tuple[float, float]:
     """Return the net gain of larger noise of some rows, `V = I + g E E'`, and the ratio of their deviations."""
     at = np.flatnonzero(rows)
-    left = np.eye(len(at)) - state.basis.products(at[None], at[None])[0]
+    left = np.eye(len(at)) - state.products(at[None])[0]
     d, vectors = np.linalg.eigh(left)
     along = (vectors.T @ state.residual[at]) ** 2 / np.maximum(d, 1e-300)
     gain, log = gain_of_variance(d, along, state.fit.squares, state.fit.dof)

@@ -140,8 +140,7 @@ def families_of(job: AdjustedJob, system: System) -> tuple[list[Family], list[No
         for family in _of_effect(job, system, effect, missing):
             families.setdefault((family.name, family.columns.parameters), []).append(family)
     tested = {one.effect.form for parts in families.values() for part in parts for one in part.alternatives}
-    seen = [one for one in missing if one.where or one.effect.form not in tested]
-    return [_joined(parts) for parts in families.values()], seen
+    return [*map(_joined, families.values())], [one for one in missing if one.where or one.effect.form not in tested]
 
 
 def families_throughout(job: AdjustedJob, system: System) -> tuple[Family, ...]:
@@ -171,8 +170,9 @@ def _joined(parts: Sequence[Family]) -> Family:
 def _untestable(model: Model, effect: Effect) -> list[NotTested]:
     """Return the reasons why an effect cannot be modelled: one if it is the same everywhere, else place by place."""
     places = [dict(zip(effect.keys, place, strict=True)) for place in _places(model, effect)]
-    if not places and effect.definition:
-        return [NotTested(effect, f"this measurement has no {effect.keys[0]}")]
+    if not places and (effect.definition or effect.keys[0] in model.places):
+        few = "all readings share one" if effect.keys[0] in model.places else "this measurement has no"
+        return [NotTested(effect, f"{few} {effect.keys[0]}")]
     found = [NotTested(effect, lacking(model, effect, at), at) for at in places if not can_act(model, effect, at)]
     if len(found) == len(places) and len({one.reason for one in found}) == 1:
         return [NotTested(effect, found[0].reason)]

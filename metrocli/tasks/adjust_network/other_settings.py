@@ -14,30 +14,34 @@ import numpy as np
 from metrocli.arrays import Array, Index
 from metrocli.diagnosis.corrections import Mistake
 from metrocli.errors import MetrocliError
-from metrocli.geometry import poses
-from metrocli.instruments.tracker import cartesian
+from metrocli.instruments.tracker import DISTANCE
 from metrocli.table import Table
 from metrocli.tasks.adjust_network.readings import Readings, read
 from metrocli.tasks.adjust_network.settings import Files, Settings
-from metrocli.tasks.adjust_network.starts.search import Start, start
+from metrocli.tasks.adjust_network.starts.agreement import Start, astray, disagreement, medians, placed
+from metrocli.tasks.adjust_network.starts.search import start
 from metrocli.tasks.job import Job
 
 _GON = 0.9
 """Degrees in a gon"""
 _NEAR, _FAR = 0.1, 0.5
 """Shares of the distance of two points: exchanged ones are so near to each other's place, and so far from their own"""
+_RIGHT = 0.005
+"""Share of the extent by which set-ups and list disagree at most where angles are of the right sort"""
 _MOST = 20
 """Most corrections of one sort that are tried"""
 _CLOSE = 0.05
 """Share of a height difference to which one of the other sign agrees with the rough places"""
+_ALIKE = 0.02
+"""Two readings of a point from one station agree so well: distances as a share, azimuths in rad"""
 _ANGLES = ("az", "hz", "el", "zd")
 _PAIRS = (
-    ("az", "hz", "counts clockwise"),
-    ("hz", "az", "counts counter-clockwise"),
-    ("el", "zd", "is a zenith distance"),
-    ("zd", "el", "is an elevation"),
+    ("az", "hz", "counts clockwise", "handed"),
+    ("hz", "az", "counts counter-clockwise", "handed"),
+    ("el", "zd", "is a zenith distance", "zenith"),
+    ("zd", "el", "is an elevation", "zenith"),
 )
-"""Columns of angles, what they may be instead, and in words"""
+"""Columns of angles, what they may be instead, in words, and the sort of the mistake"""
 _Other = tuple[Mistake, Job[Settings, Files]]
 
 
@@ -47,13 +51,29 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[_Other]:
         return
     try:
         readings = read(job.settings, job.files)
-        rough = start(readings)
     except MetrocliError:
-        rough = None
+        yield from _angles(job)
+        return
+    yield from _faces(job, readings)
+    rough = _started(readings)
     if rough is not None:
         yield from _exchanged(job, readings, rough)
         yield from _heights(job, readings, rough)
-    yield from _angles(job)
+    yield from _stations(job, readings)
+    if rough is None or not _agrees(readings, rough):
+        yield from _angles(job)
+
+
+def _agrees(readings: Readings, rough: Start) -> bool:
+    """Return whether set-ups agree with each other and with the list, as none does with angles of another sort."""
+    return max(disagreement(readings, rough)[0], astray(readings, rough)) < _RIGHT
+
+
+def _started(readings: Readings) -> Start | None:
+    try:
+        return start(readings)
+    except MetrocliError:
+        return None
 
 
 def _angles(job: Job[Settings, Files]) -> Iterator[_Other]:
@@ -66,9 +86,10 @@ def _angles(job: Job[Settings, Files]) -> Iterator[_Other]:
             write = f"{' and '.join(f'{name}_{symbol}' for name in angles)} in the heading"
             changed = {name: table.numbers(name) * factor for name in angles}
             yield _with(job, Mistake("readings", words, write, file=table.file, sort="angles", columns=0), changed)
-    for name, other, words in _PAIRS:
+    for name, other, words, sort in _PAIRS:
         if name in table:
-            mistake = Mistake("readings", f"{name} {words}", f"{other} in the heading", file=table.file, columns=0)
+            write = f"{other} in the heading"
+            mistake = Mistake("readings", f"{name} {words}", write, file=table.file, sort=sort, columns=0)
             yield mistake, replace(job, files=replace(job.files, readings=_renamed(table, name, other)))
 
 
@@ -89,17 +110,17 @@ def _with(job: Job[Settings, Files], mistake: Mistake, changed: dict[str, Array]
 def _exchanged(job: Job[Settings, Files], readings: Readings, rough: Start) -> Iterator[_Other]:
     """Yield points whose names are exchanged at a station, or in the list."""
     seen = readings.sightings
-    rows, places = _placed(readings, rough)
-    middle = _medians(places, seen.point[rows], readings.points.count)
+    rows, places = placed(readings, rough)
+    middle = medians(places, seen.point[rows], readings.points.count)
     for station in np.unique(seen.station[rows]).tolist():
         here = seen.station[rows] == station
-        own = _medians(places[here], seen.point[rows][here], readings.points.count)
+        own = medians(places[here], seen.point[rows][here], readings.points.count)
         for first, second in _pairs(own, middle):
             names = readings.points.names[first], readings.points.names[second]
             where = readings.stations.names[station]
             words = f"{names[0]} and {names[1]} are exchanged at station {where}"
             write = f"{names[1]} for {names[0]} and {names[0]} for {names[1]} in the rows of {where}"
-            mistake = Mistake("readings", words, write, file=seen.table.file, columns=0)
+            mistake = _exchange("readings", words, write, seen.table)
             yield mistake, replace(job, files=replace(job.files, readings=_swapped(seen.table, names, where)))
     table = job.files.points
     if not isinstance(table, Table):
@@ -107,27 +128,59 @@ def _exchanged(job: Job[Settings, Files], readings: Readings, rough: Start) -> I
     for first, second in _pairs(readings.points.listed, middle):
         names = readings.points.names[first], readings.points.names[second]
         words = f"{names[0]} and {names[1]} are exchanged"
-        mistake = Mistake("points", words, f"{names[1]} for {names[0]}, and the reverse", file=table.file, columns=0)
+        mistake = _exchange("points", words, f"{names[1]} for {names[0]}, and the reverse", table)
         yield mistake, replace(job, files=replace(job.files, points=_swapped(table, names)))
 
 
-def _placed(readings: Readings, rough: Start) -> tuple[Index, Array]:
-    """Return the whole sightings, and where each puts its point."""
-    seen = readings.sightings
-    rows = np.flatnonzero(np.isfinite(seen.values).all(axis=0) & np.isfinite(rough.poses[seen.station, 0]))
-    local = cartesian(seen.values[:, rows])[0].T
-    pose = rough.poses[seen.station[rows]].copy()
-    level = np.array([readings.of(i).is_levelled for i in range(len(readings.stations.names))])[seen.station[rows]]
-    pose[level, 5] = rough.gamma[seen.orientation[rows][level]]
-    return rows, poses.apply(pose, local)
+def _exchange(key: str, words: str, write: str, table: Table) -> Mistake:
+    return Mistake(key, words, write, file=table.file, sort="exchanged", columns=0)
 
 
-def _medians(places: Array, point: Index, count: int) -> Array:
-    """Return the median place of each point, nan where it has none, (count, 3)."""
-    medians = np.full((count, 3), np.nan)
-    for number in np.unique(point).tolist():
-        medians[number] = np.median(places[point == number], axis=0)
-    return medians
+def _faces(job: Job[Settings, Files], readings: Readings) -> Iterator[_Other]:
+    """Yield azimuths of face 2 that are raw beside reduced elevations, which mark no face.
+
+    A station reads such a point a second time half a turn away.
+    """
+    seen, table = readings.sightings, job.files.sightings
+    azimuth = next((name for name in ("az", "hz") if name in table), "")
+    order = np.lexsort((np.arange(len(seen.point)), seen.point, seen.orientation))
+    same = (np.diff(seen.point[order]) == 0) & (np.diff(seen.orientation[order]) == 0)
+    first, second = order[:-1][same], order[1:][same]
+    turn = np.abs(np.angle(np.exp(1j * (seen.values[0, second] - seen.values[0, first]))))
+    near = np.isclose(seen.values[DISTANCE, second], seen.values[DISTANCE, first], rtol=_ALIKE, equal_nan=True)
+    raw = second[(turn > np.pi - _ALIKE) & near]
+    if not azimuth or not raw.size or 2 * raw.size < first.size:
+        return
+    marked = "" if (seen.face[raw] < 0).all() else ", and face 2 is not marked,"
+    words = f"{azimuth} of face 2 is raw{marked} in {raw.size} rows"
+    write = f"{azimuth} minus half a turn and 2 in the column face"
+    values, face = table.numbers(azimuth).copy(), table.numbers("face", 1.0).copy()
+    values[raw] -= np.pi
+    face[raw] = 2.0
+    mistake = Mistake("readings", words, write, file=table.file, sort="faces", columns=0)
+    yield _with(job, mistake, {azimuth: values, "face": face})
+
+
+def _stations(job: Job[Settings, Files], readings: Readings) -> Iterator[_Other]:
+    """Yield stations over marks, of which each stands over the mark of the other where its sightings place it."""
+    stations, table = readings.stations, job.files.stations
+    if (stations.over >= 0).sum() < 2:
+        return
+    free = replace(readings, stations=replace(stations, over=np.full_like(stations.over, -1)))
+    rough = _started(free)
+    if rough is None:
+        return
+    rows, places = placed(free, rough)
+    middle = medians(places, readings.sightings.point[rows], readings.points.count)
+    marks = np.where(np.isfinite(middle), middle, readings.points.listed)[stations.over]
+    marks[stations.over < 0] = np.nan
+    feet = rough.poses[:, :3] * [1.0, 1.0, 0.0]
+    for first, second in _pairs(feet, marks * [1.0, 1.0, 0.0]):
+        names = stations.names[first], stations.names[second]
+        words = f"{names[0]} and {names[1]} are exchanged"
+        write = f"{names[1]} for {names[0]} and {names[0]} for {names[1]}"
+        mistake = _exchange("stations", words, write, table)
+        yield mistake, replace(job, files=replace(job.files, stations=_swapped(table, names, column="station")))
 
 
 def _pairs(own: Array, middle: Array) -> Iterator[tuple[int, int]]:
@@ -138,17 +191,17 @@ def _pairs(own: Array, middle: Array) -> Iterator[tuple[int, int]]:
         apart = float(np.linalg.norm(middle[first] - middle[second]))
         crossed = [np.linalg.norm(own[a] - middle[b]) for a, b in ((first, second), (second, first))]
         if min(off[first], off[second]) > _FAR * apart and max(crossed) < _NEAR * apart:
-            yield first, second
+            yield min(first, second), max(first, second)
 
 
-def _swapped(table: Table, names: tuple[str, str], station: str = "") -> Table:
-    """Return a table with two names of points exchanged, at one station if it is named."""
-    texts = np.array(table.texts("point"), dtype=object)
+def _swapped(table: Table, names: tuple[str, str], station: str = "", column: str = "point") -> Table:
+    """Return a table with two names exchanged, at one station if it is named."""
+    texts = np.array(table.texts(column), dtype=object)
     here = np.array(table.texts("station")) == station if station else np.ones(len(table), dtype=bool)
     changed = texts.copy()
     changed[here & (texts == names[0])] = names[1]
     changed[here & (texts == names[1])] = names[0]
-    return replace(table, columns={**table.columns, "point": changed.astype(str)})
+    return replace(table, columns={**table.columns, column: changed.astype(str)})
 
 
 def _heights(job: Job[Settings, Files], readings: Readings, rough: Start) -> Iterator[_Other]:

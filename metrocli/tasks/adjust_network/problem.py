@@ -24,7 +24,7 @@ from metrocli.tasks.adjust_network import noise as n
 from metrocli.tasks.adjust_network.datum import datum_of
 from metrocli.tasks.adjust_network.readings import Readings
 from metrocli.tasks.adjust_network.settings import Settings
-from metrocli.tasks.adjust_network.starts.search import Start
+from metrocli.tasks.adjust_network.starts.agreement import Start
 from metrocli.tasks.adjust_network.unknowns import blocks_of, kind_of_stations, rows_of_kind
 
 

@@ -134,14 +134,14 @@ def _sigma(table: Table, name: str, other: str) -> Array:
 def _reduced(table: Table) -> tuple[Array, Array]:
     """Return azimuth, elevation and distance as in face 1, (3, n), and the face, 1 or -1.
 
-    Raw angles of face 2 have a zenith distance above 180 deg: `zd := 360 deg - zd`, `hz := hz - 180 deg`.
+    Raw angles of face 2 have a zenith distance above 180 deg, or below 0: `zd := 360 deg - zd`, `hz := hz - 180 deg`.
     """
     given = table.numbers("face", 1.0)
     azimuth = table.numbers("az") if "az" in table else -table.numbers("hz", np.nan)
     zenith = np.pi / 2 - table.numbers("el") if "el" in table else table.numbers("zd", np.nan)
-    over = zenith > np.pi if "zd" in table else zenith < 0
-    raw = np.asarray(np.nan_to_num(np.where(over, 1.0, 0.0)) > 0)
-    zenith = np.where(raw, 2 * np.pi - zenith if "zd" in table else -zenith, zenith)
+    zenith = np.where(np.abs(zenith) > 2 * np.pi, zenith, np.remainder(zenith, 2 * np.pi))
+    raw = np.asarray(zenith > np.pi)
+    zenith = np.where(raw, 2 * np.pi - zenith, zenith)
     azimuth = np.where(raw, azimuth + np.pi, azimuth)
     face = np.where((given == 2.0) | raw, -1.0, 1.0)
     return np.stack([azimuth, np.pi / 2 - zenith, table.numbers("d", np.nan)]), face

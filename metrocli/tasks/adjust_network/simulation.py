@@ -27,7 +27,7 @@ from metrocli.tasks.adjust_network.noise import component
 from metrocli.tasks.adjust_network.problem import Network, build
 from metrocli.tasks.adjust_network.readings import read
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkSimulation, Settings
-from metrocli.tasks.adjust_network.starts.search import Start
+from metrocli.tasks.adjust_network.starts.agreement import Start
 from metrocli.tasks.shared.lists import listed_places
 
 _TILT = 0.02

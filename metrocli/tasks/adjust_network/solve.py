@@ -68,14 +68,17 @@ class Solved:
 
     @property
     def astray(self) -> float:
-        """How far points lie from their lists, relative to the plausible deviation."""
+        """How far points lie from their lists, relative to the plausible deviation.
+
+        It is the root mean square: inner constraints lay the network onto the list by least squares.
+        """
         listed = self.network.readings.points.listed
         known = np.isfinite(listed).all(axis=1) & self.solution.blocks[t.POINT].free.any(axis=1)
         if known.sum() < 2:
             return 0.0
         off = np.linalg.norm(self.solution.blocks[t.POINT].values[known] - listed[known], axis=1)
         extent = float(np.ptp(listed[known], axis=0).max()) or 1.0
-        return float(np.median(off)) / (_POINTS_NEAR * extent)
+        return float(np.sqrt(np.mean(off**2))) / (_POINTS_NEAR * extent)
 
 
 def solve(settings: Settings, network: Network, remove: bool) -> Solved:

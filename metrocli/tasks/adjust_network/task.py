@@ -19,7 +19,8 @@ from metrocli.tasks.adjust_network.report import report
 from metrocli.tasks.adjust_network.settings import Files, NetworkSimulation, Settings
 from metrocli.tasks.adjust_network.simulation import simulated
 from metrocli.tasks.adjust_network.solve import Solved, solve
-from metrocli.tasks.adjust_network.starts.search import Start, start
+from metrocli.tasks.adjust_network.starts.agreement import Start
+from metrocli.tasks.adjust_network.starts.search import start
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.noise import weighed
 

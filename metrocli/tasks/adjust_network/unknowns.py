@@ -13,7 +13,7 @@ from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
 from metrocli.instruments.tracer_start import start as place_of
 from metrocli.tasks.adjust_network.readings import Readings
-from metrocli.tasks.adjust_network.starts.search import Start
+from metrocli.tasks.adjust_network.starts.agreement import Start
 
 
 def kind_of_stations(readings: Readings) -> list[str]:

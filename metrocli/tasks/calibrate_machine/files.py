@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from metrocli.frozen import dataclass
-from metrocli.settings import TableFile
+from metrocli.result import Result
+from metrocli.settings import Either, FileOf, TableFile
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import Columns, Table, columns
 from metrocli.tasks.shared.environment import WEATHER
-from metrocli.tasks.shared.lists import SIGMAS
+from metrocli.tasks.shared.lists import SIGMAS, listed_places
 
 AXES = ("x? y? z? [length]", "a? b? c? [angle]")
 """Commanded positions; the chain of the machine decides which of them a file needs"""
@@ -96,11 +99,27 @@ class Files:
     track: Table | None = content(TableFile(TRACK), "on-the-fly: points of the tracker", needed=False)
     lines: Table | None = content(TableFile(LINES), "six-dof: lines along axes and diagonals", needed=False)
     lengths: Table | None = content(TableFile(LENGTHS), "lengths: commanded points and lengths", needed=False)
-    stations: Table | None = content(TableFile(STATIONS), "lengths: approximate places of the stations", needed=False)
+    stations: Table | Result | None = content(
+        Either(TableFile(STATIONS), FileOf(("adjust-network",))),
+        "lengths: approximate places of the stations, or the network that measured them",
+        needed=False,
+    )
     probing: Table | None = content(TableFile(PROBING), "probing: poses, and what the probe found", needed=False)
     balls: Table | None = content(TableFile(BALLS), "probing: approximate places of the balls", needed=False)
     distances: Table | None = content(TableFile(DISTANCES), "calibrated distances of balls", needed=False)
     reflectors: Table | None = content(TableFile(REFLECTORS), "reflectors, on workpiece or tool", needed=False)
+
+    @property
+    def listed_stations(self) -> Table | None:
+        """The list of stations; of a network, its points and stations that have the names of those of the lengths."""
+        if not isinstance(self.stations, Result):
+            return self.stations
+        tables = [(self.stations.tables[name], key) for name, key in (("points", "point"), ("stations", "station"))]
+        names = [name for table, key in tables for name in table.texts(key)]
+        places = np.concatenate([table.stacked("xyz") for table, _ in tables])
+        wanted = set(names if self.lengths is None else self.lengths.texts("station"))
+        kept = [row for row, name in enumerate(names) if name in wanted and np.isfinite(places[row]).all()]
+        return listed_places("station", [names[row] for row in kept], places[kept])
 
 
 Inputs = inputs_of(Files)

@@ -155,7 +155,7 @@ def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple
     """
     names, station, flow, points = _readings_of_stations(job, truth.machine, rng)
     corners = np.stack([truth.machine.low, truth.machine.high], axis=1)
-    listed = job.files.stations
+    listed = job.files.listed_stations
     places = around(corners, len(names)) if listed is None else listed.stacked("xyz")
     block = tracer_block(
         np.column_stack([places, np.zeros(len(names)), np.ones(len(names))]), names, np.array(True), 1.0
@@ -193,7 +193,7 @@ def _readings_of_stations(
     job: _Measurement, machine: Machine, rng: np.random.Generator
 ) -> tuple[list[str], Index, Flow, np.typing.NDArray[np.str_]]:
     """Return the names of the stations, the station of each length, its commanded position, and its point."""
-    table, listed = job.files.lengths, job.files.stations
+    table, listed = job.files.lengths, job.files.listed_stations
     if table is not None:
         names = list(dict.fromkeys(table.texts("station")))
         station = np.array([names.index(name) for name in table.texts("station")])

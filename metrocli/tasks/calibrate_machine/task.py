@@ -101,7 +101,7 @@ def plan(job: Job[Settings, Files]) -> Plan:
     wanted: dict[str, Callable[[], Plan]] = {
         STANDSTILL: lambda: plan_of_points(settings, files.points),
         SIX_DOF: lambda: plan_of_lines(settings, files.lines),
-        LENGTHS: lambda: plan_of_stations(settings, files.lengths, files.stations),
+        LENGTHS: lambda: plan_of_stations(settings, files.lengths, files.listed_stations),
         ON_THE_FLY: lambda: plan_of_path(settings, files.path),
     }
     if settings.machine.turns:

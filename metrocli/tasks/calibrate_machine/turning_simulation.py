@@ -137,10 +137,11 @@ def _instruments(problem: Problem, drawn: Mapping[str, Block], files: Files, tra
     found = {}
     if TRACKER in problem.blocks:
         found[TRACKER] = problem.blocks[TRACKER].with_values(tracker[None])
-    if TRACER in problem.blocks and files.stations is not None:
-        block, listed = problem.blocks[TRACER], files.stations.texts("station")
+    stations = files.listed_stations
+    if TRACER in problem.blocks and stations is not None:
+        block, listed = problem.blocks[TRACER], stations.texts("station")
         values = drawn[TRACER].values - block.values
-        values[:, :3] += files.stations.stacked("xyz")[[listed.index(name) for name in block.members]]
+        values[:, :3] += stations.stacked("xyz")[[listed.index(name) for name in block.members]]
         values[:, 3] = block.values[:, 3]
         values[:, 4] += 1.0
         found[TRACER] = block.with_values(values)

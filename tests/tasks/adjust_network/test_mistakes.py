@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated.network import Network, network
+from simulated.network import Network, network, polar
 
 from metrocli.project.job import load
 from metrocli.project.runner import content
@@ -29,10 +29,7 @@ def test_exchanged_points_are_proposed_at_their_station(tmp_path: Path) -> None:
     here = net.station == 2
     point[here & (net.point == 3)], point[here & (net.point == 9)] = 9, 3
     found = proposed(replace(net, point=point), tmp_path)
-    assert [one for one in found if "exchanged" in one] in (
-        ["P004 and P010 are exchanged at station S3"],
-        ["P010 and P004 are exchanged at station S3"],
-    )
+    assert [one for one in found if "exchanged" in one] == ["P004 and P010 are exchanged at station S3"]
     assert not [one for one in proposed(net, tmp_path) if "exchanged" in one]
 
 
@@ -44,6 +41,36 @@ def test_a_height_of_the_wrong_sign_is_proposed_with_its_line(tmp_path: Path) ->
         "the height difference from P001 to P005 has the wrong sign, line 2"
     ]
     assert not [one for one in proposed(net, tmp_path) if "sign" in one]
+
+
+def test_raw_azimuths_of_face_2_are_proposed_with_their_number(tmp_path: Path) -> None:
+    net = network(np.random.default_rng(55), 3, 12, faces=2)
+    seen = net.seen.copy()
+    seen[net.face == 2, 0] += np.pi
+    found = proposed(replace(net, seen=seen, times=True, face=np.ones_like(net.face)), tmp_path)
+    assert found[0] == "az of face 2 is raw, and face 2 is not marked, in 36 rows"
+    assert not [one for one in proposed(net, tmp_path) if "face" in one]
+
+
+def test_stations_that_stand_over_the_mark_of_the_other_are_proposed(tmp_path: Path) -> None:
+    net = network(np.random.default_rng(56), 3, 12, levelled=True)
+    (station, seen), below = np.nonzero(~np.eye(3, dtype=bool)), net.places - [0.0, 0.0, 900.0]
+    away = np.einsum("nab,na->nb", net.rotations[station], below[seen] - net.places[station])
+    net = replace(
+        net,
+        points=np.concatenate([net.points, below]),
+        near=np.concatenate([net.near, below]),
+        station=np.concatenate([net.station, station]),
+        point=np.concatenate([net.point, 12 + seen]),
+        face=np.ones(len(net.face) + 6, dtype=int),
+        seen=np.concatenate([net.seen, polar(away)]),
+    )
+    job = net.write(tmp_path)
+    for marks, words in (((13, 14, 15), []), ((13, 15, 14), ["S2 and S3 are exchanged"])):
+        rows = [f"S{i + 1},A,P{mark:03d},900" for i, mark in enumerate(marks)]
+        (tmp_path / "stations.csv").write_text("\n".join(["station,instrument,over,height_mm", *rows]))
+        found = [mistake.words for mistake, _ in other_settings(content(load(job)), False)]
+        assert [one for one in found if "exchanged" in one] == words
 
 
 def test_nothing_is_proposed_for_readings_that_fit(tmp_path: Path) -> None:

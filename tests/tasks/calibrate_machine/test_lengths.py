@@ -20,12 +20,14 @@ from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.diagnosis import noise_of
+from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.layout import line_of, stations_lie
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.settings import Noise, Settings
 from metrocli.tasks.calibrate_machine.solve import Solved, solve
 from metrocli.tasks.calibrate_machine.tables import tables_of
 from metrocli.tasks.calibrate_machine.volume import Prediction, predict
+from metrocli.tasks.shared.lists import listed_places
 from metrocli.tasks.shared.noise import DECLARED
 
 CASES = SHARED / "cases" / "machine-lengths"
@@ -294,3 +296,13 @@ def test_a_wanted_uncertainty_takes_less_time() -> None:
     assert figures["duration"] < 3 * 3600.0
     with pytest.raises(UndeterminedError, match="too short for three stations"):
         calibrate_machine.plan(calibrate_machine.TASK.job(lengths.settings(plan=PathPlan(time=1800.0))))
+
+
+def test_stations_are_those_of_a_network() -> None:
+    points = listed_places("point", ["L2", "P1"], np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]))
+    stations = listed_places("station", ["L1", "S9"], np.array([[7.0, 8.0, 9.0], [0.0, 0.0, 0.0]]))
+    network = Result("adjust-network", "", (), np.zeros((0, 0)), {}, {"points": points, "stations": stations})
+    read = Table({"station": np.array(["L1", "L2"])})
+    found = Files(stations=network, lengths=read).listed_stations
+    assert found is not None and found.texts("station") == ["L2", "L1"]
+    assert found.stacked("xyz").tolist() == [[1.0, 2.0, 3.0], [7.0, 8.0, 9.0]]

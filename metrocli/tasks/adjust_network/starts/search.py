@@ -2,6 +2,7 @@
 
 The sightings of a set-up (a round of a levelled station) give points in its own frame. A set-up is placed where it
 fits the points that are known: levelled ones by a shift and a turn about z, others by a pose. New points then follow.
+Method: docs/algorithms/joined-set-ups.md.
 """
 
 from __future__ import annotations
@@ -10,29 +11,19 @@ import numpy as np
 
 from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import UndeterminedError
-from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.tracker import cartesian
 from metrocli.tasks.adjust_network.readings import Readings
+from metrocli.tasks.adjust_network.starts.agreement import Start, astray, disagreement, must_agree
 from metrocli.tasks.adjust_network.starts.rough_poses import fitted
 from metrocli.words import listed
 
 _ENOUGH = 200
 """Shared points that show whether they are on a line"""
+_LOOSE = 0.01
+"""Share of the extent by which set-ups and list disagree where the list is too wrong to begin with"""
 _LINE = 1e-3
 """Thickness of shared points, relative to their extent, below which they are on a line"""
-
-
-@dataclass(frozen=True)
-class Start:
-    """Rough values of all unknowns."""
-
-    points: Array
-    """(points, 3), nan where nothing is known"""
-    poses: Array
-    """(stations, 6), nan where nothing is known"""
-    gamma: Array
-    """Azimuth of each round of a levelled station, (rounds,)"""
 
 
 def _whole(places: Array) -> Mask:
@@ -152,6 +143,15 @@ class _Search:
             self.points[seen.point[rows]] = poses.apply(turned, self.local[rows])
         self._place_over()
 
+    def found(self) -> Start:
+        """Return what is placed."""
+        return Start(self.points, self.poses, np.nan_to_num(self.gamma))
+
+    def stuck(self) -> bool:
+        """Return whether the points at the beginning place no set-up."""
+        read = np.isfinite(self.readings.sightings.values[0]).any()
+        return bool(len(self.gamma)) and not np.isfinite(self.gamma if read else self.poses[:, 0]).any()
+
     def begin_with(self, number: int) -> None:
         """Place a set-up at the origin."""
         self._set(number, self.readings.sightings.rounds[number][0], np.zeros(6))
@@ -177,17 +177,23 @@ class _Search:
 
 
 def start(readings: Readings) -> Start:
-    """Return rough values of points and stations; raises UndeterminedError that names set-ups that cannot be joined."""
+    """Return rough values of points and stations.
+
+    Set-ups are placed on the list of points, if they agree there, and else on each other. Raises UndeterminedError that
+    names set-ups that cannot be joined, and NotConvergedError for set-ups that contradict each other.
+    """
     levelled = np.array([readings.of(i).is_levelled for i in range(len(readings.stations.names))])
     given = readings.points.listed
     search = _Search(readings, given, levelled)
     search.run()
-    if not np.isfinite(search.gamma).any() and len(search.gamma):
+    begun = search.found()
+    if search.stuck() or max(disagreement(readings, begun)[0], astray(readings, begun)) > _LOOSE:
         search = _alone(readings, levelled)
         _onto_list(search, given)
     search.intersect()
     _must_be_joined(search)
-    return Start(search.points, search.poses, np.nan_to_num(search.gamma))
+    must_agree(readings, search.found())
+    return search.found()
 
 
 def _alone(readings: Readings, levelled: Mask) -> _Search:

@@ -44,7 +44,7 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Proble
     found = with_distances(targets(settings, blocks, table, files.reflectors), files.distances)
     on = settings.instrument.on
     nominal = found.places(machine, position, on)
-    read_by = tracers_of(table, files.stations, dict.fromkeys, "station")
+    read_by = tracers_of(table, files.listed_stations, dict.fromkeys, "station")
     must_support(machine, position, blocks)
     names = np.array(table.texts("point"), dtype=str)
     points, point = np.unique(names, return_inverse=True)

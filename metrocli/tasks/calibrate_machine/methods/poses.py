@@ -23,7 +23,7 @@ from metrocli.tasks.calibrate_machine.methods.targets import brought_to, targets
 from metrocli.tasks.calibrate_machine.problem import Problem
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, STANDSTILL, MachineSimulation, Settings
 from metrocli.tasks.shared.environment import air_of
-from metrocli.tasks.shared.lists import listed_places
+from metrocli.tasks.shared.lists import listed_places, matched
 
 STATIONS = 4
 AROUND = np.array([[-0.4, -0.4, 0.1], [1.4, -0.3, 0.8], [1.3, 1.4, 0.0], [-0.4, 1.3, 1.0], [0.5, -0.9, 1.2]])
@@ -57,7 +57,8 @@ def poses_at(settings: Settings, files: Files, shares: Array, margin: float = 1.
     table = Table.of(point | _columns(machine, position) | ({} if names == [""] else {"tool": _in_turn(names, n)}))
     if settings.method != LENGTHS:
         return table
-    stations = [f"S{i + 1}" for i in range(STATIONS)] if files.stations is None else files.stations.texts("station")
+    listed = files.listed_stations
+    stations = [f"S{i + 1}" for i in range(STATIONS)] if listed is None else listed.texts("station")
     again = np.tile(np.arange(n), len(stations))
     every = Table({name: column[again] for name, column in table.columns.items()}, table.units)
     return every.joined({"station": np.repeat(np.array(stations), n)})
@@ -75,12 +76,12 @@ def without_errors(settings: Settings, table: Table, files: Files, tracker: Arra
         seen = poses.apply(poses.inverse(tracker), places.T)
         return table.joined({" ".join(CARTESIAN) + " [mm]": seen}), files
     names = list(dict.fromkeys(table.texts("station")))
-    if files.stations is None:
-        files = replace(files, stations=listed_places("station", names, around(places, len(names))))
-    assert files.stations is not None
-    listed = files.stations.texts("station")
-    station = np.array([listed.index(name) for name in table.texts("station")])
-    path = np.linalg.norm(places - files.stations.stacked("xyz")[station].T, axis=0)
+    given = files.listed_stations
+    stations = listed_places("station", names, around(places, len(names))) if given is None else given
+    files = replace(files, stations=stations)
+    listed = stations.texts("station")
+    station = matched(table, "station", listed, stations.file)
+    path = np.linalg.norm(places - stations.stacked("xyz")[station].T, axis=0)
     first = np.array([int(np.argmax(station == i)) for i in range(len(listed))])
     air = air_of(settings.environment, table, "station")
     return table.joined({"length [mm]": (path - path[first][station]) / (1.0 if air is None else air.towards)}), files

@@ -64,7 +64,8 @@ def plan_of_poses(settings: Settings, files: Files) -> Plan:
         text += f" with {n} {names[settings.method]}s"
     notes = [*own, text, *identifiability_notes(worth.identified)[1:], _UNCHECKED]
     if settings.method == LENGTHS and files.stations is None:
-        proposed["stations.csv"] = without_errors(settings, table, files, np.zeros(6))[1].stations or Table({})
+        stations = without_errors(settings, table, files, np.zeros(6))[1].listed_stations
+        proposed |= {} if stations is None else {"stations.csv": stations}
     return planned(
         notes, figures, worth, {_FILES[settings.method]: in_degrees(table), **proposed}, [lacks] if lacks else []
     )

@@ -1,0 +1,99 @@
+"""Where the set-ups of a rough start put their points, and whether they agree."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.arrays import Array, Index
+from metrocli.errors import NotConvergedError
+from metrocli.frozen import dataclass
+from metrocli.geometry import poses
+from metrocli.instruments.tracker import cartesian
+from metrocli.tasks.adjust_network.readings import Readings
+from metrocli.words import listed
+
+_CONTRADICTORY = 0.03
+"""Share of the extent of a network, by which set-ups of readings that are understood rightly do not disagree"""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Rough values of all unknowns."""
+
+    points: Array
+    """(points, 3), nan where nothing is known"""
+    poses: Array
+    """(stations, 6), nan where nothing is known"""
+    gamma: Array
+    """Azimuth of each round of a levelled station, (rounds,)"""
+
+
+def placed(readings: Readings, rough: Start) -> tuple[Index, Array]:
+    """Return the whole sightings, and where each puts its point."""
+    seen = readings.sightings
+    rows = np.flatnonzero(np.isfinite(seen.values).all(axis=0) & np.isfinite(rough.poses[seen.station, 0]))
+    local = cartesian(seen.values[:, rows])[0].T
+    pose = rough.poses[seen.station[rows]].copy()
+    level = np.array([readings.of(i).is_levelled for i in range(len(readings.stations.names))])[seen.station[rows]]
+    pose[level, 5] = rough.gamma[seen.orientation[rows][level]]
+    places = poses.apply(pose, local)
+    places[:, 2] -= seen.height[rows] + np.nan_to_num(readings.setups[1][seen.setup[rows]])
+    return rows, places
+
+
+def medians(places: Array, point: Index, count: int) -> Array:
+    """Return the median place of each point, nan where it has none, (count, 3)."""
+    counts = np.bincount(point, minlength=count)
+    begin = np.cumsum(counts) - counts
+    known = counts > 0
+    low, high = (begin + (counts - 1) // 2)[known], (begin + counts // 2)[known]
+    found = np.full((count, 3), np.nan)
+    for axis in range(3):
+        ordered = places[np.lexsort((places[:, axis], point)), axis]
+        found[known, axis] = (ordered[low] + ordered[high]) / 2
+    return found
+
+
+def disagreement(readings: Readings, rough: Start) -> tuple[float, str]:
+    """Return how far set-ups put the same points apart, as a share of the extent, and which ones do so most, in words.
+
+    It is the median over the sightings of points that several set-ups see; 0 without any.
+    """
+    seen = readings.sightings
+    rows, places = placed(readings, rough)
+    middle = medians(places, seen.point[rows], readings.points.count)
+    pairs = np.unique(np.stack([seen.orientation[rows], seen.point[rows]]), axis=1)
+    shared = np.bincount(pairs[1], minlength=readings.points.count)[seen.point[rows]] > 1
+    if not shared.any():
+        return 0.0, ""
+    off = np.linalg.norm(places - middle[seen.point[rows]], axis=1)[shared]
+    extent = _extent(places)
+    station = seen.station[rows][shared]
+    of = {int(one): float(np.median(off[station == one])) for one in np.unique(station)}
+    worst = sorted(of, key=lambda one: -of[one])[:3]
+    words = listed([f"{readings.stations.names[one]} by {of[one]:.3g} mm" for one in worst])
+    return float(np.median(off)) / extent, words
+
+
+def astray(readings: Readings, rough: Start) -> float:
+    """Return how far sightings put points from their list, as a share of the extent: the median over the points."""
+    rows, places = placed(readings, rough)
+    middle = medians(places, readings.sightings.point[rows], readings.points.count)
+    off = np.linalg.norm(middle - readings.points.listed, axis=1)
+    known = np.isfinite(off)
+    return float(np.median(off[known])) / _extent(places) if known.any() else 0.0
+
+
+def _extent(places: Array) -> float:
+    return float(np.ptp(places, axis=0).max()) or 1.0
+
+
+def must_agree(readings: Readings, rough: Start) -> None:
+    """Raise NotConvergedError for set-ups that contradict each other, as no noise and no effect makes them do."""
+    share, words = disagreement(readings, rough)
+    if share > _CONTRADICTORY:
+        raise NotConvergedError(
+            f"set-ups contradict each other: they put the points that they share beside each other ({words}).\n"
+            "  Look at units and senses of the angles (az counter-clockwise, hz clockwise; el from the level plane, zd "
+            "from the vertical), at face 2, and at the names of stations and points"
+        )
