@@ -34,6 +34,7 @@ from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.lengths import stop_names, visits
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import path_of
 from metrocli.tasks.calibrate_machine.methods.poses import STATIONS, around, clock, sides_of
+from metrocli.tasks.calibrate_machine.methods.simulated_poses import simulated_turning
 from metrocli.tasks.calibrate_machine.methods.six_dof import (
     approach,
     laser_noise,
@@ -53,7 +54,6 @@ from metrocli.tasks.calibrate_machine.settings import (
     Settings,
 )
 from metrocli.tasks.calibrate_machine.truth import Flow, Truth, true_errors, truth_of, warmed
-from metrocli.tasks.calibrate_machine.turning_simulation import simulated_turning
 from metrocli.tasks.calibrate_machine.volume import grid_of
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.environment import air_of
