@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -281,3 +282,18 @@ def test_angles_in_rad_are_named(tmp_path: Path) -> None:
     rewritten(tmp_path, [rows[0], *turned])
     with pytest.raises(UndeterminedError, match="is the column `c_deg` in rad"):
         solved(job)
+
+
+@pytest.mark.slow
+def test_a_wrong_sense_is_named_by_lengths_too(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
+    rng = np.random.default_rng(13)
+    machine = sim.drawn(sim.KINDS["head-table"], rng)
+    machine.tables = {name: 0 * values for name, values in machine.tables.items()}
+    machine.places |= dict.fromkeys(("A0Z", "B0Z", "C0Y"), 0.0)
+    job = sim.tracked(tmp_path, machine, rng, 40, (1e-4, 0.0, 0.0), stations=4)
+    text = job.read_text().replace("estimate: all", "estimate: locations")
+    assert "periodic: true, sense: 1" in text
+    job.write_text(text.replace("periodic: true, sense: 1", "periodic: true, sense: -1"))
+    ran = metrocli("calibrate-machine", job)
+    assert ran.code == 3
+    assert "C counts the other way" in ran.err and "write sense: 1" in ran.err
