@@ -39,6 +39,7 @@ from metrocli.tasks.adjust_network.settings import Settings as NetworkSettings
 from metrocli.tasks.adjust_network.starts import search as network_start
 from metrocli.tasks.calibrate_machine.effects.tracker import OF_THE_LASER
 from metrocli.tasks.calibrate_machine.effects.turning import OF_ROTARY_AXES
+from metrocli.tasks.calibrate_machine.files import Files as MachineFiles
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths as machine_lengths
 from metrocli.tasks.calibrate_machine.methods.probing import probing
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
@@ -172,7 +173,7 @@ def machine_with_tables(effect: Effect) -> Model:
         tables = read_inputs(job)
     sides = {f"from_{axis}": rng.choice([-1.0, 1.0], 100) for axis in "abc"}
     table = replace(tables["probing"], columns={**tables["probing"].columns, **sides})
-    problem = probing(job.settings, table, tables["balls"])
+    problem = probing(job.settings, table, MachineFiles(balls=tables["balls"]))
     solved = adjust(problem.blocks.values(), problem.groups)
     return with_conditions(problem.model.with_blocks(solved.blocks))
 

@@ -172,6 +172,12 @@ class RotaryAxis(Axis):
         held = [one / np.linalg.norm(one) for one in found if free[np.abs(one) > 0].all()]
         return np.array(held).reshape(-1, n, 6)
 
+    def in_gauge(self, block: Block) -> Block:
+        """Return the block of the tables without the directions that are no errors of the motion (`conditions`)."""
+        basis, _ = np.linalg.qr(self.conditions(block.free).reshape(-1, block.values.size).T)
+        flat = block.values.ravel()
+        return block.with_values((flat - basis @ (basis.T @ flat)).reshape(block.values.shape))
+
 
 @dataclass(frozen=True)
 class Combinations(OfBlock):

@@ -11,5 +11,5 @@ KIND = Kind(
     "calibrate-machine",
     "geometric errors of a 3-axis machine from a tracker, lengths or 6-DoF data",
     measured=("points", "track", "lines", "lengths", "probing"),
-    planned=("points", "path", "track", "lines", "lengths", "probing"),
+    planned=("points", "path", "track", "lines", "lengths", "probing", "balls"),
 )

@@ -179,10 +179,18 @@ def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block])
             knots = f"{len(axis.members)} knots of {axis.letter} (at {where} {placed(axis, 0.0)[2:]})"
             told.append(
                 f"no reading is near {bare.size} of the {knots}: "
-                f"give {axis.letter.lower()} fewer knots, or measure there"
+                f"give {axis.letter.lower()} fewer knots, or measure there{_as_in_rad(axis, own)}"
             )
     if told:
         raise UndeterminedError("\n".join(told))
+
+
+def _as_in_rad(axis: Axis, position: Array) -> str:
+    """Return a question if positions of a rotary axis reach as far in degrees as its range does in radians."""
+    reach, numbers = np.abs(axis.knots[[0, -1]]).max(), np.degrees(np.abs(position).max())
+    if not isinstance(axis, RotaryAxis) or not reach / 2 < numbers < reach * (1 + _OUTSIDE):
+        return ""
+    return f"; its positions are within {numbers:.2g} deg: is the column `{axis.letter.lower()}_deg` in rad?"
 
 
 def tool_prior(blocks: Mapping[str, Block], settings: Settings) -> tuple[Group, ...]:

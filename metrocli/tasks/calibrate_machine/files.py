@@ -58,7 +58,7 @@ LINES = Columns(
 
 LENGTHS = Columns(
     (
-        *columns("point station [text]", *AXES, "length [length]", "tool? [text]", "t? [time]", "temp? [temperature]"),
+        *columns("point station [text]", *AXES, "length? [length]", "tool? [text]", "t? [time]", "temp? [temperature]"),
         *WEATHER,
         *columns(_SIDES),
     ),

@@ -141,6 +141,7 @@ class MachineSimulation:
     )
     warming: float = setting(Quantity("temperature difference"), "all but on-the-fly: from first to last reading", 0.0)
     step: float = setting(Quantity("length", positive=True), "six-dof: distance between readings", default=25.0)
+    polar: bool = setting(Flag(), "standstill with rotary axes: write distance and angles", default=False)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from metrocli.instruments.machine import (
     SQUARENESS_NAMES,
     Machine,
 )
-from metrocli.instruments.machine_path import SINCE, Path, last_sides, travelled
+from metrocli.instruments.machine_path import SINCE, Path, travelled
 from metrocli.instruments.six_dof import CHANNELS, LINE, line_block, line_chain
 from metrocli.instruments.tracer import AIR, POINT, STOP, TRACER, beams, tracer_block
 from metrocli.instruments.tracer import chain as length_chain
@@ -33,6 +33,8 @@ from metrocli.tasks.calibrate_machine.described import commanded, machine_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.lengths import stop_names, visits
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import path_of
+from metrocli.tasks.calibrate_machine.methods.poses import STATIONS, around, clock, sides_of
+from metrocli.tasks.calibrate_machine.methods.simulated_poses import simulated_turning
 from metrocli.tasks.calibrate_machine.methods.six_dof import (
     approach,
     laser_noise,
@@ -47,6 +49,7 @@ from metrocli.tasks.calibrate_machine.settings import (
     ON_THE_FLY,
     SIX_DOF,
     STANDSTILL,
+    TURNING,
     MachineSimulation,
     Settings,
 )
@@ -59,11 +62,6 @@ from metrocli.tasks.shared.statistics import CONDITIONS, heading
 
 _MISALIGNED = np.array([0.01] * 3 + [1e-4] * 5)
 """Standard deviations of the simulated misalignment of a line: three offsets [mm], five angles [rad]"""
-_FIRST_TEMPERATURE = 20.0
-"""At the first reading [degC] (ISO 1)"""
-_STATIONS = 4
-_AROUND = np.array([[-0.4, -0.4, 0.1], [1.4, -0.3, 0.8], [1.3, 1.4, 0.0], [-0.4, 1.3, 1.0], [0.5, -0.9, 1.2]])
-"""Places of simulated stations, as shares of the travel"""
 
 
 def simulated(job: Job[Settings, Files], seed: int) -> Simulation:
@@ -75,6 +73,8 @@ def simulated(job: Job[Settings, Files], seed: int) -> Simulation:
     if settings.simulation is None:
         raise InputError("simulate needs the truth: `simulation: {error: 0.1 mm, tracker: [-1 m, -0.8 m, 0.3 m]}`")
     rng = np.random.default_rng(seed)
+    if settings.machine.turns and settings.method in TURNING:
+        return simulated_turning(job, settings.simulation, rng)
     truth = truth_of(settings, settings.simulation, rng)
     file, make = {
         STANDSTILL: ("points.csv", _points),
@@ -141,25 +141,11 @@ def _stops(job: _Measurement, machine: Machine, rng: np.random.Generator) -> Flo
         position[:, : corners.shape[1]] = corners
         position = position[:, rng.permutation(count)]
         tool = rng.integers(len(names), size=count)
-    given = _clock(job, position.shape[1])
+    given = clock(job.simulation, position.shape[1])
     if table is not None:
         given |= table.conditions("t", *SIDES)
-    given = given | _sides(position, given["t"]) | given
+    given = given | sides_of(SIDES, position, given["t"]) | given
     return Flow(position, tool, given | since_turns(position, given))
-
-
-def _clock(job: _Measurement, count: int) -> dict[str, Array]:
-    """Return the times of successive readings, and their temperatures if it gets warmer."""
-    number, warming = np.arange(float(count)), job.simulation.warming
-    warm = {"temp": _FIRST_TEMPERATURE + warming * number / max(count - 1, 1)} if warming else {}
-    return {"t": number * job.simulation.interval} | warm
-
-
-def _sides(position: Array, time: Array) -> dict[str, Array]:
-    """Return the sides from which the axes come to positions (3, n), in the order of time; to the first from below."""
-    order = np.argsort(time, kind="stable")
-    moves = np.diff(position[:, order], axis=1, prepend=position[:, order[:1]] - 1)
-    return {name: last_sides(own)[np.argsort(order)] for name, own in zip(SIDES, moves, strict=True)}
 
 
 def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
@@ -168,7 +154,9 @@ def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple
     Lengths to a point at one time share a stop; the reading of a station is zero at its first point.
     """
     names, station, flow, points = _readings_of_stations(job, truth.machine, rng)
-    places = station_places(truth.machine, job.files.listed_stations, len(names))
+    corners = np.stack([truth.machine.low, truth.machine.high], axis=1)
+    listed = job.files.listed_stations
+    places = around(corners, len(names)) if listed is None else listed.stacked("xyz")
     block = tracer_block(
         np.column_stack([places, np.zeros(len(names)), np.ones(len(names))]), names, np.array(True), 1.0
     )
@@ -214,19 +202,12 @@ def _readings_of_stations(
         given = table.conditions(*CONDITIONS, *SIDES)
         return names, station, replace(flow, conditions=given | since_turns(flow.position, given)), points
     once, n = _stops(job, machine, rng), job.simulation.points
-    names = [f"S{i + 1}" for i in range(_STATIONS)] if listed is None else listed.texts("station")
+    names = [f"S{i + 1}" for i in range(STATIONS)] if listed is None else listed.texts("station")
     order = np.tile(np.arange(n), len(names))
-    position, given = once.position[:, order], _clock(job, len(order))
-    given |= _sides(position, given["t"])
+    position, given = once.position[:, order], clock(job.simulation, len(order))
+    given |= sides_of(SIDES, position, given["t"])
     flow = Flow(position, once.tool[order], given | since_turns(position, given))
     return names, np.repeat(np.arange(len(names)), n), flow, np.array([f"P{i + 1:03d}" for i in range(n)])[order]
-
-
-def station_places(machine: Machine, listed: Table | None, count: int) -> Array:
-    """Return the places of stations, (stations, 3): as listed, else around the volume and at different heights."""
-    if listed is not None:
-        return listed.stacked("xyz")
-    return np.asarray(machine.low + (machine.high - machine.low) * _AROUND[np.arange(count) % len(_AROUND)])
 
 
 def _track(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
@@ -256,7 +237,7 @@ def _lines(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[T
     along = lines.along
     block = line_block(lines.names)
     shifts = rng.normal(size=block.values.shape) * _MISALIGNED
-    given = _clock(job, len(lines.of)) if table is None else table.conditions("t", "temp")
+    given = clock(job.simulation, len(lines.of)) if table is None else table.conditions("t", "temp")
     more = line_conditions(lines, along) | approach(lines)
     flow = Flow(lines.position, np.zeros(len(lines.of), dtype=np.intp), given | more, {LINE: lines.of})
     readings, model = job.read(truth.model(line_chain(truth.machine), {LINE: block.with_values(shifts)}, flow))

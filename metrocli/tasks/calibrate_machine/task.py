@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -22,11 +23,12 @@ from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.other_settings import other_settings
 from metrocli.tasks.calibrate_machine.plans.planned import plan_of_path
+from metrocli.tasks.calibrate_machine.plans.poses import plan_of_poses
 from metrocli.tasks.calibrate_machine.plans.stations import plan_of_stations
 from metrocli.tasks.calibrate_machine.plans.stops import plan_of_lines, plan_of_points
 from metrocli.tasks.calibrate_machine.problem import Problem
 from metrocli.tasks.calibrate_machine.report import report
-from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, SIX_DOF, STANDSTILL, Settings
+from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, SIX_DOF, STANDSTILL, TURNING, Settings
 from metrocli.tasks.calibrate_machine.simulation import simulated
 from metrocli.tasks.calibrate_machine.solve import Solved, solve
 from metrocli.tasks.job import Job, Task
@@ -72,8 +74,8 @@ def problem_of(job: Job[Settings, Files]) -> Problem:
         return six_dof(job.settings, job.files.lines)
     if job.files.lengths is not None:
         return lengths(job.settings, job.files.lengths, job.files)
-    if job.files.probing is not None and job.files.balls is not None:
-        return probing(job.settings, job.files.probing, job.files.balls, job.files.distances)
+    if job.files.probing is not None:
+        return probing(job.settings, job.files.probing, job.files)
     raise InputError(f"method {job.settings.method} has no readings")
 
 
@@ -90,22 +92,21 @@ def check(job: Job[Settings, Files]) -> None:
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
     """Return a simulated measurement of a machine with the random errors of `simulation:` and the job's effects."""
-    if job.settings.machine.turns:
-        raise InputError("simulate does not know rotary axes: it simulates machines with three linear axes")
     return simulated(job, options.seed)
 
 
 def plan(job: Job[Settings, Files]) -> Plan:
     """Return what the job's path, points or lines will determine, and a proposal; effects are left out."""
     settings, files = job.settings, job.files
-    if settings.machine.turns:
-        raise InputError("plan does not know rotary axes: see `docs/tasks/rotary-axes.md` for what determines them")
-    planned = {
+    wanted: dict[str, Callable[[], Plan]] = {
         STANDSTILL: lambda: plan_of_points(settings, files.points),
         SIX_DOF: lambda: plan_of_lines(settings, files.lines),
         LENGTHS: lambda: plan_of_stations(settings, files.lengths, files.listed_stations),
         ON_THE_FLY: lambda: plan_of_path(settings, files.path),
-    }[settings.method]()
+    }
+    if settings.machine.turns:
+        wanted |= dict.fromkeys(TURNING, partial(plan_of_poses, settings, files))
+    planned = wanted[settings.method]()
     return replace(planned, warnings=(*planned.warnings, _WITHOUT)) if job.effects else planned
 
 

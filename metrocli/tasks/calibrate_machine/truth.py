@@ -14,7 +14,9 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Index
 from metrocli.effects.model import Model
+from metrocli.errors import InputError
 from metrocli.frozen import dataclass
+from metrocli.instruments.axes.rotary import LOCATIONS, SPINDLE_NAMES, RotaryAxis, spindle_block
 from metrocli.instruments.machine import (
     SQUARENESS_NAMES,
     TOOL,
@@ -29,13 +31,17 @@ from metrocli.tasks.calibrate_machine.described import error_blocks, machine_of
 from metrocli.tasks.calibrate_machine.problem import conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.tables import grown
-from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
+from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, spread_over, tips, without_rigid_motion
 from metrocli.tasks.shared.part import Warm
 
 _COMPONENTS = {Quantity.ERROR_MOTION: 6, Quantity.LENGTH: 1}
 """Components of a reading by what it reads; all others have three"""
 _FINE = 401
 _HARMONICS = 4
+_TRAVEL = 600.0
+"""Size of a machine without linear axes [mm]"""
+_PLACES = 216
+"""Places over which the error of a machine with rotary axes is averaged"""
 
 
 @dataclass(frozen=True)
@@ -82,24 +88,31 @@ class Flow:
 def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.Generator) -> Truth:
     """Return a machine with random errors, scaled so that the mean length of the error in the volume is as given.
 
-    The mean is taken after the best shift and turn of the volume.
+    The mean is taken after the best shift and turn of the volume. Raises InputError for smooth errors of rotary axes.
     """
     machine = machine_of(settings)
+    if simulation.smooth and machine.turns:
+        raise InputError("simulation.smooth: errors of machines with rotary axes are straight between knots: remove it")
     if simulation.smooth:
-        axes = tuple(Axis(axis.letter, np.linspace(axis.knots[0], axis.knots[-1], _FINE)) for axis in machine.axes)
-        machine = Machine(machine.order, (axes[0], axes[1], axes[2]))
-    lever = float(np.max(machine.high - machine.low)) / 2
+        fine = (replace(axis, knots=np.linspace(axis.knots[0], axis.knots[-1], _FINE)) for axis in machine.axes)
+        machine = replace(machine, axes=tuple(fine))
+    travels = [float(np.ptp(axis.knots)) for axis in machine.axes if not isinstance(axis, RotaryAxis)]
+    lever = max(travels, default=_TRAVEL) / 2
     tables = {
         name: _drawn(axis, name, simulation.smooth, rng) for axis in machine.axes for name in errors_of(axis.letter)
     }
     tables = {name: table / (lever if is_angle(name) else 1.0) for name, table in tables.items()}
-    square = {name: float(rng.normal()) / lever for name in SQUARENESS_NAMES}
-    unit = Truth(machine, blocks_of(settings, machine, tables, square))
-    grid = grid_of(machine, (6, 6, 6))
-    error = without_rigid_motion(unit.error(grid, np.zeros(grid.shape[1], dtype=np.intp)), grid)
+    places = {name: float(rng.normal()) / lever for name in SQUARENESS_NAMES}
+    if machine.turns:
+        names = (*LOCATIONS, *SPINDLE_NAMES)
+        places |= {name: float(rng.normal()) / (lever if is_angle(name) else 1.0) for name in names}
+    unit = Truth(machine, blocks_of(settings, machine, tables, places))
+    grid = spread_over(machine, _PLACES) if machine.turns else grid_of(machine, (6, 6, 6))
+    first = np.zeros(grid.shape[1], dtype=np.intp)
+    error = without_rigid_motion(unit.error(grid, first), tips(machine, grid, first))
     size = simulation.error / float(np.linalg.norm(error, axis=0).mean())
     scaled = {name: table * size for name, table in tables.items()}
-    return Truth(machine, blocks_of(settings, machine, scaled, {name: value * size for name, value in square.items()}))
+    return Truth(machine, blocks_of(settings, machine, scaled, {name: value * size for name, value in places.items()}))
 
 
 def warmed(truth: Truth, scales: Mapping[str, Warm], rng: np.random.Generator) -> Truth:
@@ -122,23 +135,33 @@ def true_errors(settings: Settings, truth: Truth) -> Table:
             none = np.full(len(values), np.nan)
             length, angle = (none, values) if is_angle(name) else (values, none)
             knots = {"error": [name] * len(values), "position [mm]": axis.knots}
+            if truth.machine.turns:
+                turns = isinstance(axis, RotaryAxis)
+                knots |= {"position [mm]": none if turns else axis.knots, "angle [rad]": axis.knots if turns else none}
             parts.append(Table.of({**knots, "value [mm]": length, "turn [rad]": angle}))
     return Table.stack(parts)
 
 
 def blocks_of(
-    settings: Settings, machine: Machine, tables: Mapping[str, Array], square: Mapping[str, float]
+    settings: Settings, machine: Machine, tables: Mapping[str, Array], places: Mapping[str, float]
 ) -> dict[str, Block]:
-    """Return the blocks of a machine with given tables and squareness; errors that the job does not estimate are zero.
+    """Return the blocks of a machine with given tables, squareness, locations of axes and angles of its spindle.
 
-    The tables are given at the knots: straightness relative to its end-point line, other errors zero at the reference
-    position of the axis.
+    Errors that the job does not estimate are zero. The tables are given at the knots: straightness relative to its
+    end-point line, other errors zero at the reference position of the axis; those of rotary axes are gauged here.
     """
     wanted = settings.estimated
     kept = {name: table for name, table in tables.items() if name in wanted}
-    axes = {axis.block: axis.block_of(kept, wanted) for axis in machine.axes}
-    squareness = squareness_block({name: value for name, value in square.items() if name in wanted}, wanted)
-    return {**error_blocks(machine, settings), **axes, squareness.name: squareness}
+    found = [axis.block_of(kept, wanted) for axis in machine.axes]
+    given = {name: value for name, value in places.items() if name in wanted}
+    found.append(squareness_block(given, wanted))
+    for at, axis in enumerate(machine.axes):
+        if isinstance(axis, RotaryAxis):
+            found[at] = axis.in_gauge(found[at])
+            found.append(axis.location_block(given, wanted))
+    if machine.turns:
+        found.append(spindle_block(given, wanted))
+    return {**error_blocks(machine, settings), **{block.name: block for block in found}}
 
 
 def _drawn(axis: Axis, name: str, smooth: bool, rng: np.random.Generator) -> Array:

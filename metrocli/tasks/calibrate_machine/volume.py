@@ -29,9 +29,15 @@ def grid_of(machine: Machine, counts: Sequence[int]) -> Array:
 
 def spread_over(machine: Machine, count: int) -> Array:
     """Return positions spread evenly but irregularly over all ranges, (axes, n): the sequence of Halton (1960)."""
+    return np.asarray(
+        machine.low[:, None] + (machine.high - machine.low)[:, None] * shares_spread(len(machine.axes), count)
+    )
+
+
+def shares_spread(axes: int, count: int) -> Array:
+    """Return `spread_over` as shares of the ranges, (axes, n)."""
     numbers = np.arange(1, count + 1)
-    unit = np.stack([_radical_inverse(numbers, base) for base in (2, 3, 5, 7, 11)[: len(machine.axes)]])
-    return np.asarray(machine.low[:, None] + (machine.high - machine.low)[:, None] * unit)
+    return np.stack([_radical_inverse(numbers, base) for base in (2, 3, 5, 7, 11)[:axes]])
 
 
 def _radical_inverse(numbers: Index, base: int) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -237,3 +238,62 @@ def test_the_prediction_is_verified_by_points_on_the_workpiece(tmp_path: Path) -
     assert np.abs(off).max() < 2e-3
     std = np.sqrt(np.einsum("naa->na", places.covariance))
     assert 1e-5 < np.median(std) < 1e-3
+
+
+def probings(folder: Path, seed: int = 12) -> tuple[Path, list[list[str]]]:
+    """Return a job of three balls, and the cells of its readings with their head."""
+    rng = np.random.default_rng(seed)
+    job = sim.probed(folder, sim.drawn(TABLES, rng, linear=False), rng, 120, 5e-4)
+    return job, [line.split(",") for line in (folder / "probing.csv").read_text().splitlines()]
+
+
+def rewritten(folder: Path, rows: list[list[str]]) -> None:
+    (folder / "probing.csv").write_text("\n".join(map(",".join, rows)) + "\n")
+
+
+def test_a_ball_seen_once_counts_as_none_and_is_named(tmp_path: Path) -> None:
+    job, rows = probings(tmp_path)
+    last = [i for i, cells in enumerate(rows) if cells[0] == "K3"][1:]
+    rewritten(tmp_path, [cells for i, cells in enumerate(rows) if i not in last])
+    with pytest.raises(UndeterminedError, match="two balls do not determine the turn about their line"):
+        solved(job)
+    job.write_text(job.read_text().replace("estimate: rotary", "estimate: locations"))
+    assert solved(job).problem.warnings == (
+        "K3 has one reading: it gives the place of the ball, and nothing of the machine",
+    )
+
+
+def test_balls_of_other_names_are_named(tmp_path: Path) -> None:
+    job, rows = probings(tmp_path)
+    other = {"K1": "K2", "K2": "K1"}
+    rewritten(tmp_path, [[other.get(cells[0], cells[0]), *cells[1:]] for cells in rows])
+    with pytest.raises(InputError, match="K1 and K2 are exchanged"):
+        solved(job)
+    row = next(i for i, cells in enumerate(rows) if cells[0] == "K1" and i > 30)
+    rewritten(tmp_path, [[other[cells[0]], *cells[1:]] if i == row else cells for i, cells in enumerate(rows)])
+    with pytest.raises(InputError, match=rf"probing.csv:{row + 1}: error: the probe is at K1, not at K2"):
+        solved(job)
+
+
+def test_angles_in_rad_are_named(tmp_path: Path) -> None:
+    job, rows = probings(tmp_path)
+    at = rows[0].index("c_deg")
+    turned = [[*cells[:at], str(float(cells[at]) * sim.DEG), *cells[at + 1 :]] for cells in rows[1:]]
+    rewritten(tmp_path, [rows[0], *turned])
+    with pytest.raises(UndeterminedError, match="is the column `c_deg` in rad"):
+        solved(job)
+
+
+@pytest.mark.slow
+def test_a_wrong_sense_is_named_by_lengths_too(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
+    rng = np.random.default_rng(13)
+    machine = sim.drawn(sim.KINDS["head-table"], rng)
+    machine.tables = {name: 0 * values for name, values in machine.tables.items()}
+    machine.places |= dict.fromkeys(("A0Z", "B0Z", "C0Y"), 0.0)
+    job = sim.tracked(tmp_path, machine, rng, 40, (1e-4, 0.0, 0.0), stations=4)
+    text = job.read_text().replace("estimate: all", "estimate: locations")
+    assert "periodic: true, sense: 1" in text
+    job.write_text(text.replace("periodic: true, sense: 1", "periodic: true, sense: -1"))
+    ran = metrocli("calibrate-machine", job)
+    assert ran.code == 3
+    assert "C counts the other way" in ran.err and "write sense: 1" in ran.err

@@ -12,9 +12,11 @@ import numpy as np
 
 from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array, Index
+from metrocli.errors import InputError
 from metrocli.instruments import tracer as t
 from metrocli.instruments.axes.kinematics import reach
 from metrocli.instruments.axes.rotary import gauge
+from metrocli.instruments.machine import Machine
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support
 from metrocli.tasks.calibrate_machine.files import NO_FILES, Files
@@ -35,6 +37,8 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Proble
     Raises InputError if the lengths do not belong to the commanded points, and UndeterminedError if a station reads too
     few of them.
     """
+    if "length" not in table:
+        raise InputError([table.fault("the column 'length_mm' is missing", "it holds what the interferometers read")])
     machine = machine_of(settings)
     blocks = error_blocks(machine, settings)
     position = commanded(machine, table)
@@ -63,7 +67,7 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Proble
     extent = float(np.ptp(places, axis=0).max()) or 1.0
     seen = Seen(read_by, np.arange(len(table)), places, table.numbers("length"), extent, file=table.file)
     station_block = t.tracer_block(
-        places_of(seen), read_by.names, read_by.free(False, settings.scale is not None), extent
+        _places(seen, machine), read_by.names, read_by.free(False, settings.scale is not None), extent
     )
     if not machine.turns:
         refuse_backwards(station_block.values[:, :3], seen)
@@ -97,6 +101,20 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Proble
         said=read_by.said,
         sees_bed=machine.turns and on == BED,
     )
+
+
+def _places(seen: Seen, machine: Machine) -> Array:
+    """Return the places of the stations at the start; raises InputError if no place fits their lengths.
+
+    Where axes turn, chain, sense or `at` may be wrong: a fault that asks nothing lets a task try them.
+    """
+    try:
+        return places_of(seen)
+    except InputError as error:
+        if not machine.turns:
+            raise
+        faults = [replace(one, hint=None) if (one.hint or "").endswith("?") else one for one in error.faults]
+        raise InputError(faults) from error
 
 
 def stop_names(stops: Index, points: np.typing.NDArray[np.str_], time: Array | None) -> list[str]:

@@ -6,19 +6,23 @@ It is zero for a touch probe, since its commanded position is where it found the
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
 import numpy as np
 
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
-from metrocli.arrays import Array
-from metrocli.errors import InputError
+from metrocli.arrays import Array, Index
+from metrocli.errors import Fault, InputError
 from metrocli.instruments.axes.error_motion import Undisturbed
-from metrocli.instruments.axes.kinematics import OF_TOOL, OF_WORKPIECE, FromBed, axes_of, seen_from_bed
+from metrocli.instruments.axes.kinematics import OF_TOOL, OF_WORKPIECE, ON_WORKPIECE, FromBed, axes_of, seen_from_bed
 from metrocli.instruments.axes.rotary import gauge
 from metrocli.instruments.machine import Machine
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support
+from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support, raise_if
+from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.targets import Targets, balls_of, with_distances
 from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import Settings
@@ -29,12 +33,14 @@ _FAR = 20.0
 """A ball that the nominal machine places farther from the probe than this [mm] is not the one that was probed"""
 
 
-def probing(settings: Settings, table: Table, balls: Table, distances: Table | None = None) -> Problem:
+def probing(settings: Settings, table: Table, files: Files) -> Problem:
     """Return the adjustment problem; raises InputError if poses, balls and tools do not belong together."""
+    if files.balls is None:
+        raise InputError("probing needs the approximate places of the balls: `inputs: {balls: balls.csv}`")
     machine = machine_of(settings)
     blocks = error_blocks(machine, settings)
     position = commanded(machine, table)
-    found = with_distances(balls_of(settings, blocks, table, balls), distances)
+    found = with_distances(balls_of(settings, blocks, table, files.balls), files.distances)
     must_support(machine, position, blocks)
     read = displacements(table)
     _must_meet(machine, position, found, read, table)
@@ -58,6 +64,7 @@ def probing(settings: Settings, table: Table, balls: Table, distances: Table | N
         machine,
         np.ones(n),
         tuple(names[i] for i in np.unique(found.tool)),
+        found.read_once,
     )
 
 
@@ -87,13 +94,40 @@ def keys_of(table: Table) -> dict[str, tuple[str, ...]]:
 
 
 def _must_meet(machine: Machine, position: Array, found: Targets, read: Array, table: Table) -> None:
-    """Raise InputError if balls are not where the probe found them."""
-    tools = seen_from_bed(machine, position, machine.tools[found.tool].T, True)
-    balls = found.places(machine, position, "bed")
-    off = np.linalg.norm(balls - tools - read, axis=0)
-    if np.median(off) > _FAR:
+    """Raise InputError if balls are not where the probe found them, or have the names of others."""
+    tools = seen_from_bed(machine, position, machine.tools[found.tool].T, True) + read
+    off = np.linalg.norm(found.places(machine, position, "bed") - tools, axis=0)
+    if (off <= _FAR).all():
+        return
+    balls = found.blocks[ON_WORKPIECE]
+    places = (np.broadcast_to(ball[:, None], tools.shape) for ball in balls.values)
+    gaps = np.array([np.linalg.norm(seen_from_bed(machine, position, own, False) - tools, axis=0) for own in places])
+    at, meets = gaps.argmin(axis=0), gaps.min(axis=0) <= _FAR
+    if meets.mean() > 0.5:
+        wrong = np.flatnonzero(meets & (off > _FAR))
+        raise_if(_of_other_names(found.fixed, at, wrong, balls.members, table))
+    elif np.median(off) > _FAR:
         # a fault without a hint: a task then tries what may be wrong in the settings
         text = f"the probe is {np.median(off):.0f} mm from the listed balls in the median pose: chain, sense or `at` of"
         raise InputError(
             [table.fault(f"{text} the rotary axes, or the list of the balls, are those of another machine")]
         )
+
+
+def _of_other_names(named: Index, at: Index, wrong: Index, names: Sequence[str], table: Table) -> Iterator[Fault]:
+    """Yield faults of rows in which the probe is at another ball than the named one."""
+    for one, other in combinations(range(len(names)), 2):
+        both = np.isin(named, (one, other))
+        if np.isin(np.flatnonzero(both), wrong).all() and (at[both] == one + other - named[both]).all():
+            text = (
+                f"{names[one]} and {names[other]} are exchanged: the probe finds each at the listed place of the other"
+            )
+            yield table.fault(text, "exchange their names in the list of the balls, or in the column `ball`")
+            wrong = wrong[~both[wrong]]
+    for row in wrong[:5].tolist():
+        text = (
+            f"the probe is at {names[at[row]]}, not at {names[named[row]]}, as the machine and the listed balls have it"
+        )
+        yield table.fault_at(row, text, "is the name of the ball right?")
+    if len(wrong) > 5:
+        yield table.fault(f"and {len(wrong) - 5} more such rows")

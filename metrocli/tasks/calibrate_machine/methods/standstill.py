@@ -76,6 +76,7 @@ def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Pr
         machine,
         np.ones(position.shape[1]),
         found.used(names),
+        found.read_once,
         sees_bed=machine.turns and on == BED,
     )
 

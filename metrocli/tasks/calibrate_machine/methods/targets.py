@@ -30,7 +30,7 @@ from metrocli.tasks.calibrate_machine.described import tool_prior
 from metrocli.tasks.calibrate_machine.problem import tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.lists import matched, refuse, sigmas
-from metrocli.words import suggestion
+from metrocli.words import listed, suggestion
 
 BED, WORKPIECE = "bed", "workpiece"
 _REACH = 100.0
@@ -67,6 +67,19 @@ class Targets:
         """The shares of workpiece and tool in the point that is read."""
         share = self.on_workpiece.astype(float)
         return {OF_WORKPIECE: share, OF_TOOL: 1 - share}
+
+    @property
+    def read_once(self) -> tuple[str, ...]:
+        """A warning of points on the workpiece that have one reading, where nothing else is known of their places."""
+        if not self.workpiece or any(ON_WORKPIECE in group.chain.blocks for group in self.others):
+            return ()
+        block = self.blocks[ON_WORKPIECE]
+        counts = np.bincount(self.fixed[self.on_workpiece], minlength=len(block.members))
+        names = [block.members[i] for i in np.flatnonzero(counts == 1)]
+        if not names:
+            return ()
+        told = f"{listed(names)} {'has one reading each' if names[1:] else 'has one reading'}"
+        return (f"{told}: it gives the place of the {block.noun}, and nothing of the machine",)
 
     def first_seen(self, table: Table) -> dict[str, Array]:
         """Return when the target of each reading was read for the first time, if the file has times."""
@@ -155,10 +168,24 @@ def met_again(
         return {}
     position = np.stack([given[axis.coordinate] for axis in machine.axes])
     ball = blocks[ON_WORKPIECE].values[observations.index[ON_WORKPIECE]].T
-    tip = machine.tools[observations.index[TOOL]].T
+    met = brought_to(machine, position, ball, machine.tools[observations.index[TOOL]].T)
+    return {
+        axis.coordinate: own for axis, own in zip(machine.axes, met, strict=True) if not isinstance(axis, RotaryAxis)
+    }
+
+
+def brought_to(machine: Machine, position: Array, ball: Array, tip: Array) -> Array:
+    """Return positions (axes, n) at which linear axes bring tips (3, n) to balls on the workpiece, without errors."""
     moved = seen_from_bed(machine, position, ball, False) - seen_from_bed(machine, position, tip, True)
-    linear = [axis for axis in machine.axes if not isinstance(axis, RotaryAxis)]
-    return {axis.coordinate: given[axis.coordinate] + moved[axis.number] for axis in linear}
+    return moved_by(machine, position, moved)
+
+
+def moved_by(machine: Machine, position: Array, way: Array) -> Array:
+    """Return positions (axes, n) whose linear axes are moved by ways (3, n) along x, y and z."""
+    linear = [i for i, axis in enumerate(machine.axes) if not isinstance(axis, RotaryAxis)]
+    found = np.array(position)
+    found[linear] += way[[machine.axes[i].number for i in linear]]
+    return found
 
 
 def _with_tools(tools: Block, listed: Table, chosen: Mask) -> tuple[Block, list[Group]]:

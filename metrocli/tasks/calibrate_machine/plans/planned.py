@@ -15,7 +15,7 @@ from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.axes.kinematics import reach
-from metrocli.instruments.machine import ALL_NAMES, TOOL, Machine
+from metrocli.instruments.machine import TOOL, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.tracker import LEG, TRACKER, leg_block, path_chain, tracker_block
 from metrocli.nc_program import Block as NcBlock
@@ -48,7 +48,7 @@ _NODES, _WEIGHTS = np.array([-_GAUSS, 0.0, _GAUSS]) / 2 + 0.5, np.array([5.0, 8.
 def planned_problem(settings: Settings, plan: PathPlan, path: Path) -> Problem:
     """Return the adjustment problem of a planned path, with readings at the three Gauss nodes of each cell."""
     machine = machine_of(settings)
-    pose = tracker_pose(machine, plan)
+    pose = tracker_pose(machine.low, machine.high, plan)
     rotation = poses.rotation_of(pose)
     blocks: dict[str, Block] = {
         **error_blocks(machine, settings),
@@ -76,13 +76,13 @@ def planned_problem(settings: Settings, plan: PathPlan, path: Path) -> Problem:
     return Problem(model_of(blocks, group, tool_prior(blocks, settings)), machine, length, used)
 
 
-def tracker_pose(machine: Machine, plan: PathPlan) -> Array:
-    """Return the unrotated pose of the tracker, at the place in the settings or at a default place beside the volume.
+def tracker_pose(low: Array, high: Array, plan: PathPlan) -> Array:
+    """Return the unrotated pose of the tracker, at the place in the settings or at a default place beside a volume.
 
-    The default place lies beyond the low ends of X and Y, by 1.5 and 1.2 times the longest axis.
+    The default place lies beyond the low ends of X and Y, by 1.5 and 1.2 times the longest side.
     """
-    size = machine.high - machine.low
-    place = machine.low - np.array([1.5, 1.2, -0.5]) * size.max() if plan.tracker is None else np.array(plan.tracker)
+    size = high - low
+    place = low - np.array([1.5, 1.2, -0.5]) * size.max() if plan.tracker is None else np.array(plan.tracker)
     return np.concatenate([place, np.zeros(3)])
 
 
@@ -186,7 +186,7 @@ def _own(settings: Settings, wanted: PathPlan, path: Path) -> list[str]:
 
 def predicted_errors(tables: Tables, identified: Identifiability) -> Table:
     """Return for each error whether it will be determined, and its largest standard uncertainty."""
-    names = [name for name in ALL_NAMES if identified.status[name] != Determination.NOT_ESTIMATED]
+    names = [name for name in identified.names if identified.status[name] != Determination.NOT_ESTIMATED]
     std = [tables.of(name)[2].max() for name in names]
     open_ones = np.array([identified.status[name] == Determination.UNDETERMINED for name in names])
     return Table.of(

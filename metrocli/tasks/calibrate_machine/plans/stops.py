@@ -8,7 +8,6 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.errors import UndeterminedError
-from metrocli.geometry import poses
 from metrocli.instruments.machine import POSITION
 from metrocli.instruments.six_dof import CHANNELS
 from metrocli.nc_program import Block as NcBlock
@@ -17,6 +16,8 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import machine_of
+from metrocli.tasks.calibrate_machine.files import NO_FILES
+from metrocli.tasks.calibrate_machine.methods.poses import without_errors
 from metrocli.tasks.calibrate_machine.methods.six_dof import planned_lines, six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, Worth, planned, tracker_pose, worth_of
@@ -112,14 +113,8 @@ def all_over(settings: Settings, count: int) -> Table:
 def _seen(settings: Settings, table: Table) -> Callable[[], Problem]:
     """Return a function that builds the adjustment of points, measured by a tracker on a machine without errors."""
     machine = machine_of(settings)
-    pose = tracker_pose(machine, settings.plan or PathPlan())
-
-    def problem() -> Problem:
-        vectors = np.array(list(settings.tools.values()))[tools_of(table, settings)]
-        seen = poses.apply(poses.inverse(pose), table.stacked(POSITION) + vectors)
-        return standstill(settings, table.joined({"mx my mz": seen}))
-
-    return problem
+    pose = tracker_pose(machine.low, machine.high, settings.plan or PathPlan())
+    return lambda: standstill(settings, without_errors(settings, table, NO_FILES, pose)[0])
 
 
 def _worth(settings: Settings, problem: Callable[[], Problem]) -> Worth | UndeterminedError:

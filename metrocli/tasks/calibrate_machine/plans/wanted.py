@@ -32,7 +32,7 @@ class PathPlan:
     time: float = setting(Quantity("time", positive=True), "lengths: longest measurement", default=4 * 3600.0)
     uncertainty: float | None = setting(
         Quantity("length", positive=True),
-        "lengths: wanted standard uncertainty of the error vector, over the volume (default: the least in the time)",
+        "lengths, rotary axes: wanted standard uncertainty of the error vector over the volume",
         default=None,
     )
     setup: float = setting(Quantity("time", minimum=0.0), "lengths: time to set up a station", default=900.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +13,7 @@ from metrocli.adjust.dense_jacobian import Unknowns
 from metrocli.adjust.model.blocks import Block
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
-from metrocli.instruments.axes.kinematics import ON_WORKPIECE
+from metrocli.instruments.axes.kinematics import OF_WORKPIECE, ON_WORKPIECE
 from metrocli.instruments.machine import ANGLES, Machine
 from metrocli.instruments.tracer import TRACER
 from metrocli.tasks.calibrate_machine.layout import cure_of, line_of
@@ -88,7 +89,7 @@ def _known(problem: Problem, opened: OpenDirections, directions: Array) -> Itera
     if not machine.turns:
         return
     if ON_WORKPIECE in problem.blocks:
-        yield from _few_points(problem.blocks[ON_WORKPIECE], machine, names)
+        yield from _few_points(_controlling(problem), machine, names)
     elif problem.sees_bed and tables:
         what = " and ".join(tables)
         yield (
@@ -100,6 +101,22 @@ def _known(problem: Problem, opened: OpenDirections, directions: Array) -> Itera
             "  EXX, EYY and EZZ share a scale with the places of the axes and of what is probed that no reading shows: "
             "one calibrated distance closes it (`inputs: distances`)"
         )
+
+
+def _controlling(problem: Problem) -> Block:
+    """Return the points on the workpiece without those of which nothing is known but one reading."""
+    points, (readings, *others) = problem.blocks[ON_WORKPIECE], problem.groups
+    given = readings.observations
+    seen = given.index[ON_WORKPIECE][given.conditions[OF_WORKPIECE] != 0]
+    often = np.bincount(seen, minlength=len(points.members)) > 1
+    if often.all() or not often.any() or any(ON_WORKPIECE in group.chain.blocks for group in others):
+        return points
+    return replace(
+        points,
+        values=points.values[often],
+        free=points.free[often],
+        members=tuple(np.array(points.members)[often].tolist()),
+    )
 
 
 def _few_points(points: Block, machine: Machine, names: set[str]) -> Iterator[str]:

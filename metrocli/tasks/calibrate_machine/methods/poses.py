@@ -1,0 +1,170 @@
+"""Poses of a machine with rotary axes before its measurement, and what it would read there if it had no errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.arrays import Array, Index, Mask
+from metrocli.errors import InputError
+from metrocli.geometry import poses
+from metrocli.instruments.axes.rotary import RotaryAxis
+from metrocli.instruments.machine import ANGLES, AXES, Machine
+from metrocli.instruments.machine_path import last_sides
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of
+from metrocli.tasks.calibrate_machine.files import Files
+from metrocli.tasks.calibrate_machine.methods.lengths import lengths
+from metrocli.tasks.calibrate_machine.methods.probing import probing
+from metrocli.tasks.calibrate_machine.methods.standstill import CARTESIAN, standstill
+from metrocli.tasks.calibrate_machine.methods.targets import brought_to, targets
+from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, STANDSTILL, MachineSimulation, Settings
+from metrocli.tasks.shared.environment import air_of
+from metrocli.tasks.shared.lists import listed_places, matched
+
+STATIONS = 4
+AROUND = np.array([[-0.4, -0.4, 0.1], [1.4, -0.3, 0.8], [1.3, 1.4, 0.0], [-0.4, 1.3, 1.0], [0.5, -0.9, 1.2]])
+"""Places of stations that no list has, as shares of the extent of what they read"""
+_GOLDEN = (np.sqrt(5) - 1) / 2
+_FIRST_TEMPERATURE = 20.0
+"""At the first reading [degC] (ISO 1)"""
+_TIGHT = 3
+"""Decimals of poses [mm, deg]"""
+
+PROBLEMS: Mapping[str, Callable[[Settings, Table, Files], Problem]] = {
+    STANDSTILL: standstill,
+    LENGTHS: lengths,
+    PROBING: probing,
+}
+"""The adjustment problem of a table, by the method that reads rotary axes in any pose"""
+
+
+def poses_at(settings: Settings, files: Files, shares: Array, margin: float = 1.0) -> Table:
+    """Return poses at shares (axes, n) of all ranges, with what is read there: tools, reflectors, balls, stations.
+
+    The linear axes bring the probe to its ball; poses in which it would be nearer than `margin` to the end of their
+    travel are left out. Raises InputError if no pose is left.
+    """
+    machine = machine_of(settings)
+    position = _rounded(machine, machine.low[:, None] + (machine.high - machine.low)[:, None] * shares)
+    if settings.method == PROBING:
+        return _at_balls(settings, files, position, margin)
+    n, names = shares.shape[1], _read(settings, files)
+    point = {"point [text]": np.array([f"P{i + 1:03d}" for i in range(n)])}
+    table = Table.of(point | _columns(machine, position) | ({} if names == [""] else {"tool": _in_turn(names, n)}))
+    if settings.method != LENGTHS:
+        return table
+    listed = files.listed_stations
+    stations = [f"S{i + 1}" for i in range(STATIONS)] if listed is None else listed.texts("station")
+    again = np.tile(np.arange(n), len(stations))
+    every = Table({name: column[again] for name, column in table.columns.items()}, table.units)
+    return every.joined({"station": np.repeat(np.array(stations), n)})
+
+
+def without_errors(settings: Settings, table: Table, files: Files, tracker: Array) -> tuple[Table, Files]:
+    """Return poses with what a machine without errors would read, and the files with the stations that read it.
+
+    `tracker` is the pose of the tracker in the axes of what it stands on.
+    """
+    if settings.method == PROBING:
+        return table, files
+    places = places_read(settings, table, files)
+    if settings.method == STANDSTILL:
+        seen = poses.apply(poses.inverse(tracker), places.T)
+        return table.joined({" ".join(CARTESIAN) + " [mm]": seen}), files
+    names = list(dict.fromkeys(table.texts("station")))
+    given = files.listed_stations
+    stations = listed_places("station", names, around(places, len(names))) if given is None else given
+    files = replace(files, stations=stations)
+    listed = stations.texts("station")
+    station = matched(table, "station", listed, stations.file)
+    path = np.linalg.norm(places - stations.stacked("xyz")[station].T, axis=0)
+    first = np.array([int(np.argmax(station == i)) for i in range(len(listed))])
+    air = air_of(settings.environment, table, "station")
+    return table.joined({"length [mm]": (path - path[first][station]) / (1.0 if air is None else air.towards)}), files
+
+
+def places_read(settings: Settings, table: Table, files: Files) -> Array:
+    """Return the places (3, n) of the targets on a machine without errors, in the axes of what the instrument is on."""
+    machine = machine_of(settings)
+    found = targets(settings, error_blocks(machine, settings), table, files.reflectors)
+    return found.places(machine, commanded(machine, table), settings.instrument.on)
+
+
+def around(places: Array, count: int) -> Array:
+    """Return places (count, 3) around others (3, n), at different heights."""
+    low, high = places.min(axis=1), places.max(axis=1)
+    return np.asarray(low + (high - low) * AROUND[np.arange(count) % len(AROUND)])
+
+
+def clock(simulation: MachineSimulation, count: int) -> dict[str, Array]:
+    """Return the times of successive readings, and their temperatures if it gets warmer."""
+    number = np.arange(float(count))
+    warm = _FIRST_TEMPERATURE + simulation.warming * number / max(count - 1, 1)
+    return {"t": number * simulation.interval} | ({"temp": warm} if simulation.warming else {})
+
+
+def sides_of(names: Sequence[str], position: Array, time: Array) -> dict[str, Array]:
+    """Return by name from which sides the axes come to positions (axes, n), in the order of time; first from below."""
+    order = np.argsort(time, kind="stable")
+    moves = np.diff(position[:, order], axis=1, prepend=position[:, order[:1]] - 1)
+    return {name: last_sides(own)[np.argsort(order)] for name, own in zip(names, moves, strict=True)}
+
+
+def in_degrees(table: Table) -> Table:
+    """Return a table whose columns of rotary axes and of angles of a tracker are in degrees, as people read them."""
+    angles = [name for name in ("a", "b", "c", "azimuth", "elevation") if name in table]
+    return table.joined({f"{name} [deg]": np.degrees(table.numbers(name)) for name in angles})
+
+
+def _at_balls(settings: Settings, files: Files, position: Array, margin: float) -> Table:
+    """Return poses in which each tool is at each ball."""
+    if files.balls is None:
+        raise InputError("give the approximate places of the balls: `inputs: {balls: balls.csv}`")
+    machine, balls, tools = machine_of(settings), files.balls.texts("ball"), list(settings.tools)
+    pair = _number_in_turn(len(balls) * len(tools), position.shape[1])
+    ball, tool = pair % len(balls), pair // len(balls)
+    tip = machine.tools[tool].T
+    met = brought_to(machine, position, files.balls.stacked("xyz")[ball].T, tip)
+    fits = _inside(machine, met, margin)
+    if not fits.any():
+        text = f"in none of {len(fits)} poses does a tool reach a listed ball within the travel of X, Y and Z"
+        raise InputError([files.balls.fault(text, "check the places of the balls, the tools and `at`")])
+    named = {"ball [text]": np.array(balls)[ball[fits]], **_columns(machine, _rounded(machine, met[:, fits]))}
+    return Table.of(named | ({} if tools == [""] else {"tool": np.array(tools)[tool[fits]]}))
+
+
+def _inside(machine: Machine, position: Array, margin: float) -> Mask:
+    gap = np.array([0.0 if isinstance(axis, RotaryAxis) else margin for axis in machine.axes])
+    low, high = (machine.low + gap)[:, None], (machine.high - gap)[:, None]
+    return np.asarray(((position >= low) & (position <= high)).all(axis=0))
+
+
+def _read(settings: Settings, files: Files) -> list[str]:
+    """Return the names of the tools and reflectors that are read."""
+    return [*settings.tools, *([] if files.reflectors is None else files.reflectors.texts("reflector"))]
+
+
+def _in_turn(names: list[str], count: int) -> np.typing.NDArray[np.str_]:
+    return np.array(names)[_number_in_turn(len(names), count)]
+
+
+def _number_in_turn(members: int, count: int) -> Index:
+    """Return members in turn, by a sequence that no share of a range follows (multiples of the golden ratio)."""
+    return np.asarray(np.floor(members * np.mod(np.arange(1, count + 1) * _GOLDEN, 1.0)), dtype=np.intp)
+
+
+def _columns(machine: Machine, position: Array) -> dict[str, Array]:
+    return {
+        f"{axis.letter.lower()} [{'rad' if axis.letter in ANGLES else 'mm'}]": own
+        for axis, own in zip(machine.axes, position, strict=True)
+    }
+
+
+def _rounded(machine: Machine, position: Array) -> Array:
+    """Return positions (axes, n) as a control shows them."""
+    linear = np.array([axis.letter in AXES for axis in machine.axes])[:, None]
+    return np.where(linear, np.round(position, _TIGHT), np.radians(np.round(np.degrees(position), _TIGHT)))
