@@ -15,6 +15,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+import numpy.typing as npt
 
 from metrocli.adjust.model.observations import Observations
 from metrocli.geometry import poses
@@ -40,7 +41,17 @@ TRUTH = {
 NOISE = 0.02
 
 
-def scene(views: int, seed: int) -> tuple[Sighted, Targets]:
+Projection = Callable[[npt.NDArray[np.float64], npt.NDArray[np.float64]], tuple[object, object]]
+"""Takes x/z and y/z of points in the frame of the camera; returns u and v"""
+
+
+def pinhole(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> tuple[object, object]:
+    """Return the image of points by the true lens."""
+    u, v = image_point(TRUTH, x, y)
+    return u, v
+
+
+def scene(views: int, seed: int, project: Projection = pinhole) -> tuple[Sighted, Targets]:
     """Return the image points of a 10 x 10 board in `views` random poses, with noise."""
     rng = np.random.default_rng(seed)
     grid = np.stack(np.meshgrid(np.arange(10) * 25.0, np.arange(10) * 25.0), axis=-1).reshape(-1, 2)
@@ -50,7 +61,7 @@ def scene(views: int, seed: int) -> tuple[Sighted, Targets]:
     aim = np.column_stack([rng.uniform(-40, 40, (views, 2)), rng.uniform(480, 700, views)])
     board = poses.pose_from_euler(np.zeros((views, 3)), angles)
     centred = poses.apply(board[:, None], points - points.mean(axis=0)) + aim[:, None]
-    u, v = image_point(TRUTH, centred[..., 0] / centred[..., 2], centred[..., 1] / centred[..., 2])
+    u, v = map(np.asarray, project(centred[..., 0] / centred[..., 2], centred[..., 1] / centred[..., 2]))
     uv = np.stack([u.ravel(), v.ravel()]) + rng.normal(0, NOISE, (2, views * 100))
     view, target = np.repeat(np.arange(views), 100), np.tile(np.arange(100), views)
     names = tuple(f"I{i:04d}" for i in range(views))

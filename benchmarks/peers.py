@@ -63,6 +63,10 @@ PAIRS = (
     Pair(CAMERA.format(500), "cameras", "ours", "opencv", 500, "opencv-python-headless", 0.8, quick=False),
     Pair(CAMERA.format(1000), "cameras", "ours", "opencv", 1000, "opencv-python-headless", 0.8, quick=False),
     Pair(
+        "fisheye, 100 views of 100 points: the same", "cameras", "ours_fisheye", "opencv_fisheye", 100,
+        "opencv-python-headless", 1.0,
+    ),
+    Pair(
         "13 real images of a board, whole command; peer: SB finder", "boards", "ours", "opencv_sb", 13,
         "opencv-python-headless", 1.0,
     ),
@@ -81,6 +85,7 @@ PAIRS = (
     Pair("the same, 500 jobs", "idle", "ours", "make", 500, "make", 30.0, quick=False),
     Pair("the same, 500 jobs", "idle", "ours", "doit", 500, "doit", quick=False),
     Pair("the same, 500 jobs", "idle", "ours", "snakemake", 500, "snakemake", quick=False),
+    Pair("the same, 50 jobs", "idle", "ours", "dvc", 50, "dvc", quick=False),
 )  # fmt: skip
 
 

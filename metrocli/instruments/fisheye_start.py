@@ -14,6 +14,8 @@ from metrocli.instruments.lenses.lens import direction, equidistant, image_point
 
 _TRIED = np.geomspace(0.12, 1.6, 12)
 """Focal lengths to try, in units of the longer side of the image: it then spans from 480 down to 36 degrees"""
+_SOME = 16
+"""Views with which focal lengths are tried"""
 _WIDEST = np.cos(np.radians(80))
 """Cosine of the angle from the middle of a view beyond which points do not enter its start"""
 
@@ -24,8 +26,20 @@ def start_of_fisheye(scene: Scene, lens: Mapping[str, float], focal: float | Non
     `lens` has what is known of the lens, `side` is the longer side of the image [px]. The focal length with which the
     median image point is nearest is taken.
     """
-    tried = [focal] if focal else (_TRIED * side).tolist()
-    return min(((one, *_posed(scene, {**lens, "f": one})) for one in tried), key=lambda each: each[2])[:2]
+    if not focal:
+        some = _of_some_views(scene)
+        focal = min((_TRIED * side).tolist(), key=lambda one: _posed(some, {**lens, "f": one})[1])
+    return focal, _posed(scene, {**lens, "f": focal})[0]
+
+
+def _of_some_views(scene: Scene) -> Scene:
+    """Return the readings of views that are spread over all: they determine the focal length well enough."""
+    present = np.unique(scene.view)
+    chosen = present[np.unique(np.linspace(0, len(present) - 1, _SOME).astype(int))]
+    number = np.full(scene.views, -1)
+    number[chosen] = np.arange(len(chosen))
+    part = scene.selected(number[scene.view] >= 0)
+    return Scene(part.points, part.uv, part.target, number[part.view], len(chosen))
 
 
 def _posed(scene: Scene, lens: Mapping[str, float]) -> tuple[Array, float]:
