@@ -144,7 +144,7 @@ def _cameras(system: System, solution: Solution) -> Table:
     change = poses.euler_form_by_step(mount.values)
     each = solution.covariance_or_raise().members(camera.MOUNT)
     std = np.sqrt(np.maximum(np.einsum("vab,vbc,vac->va", change, each, change), 0.0))
-    pairs = np.swapaxes(np.stack([poses.euler_form(mount.values), std], axis=2), 0, 1)
+    pairs = np.swapaxes(np.stack([poses.euler_form(mount.values) + 0.0, std], axis=2), 0, 1)
     headings = [f"{name} s_{name} [{unit}]" for name, unit in zip(poses.EULER, POSE_UNITS, strict=True)]
     sizes = np.array([system.size(name) for name in mount.members])
     own = {"camera [text]": mount.members, "image_width": sizes[:, 0], "image_height": sizes[:, 1]}
