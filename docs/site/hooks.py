@@ -30,6 +30,7 @@ FIRST = (
     "imports",
     "automation",
     "papers",
+    "benchmarks",
     "adding",
 )
 """Pages of the first section, in the order in which a newcomer needs them"""
