@@ -196,7 +196,7 @@ def main(arguments: list[str]) -> int:
         rows.append(measured(pair, FEW if quick else RUNS))
         print(" | ".join(rows[-1].cells), flush=True)
     if not arguments:
-        about = [f"Measured {datetime.now(UTC):%Y-%m-%d} by `make bench-peers`, five runs in turn, CPU seconds:"]
+        about = ["", f"Measured {datetime.now(UTC):%Y-%m-%d} by `make bench-peers`, five runs in turn, CPU seconds:"]
         about += [f"{machine()}, Python {platform.python_version()}, numpy {version_of('numpy')}.", ""]
         head, _, rest = PAGE.read_text(encoding="utf-8").partition(MARK)
         truth = TRUTH + rest.partition(TRUTH)[2]

@@ -31,7 +31,7 @@ def suncal(trials: int) -> Work:
     program: Any = importlib.import_module("suncal")
     model = program.Model(f"l = {MODEL}")
     for name, (value, std, dof) in T.items():
-        model.var(name).measure(value).typeb(dist="t", unc=std, k=1, degf=dof)
+        model.var(name).measure(value).typeb(dist="t", scale=std, df=dof)
     model.var("as_").measure(11.5e-6).typeb(dist="uniform", a=2e-6)
     model.var("t0").measure(-0.1).typeb(dist="normal", unc=0.2, k=1)
     model.var("Delta").measure(0).typeb(dist="arcsine", a=0.5)
