@@ -40,6 +40,8 @@ LENGTHS = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4)
 """Lengths of correlation that are tried, as shares of the largest range of a unit: what is slower is a drift"""
 _RESOLVED = 0.6
 """Least length of correlation, in distances of the knots"""
+_SMOOTH = 1e-4
+"""Share of the squares of its largest direction below which a direction of a smooth effect is left out"""
 _MOST_DENSE = 10_000_000
 """Numbers of the columns of a family that are held as one table"""
 
@@ -213,6 +215,10 @@ class Measurement:
         rows = self.system.rows
         columns = [one.columns.whole(range(one.columns.count), rows) for one in self.scatters[number]]
         every = np.concatenate([one.reshape(rows, -1) for one in columns], axis=1)
+        if self.scatters[number][0].alternatives[0].effect.is_smooth:
+            # a turn of the coefficients leaves them independent; most directions of a smooth shape are too small to see
+            values, vectors = np.linalg.eigh(every.T @ every)
+            every = every @ vectors[:, values > _SMOOTH * values[-1]]
         norms = np.linalg.norm(every, axis=0)
         typical = float(np.median(norms[norms > 0])) if norms.any() else 1.0
         return Random(SCATTER, (number, 0, -1), every / typical, False, self.price_of_scatter, 30.0, 1 / typical)
