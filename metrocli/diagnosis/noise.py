@@ -66,7 +66,7 @@ def variance_groups(job: AdjustedJob, system: System) -> Iterator[tuple[str, str
     for name, rows in system.of_several_groups():
         yield READING, name, rows
     for group in job.model.groups:
-        if group.name not in job.model.measured and group.observations.count >= FEWEST:
+        if group.name not in job.model.measured and group.observations.readings.size >= FEWEST:
             yield DECLARED_SIGMA, group.name, system.rows_of(group)
 
 

@@ -17,6 +17,8 @@ from scipy.optimize import least_squares
 
 from metrocli.arrays import Array
 from metrocli.diagnosis.evidence.parts import SCATTER
+from metrocli.diagnosis.linear.linearised import linearised
+from metrocli.diagnosis.noise import DECLARED_SIGMA, variance_groups
 from metrocli.diagnosis.rounds import searched
 from metrocli.project.diagnosed import adjusted_job_of, carry_out, write_extended
 from metrocli.project.job import load
@@ -120,6 +122,9 @@ def test_a_job_with_a_shape_of_stated_size_has_it(tmp_path: Path, metrocli: Metr
     path.write_text(JOB.replace(", model: spline", "") + "effects: [{name: lens-shape, std: 0.5 px}]\n")
     ran = metrocli("calibrate-camera", path)
     assert ran.code == 0 and off(tmp_path / "camera.h5") < 0.15  # as with the spline; without 0.55
+    adjusted = adjusted_job_of(load(path))
+    given = [name for kind, name, _ in variance_groups(adjusted, linearised(adjusted.model)) if kind == DECLARED_SIGMA]
+    assert any("lens-shape" in name for name in given), "its stated size may be wrong apart from the noise of the corners"
 
 
 def test_a_fisheye_given_as_a_pinhole_is_named_and_extended(tmp_path: Path) -> None:
