@@ -31,7 +31,7 @@ class InputFile:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CriterionVerdict:
     """One acceptance criterion of a job (`require:`), the value it was applied to, and whether it is met."""
 
     name: str
@@ -63,7 +63,7 @@ class Record:
     metrocli_version: str
     created: str
     """Date and time in UTC, ISO 8601."""
-    verdicts: tuple[Verdict, ...] = ()
+    verdicts: tuple[CriterionVerdict, ...] = ()
     doubts: tuple[str, ...] = ()
     """Why the result must not be used; empty if nothing speaks against it."""
     meaning: str = ""

@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
@@ -53,7 +53,7 @@ def adjust_with_iterated_weights(
     """
     state = {block.name: block for block in blocks}
     for _ in range(_ROUNDS):
-        solution = adjust(state.values(), groups, datum, Control(1, covariance=False))
+        solution = adjust(state.values(), groups, datum, StoppingRule(1, covariance=False))
         state = dict(solution.blocks)
         change = turned = 0.0
         renewed = []
@@ -68,7 +68,7 @@ def adjust_with_iterated_weights(
         failed = solution.outcome not in (Outcome.CONVERGED, Outcome.ITERATION_LIMIT)
         if failed or (change < _SETTLED and turned < _STILL):
             break
-    return adjust(state.values(), groups, datum, Control(_STEPS))
+    return adjust(state.values(), groups, datum, StoppingRule(_STEPS))
 
 
 def with_aspects(group: Group, aspects: Mapping[str, Aspect], blocks: Mapping[str, Block]) -> tuple[Group, float]:

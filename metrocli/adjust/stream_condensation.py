@@ -75,7 +75,7 @@ def condense(x: Array, values: Array, cell: Index) -> Condensed:
 
 
 @dataclass(frozen=True)
-class _Parts:
+class _ScaledCells:
     """Scaling of each cell to -1..1, `u = (x - centre) / half`, with moments of its readings."""
 
     centre: Array
@@ -86,7 +86,7 @@ class _Parts:
     """Means of u^k (y - mean), (channels, cells, 3)"""
 
 
-def _moments(cells: _Cells) -> tuple[_Parts, Array]:
+def _moments(cells: _Cells) -> tuple[_ScaledCells, Array]:
     """Return the scaling, and the means of u^0 ... u^5 in each cell, (cells, 6)."""
     counts = cells.counts
     low, high = (function.reduceat(cells.x, cells.starts) for function in (np.minimum, np.maximum))
@@ -101,7 +101,7 @@ def _moments(cells: _Cells) -> tuple[_Parts, Array]:
         if k < _NODES:
             right.append(cells.sums(left * power) / counts)
         power = power * u
-    return _Parts(centre, half, mean, np.stack(right, axis=-1)), np.stack(moments, axis=-1)
+    return _ScaledCells(centre, half, mean, np.stack(right, axis=-1)), np.stack(moments, axis=-1)
 
 
 def _hankel(moments: Array, first: int) -> Array:
@@ -121,7 +121,7 @@ def _smallest_pivot(moments: Array) -> Array:
 _Piece = tuple[Index, Array, Array, Array]
 
 
-def _parabolas(cells: _Cells, parts: _Parts, moments: Array, chosen: Mask) -> _Piece:
+def _parabolas(cells: _Cells, parts: _ScaledCells, moments: Array, chosen: Mask) -> _Piece:
     """Return the fitted parabolas of the chosen cells at their Gauss nodes, with the Gauss weights.
 
     With M = R R' the moment matrix, the nodes are the eigenvalues of `R^-1 M1 R^-T`, M1 the moments one power up.
@@ -145,7 +145,7 @@ def _as_they_are(cells: _Cells, chosen: Mask) -> _Piece:
     return cells.cell[rows], cells.x[rows], cells.values[:, rows], np.ones(len(rows))
 
 
-def _means(cells: _Cells, parts: _Parts, chosen: Mask) -> _Piece:
+def _means(cells: _Cells, parts: _ScaledCells, chosen: Mask) -> _Piece:
     """Return one reading for each chosen cell: the means of position and values."""
     numbers = np.flatnonzero(chosen)
     where = cells.sums(cells.x)[numbers] / cells.counts[numbers]

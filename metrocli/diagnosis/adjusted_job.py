@@ -92,7 +92,7 @@ class Standing:
 
 
 @dataclass(frozen=True)
-class Part:
+class MemberSubset:
     """The local members whose readings are diagnosed, where all would take more memory than there is."""
 
     kind: str
@@ -194,7 +194,7 @@ class AdjustedJob:
     """How readings could be made again otherwise than before: in words, with their changed conditions"""
     offers: Callable[[Model], Iterable[tuple[str, Model]]] = field(default=lambda model: ())
     """Further measurements that the kind of job proposes: in words, with the model of that measurement"""
-    part: Part | None = None
+    part: MemberSubset | None = None
     """The part of a larger job that this is; None if it is whole"""
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
 from metrocli.diagnosis.correlated_error import CorrelatedError
-from metrocli.diagnosis.detectability import Design, design
+from metrocli.diagnosis.detectability import Detectability, design
 from metrocli.diagnosis.evidence.folds import gain_between, gains
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified, identified
@@ -29,9 +29,9 @@ from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, result_
 from metrocli.diagnosis.findings import Diagnosis, Finding, Unconfirmed
 from metrocli.diagnosis.laws.search import Law, with_laws
 from metrocli.diagnosis.linear.memory import as_fits
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.noise import Unit, noise_of
+from metrocli.diagnosis.noise import VarianceGroup, noise_of
 from metrocli.diagnosis.power.alike import separations
 from metrocli.diagnosis.residual_structure import REPEATS, PureError, RemainingStructure, pure_error
 from metrocli.diagnosis.rounds import searched
@@ -100,7 +100,7 @@ def diagnose(
         left=_left(state, correlated, laws, repeats, whole or gained[-1] if names else whole),
         before=strongest(first),
         after=strongest(state),
-        design=Design((), (), ()) if quick else design(state, noise.ratio),
+        design=Detectability((), (), ()) if quick else design(state, noise.ratio),
         separate_by=_separate(state.measurement.job, names),
         adjusts=fit is not None or not names,
         together=gained[-1] if len(names) > 1 else None,
@@ -166,9 +166,9 @@ def strongest(state: State) -> float:
     return float(np.exp(-max(max(nets) + _LEVEL, 0.0)))
 
 
-def _variance_groups(state: State) -> tuple[Unit, ...]:
+def _variance_groups(state: State) -> tuple[VarianceGroup, ...]:
     m = state.measurement
-    return tuple(Unit(*m.units[number][:2], ratio) for number, ratio in m.noise.items())
+    return tuple(VarianceGroup(*m.units[number][:2], ratio) for number, ratio in m.noise.items())
 
 
 def _findings(
@@ -256,7 +256,7 @@ def _size(state: State, one: Fixed) -> float:
     return float(np.sqrt((shown**2).mean())) if len(shown) else 0.0
 
 
-def what_can_be_seen(job: AdjustedJob) -> Design:
+def what_can_be_seen(job: AdjustedJob) -> Detectability:
     """Return what a measurement can detect; it does not depend on the residuals.
 
     Raises InputError if this needs more memory than there is.
@@ -265,7 +265,7 @@ def what_can_be_seen(job: AdjustedJob) -> Design:
     return design(State.of(replace(m, system=replace(m.system, residual=np.zeros(m.system.rows)))))
 
 
-def _linear_change(job: AdjustedJob, system: System, name: IdentifiedEffect) -> float:
+def _linear_change(job: AdjustedJob, system: Linearised, name: IdentifiedEffect) -> float:
     """Return the largest change of the delivered result by an effect, to first order."""
     alternative = name.alternative
     full = signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))

@@ -50,7 +50,7 @@ def _row(model: Model, added: Added, name: IdentifiedEffect) -> tuple[Block, int
 
 
 @dataclass(frozen=True)
-class Size:
+class EffectSize:
     """The estimate of one parameter of an effect."""
 
     parameter: Parameter
@@ -62,7 +62,7 @@ class Size:
     """Whether the readings determine it apart from the others; if not, `value` holds with the others taken as 0"""
 
 
-def sizes(job: AdjustedJob, name: IdentifiedEffect) -> tuple[Size, ...]:
+def sizes(job: AdjustedJob, name: IdentifiedEffect) -> tuple[EffectSize, ...]:
     """Return the estimated parameters of a named effect, with standard uncertainties for the noise that was found."""
     alternative = name.alternative
     block, row = _own_row(extended_model(job, [name]), name)
@@ -76,8 +76,11 @@ def sizes(job: AdjustedJob, name: IdentifiedEffect) -> tuple[Size, ...]:
         was = before.values[row, column] if before is not None and column < before.size else 0.0
         seen = bool(name.apart[at])
         spread = float(std[at] * by_step[column]) if seen else None
-        found.append(Size(known[key], float(block.values[row, column] - was), spread, seen))
-    return (*found, *(Size(known[key], value, None) for key, value in alternative.scanned if not known[key].place))
+        found.append(EffectSize(known[key], float(block.values[row, column] - was), spread, seen))
+    return (
+        *found,
+        *(EffectSize(known[key], value, None) for key, value in alternative.scanned if not known[key].place),
+    )
 
 
 def extended_fit(job: AdjustedJob, names: Sequence[IdentifiedEffect], kept: Mapping[str, Mask]) -> AdjustedJob | None:

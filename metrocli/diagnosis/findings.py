@@ -7,14 +7,14 @@ from enum import StrEnum
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
-from metrocli.diagnosis.detectability import Design
+from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
-from metrocli.diagnosis.extended_fit import Size
+from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.mistakes import Mistaken
-from metrocli.diagnosis.noise import Noise, Unit
+from metrocli.diagnosis.noise import NoiseRatio, VarianceGroup
 from metrocli.diagnosis.residual_structure import PureError, RemainingStructure
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.effects.effect import Effect
@@ -91,7 +91,7 @@ class Finding:
     """One effect that was identified."""
 
     effect: IdentifiedEffect
-    sizes: tuple[Size, ...]
+    sizes: tuple[EffectSize, ...]
     gain: Gain
     shift: float
     """Largest change of the delivered result by it"""
@@ -116,8 +116,8 @@ class Diagnosis:
     """The findings about the model of a job."""
 
     job: AdjustedJob
-    noise: Noise
-    noisier_units: tuple[Unit, ...]
+    noise: NoiseRatio
+    noisier_units: tuple[VarianceGroup, ...]
     outliers: tuple[Outlier, ...]
     findings: tuple[Finding, ...]
     left: RemainingStructure | None
@@ -125,7 +125,7 @@ class Diagnosis:
     """Significance level of the strongest structure before anything was named, counted over all that was tried"""
     after: float
     """Significance level of the strongest smooth structure left"""
-    design: Design
+    design: Detectability
     separate_by: tuple[str, ...]
     adjusts: bool = True
     """Whether the job can be adjusted with the named effects"""

@@ -8,10 +8,10 @@ from typing import Any, Literal
 
 from metrocli import units
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
+from metrocli.diagnosis.detectability import Detectability, DetectableCandidate, WrongReading
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
-from metrocli.diagnosis.hidden_change import POWER, HiddenChange
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.hidden_change import POWER, UndetectedBias
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.power.average_power import ScatterCandidate
 from metrocli.effects.effect import Effect
 
@@ -39,7 +39,7 @@ _SMALLEST = 0.01
 """Smallest number to which a usual size with a unit of its own is converted"""
 
 
-def status(candidate: Candidate, named: Iterable[IdentifiedEffect], decided: bool = True) -> str:
+def status(candidate: DetectableCandidate, named: Iterable[IdentifiedEffect], decided: bool = True) -> str:
     """Return the status of a candidate; one in the confidence set of an identified effect counts as named.
 
     So does another form of a named cause only if it explains the readings as well. `decided` is whether the search came
@@ -55,12 +55,12 @@ def status(candidate: Candidate, named: Iterable[IdentifiedEffect], decided: boo
     return Status.EXCLUDED if seen else Status.CANNOT_SEE
 
 
-def excluded_above(candidate: Candidate) -> float:
+def excluded_above(candidate: DetectableCandidate) -> float:
     """Return the size above which an effect is excluded: the larger of that detected and its upper bound."""
     return max(candidate.detectable, candidate.upper)
 
 
-def is_swallowed(candidate: Candidate) -> bool:
+def is_swallowed(candidate: DetectableCandidate) -> bool:
     """Whether what was found besides the unknowns leaves too little of a signature to tell it apart."""
     return candidate.share < _SWALLOWED
 
@@ -90,12 +90,12 @@ def reason_of_scatter(candidate: ScatterCandidate, word: str) -> str:
     return f"{said} a standard deviation of {least}"
 
 
-def _claims(name: IdentifiedEffect, alternative: Alternative) -> bool:
+def _claims(name: IdentifiedEffect, alternative: Candidate) -> bool:
     own = {name.alternative.form, *(other.alternative.form for other in name.forms)}
     return alternative.form in own or alternative.spot in spots(name) - {name.alternative.spot}
 
 
-def usual_seen(candidate: Candidate) -> bool | Literal["part"] | None:
+def usual_seen(candidate: DetectableCandidate) -> bool | Literal["part"] | None:
     """Return whether effects of usual sizes are detected; None if the usual sizes are not known."""
     usual = candidate.alternative.effect.usual_sizes
     if usual is None:
@@ -105,7 +105,7 @@ def usual_seen(candidate: Candidate) -> bool | Literal["part"] | None:
     return "part" if candidate.detectable <= usual[1] else False
 
 
-def reason(candidate: Candidate, word: str, structure: Sequence[str] = ()) -> str:
+def reason(candidate: DetectableCandidate, word: str, structure: Sequence[str] = ()) -> str:
     """Return the reason for a candidate's status, in words; `structure` are the covariates of correlated errors."""
     effect = candidate.alternative.effect
     parameter = effect.parameters[0]
@@ -127,7 +127,7 @@ def reason(candidate: Candidate, word: str, structure: Sequence[str] = ()) -> st
     return "" if word == Status.NAMED else f"excluded above {f'{size:.3g} {unit}'.strip()}; {seen_in_words(candidate)}"
 
 
-def seen_in_words(candidate: Candidate) -> str:
+def seen_in_words(candidate: DetectableCandidate) -> str:
     """Return in words how far the usual sizes of a candidate are detected."""
     usual = candidate.alternative.effect.usual
     if not usual:
@@ -152,7 +152,7 @@ def usual_beside(effect: Effect, size: float) -> str:
     return f"{units.two_digits(low)} to {units.two_digits(high)} {'' if unit == '1' else unit}".strip()
 
 
-def _hides(job: AdjustedJob, hidden: HiddenChange) -> dict[str, Any]:
+def _hides(job: AdjustedJob, hidden: UndetectedBias) -> dict[str, Any]:
     return delivered(job, hidden.size) | {"where": hidden.member, "power": POWER}
 
 
@@ -164,7 +164,7 @@ def delivered(job: AdjustedJob, value: float) -> dict[str, Any]:
 
 def candidates(
     job: AdjustedJob,
-    design: Design,
+    design: Detectability,
     named: Iterable[IdentifiedEffect],
     scattered: Sequence[str] = (),
     decided: bool = True,
@@ -202,7 +202,7 @@ def _wrong_reading(job: AdjustedJob, one: WrongReading) -> dict[str, Any]:
     }
 
 
-def _candidate(job: AdjustedJob, candidate: Candidate, word: str, structure: Sequence[str]) -> dict[str, Any]:
+def _candidate(job: AdjustedJob, candidate: DetectableCandidate, word: str, structure: Sequence[str]) -> dict[str, Any]:
     own = candidate.alternative
     return _open(own.effect, own.where, word, reason(candidate, word, structure)) | {
         "visible_share": candidate.visible,
@@ -211,7 +211,7 @@ def _candidate(job: AdjustedJob, candidate: Candidate, word: str, structure: Seq
     }
 
 
-def _sizes(candidate: Candidate) -> dict[str, Any]:
+def _sizes(candidate: DetectableCandidate) -> dict[str, Any]:
     """Return the size from which a candidate is excluded, and its usual sizes."""
     least = {"value": candidate.detectable, "unit": candidate.unit} if candidate.testable else None
     above = {"value": excluded_above(candidate), "unit": candidate.unit} if candidate.testable else None

@@ -12,13 +12,13 @@ from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
-from metrocli.diagnosis.detectability import Design
+from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import Rival
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
 from metrocli.diagnosis.laws.definition import written
 from metrocli.diagnosis.laws.search import Law
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.residual_structure import RemainingStructure
 from metrocli.diagnosis.status import candidates, delivered
@@ -124,7 +124,7 @@ def _short(values: Array) -> list[float]:
     return [float(f"{value:.6g}") for value in values.tolist()]
 
 
-def design_data(job: AdjustedJob, design: Design) -> dict[str, Any]:
+def design_data(job: AdjustedJob, design: Detectability) -> dict[str, Any]:
     """Return what a measurement can detect, as plain data."""
     return {"part": _part(job), "candidates": candidates(job, design, []), "alike": alike(design)}
 
@@ -182,7 +182,7 @@ def _scatter(job: AdjustedJob, one: RandomEffect) -> dict[str, Any]:
     }
 
 
-def _where(alternative: Alternative) -> dict[str, str]:
+def _where(alternative: Candidate) -> dict[str, str]:
     return alternative.where | dict(alternative.named)
 
 
@@ -229,7 +229,7 @@ def _rival(rival: Rival) -> dict[str, Any]:
     }
 
 
-def alike(design: Design) -> list[dict[str, Any]]:
+def alike(design: Detectability) -> list[dict[str, Any]]:
     """Return the pairs of candidates that are hard to distinguish."""
     return [
         {

@@ -15,7 +15,7 @@ from metrocli.adjust.robust import as_likely
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.frozen import dataclass
 
 Places = Mapping[frozenset[tuple[str, str]], list[tuple[int, int]]]
@@ -30,7 +30,7 @@ class Outlier:
     """Its error in standard deviations, with all other findings in the model"""
     others: tuple[Mapping[str, str], ...] = ()
     """Readings whose error would explain the misfit about as well, the likeliest first"""
-    effects: tuple[Alternative, ...] = ()
+    effects: tuple[Candidate, ...] = ()
     """Effects at the place of the reading, such as a bad pose, that would explain it about as well"""
 
 
@@ -68,7 +68,7 @@ def _places(m: Measurement) -> Places:
 
 def _at_its_place(
     state: State, taken: Array, places: Places, keys: Mapping[str, str], own: float
-) -> Iterator[Alternative]:
+) -> Iterator[Candidate]:
     """Yield the best form of each effect at the place of a reading that explains as much as the error of the reading.
 
     Where it also changes other readings, these contradict it unless they are much less certain.

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.arrays import Array
-from metrocli.exports.expressed_cameras import Camera, expressed
+from metrocli.exports.expressed_cameras import ExpressedCamera, expressed
 from metrocli.geometry.rotations import vector_from_rotation
 from metrocli.result import Result
 from metrocli.units import find_unit
@@ -30,7 +30,7 @@ def opencv(result: Result, within: float) -> dict[str, str]:
     return {one.file("opencv.yml"): _of_opencv(one) for one in expressed("opencv", result, within, posed=True)}
 
 
-def _of_opencv(camera: Camera) -> str:
+def _of_opencv(camera: ExpressedCamera) -> str:
     def stored(name: str, rows: int, columns: int, values: Sequence[float]) -> list[str]:
         head = f"{name}: !!opencv-matrix"
         return [head, f"   rows: {rows}", f"   cols: {columns}", "   dt: d", f"   data: [ {_row(values)} ]"]
@@ -49,7 +49,7 @@ def ros(result: Result, within: float) -> dict[str, str]:
     return {one.file("ros.yaml"): _of_ros(one) for one in expressed("ros", result, within)}
 
 
-def _of_ros(camera: Camera) -> str:
+def _of_ros(camera: ExpressedCamera) -> str:
     fx, fy, cx, cy = camera.intrinsics
 
     def matrix(name: str, rows: int, columns: int, values: Sequence[float]) -> list[str]:
@@ -64,7 +64,7 @@ def _of_ros(camera: Camera) -> str:
     return camera.commented(lines)
 
 
-def _all_noted(cameras: Sequence[Camera], lines: Iterable[str]) -> str:
+def _all_noted(cameras: Sequence[ExpressedCamera], lines: Iterable[str]) -> str:
     """Return the text of lines behind the notes of all cameras."""
     notes = [f"{camera.name}: {note}" if camera.name else note for camera in cameras for note in camera.notes]
     return replace(cameras[0], notes=tuple(notes)).commented(lines)
@@ -125,7 +125,7 @@ def mrcal(result: Result, within: float) -> dict[str, str]:
     return {one.file("camera.cameramodel"): _of_mrcal(one) for one in expressed("mrcal", result, within, posed=True)}
 
 
-def _of_mrcal(camera: Camera) -> str:
+def _of_mrcal(camera: ExpressedCamera) -> str:
     turn, shift = camera.from_first
     metre = find_unit("m", "length")
     place = [*vector_from_rotation(turn).tolist(), *(metre.outside(one) for one in shift.tolist())]
@@ -148,7 +148,7 @@ def metashape(result: Result, within: float) -> dict[str, str]:
     return {one.file("metashape.xml"): _of_metashape(one) for one in expressed("metashape", result, within)}
 
 
-def _of_metashape(camera: Camera) -> str:
+def _of_metashape(camera: ExpressedCamera) -> str:
     fx, fy, cx, cy = camera.intrinsics
     values = {**camera.values, "f": fy, "b1": fx - fy, "b2": fx * camera.values["skew"]}
     values |= {"cx": cx - camera.size[0] / 2, "cy": cy - camera.size[1] / 2}
@@ -166,7 +166,7 @@ def matlab(result: Result, within: float) -> dict[str, str]:
     return {one.file("camera.m"): _of_matlab(one) for one in expressed("matlab", result, within)}
 
 
-def _of_matlab(camera: Camera) -> str:
+def _of_matlab(camera: ExpressedCamera) -> str:
     fx, fy, cx, cy = camera.intrinsics
     k1, k2, k3, p1, p2 = camera.distortion
     lines = [

@@ -20,7 +20,7 @@ Texts = Mapping[str, str]
 
 
 @dataclass(frozen=True)
-class Control:
+class CompensationFormat:
     """A compensation format, with a model of the control that reads it."""
 
     carried: Callable[[ErrorTables], ErrorTables]
@@ -82,6 +82,6 @@ def _along(tables: ErrorTables, axis: int) -> Array:
     return places
 
 
-def files_of(control: Control, result: Any) -> Texts:
+def files_of(control: CompensationFormat, result: Any) -> Texts:
     """Return the files of a result in a format; raises InputError if the result has no error tables."""
     return control.files(of(result))

@@ -16,8 +16,8 @@ import numpy as np
 from metrocli import units
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, Curve, ErrorTables
+from metrocli.exports.compensation import CompensationFormat, Texts, files_of
+from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
 from metrocli.exports.volumetric import evenly
 from metrocli.frozen import dataclass
 from metrocli.result import Result
@@ -33,7 +33,7 @@ _SETTING = re.compile(r"\$AN_CEC_(INPUT_AXIS|OUTPUT_AXIS|STEP|MIN|MULT_BY_TABLE)
 class CecTable:
     """One compensation table of the control."""
 
-    curve: Curve
+    curve: ErrorTable
     input_axis: str
     output_axis: str
     times: int | None = None
@@ -60,7 +60,7 @@ def tables_of(tables: ErrorTables) -> list[CecTable]:
         if key not in levers:
             levers[key] = len(found)
             ends = tables.span(product.lever)
-            found.append(CecTable(Curve(ends, ends / _METRE.inside(1.0)), *key))
+            found.append(CecTable(ErrorTable(ends, ends / _METRE.inside(1.0)), *key))
     found += [
         CecTable(
             _even(product.angle.times(-_METRE.inside(1.0))),
@@ -73,7 +73,7 @@ def tables_of(tables: ErrorTables) -> list[CecTable]:
     return found
 
 
-def _even(curve: Curve) -> Curve:
+def _even(curve: ErrorTable) -> ErrorTable:
     even = evenly(curve, MOST_POINTS)
     if even is None:
         raise InputError(
@@ -138,7 +138,7 @@ def read(texts: Texts) -> list[CecTable]:
     found = []
     for index, column in sorted(values.items()):
         grid = float(settings["MIN", index]) + float(settings["STEP", index]) * np.arange(float(len(column)))
-        curve = Curve(grid, np.array([column[k] for k in range(len(column))]))
+        curve = ErrorTable(grid, np.array([column[k] for k in range(len(column))]))
         number = int(settings["MULT_BY_TABLE", index])
         axes = settings["INPUT_AXIS", index][0], settings["OUTPUT_AXIS", index][0]
         found.append(CecTable(curve, *axes, number - 1 if number else None))
@@ -158,7 +158,7 @@ def moved(held: Sequence[CecTable], commanded: Array) -> Array:
     return moves
 
 
-CONTROL = Control(carried, written, read, moved, resolution=2e-6)
+CONTROL = CompensationFormat(carried, written, read, moved, resolution=2e-6)
 
 
 def files(result: Result) -> Texts:

@@ -12,7 +12,7 @@ from fractions import Fraction
 from functools import lru_cache
 
 from metrocli import units
-from metrocli.expressions.expression import NEGATIVE, NUMBER, Expression, ExpressionError, Part
+from metrocli.expressions.expression import NEGATIVE, NUMBER, Expression, ExpressionError, Operation
 from metrocli.frozen import dataclass
 
 Powers = tuple[tuple[str, Fraction], ...]
@@ -139,7 +139,7 @@ def base_unit(powers: Powers) -> str:
 @dataclass(frozen=True)
 class _Traced:
     unit: Compound
-    part: Part
+    part: Operation
     constant: float | None = None
 
 
@@ -151,12 +151,12 @@ class _Units:
     names: Mapping[str, Compound]
 
     def number(self, value: float) -> _Traced:
-        return _Traced(Compound("1", 1.0, ()), Part(NUMBER, 0, 0, 0, number=value), value)
+        return _Traced(Compound("1", 1.0, ()), Operation(NUMBER, 0, 0, 0, number=value), value)
 
-    def name(self, part: Part) -> _Traced:
+    def name(self, part: Operation) -> _Traced:
         return _Traced(self.names[part.name], part)
 
-    def apply(self, part: Part, arguments: Sequence[_Traced]) -> _Traced:
+    def apply(self, part: Operation, arguments: Sequence[_Traced]) -> _Traced:
         first, second = arguments[0], arguments[-1]
         if part.operation in ("+", "-"):
             return _Traced(self._sum(part, first, second), part)
@@ -164,7 +164,7 @@ class _Units:
             self._refuse_point(argument)
         return _Traced(self._other(part, first, second), part)
 
-    def _other(self, part: Part, first: _Traced, second: _Traced) -> Compound:
+    def _other(self, part: Operation, first: _Traced, second: _Traced) -> Compound:
         operation = part.operation
         if operation in (NEGATIVE, "abs"):
             return first.unit
@@ -180,7 +180,7 @@ class _Units:
         self._refuse_unit(first, f"the argument of {operation}")
         return Compound("1", 1.0, ())
 
-    def _sum(self, part: Part, first: _Traced, second: _Traced) -> Compound:
+    def _sum(self, part: Operation, first: _Traced, second: _Traced) -> Compound:
         """Return the unit of a sum: point - point gives a difference, point + difference gives a point."""
         if first.unit.powers != second.unit.powers:
             self._same(first, second)

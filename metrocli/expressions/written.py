@@ -93,7 +93,7 @@ class OfUnit:
 
 
 @dataclass(frozen=True)
-class Model:
+class WrittenExpression:
     """An expression with its place in the job."""
 
     expression: Expression
@@ -126,7 +126,7 @@ class ModelText:
         if not self.fits(node):
             return refuse(self, node, faults, "there is no model")
         try:
-            return Model(parse(node.text), node)
+            return WrittenExpression(parse(node.text), node)
         except ExpressionError as error:
             faults.append(fault_in(node, error))
             return BAD

@@ -14,7 +14,7 @@ from metrocli import units
 from metrocli.errors import Fault, InputError
 from metrocli.formats.covariances import contradictions
 from metrocli.formats.seal import Label
-from metrocli.record import Record, Verdict
+from metrocli.record import CriterionVerdict, Record
 from metrocli.result import SCALE, Estimate, Result, ShownTable
 from metrocli.table import Table
 
@@ -186,8 +186,8 @@ def _certificate(file: h5py.File) -> dict[str, Any]:
     return certificate
 
 
-def _verdict(name: str, condition: str, value: float, unit: str, met: bool, decision: str = "") -> Verdict:
-    return Verdict(name, condition, float(value), unit, bool(met), decision)
+def _verdict(name: str, condition: str, value: float, unit: str, met: bool, decision: str = "") -> CriterionVerdict:
+    return CriterionVerdict(name, condition, float(value), unit, bool(met), decision)
 
 
 def _rows(data: h5py.Dataset) -> list[dict[str, Any]]:

@@ -15,7 +15,7 @@ from metrocli import tasks
 from metrocli.adjust.allowance import allowance
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Ordered
 from metrocli.diagnosis.corrections import Mistake
-from metrocli.diagnosis.detectability import Design
+from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.diagnose import LIMIT, Attended, diagnose, no_interrupt, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.job_entries import (
@@ -42,7 +42,7 @@ from metrocli.nodes import Node, node_of, relocated
 from metrocli.progress import SILENT, Named, Progress, counted
 from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
-from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.job import JobFile, JobOptions, load
 from metrocli.project.runner import content, counting, simulate
 from metrocli.record import InputFile
 from metrocli.simulation import SimulationOptions
@@ -94,7 +94,7 @@ def carry_out(
     return replace(diagnosis, mistaken=mistaken)
 
 
-def design_of(job: JobFile, progress: Progress = SILENT) -> tuple[AdjustedJob, Design]:
+def design_of(job: JobFile, progress: Progress = SILENT) -> tuple[AdjustedJob, Detectability]:
     """Return what the measurement of a job can detect; readings that do not exist yet are simulated."""
     wanted = tasks.KINDS[job.kind].measured
     progress = Named(job.file, progress)
@@ -191,7 +191,7 @@ def _from_the_chosen(diagnosis: Diagnosis) -> Sequence[Law]:
 
 def _adjusts(path: Path) -> bool:
     """Return whether an extended job can be adjusted: a law in the linearised readings need not hold in the model."""
-    job = load(path, Wishes(accept_doubtful=True))
+    job = load(path, JobOptions(accept_doubtful=True))
     with suppress(NotConvergedError, UndeterminedError), allowance(_STEPS):
         tasks.KINDS[job.kind].task().run(content(job))
         return True

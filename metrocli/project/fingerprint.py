@@ -19,7 +19,7 @@ from metrocli import __version__
 from metrocli.nodes import Node
 from metrocli.project.job import JobFile
 from metrocli.project.requirements import Requirement
-from metrocli.record import InputFile, Record, Verdict
+from metrocli.record import CriterionVerdict, InputFile, Record
 from metrocli.result import Result
 from metrocli.table import Table, ascii_letters
 
@@ -111,7 +111,7 @@ def _leaves(node: Node) -> Iterable[tuple[str, str]]:
         yield node.path, node.text
 
 
-def _by_name(criteria: Iterable[Requirement | Verdict]) -> list[Requirement | Verdict]:
+def _by_name(criteria: Iterable[Requirement | CriterionVerdict]) -> list[Requirement | CriterionVerdict]:
     """Return criteria so that the order of the names in `require:` does not count; those of one name stay in order."""
     return sorted(criteria, key=lambda file: file.name)
 

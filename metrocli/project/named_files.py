@@ -12,7 +12,7 @@ from metrocli.errors import Fault, InputError
 from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.frozen import dataclass
 from metrocli.imports.cameras import as_yaml
-from metrocli.imports.lines import Lines
+from metrocli.imports.lines import TextLines
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.settings import (
@@ -114,7 +114,7 @@ def _with_content(item: Input, faults: list[Fault]) -> Input:
         bytes_read = read_bytes(path, "a job file", most=yaml_text.MOST_BYTES)
         text = yaml_text.text_of(bytes_read, str(path))
         if others:
-            text = as_yaml(Lines(str(path), text.splitlines())) or text
+            text = as_yaml(TextLines(str(path), text.splitlines())) or text
         root = yaml_text.parse(text, str(path), path.parent)
     except InputError as error:
         faults.extend(error.faults)

@@ -51,7 +51,7 @@ class Package:
 
 
 @dataclass(frozen=True)
-class Own:
+class UserEffects:
     """User-defined effects, and the files and packages that define them."""
 
     effects: tuple[Effect, ...] = ()
@@ -78,7 +78,7 @@ class Defining:
     """Effects that the job or the command line names: the data must have their columns"""
 
 
-def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> Own:
+def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> UserEffects:
     """Return the effects for a job: its definitions, those of its file and its project, and of packages.
 
     Appends a fault for each mistake, with its place.
@@ -108,7 +108,7 @@ def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> Own:
     if heading.define:
         found += read(heading.define, given.places(), taken, faults)
     project = None if by_project is None else by_project.source.folder / PROJECT_FILE
-    return Own(tuple(found), files, project, packages, sought)
+    return UserEffects(tuple(found), files, project, packages, sought)
 
 
 def of_project(folder: Path, read_before: YamlFiles) -> Node | None:
@@ -177,13 +177,13 @@ def _of_node(node: Node, given: Defining, taken: Iterable[str], faults: list[Fau
     if not wrong and not any(effect.lacks for effect in effects):
         return effects
     here = _fit(given.kind, node)
-    if here is not Fit.WHOLE and max(_fit(kind, node) for kind in tasks.KINDS if kind != given.kind) > here:
+    if here is not DefinitionFit.WHOLE and max(_fit(kind, node) for kind in tasks.KINDS if kind != given.kind) > here:
         return []
     faults.extend(wrong)
     return effects
 
 
-class Fit(IntEnum):
+class DefinitionFit(IntEnum):
     """How a definition fits a kind of job."""
 
     NONE = 0
@@ -192,13 +192,13 @@ class Fit(IntEnum):
     WHOLE = 2
 
 
-def _fit(kind: str, node: Node) -> Fit:
+def _fit(kind: str, node: Node) -> DefinitionFit:
     """Return how a definition fits a kind of job, where its name exists already or not."""
     wrong: list[Fault] = []
     effects = read([node], tasks.KINDS[kind].task().places, (), wrong, lambda name: False)
     if wrong or not effects:
-        return Fit.NONE
-    return Fit.WITH_COLUMNS if any(effect.lacks for effect in effects) else Fit.WHOLE
+        return DefinitionFit.NONE
+    return DefinitionFit.WITH_COLUMNS if any(effect.lacks for effect in effects) else DefinitionFit.WHOLE
 
 
 @cache

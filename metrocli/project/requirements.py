@@ -12,7 +12,7 @@ from metrocli.errors import Fault
 from metrocli.expressions.dimensions import converted
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
-from metrocli.record import Verdict
+from metrocli.record import CriterionVerdict
 from metrocli.result import Result
 from metrocli.settings import BAD, Schema
 from metrocli.words import nearest, suggestion
@@ -36,7 +36,7 @@ class Requirement:
     unit: str
     node: Node
 
-    def verdict(self, result: Result, faults: list[Fault]) -> Verdict | None:
+    def verdict(self, result: Result, faults: list[Fault]) -> CriterionVerdict | None:
         """Compare the value with the limit.
 
         Adds a fault and returns None if the result has no such value, or one of another unit.
@@ -46,7 +46,9 @@ class Requirement:
         if limit is None:
             return None
         value, unit = known[self.figure]
-        return Verdict(self.name, self.node.text, value, unit, bool(_COMPARISONS[self.comparison](value, limit)))
+        return CriterionVerdict(
+            self.name, self.node.text, value, unit, bool(_COMPARISONS[self.comparison](value, limit))
+        )
 
     @property
     def figure(self) -> str:

@@ -18,7 +18,7 @@ from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError,
 from metrocli.formats import hdf5
 from metrocli.formats.file_bytes import refuse_unwritable
 from metrocli.formats.hdf5 import refuse_foreign
-from metrocli.formats.images import ImageFiles
+from metrocli.formats.images import DecodedImages
 from metrocli.frozen import dataclass
 from metrocli.plan import Plan
 from metrocli.progress import SILENT, Named, Progress
@@ -29,7 +29,7 @@ from metrocli.project.job import JobFile, figures_of
 from metrocli.project.named_files import absolute
 from metrocli.project.requirements import by_names
 from metrocli.project.running.files import ChunkFolder
-from metrocli.record import Record, Verdict
+from metrocli.record import CriterionVerdict, Record
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
@@ -119,7 +119,9 @@ def compute(
 
 def counting(held: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     """Return inputs of which those that are read bit by bit, such as images, count what is read."""
-    return {key: replace(one, tell=progress.count) if isinstance(one, ImageFiles) else one for key, one in held.items()}
+    return {
+        key: replace(one, tell=progress.count) if isinstance(one, DecodedImages) else one for key, one in held.items()
+    }
 
 
 def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
@@ -282,7 +284,7 @@ def _table_warnings(files: Any) -> tuple[str, ...]:
     return tuple(line for value in held if isinstance(value, Table) for line in value.warnings)
 
 
-def _verdicts(file: JobFile, result: Result) -> tuple[Verdict, ...]:
+def _verdicts(file: JobFile, result: Result) -> tuple[CriterionVerdict, ...]:
     faults: list[Fault] = []
     verdicts = [requirement.verdict(result, faults) for requirement in file.heading.require]
     if faults:

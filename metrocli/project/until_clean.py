@@ -17,7 +17,7 @@ from metrocli.frozen import dataclass
 from metrocli.progress import SILENT, Progress
 from metrocli.project import runner
 from metrocli.project.diagnosed import carry_out, write_extended
-from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.job import JobFile, JobOptions, load
 from metrocli.project.runner import Done
 
 MOST = 5
@@ -101,7 +101,7 @@ def until_clean(
         if not _adds(gained):
             path.unlink(missing_ok=True)
             return Loop(first, last, tuple(extensions), End.NOTHING_GAINED)
-        current = load(path, Wishes(accept_doubtful=job.accept_doubtful))
+        current = load(path, JobOptions(accept_doubtful=job.accept_doubtful))
         extensions.append(_extension(path, runner.carry_out(current, force, progress), gained))
         before, last = last, diagnose(current)
         if gained.laws:

@@ -15,7 +15,7 @@ import numpy as np
 
 from metrocli.arrays import Array, Picture
 from metrocli.targets.blobs import eight_bit
-from metrocli.targets.find import Sightings, nothing, points
+from metrocli.targets.find import FoundTargets, nothing, points
 from metrocli.targets.lattice import homography, order_fault, projected
 from metrocli.targets.pattern import DICTIONARIES, Pattern, lattice, names
 from metrocli.targets.saddles import WINDOW, fit_grid
@@ -26,7 +26,7 @@ CLEARANCE = 0.9
 """Share of the gap between a corner and the next marker from which grey values are taken."""
 
 
-def find(pattern: Pattern, picture: Picture) -> Sightings:
+def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     """Return the corners that the markers identify, fitted to the edges of the squares, or nothing with the reason.
 
     OpenCV only supplies the names of the corners, because its image coordinates have moved by half a pixel between

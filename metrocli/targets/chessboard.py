@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from metrocli.arrays import Array, Picture
 from metrocli.targets.blobs import eight_bit
-from metrocli.targets.find import Sightings, nothing, points
+from metrocli.targets.find import FoundTargets, nothing, points
 from metrocli.targets.lattice import order_fault, ordered
 from metrocli.targets.pattern import Pattern, lattice, names
 from metrocli.targets.saddles import fit_grid
@@ -28,7 +28,7 @@ _FEWEST_SQUARES = 4
 """Fewest squares in a row that alternate otherwise than by chance."""
 
 
-def find(pattern: Pattern, picture: Picture) -> Sightings:
+def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     """Return the inner corners of a chessboard, or nothing with the reason.
 
     Corners that the grey values do not show are left out. With an odd sum of columns and rows the colours fix the

@@ -79,7 +79,7 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class Measured:
     """One quantity of a result."""
 
     value: float
@@ -106,11 +106,11 @@ class _Values:
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
 
-def quantities(result: Result) -> dict[tuple[str, str], Quantity]:
+def quantities(result: Result) -> dict[tuple[str, str], Measured]:
     """Return all that a result can be compared in, by group and name: table entries, estimates, coordinates."""
     own = _of(result)
     rows = zip(own.values.tolist(), own.std.tolist(), own.units, own.dof.tolist(), strict=True)
-    return {**dict(zip(own.names, (Quantity(*row) for row in rows), strict=True)), **_coordinates(result)}
+    return {**dict(zip(own.names, (Measured(*row) for row in rows), strict=True)), **_coordinates(result)}
 
 
 def compare(first: Result, second: Result) -> Comparison:
@@ -262,20 +262,20 @@ def _entries(result: Result) -> tuple[list[tuple[str, str]], list[float], list[s
     return names, values, units, np.asarray(result.arrays[TABLES_COVARIANCE])[np.ix_(rows, rows)]
 
 
-def _coordinates(result: Result) -> dict[tuple[str, str], Quantity]:
+def _coordinates(result: Result) -> dict[tuple[str, str], Measured]:
     """Return the coordinates of the points of a result, by `points` and point and axis."""
     table = result.tables.get(POINTS)
     if table is None or not {"point", "x", "y", "z", "sx"} <= set(table):
         return {}
     dof = result.degrees_of_freedom()
-    coordinates: dict[tuple[str, str], Quantity] = {}
+    coordinates: dict[tuple[str, str], Measured] = {}
     for axis in "xyz":
         rows = zip(table.texts("point"), table.numbers(axis).tolist(), table.numbers(f"s{axis}").tolist(), strict=True)
-        coordinates |= {(POINTS, f"{name}.{axis}"): Quantity(value, std, "mm", dof) for name, value, std in rows}
+        coordinates |= {(POINTS, f"{name}.{axis}"): Measured(value, std, "mm", dof) for name, value, std in rows}
     return coordinates
 
 
-def _points(first: dict[tuple[str, str], Quantity], second: dict[tuple[str, str], Quantity]) -> Iterator[Compared]:
+def _points(first: dict[tuple[str, str], Measured], second: dict[tuple[str, str], Measured]) -> Iterator[Compared]:
     common = [name for name in first if name in second]
     parts = [[values[name] for name in common] for values in (first, second)]
     std = [np.array([one.std for one in part]) for part in parts]

@@ -30,7 +30,7 @@ Source = Callable[[np.random.Generator, int], Sequence[tuple[int, Array]]]
 
 
 @dataclass(frozen=True)
-class Plan:
+class TrialsPlan:
     """Everything that a chunk needs besides its number: models, quantities, seed, probability, trials."""
 
     models: tuple[Expression, ...]
@@ -82,7 +82,7 @@ def plan_of(
     probability: float,
     trials: int | None,
     units: Mapping[str, float] | None = None,
-) -> Plan:
+) -> TrialsPlan:
     """Return the plan of a run; raises UnreachableError if distributions cannot have their correlation.
 
     `units` are those of the measurands in base units, 1 by default.
@@ -93,7 +93,7 @@ def plan_of(
     sources = inputs.sources()
     means = tuple(values.values())
     shown = tuple((units or {}).get(name, 1.0) for name in models)
-    return Plan(tuple(models.values()), inputs.names, means, finite, sources, seed, probability, trials, shown)
+    return TrialsPlan(tuple(models.values()), inputs.names, means, finite, sources, seed, probability, trials, shown)
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class Batch:
 class Work:
     """Computation of a batch of chunks."""
 
-    plan: Plan
+    plan: TrialsPlan
     chunks: int
     """Number of chunks of a batch"""
     edges: tuple[Edges, ...] = ()
@@ -192,7 +192,7 @@ class NoOutcomeError(UndeterminedError):
     """Error for trials in which a model has no value."""
 
 
-def _refuse_lost(values: Array, plan: Plan) -> None:
+def _refuse_lost(values: Array, plan: TrialsPlan) -> None:
     lost = ~(np.abs(values) < LARGEST)
     if lost.any():
         row = int(np.argmax(lost.any(axis=1)))

@@ -17,7 +17,7 @@ from metrocli.table import Columns, Table, columns
 from metrocli.uncertainty import predicted
 from metrocli.uncertainty.calibrated_machine import has_machine
 from metrocli.uncertainty.numbers import COVERAGE, effective, factor
-from metrocli.uncertainty.predicted import Places
+from metrocli.uncertainty.predicted import PredictedPlaces
 from metrocli.units import find_unit
 from metrocli.units.ranges import Range, range_of
 
@@ -224,12 +224,12 @@ def _laid(check: Table, measured: Array, onto: Array) -> Array:
     return poses.apply(poses.fit_pose(measured, onto), measured)
 
 
-def _as_it_is(places: Places, own: Array) -> Array:
+def _as_it_is(places: PredictedPlaces, own: Array) -> Array:
     """Return the covariance of each deviation in the frame of the result, (n, 3, 3)."""
     return np.asarray(places.common @ places.core @ np.swapaxes(places.common, 1, 2) + own)
 
 
-def _after_fit(places: Places, own: Array) -> Array:
+def _after_fit(places: PredictedPlaces, own: Array) -> Array:
     """Return the covariance of each deviation after the fit of shift and turn, (n, 3, 3).
 
     `P Q P`, P = I - B B' with B (3n, 6) an orthonormal basis of the small motions of all points; only its blocks of
@@ -267,7 +267,7 @@ def _points(names: list[str], vectors: Array, covariance: Array, dof: Array) -> 
     return tuple(Deviation(name, size, big, one, by, tuple(vector)) for name, size, big, one, by, vector in rows)
 
 
-def _lengths(check: Table, first: Places, second: Places, dof: float) -> tuple[Deviation, ...]:
+def _lengths(check: Table, first: PredictedPlaces, second: PredictedPlaces, dof: float) -> tuple[Deviation, ...]:
     """Return the deviations of lengths, `U = k sqrt(e' (Q_aa + Q_bb - Q_ab - Q_ba) e + sigma^2)`, e the direction."""
     ends = list(zip(check.texts("from"), check.texts("to"), strict=True))
     same = [row for row, (one, other) in enumerate(ends) if one == other]

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.hidden import lengths, machine
 from benchmarks.hidden.lengths import Measurement, signature
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.detectability import Candidate
+from metrocli.diagnosis.detectability import DetectableCandidate
 from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.diagnosis.findings import Verdict
 from metrocli.instruments import tracer
@@ -27,7 +27,7 @@ def moved(m: Measurement, change: np.ndarray) -> float:
     return float(np.linalg.norm(places[1] - places[0], axis=1).max())
 
 
-def candidate(m: Measurement, name: str, place: str) -> Candidate:
+def candidate(m: Measurement, name: str, place: str) -> DetectableCandidate:
     return next(
         one
         for one in what_can_be_seen(m.adjusted()).candidates

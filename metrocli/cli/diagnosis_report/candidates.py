@@ -9,10 +9,10 @@ from metrocli import units
 from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis import status
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
+from metrocli.diagnosis.detectability import Detectability, DetectableCandidate, WrongReading
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.hidden_change import HiddenChange
+from metrocli.diagnosis.hidden_change import UndetectedBias
 from metrocli.diagnosis.power.average_power import ScatterCandidate
 from metrocli.effects.effect import Parameter
 from metrocli.words import listed
@@ -24,7 +24,7 @@ _SEEN = {True: "seen", "part": "seen in part", False: "not seen", None: ""}
 
 def candidate_lines(
     adjusted: AdjustedJob,
-    design: Design,
+    design: Detectability,
     named: Sequence[IdentifiedEffect] | None,
     scattered: Sequence[str] = (),
     decided: bool = True,
@@ -34,7 +34,7 @@ def candidate_lines(
     Without `named` nothing was looked for yet: what residuals would exclude is `detectable`. `scattered` are the
     effects that are named at all places; `decided` is whether the search came to its end.
     """
-    rows: dict[tuple[str, str], list[Candidate]] = {}
+    rows: dict[tuple[str, str], list[DetectableCandidate]] = {}
     for candidate in design.candidates:
         word = str(status.status(candidate, named or (), decided))
         word = "detectable" if named is None and word == status.Status.EXCLUDED else word
@@ -61,7 +61,9 @@ def count_of_candidates(diagnosis: Diagnosis) -> str:
     return f"candidates: {counts}; `--full` lists them with what each could hide" if counts else "no candidates"
 
 
-def _line(adjusted: AdjustedJob, design: Design, name: str, word: str, found: Sequence[Candidate]) -> tuple[str, ...]:
+def _line(
+    adjusted: AdjustedJob, design: Detectability, name: str, word: str, found: Sequence[DetectableCandidate]
+) -> tuple[str, ...]:
     places = ["/".join(one.alternative.instance) for one in found if one.alternative.instance]
     where = listed(places, _SHOWN)
     effect = found[0].alternative.effect
@@ -85,7 +87,7 @@ def _line(adjusted: AdjustedJob, design: Design, name: str, word: str, found: Se
     return name, where, _status(word, sizes, effect.parameters[0]), usual, _hidden(adjusted, most), why
 
 
-def _off(found: Sequence[Candidate]) -> str:
+def _off(found: Sequence[DetectableCandidate]) -> str:
     """Return the size of the effect for which its largest change of the result holds."""
     most = max(found, key=lambda one: one.hides.size)
     return f"off by this if its size is {most.alternative.effect.parameters[0].sized(most.assumed)}"
@@ -121,7 +123,7 @@ def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool) -> 
     return name, "one reading", word, "", _hidden(adjusted, wrong.hides), why
 
 
-def _hidden(adjusted: AdjustedJob, hidden: HiddenChange) -> str:
+def _hidden(adjusted: AdjustedJob, hidden: UndetectedBias) -> str:
     place = f" at {hidden.member}" if hidden.member else ""
     return f"{units.sized(hidden.size, adjusted.delivered.dimension)}{place}"
 

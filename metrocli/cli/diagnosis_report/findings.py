@@ -13,10 +13,10 @@ from metrocli.cli.diagnosis_report.headline import LEAST_REDUCTION, headline, sm
 from metrocli.cli.diagnosis_report.laws import law_lines
 from metrocli.cli.diagnosis_report.noise import noise_lines
 from metrocli.cli.diagnosis_report.text_table import text_table
-from metrocli.diagnosis.adjusted_job import AdjustedJob, Part
-from metrocli.diagnosis.detectability import Design
+from metrocli.diagnosis.adjusted_job import AdjustedJob, MemberSubset
+from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
-from metrocli.diagnosis.extended_fit import Size
+from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
 from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.laws.search import Law
@@ -89,7 +89,7 @@ def _early(diagnosis: Diagnosis) -> Iterator[str]:
         yield "The names may not have been held against smooth random errors yet: some may be chance."
 
 
-def _of_part(part: Part) -> str:
+def _of_part(part: MemberSubset) -> str:
     """Return in words that a part of a measurement is diagnosed."""
     return (
         f"The diagnosis is that of {part}, drawn evenly, with all their readings: more take more memory than there is. "
@@ -108,7 +108,7 @@ def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
     return f"the job extended by {' and '.join(added)}{shared}, and diagnose it again"
 
 
-def of_design(adjusted: AdjustedJob, design: Design) -> str:
+def of_design(adjusted: AdjustedJob, design: Detectability) -> str:
     """Return the report of what a measurement can detect."""
     lines = ["what this measurement can detect (80 % power, counting everything that is tried):", ""]
     lines = [*([_of_part(adjusted.part), ""] if adjusted.part else []), *lines]
@@ -218,7 +218,7 @@ def _about_scatter(one: RandomEffect) -> Iterator[str]:
 
 def _row_of_scatter(one: RandomEffect, adjusted: AdjustedJob) -> tuple[str, ...]:
     effect = one.effect
-    std = Size(effect.common or effect.parameters[0], one.std, one.spread)
+    std = EffectSize(effect.common or effect.parameters[0], one.std, one.spread)
     return (
         f"{effect.name} {effect.everywhere}",
         _parameter(std),
@@ -269,7 +269,7 @@ def _parameters(finding: Finding) -> Iterator[str]:
     yield from (_parameter(size) for size in finding.sizes)
 
 
-def _parameter(size: Size) -> str:
+def _parameter(size: EffectSize) -> str:
     key, dimension = size.parameter.name, size.parameter.dimension
     if size.std is None:
         digits, partly = ("6g", "") if size.seen else ("2g", " (not seen)")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from metrocli.adjust.clusters.robust import ESTIMATED
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.linear.projection import READING
-from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA, Unit
+from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA, VarianceGroup
 
 _HIGH_NOISE, _FEW_DOF = 2.0, 30
 """Noise ratio above which, with fewer degrees of freedom than this, several wrong readings may pass as noise"""
@@ -40,13 +40,13 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
             yield f"  {noisier(unit)}, each relative to what is declared for it."
 
 
-def noisier(unit: Unit) -> str:
+def noisier(unit: VarianceGroup) -> str:
     """Return in words that a unit is noisier, or quieter, than the others, relative to what is declared for each."""
     name = unit.name if unit.key == READING else f"{unit.key} {unit.name}"
     return f"{name} is {unit.ratio:.2g} times as noisy as the others"
 
 
-def _given(unit: Unit, found: float) -> str:
+def _given(unit: VarianceGroup, found: float) -> str:
     """Return whether the residuals agree with the sigma of given values; `found` is the ratio of their noise to it."""
     what = f"The given values of each {unit.name.removeprefix('prior of ')}"
     if 1 / AS_OTHERS < found < AS_OTHERS:

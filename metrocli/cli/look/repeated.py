@@ -12,7 +12,7 @@ from metrocli.cli.look.held import held
 from metrocli.errors import UsageError
 
 if TYPE_CHECKING:
-    from metrocli.uncertainty.repeated import Repeated
+    from metrocli.uncertainty.repeated import RepeatedCalibrations
     from metrocli.uncertainty.repeated_sets import Repetition
 
 OF_SERIES, OF_SETS = ("max_en", "max_drift_en"), ("max_ratio",)
@@ -49,7 +49,9 @@ def _times(days: str | None, number: int) -> tuple[list[float], str]:
     return times, "d"
 
 
-def _figures_of_series(found: Repeated, files: tuple[Path, ...], times: list[float], time: str) -> dict[str, Any]:
+def _figures_of_series(
+    found: RepeatedCalibrations, files: tuple[Path, ...], times: list[float], time: str
+) -> dict[str, Any]:
     drift: dict[str, dict[str, Any]] = {}
     for one in found.drifts:
         row = {"rate": one.rate, "std": one.std, "unit": f"{one.unit}/{time}", "U": one.expanded, "en": one.en}
@@ -66,7 +68,7 @@ def _figures_of_series(found: Repeated, files: tuple[Path, ...], times: list[flo
     return {"calibrations": calibrations, "drift": drift, "pooled": pooled, **figures}
 
 
-def _text_of_series(calibrations: Repeated, files: tuple[Path, ...], time: str) -> str:
+def _text_of_series(calibrations: RepeatedCalibrations, files: tuple[Path, ...], time: str) -> str:
     from metrocli import units
     from metrocli.cli.columns import columns_text, worst_rows
 

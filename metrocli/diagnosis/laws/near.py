@@ -9,19 +9,19 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.quadratics import quadratic
 
 _LEAST, _MOST = 0.9, 2
 """Smallest cosine of an effect that is reported as nearly the law, and the largest number of them"""
 
 
-def near_effects(state: State, shown: Array) -> tuple[tuple[Alternative, float], ...]:
+def near_effects(state: State, shown: Array) -> tuple[tuple[Candidate, float], ...]:
     """Return the effects whose visible columns nearly contain what a law explains, (rows,), with the cosine.
 
     Each is at its best place and with its best scanned values; the nearest comes first.
     """
-    size, found = float(shown @ shown), dict[str, tuple[Alternative, float]]()
+    size, found = float(shown @ shown), dict[str, tuple[Candidate, float]]()
     for family in (one for one in state.measurement.families if not one.unknown):
         inside, _ = quadratic(family.gram, family.columns.products(shown[:, None])[:, :, 0], family.raw)
         best = int(np.argmax(inside))

@@ -21,8 +21,8 @@ from metrocli.diagnosis.laws.library import Library, Term
 from metrocli.diagnosis.laws.near import near_effects
 from metrocli.diagnosis.laws.steps import Lawful, among_terms, columns_of_terms, forward
 from metrocli.diagnosis.laws.terms import columns_of
-from metrocli.diagnosis.linear.candidates import Alternative
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.candidates import Candidate
+from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.frozen import dataclass
 
 _LAW = float(np.log(30.0))
@@ -77,20 +77,20 @@ class Law:
     """Root mean square of what it explains over the readings on which it acts, in their unit"""
     data: LawData | None
     """None for a constant, which has no variable"""
-    near: tuple[tuple[Alternative, float], ...] = ()
+    near: tuple[tuple[Candidate, float], ...] = ()
     """Effects of the catalogue that change the readings nearly as it does, each with the cosine, the nearest first"""
     chosen: bool = False
 
 
 @dataclass(frozen=True)
-class Found:
+class LawSearchResult:
     """A state that holds where laws were sought, and the laws, one for each number of terms."""
 
     state: State
     laws: tuple[Law, ...] = ()
 
 
-def with_laws(state: State, plain: State, ordered: Ordered = map) -> Found:
+def with_laws(state: State, plain: State, ordered: Ordered = map) -> LawSearchResult:
     """Return the state with a law in it, where a law explains the readings better than what it replaces.
 
     Effects, correlated errors and noise of variance groups can imitate a law: three jumps do a saturation, an error
@@ -99,7 +99,7 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> Found:
     """
     m = state.measurement
     if not m.job.places or m.system.rows > _MOST_ROWS or m.job.budget.ended:
-        return Found(state)
+        return LawSearchResult(state)
     library = Library(m.job, plain.measurement.system)
     best: tuple[Lawful, State] | None = None
     for base in _bases(plain):
@@ -108,17 +108,17 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> Found:
         if lawful is not None and lawful.steps and (best is None or lawful.state.score > best[0].state.score):
             best = lawful, base
     if best is None or best[0].state.score < state.score + _LAW:
-        return Found(state)
+        return LawSearchResult(state)
     lawful, base = best
     gains = _gains(lawful, base, ordered)
     found = [_law(lawful.first(count), base, gain, state) for count, gain in enumerate(gains, 1)]
     chosen = max(found, key=lambda one: one.gain.log_score)
     surely = best[0].state.score > state.score + _SURELY and chosen.gain.log_score > 0
     if not (chosen.gain.shown or surely) or _is_named(chosen, state):
-        return Found(state)
+        return LawSearchResult(state)
     laws = tuple(replace(one, chosen=one is chosen) for one in found)
     terms = [one for _, one in lawful.steps[: len(chosen.terms)]]
-    return Found(State.of(base.measurement, (*base.fixed, *terms), base.random, base.logs, 0), laws)
+    return LawSearchResult(State.of(base.measurement, (*base.fixed, *terms), base.random, base.logs, 0), laws)
 
 
 def _is_named(law: Law, state: State) -> bool:
@@ -239,7 +239,7 @@ def _data(library: Library, terms: Sequence[Term], sizes: Array, after: Array) -
     return LawData(name, unit, x, law, residual, adds_unit, (steps, curve))
 
 
-def _showing(system: System, explained: Array) -> tuple[str, Mask]:
+def _showing(system: Linearised, explained: Array) -> tuple[str, Mask]:
     """Return the unit of the readings that show most of what a law explains (rows,), whitened, and their rows.
 
     Angles may show nothing of a law of distances.

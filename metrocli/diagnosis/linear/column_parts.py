@@ -57,7 +57,7 @@ class ColumnPart(Protocol):
 
 
 @dataclass(frozen=True)
-class Own:
+class OwnColumns:
     """The columns of one alternative at the rows that they change."""
 
     rows: Index
@@ -71,7 +71,7 @@ class Own:
         return int(self.values.shape[1])
 
     @classmethod
-    def of(cls, full: Array, own: Mask, held: Callable[[Index], Index] = lambda rows: rows) -> Own:
+    def of(cls, full: Array, own: Mask, held: Callable[[Index], Index] = lambda rows: rows) -> OwnColumns:
         """Return some of the columns (rows, k), chosen by a mask (k,), at the rows where any of them is not zero.
 
         `held` returns the array in which equal rows are stored, so that they are stored once.
@@ -91,14 +91,14 @@ class Course:
     """(r, parameters)"""
 
     @classmethod
-    def of(cls, own: Own, times: Array) -> Course:
+    def of(cls, own: OwnColumns, times: Array) -> Course:
         """Return columns by the times of all rows, (rows,)."""
         order = np.argsort(times[own.rows], kind="stable")
         return cls(own.rows[order], own.values[order])
 
 
 @dataclass(frozen=True)
-class Step:
+class StepColumns:
     """The columns of one alternative that acts from some time on."""
 
     course: Course
@@ -122,7 +122,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Part:
+class StackedColumns:
     """Alternatives that change the same rows."""
 
     rows: Index
@@ -160,18 +160,18 @@ class Part:
             found[start : start + step] = np.matmul(np.swapaxes(turned, 1, 2), turned) - absorbs.grams(values)
         return found
 
-    def cut(self, there: Mask) -> Part:
+    def cut(self, there: Mask) -> StackedColumns:
         """Return the part at some of its rows (r,)."""
         own = np.flatnonzero(there)
-        return Part(self.rows[own], self.values.take(own, axis=0), self.numbers)
+        return StackedColumns(self.rows[own], self.values.take(own, axis=0), self.numbers)
 
-    def numbered(self, rows: Index, numbers: Index) -> Part:
+    def numbered(self, rows: Index, numbers: Index) -> StackedColumns:
         """Return the part with other numbers of its rows and its alternatives."""
-        return Part(rows, self.values, numbers)
+        return StackedColumns(rows, self.values, numbers)
 
-    def weighted(self, factor: Array) -> Part:
+    def weighted(self, factor: Array) -> StackedColumns:
         """Return the columns with their rows multiplied by a factor (all rows,)."""
-        return Part(self.rows, self.values * factor[self.rows, None, None], self.numbers)
+        return StackedColumns(self.rows, self.values * factor[self.rows, None, None], self.numbers)
 
 
 @dataclass(frozen=True)

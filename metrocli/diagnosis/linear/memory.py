@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.adjust.model.observations import Mask
-from metrocli.diagnosis.adjusted_job import AdjustedJob, Part
+from metrocli.diagnosis.adjusted_job import AdjustedJob, MemberSubset
 from metrocli.diagnosis.linear.linearised import local_members, shared_unknowns
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS
 from metrocli.diagnosis.linear.scans import most_tried
@@ -98,7 +98,7 @@ def part_of(job: AdjustedJob, share: float) -> AdjustedJob | None:
         ),
         folds={name: _some(values, kept.get(name)) for name, values in job.folds.items()},
         replicates={name: _some(values, kept.get(name)) for name, values in job.replicates.items()},
-        part=Part(block.name, count, len(members)),
+        part=MemberSubset(block.name, count, len(members)),
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Mask
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import of_places, scan_with_values
 from metrocli.effects.effect import Effect
 from metrocli.effects.links.own import NoValueAtReadingError
@@ -78,7 +78,7 @@ def is_filled(effect: Effect) -> bool:
 
 
 def scanned_columns(
-    model: Model, system: System, effect: Effect, places: Sequence[tuple[str, ...]]
+    model: Model, system: Linearised, effect: Effect, places: Sequence[tuple[str, ...]]
 ) -> Iterator[tuple[Mapping[str, float], tuple[Array, Block, Mask]]]:
     """Yield the scanned values with what `scan` yields, and values in between until neighbours' columns are alike.
 
@@ -106,7 +106,7 @@ def scanned_columns(
 
 def _with_values(
     model: Model,
-    system: System,
+    system: Linearised,
     effect: Effect,
     places: Sequence[tuple[str, ...]],
     wanted: Sequence[Mapping[str, float]],
@@ -121,7 +121,7 @@ def _with_values(
             raise
 
 
-def sketch_vectors(system: System) -> Array:
+def sketch_vectors(system: Linearised) -> Array:
     """Return random visible vectors (rows, draws), whose products with columns keep the cosines between these."""
     return system.seen(np.random.default_rng(0).standard_normal((system.rows, _DRAWS)))
 

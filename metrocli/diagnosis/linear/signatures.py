@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.chain import Local, through
+from metrocli.adjust.model.chain import LinkContext, through
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Mask
-from metrocli.diagnosis.linear.column_parts import Own, Step
-from metrocli.diagnosis.linear.projection import System, scatter
+from metrocli.diagnosis.linear.column_parts import OwnColumns, StepColumns
+from metrocli.diagnosis.linear.projection import Linearised, scatter
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import with_effect
 from metrocli.effects.links.own import NoValueAtReadingError
@@ -25,14 +25,16 @@ BEYOND = "the measurement sees only sizes beyond the plausible"
 
 
 def signature(
-    model: Model, system: System, effect: Effect, place: tuple[str, ...], scanned: Mapping[str, float]
+    model: Model, system: Linearised, effect: Effect, place: tuple[str, ...], scanned: Mapping[str, float]
 ) -> Array:
     """Return the whitened columns of an effect at one place, (rows, parameters)."""
     full, _, _ = next(scan(model, system, effect, [place], [scanned]))
     return full
 
 
-def beyond_plausible(system: System, own: Own | Step, effect: Effect, parameters: Sequence[str]) -> bool:
+def beyond_plausible(
+    system: Linearised, own: OwnColumns | StepColumns, effect: Effect, parameters: Sequence[str]
+) -> bool:
     """Return whether the measurement sees a cause only where each of its parameters is larger than plausible."""
     whole = np.zeros((system.rows, len(parameters)))
     whole[own.rows] = own.values
@@ -43,7 +45,7 @@ def beyond_plausible(system: System, own: Own | Step, effect: Effect, parameters
 
 def scan(
     model: Model,
-    system: System,
+    system: Linearised,
     effect: Effect,
     places: Sequence[tuple[str, ...]],
     scans: Sequence[Mapping[str, float]],
@@ -72,7 +74,7 @@ def scan(
 
 def scan_with_values(
     model: Model,
-    system: System,
+    system: Linearised,
     effect: Effect,
     places: Sequence[tuple[str, ...]],
     scans: Sequence[Mapping[str, float]],
@@ -124,7 +126,7 @@ def _at(block: Block, values: Mapping[str, float]) -> Block:
     return replace(block, values=moved)
 
 
-def _whitened(system: System, group: Group, blocks: Mapping[str, Block], block: Block, chosen: Mask) -> Array:
+def _whitened(system: Linearised, group: Group, blocks: Mapping[str, Block], block: Block, chosen: Mask) -> Array:
     """Return the whitened derivatives of a group by the chosen entries of a block, (rows of the group, entries)."""
     numbers = np.full(block.values.shape, -1, dtype=np.intp)
     numbers[chosen] = np.arange(int(chosen.sum()))
@@ -134,7 +136,7 @@ def _whitened(system: System, group: Group, blocks: Mapping[str, Block], block: 
     if block.name in group.chain.blocks:
         fast = columns_by_splicing(system, group, blocks, block)
         if fast is not None:
-            index = Local(blocks, observations, frozenset()).slots(block.name)
+            index = LinkContext(blocks, observations, frozenset()).slots(block.name)
             scatter(full, np.broadcast_to(observations.whitened(fast), (d, block.size, n)), numbers[index])
         else:
             for touch in group.linear(blocks, frozenset({block.name})).touches:
@@ -142,7 +144,7 @@ def _whitened(system: System, group: Group, blocks: Mapping[str, Block], block: 
     return full.reshape(n * d, -1)
 
 
-def columns_by_splicing(system: System, group: Group, blocks: Mapping[str, Block], block: Block) -> Array | None:
+def columns_by_splicing(system: Linearised, group: Group, blocks: Mapping[str, Block], block: Block) -> Array | None:
     """Return the derivatives (d, size, n) by the block of a link that is inserted into the chain without a change.
 
     The other links keep their values and derivatives, which saves their evaluation. None if the inserted link changes
@@ -155,7 +157,7 @@ def columns_by_splicing(system: System, group: Group, blocks: Mapping[str, Block
         return None
     run = system.run(before)
     value, outer = run.values[at], run.outer[at]
-    step = links[at].step(value, Local(blocks, group.observations, frozenset({block.name})))
+    step = links[at].step(value, LinkContext(blocks, group.observations, frozenset({block.name})))
     inner = step.by_block.get(block.name)
     same = np.array_equal(step.value, np.broadcast_to(value, step.value.shape))
     if inner is None or inner.ndim != 3 or group.weights is not None or not same:

@@ -12,11 +12,11 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.detectability import Candidate, Design
+from metrocli.diagnosis.detectability import Detectability, DetectableCandidate
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.distributions import power
-from metrocli.diagnosis.next_readings.pool import Known, Pool, pool_of
+from metrocli.diagnosis.next_readings.pool import KnownErrors, Pool, pool_of
 from metrocli.diagnosis.next_readings.proposals import Proposal, proposals
 from metrocli.diagnosis.next_readings.separation import chance_to_separate
 from metrocli.errors import UsageError
@@ -41,7 +41,7 @@ _SINGLE = "it spoils one reading, and every reading is tested for it"
 
 
 @dataclass(frozen=True)
-class Aim:
+class OpenQuestion:
     """A question that further readings shall decide."""
 
     why: str
@@ -68,7 +68,7 @@ class Next:
     """The next readings, in the order in which they help most, and what they decide."""
 
     readings: tuple[NextReading, ...]
-    aims: tuple[Aim, ...]
+    aims: tuple[OpenQuestion, ...]
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class _Test:
 
 def next_readings(diagnosis: Diagnosis, count: int) -> Next:
     """Return the readings that best tell apart what is indistinct, or show what cannot be seen."""
-    job, known = diagnosis.job, Known.from_diagnosis(diagnosis)
+    job, known = diagnosis.job, KnownErrors.from_diagnosis(diagnosis)
     proposed = proposals(job)
     tests = list(_of_indistinct(diagnosis, proposed, known)) if proposed else []
     if not tests and proposed:
@@ -115,12 +115,12 @@ def _can_rise(test: _Test, count: int) -> bool:
     return float(most.max()) - test.power(test.now) > _HELPS
 
 
-def revealing(job: AdjustedJob, design: Design, wanted: str, count: int) -> Next:
+def revealing(job: AdjustedJob, design: Detectability, wanted: str, count: int) -> Next:
     """Return the readings that best show an effect, written as `NAME` or `NAME:PLACE`, before anything is measured.
 
     Raises UsageError if the job has no such candidate.
     """
-    known: dict[str, Alternative] = {}
+    known: dict[str, Candidate] = {}
     for one in design.candidates:
         known.setdefault(_label(one.alternative), one.alternative)  # of several forms of a cause the usual one is first
     name, _, place = wanted.partition(":")
@@ -132,10 +132,10 @@ def revealing(job: AdjustedJob, design: Design, wanted: str, count: int) -> Next
         said = f"is no candidate here: {reason}" if reason else f"is no effect that this measurement could have; {hint}"
         raise UsageError(f"--reveal: '{wanted}' {said}")
     proposed = proposals(job)
-    return _chosen([_of_candidate(job, found, proposed, Known())] if proposed else [], proposed, count)
+    return _chosen([_of_candidate(job, found, proposed, KnownErrors())] if proposed else [], proposed, count)
 
 
-def _reasons(design: Design, name: str, place: str) -> Iterator[str]:
+def _reasons(design: Detectability, name: str, place: str) -> Iterator[str]:
     """Yield why an effect is no candidate at a place, or at all places, though the kind has it."""
     missing = [one for one in design.not_tested if one.effect.name == name]
     yield from (one.reason for one in missing if not (place and one.where) or place in one.where.values())
@@ -144,15 +144,15 @@ def _reasons(design: Design, name: str, place: str) -> Iterator[str]:
     yield from (_SINGLE for one in design.readings if one.effect.name == name)
 
 
-def _label(alternative: Alternative) -> str:
+def _label(alternative: Candidate) -> str:
     return ":".join([alternative.effect.name, *alternative.instance])
 
 
-def _is_unseen(candidate: Candidate) -> bool:
+def _is_unseen(candidate: DetectableCandidate) -> bool:
     return not candidate.testable or candidate.detectable > candidate.plausible
 
 
-def _of_indistinct(diagnosis: Diagnosis, proposed: Sequence[Proposal], known: Known) -> Iterator[_Test]:
+def _of_indistinct(diagnosis: Diagnosis, proposed: Sequence[Proposal], known: KnownErrors) -> Iterator[_Test]:
     """Yield for each finding and rival the test whether the finding is needed beside the rival."""
     named = [finding.effect for finding in diagnosis.findings]
     for one in named:
@@ -163,7 +163,7 @@ def _of_indistinct(diagnosis: Diagnosis, proposed: Sequence[Proposal], known: Kn
             yield _Test(why, int(one.seen.sum()), one.values, pool, rival.odds)
 
 
-def _of_candidate(job: AdjustedJob, alternative: Alternative, proposed: Sequence[Proposal], known: Known) -> _Test:
+def _of_candidate(job: AdjustedJob, alternative: Candidate, proposed: Sequence[Proposal], known: KnownErrors) -> _Test:
     """Return the test of an effect of its largest usual size, all its parameters alike."""
     count = len(alternative.parameters)
     sizes = np.full(count, alternative.effect.plausible / np.sqrt(count))
@@ -186,7 +186,7 @@ def _chosen(tests: Sequence[_Test], proposed: Sequence[Proposal], count: int) ->
     after = [test.power(pool) for test, pool in zip(tests, pools, strict=True)]
     helps = sum(after) - sum(before) > _HELPS * len(tests)
     after = after if helps else before
-    aims = (Aim(test.why, *powers) for test, *powers in zip(tests, before, after, strict=True))
+    aims = (OpenQuestion(test.why, *powers) for test, *powers in zip(tests, before, after, strict=True))
     return Next(tuple(found) if helps else (), tuple(aims))
 
 

@@ -20,13 +20,13 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.linearised import linearised
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.quadratics import roots
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.next_readings.proposals import Proposal, with_proposals
-from metrocli.diagnosis.noise import Unit, weights_of
+from metrocli.diagnosis.noise import VarianceGroup, weights_of
 from metrocli.effects.extension import with_effect
 from metrocli.frozen import dataclass
 
@@ -35,21 +35,21 @@ _WEIGHT = 1e-4
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownErrors:
     """What is known of the readings so far."""
 
     noise: float = 1.0
     """The true noise relative to what is declared"""
-    units: tuple[Unit, ...] = ()
+    units: tuple[VarianceGroup, ...] = ()
     """Noisier units"""
     wrong: tuple[Mapping[str, str], ...] = ()
     """Keys of wrong readings, which count nothing"""
 
     @staticmethod
-    def from_diagnosis(diagnosis: Diagnosis) -> Known:
+    def from_diagnosis(diagnosis: Diagnosis) -> KnownErrors:
         """Return what a diagnosis found out about the readings."""
         wrong = tuple(one.keys for one in diagnosis.outliers)
-        return Known(diagnosis.noise.ratio, diagnosis.noisier_units, wrong)
+        return KnownErrors(diagnosis.noise.ratio, diagnosis.noisier_units, wrong)
 
 
 @dataclass(frozen=True)
@@ -121,12 +121,12 @@ class Pool:
 def pool_of(
     job: AdjustedJob,
     proposed: Sequence[Proposal],
-    effects: Sequence[Alternative],
-    beside: Sequence[Alternative] = (),
-    known: Known | None = None,
+    effects: Sequence[Candidate],
+    beside: Sequence[Candidate] = (),
+    known: KnownErrors | None = None,
 ) -> Pool:
     """Return the pool of proposals for effects beside the unknowns of a job and the effects `beside`."""
-    known = Known() if known is None else known
+    known = KnownErrors() if known is None else known
     whole = with_proposals(job.model, proposed)
     for one in beside:
         whole = with_effect(whole, one.effect, [one.instance], dict(one.scanned))
@@ -155,7 +155,9 @@ def pool_of(
     )
 
 
-def _weights(job: AdjustedJob, proposed: Sequence[Proposal], known: Known, old: Mapping[str, int]) -> dict[str, Array]:
+def _weights(
+    job: AdjustedJob, proposed: Sequence[Proposal], known: KnownErrors, old: Mapping[str, int]
+) -> dict[str, Array]:
     """Return factors on the whitened readings of each group: of noisier units, of wrong readings, and of proposals."""
     whole = replace(job, model=with_proposals(job.model, proposed))
     found = dict(weights_of(whole, known.units))
@@ -173,7 +175,9 @@ def _weights(job: AdjustedJob, proposed: Sequence[Proposal], known: Known, old: 
     return found
 
 
-def _rows_of(system: System, old: Mapping[str, int], proposed: Sequence[Proposal]) -> tuple[Index, tuple[Index, ...]]:
+def _rows_of(
+    system: Linearised, old: Mapping[str, int], proposed: Sequence[Proposal]
+) -> tuple[Index, tuple[Index, ...]]:
     """Return the rows of all proposals in the system, and for each proposal the numbers of its own among these."""
     place = dict(old)
     rows: list[Index] = []

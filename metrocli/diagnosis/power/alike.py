@@ -14,9 +14,9 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.linearised import linearised
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.power.average_power import size_separated
 from metrocli.frozen import dataclass
@@ -37,11 +37,11 @@ _SEPARATED = 0.95
 """Probability with which the right one of two names is chosen, over all directions of its parameters"""
 
 
-class Candidate(Protocol):
+class ComparedCandidate(Protocol):
     """One form of a cause at one place."""
 
     @property
-    def alternative(self) -> Alternative: ...
+    def alternative(self) -> Candidate: ...
     @property
     def family(self) -> int: ...
     @property
@@ -74,7 +74,7 @@ class Pair:
         return self.correlation > _SAME
 
 
-def pairs_of(state: State, candidates: Sequence[Candidate], noise: float) -> Iterable[Pair]:
+def pairs_of(state: State, candidates: Sequence[ComparedCandidate], noise: float) -> Iterable[Pair]:
     """Yield the pairs of testable candidates of different causes or places that correlate by more than 0.9."""
     testable = [one for one in candidates if one.testable]
     ends = np.cumsum([0, *(state.measurement.families[one.family].columns.parameters for one in testable)])
@@ -93,7 +93,7 @@ def pairs_of(state: State, candidates: Sequence[Candidate], noise: float) -> Ite
                 yield Pair(one.name, testable[j].name, min(rho, 1.0), size, one.unit, one.dimension)
 
 
-def _visible_products(state: State, candidates: Sequence[Candidate], own: Sequence[slice]) -> Array:
+def _visible_products(state: State, candidates: Sequence[ComparedCandidate], own: Sequence[slice]) -> Array:
     """Return the products of the visible columns of candidates, each at its own place, some of them at once."""
     gram = np.empty((own[-1].stop,) * 2) if own else np.empty((0, 0))
     m = state.measurement
@@ -123,7 +123,7 @@ def _unit(gram: Array) -> Array:
     return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) / norms[:, None])
 
 
-def separations(job: AdjustedJob, pairs: Sequence[tuple[Alternative, Alternative]]) -> list[list[str]]:
+def separations(job: AdjustedJob, pairs: Sequence[tuple[Candidate, Candidate]]) -> list[list[str]]:
     """Return, in words, what to measure to distinguish the names of each pair.
 
     These are the first offers that bring their cosine below 0.9, or else the offer with the lowest cosine; if the job
@@ -140,7 +140,7 @@ def separations(job: AdjustedJob, pairs: Sequence[tuple[Alternative, Alternative
     return [_advice(its, pair) for its, pair in zip(found, pairs, strict=True)]
 
 
-def _cosine(system: System, one: Alternative, other: Alternative) -> float:
+def _cosine(system: Linearised, one: Candidate, other: Candidate) -> float:
     """Return the largest cosine between the visible columns of two candidates."""
     columns = [
         system.seen(signature(system.model, system, a.effect, a.instance, dict(a.scanned))) for a in (one, other)
@@ -149,7 +149,7 @@ def _cosine(system: System, one: Alternative, other: Alternative) -> float:
     return float(np.linalg.norm(turns[0].T @ (columns[0].T @ columns[1]) @ turns[1], 2))
 
 
-def _advice(found: Sequence[tuple[float, str]], pair: tuple[Alternative, Alternative]) -> list[str]:
+def _advice(found: Sequence[tuple[float, str]], pair: tuple[Candidate, Candidate]) -> list[str]:
     """Return the offers that help to distinguish a pair, of those with the cosine that each leaves."""
     enough = [f"{words} (their correlation falls to {rho:.2f})" for rho, words in found if rho < _ALIKE]
     if enough:

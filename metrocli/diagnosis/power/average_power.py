@@ -13,7 +13,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.hidden_change import HiddenChange, hidden_by_scatter
+from metrocli.diagnosis.hidden_change import UndetectedBias, hidden_by_scatter
 from metrocli.diagnosis.linear.distributions import noncentrality, power
 from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass
@@ -111,7 +111,7 @@ class ScatterCandidate:
     effect: Effect
     detectable: float
     """Standard deviation of its sizes that is found in 80 of 100 cases; inf if none is"""
-    hides: HiddenChange
+    hides: UndetectedBias
     """Change of the delivered result that is exceeded in 5 % of cases, by a scatter that is found with 95 % power"""
 
     @property
@@ -139,7 +139,7 @@ def _candidate(state: State, effect: Effect, noise: float) -> ScatterCandidate:
     m = state.measurement
     number = next((i for i, own in enumerate(m.scatters) if own[0].name == effect.name), None)
     if number is None:
-        return ScatterCandidate(effect, float("inf"), HiddenChange(0.0))
+        return ScatterCandidate(effect, float("inf"), UndetectedBias(0.0))
     one = m.scatter(number)
     left = one.columns.T @ state.seen(one.columns) * one.unit**-2
     eigenvalues = np.linalg.eigvalsh(left)

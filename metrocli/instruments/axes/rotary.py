@@ -12,13 +12,13 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.chain import Chain, LinkContext, Step
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
-from metrocli.instruments.axes.joints import Motion, turn
+from metrocli.instruments.axes.joints import JointMotion, turn
 from metrocli.instruments.machine import ANGLES, AXES, SQUARENESS_NAMES, Axis, Machine, bracket, errors_of
 
 SPINDLE = "spindle"
@@ -139,7 +139,7 @@ class RotaryAxis(Axis):
             self.block, values, errors_of(self.letter), members, self.free(estimated), reach=reach, noun="position"
         )
 
-    def motion(self, position: Array, errors: Array, location: Array) -> Motion:
+    def motion(self, position: Array, errors: Array, location: Array) -> JointMotion:
         """Return the motion of the tool's side of the axis against its workpiece side at positions (n,)."""
         return turn(self.number, self.sense * position, errors, location, (np.array(self.at), self.head))
 
@@ -188,7 +188,7 @@ class Combinations(OfBlock):
     takes = None
     gives = Quantity.PARAMETERS
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the combinations (conditions, 1) and their derivatives by each member."""
         found = np.einsum("cmk,mk->c", self.weights, local.members(self.block))
         return Step(found[:, None], by_block={self.block: np.swapaxes(self.weights, 0, 1)[..., None]})

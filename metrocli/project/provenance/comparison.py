@@ -18,10 +18,10 @@ from metrocli.progress import SILENT, Progress
 from metrocli.project import fingerprint, yaml_text
 from metrocli.project.campaign import KEY
 from metrocli.project.inputs import content_now, input_files
-from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.job import JobFile, JobOptions, load
 from metrocli.project.provenance.lineage import Origin, files_of, trace
 from metrocli.project.runner import HERE, compute
-from metrocli.project.staleness import State
+from metrocli.project.staleness import Staleness
 from metrocli.record import Record
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
@@ -126,7 +126,7 @@ def _inputs(a: Record, b: Record) -> list[str]:
 _OWN = ("job", "status", "up_to_date", "sigma0")
 
 
-def table_of(states: Iterable[State]) -> Table:
+def table_of(states: Iterable[Staleness]) -> Table:
     """Return a row for each job that has a result which can be believed.
 
     Columns: job, the columns of its list of parts, status, conformity of jobs with tolerances, up_to_date (yes or no),
@@ -205,4 +205,4 @@ def _job_of(path: Path, record: Record, accept_doubtful: bool) -> JobFile:
     if not record.job_file:
         raise InputError([Fault("the result does not name its job file", str(path))])
     file = Path(os.path.normpath(path.parent / record.job_file))
-    return load(file, Wishes(output=path, accept_doubtful=accept_doubtful, text=record.job_text))
+    return load(file, JobOptions(output=path, accept_doubtful=accept_doubtful, text=record.job_text))

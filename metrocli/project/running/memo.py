@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from metrocli.formats.seal import Label
-    from metrocli.project.steps import Step
+    from metrocli.project.steps import ProjectStep
 
 NAME = ".metrocli-seen"
 _SETTLED_NS = 2_500_000_000
@@ -80,7 +80,7 @@ def _text(path: str) -> str:
 
 
 def remember(
-    project_file: Path, steps: Sequence[Step], begun_ns: int, labels: Mapping[str, Label | None] | None = None
+    project_file: Path, steps: Sequence[ProjectStep], begun_ns: int, labels: Mapping[str, Label | None] | None = None
 ) -> None:
     """Remember that all results are up to date, as of `begun_ns`, when the project was read.
 
@@ -112,7 +112,7 @@ def remember(
 
 
 def _judged(
-    folder: Path, steps: Sequence[Step], labels: Mapping[str, Label | None], young: Iterable[str]
+    folder: Path, steps: Sequence[ProjectStep], labels: Mapping[str, Label | None], young: Iterable[str]
 ) -> dict[str, set[str]]:
     """Return the digests of the bytes by which results are up to date, of files by their paths from a folder.
 
@@ -206,7 +206,7 @@ def _seen(path: str, by_digest: bool = True) -> list[Any]:
     return [_signature(path), digest]
 
 
-def _looked_at(project_file: Path, steps: Iterable[Step]) -> Iterable[Path]:
+def _looked_at(project_file: Path, steps: Iterable[ProjectStep]) -> Iterable[Path]:
     """Yield all files and folders that decide whether results are up to date."""
     yield project_file
     for step in steps:

@@ -18,7 +18,7 @@ from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, FACE
 from metrocli.tasks.adjust_network import noise as n
-from metrocli.tasks.adjust_network.readings import Lengths, Readings
+from metrocli.tasks.adjust_network.readings import Lengths, NetworkReadings
 from metrocli.tasks.adjust_network.settings import Settings
 from metrocli.tasks.adjust_network.sightings import QUANTITIES
 from metrocli.tasks.adjust_network.unknowns import kind_of_stations, rows_of_kind
@@ -43,7 +43,7 @@ def is_sighting(group: Group) -> bool:
     return ROW in group.observations.index
 
 
-def sightings(readings: Readings, blocks: Mapping[str, Block], bend: float) -> Iterator[Group]:
+def sightings(readings: NetworkReadings, blocks: Mapping[str, Block], bend: float) -> Iterator[Group]:
     """Yield the groups of sightings: distances, azimuths and elevations, by kind of station and of target."""
     seen = readings.sightings
     if not len(seen.point):
@@ -88,14 +88,14 @@ def _variant(block: str, raised: bool) -> str:
     return f" from {block}" + " to raised targets" * raised
 
 
-def _of_points(readings: Readings, block: str, rows: Index) -> dict[str, Index]:
+def _of_points(readings: NetworkReadings, block: str, rows: Index) -> dict[str, Index]:
     seen = readings.sightings
     if block != s.OVER:
         return {t.POINT: seen.point[rows]}
     return {t.POINT: np.stack([seen.point[rows], readings.stations.over[seen.station[rows]]])}
 
 
-def _observations(readings: Readings) -> Observations:
+def _observations(readings: NetworkReadings) -> Observations:
     """Return all sightings with their keys, places and conditions, (3, n)."""
     seen, stations = readings.sightings, readings.stations
     instrument = stations.instrument[seen.station]
@@ -129,7 +129,7 @@ def _begun(conditions: Mapping[str, Array], station: Index) -> dict[str, Array]:
     return {BEGUN: first[station]}
 
 
-def lengths(readings: Readings) -> Iterator[Group]:
+def lengths(readings: NetworkReadings) -> Iterator[Group]:
     found = readings.lengths
     if found is None:
         return
@@ -153,7 +153,7 @@ def lengths(readings: Readings) -> Iterator[Group]:
     yield Group(LENGTHS, t.chain(), observations)
 
 
-def bars(readings: Readings) -> Iterator[Group]:
+def bars(readings: NetworkReadings) -> Iterator[Group]:
     found = readings.bars
     if found is not None:
         index = {t.POINT: np.stack([found.first, found.second]), OF_BAR: np.arange(len(found.first))}
@@ -161,7 +161,7 @@ def bars(readings: Readings) -> Iterator[Group]:
         yield _pairs(BARS, Chain((DistanceBetween(t.POINT),)), found, index, keys, "length")
 
 
-def heights(readings: Readings, settings: Settings) -> Iterator[Group]:
+def heights(readings: NetworkReadings, settings: Settings) -> Iterator[Group]:
     found = readings.heights
     if found is not None:
         curved = settings.vertical is not None
@@ -181,7 +181,7 @@ def heights(readings: Readings, settings: Settings) -> Iterator[Group]:
         yield replace(group, observations=replace(group.observations, conditions=conditions))
 
 
-def methods(readings: Readings) -> tuple[str, ...]:
+def methods(readings: NetworkReadings) -> tuple[str, ...]:
     """Return the methods of height differences, in the order of the file."""
     found = readings.heights
     return () if found is None or "method" not in found.table else tuple(dict.fromkeys(found.table.texts("method")))
@@ -197,7 +197,7 @@ def _pairs(
     return Group(name, chain, observations)
 
 
-def given(readings: Readings, blocks: Mapping[str, Block]) -> Iterator[Group]:
+def given(readings: NetworkReadings, blocks: Mapping[str, Block]) -> Iterator[Group]:
     """Yield what is known of points: coordinates with a joint covariance, and others axis by axis."""
     points, block = readings.points, blocks[t.POINT]
     listed = block.with_values(np.where(np.isfinite(points.listed), points.listed, block.values))
@@ -225,7 +225,7 @@ def _of_list(group: Group, members: Index, block: Block) -> Group:
     return replace(group, observations=replace(observations, conditions=named, keys=keys, unit="mm"))
 
 
-def known(readings: Readings, blocks: Mapping[str, Block]) -> Iterator[Group]:
+def known(readings: NetworkReadings, blocks: Mapping[str, Block]) -> Iterator[Group]:
     """Yield what is known of heights of instruments and targets, and of their centring."""
     if s.OVER in blocks:
         rows = rows_of_kind(kind_of_stations(readings), s.OVER)

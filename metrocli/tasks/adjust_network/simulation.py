@@ -27,7 +27,7 @@ from metrocli.tasks.adjust_network.noise import component
 from metrocli.tasks.adjust_network.problem import Network, build
 from metrocli.tasks.adjust_network.readings import read
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkSimulation, Settings
-from metrocli.tasks.adjust_network.starts.agreement import Start
+from metrocli.tasks.adjust_network.starts.agreement import NetworkStart
 from metrocli.tasks.shared.lists import listed_places
 
 _TILT = 0.02
@@ -109,7 +109,7 @@ def true_network(settings: Settings, files: Files, rng: np.random.Generator) -> 
     turn = rng.uniform(-np.pi, np.pi, n)
     pose = poses.pose_from_euler(place, np.column_stack([tilt, turn]))
     gamma = turn[[station for station, _ in readings.sightings.rounds]] if readings.sightings.rounds else np.zeros(0)
-    network = build(settings, readings, Start(np.nan_to_num(readings.points.listed), pose, gamma))
+    network = build(settings, readings, NetworkStart(np.nan_to_num(readings.points.listed), pose, gamma))
     blocks = dict(network.blocks)
     if t.TRACER in blocks:
         values = blocks[t.TRACER].values.copy()

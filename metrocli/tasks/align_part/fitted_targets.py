@@ -19,7 +19,7 @@ from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.shared.images.simulation import true_targets
-from metrocli.tasks.shared.images.target_list import Targets
+from metrocli.tasks.shared.images.target_list import TargetCoordinates
 from metrocli.tasks.shared.part import Part, growth_of
 
 FEWEST = 3
@@ -53,7 +53,7 @@ class TargetList:
         chosen = self.covariance[rows][:, :, rows].reshape(size, size)
         return [prior_of_members(block, (0, 1, 2), chosen, rows)]
 
-    def drawn(self, known: Targets, rng: np.random.Generator) -> Targets:
+    def drawn(self, known: TargetCoordinates, rng: np.random.Generator) -> TargetCoordinates:
         """Return the targets with errors drawn from their covariance."""
         if self.covariance is None:
             return true_targets(known, rng)

@@ -30,7 +30,7 @@ from metrocli.instruments.tracker import LEG, TRACKER
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.effects import OF_BALLS, OF_LENGTHS, OF_LINES, OF_MACHINES
 from metrocli.tasks.calibrate_machine.problem import ALL_SIDES, ERROR_BLOCKS, PLACES_OF_AXES
-from metrocli.tasks.calibrate_machine.solve import Solved, refitted
+from metrocli.tasks.calibrate_machine.solve import AdjustedMachine, refitted
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, count, in_blocks, noise_found
 
 _FOLDS = 10
@@ -38,7 +38,7 @@ _NO_STOPS = "the machine does not stop at the readings"
 _PIECES = "the readings are averages over pieces of the path longer than a pitch; a job may name it with its period"
 
 
-def adjusted_job(solved: Solved) -> AdjustedJob:
+def adjusted_job(solved: AdjustedMachine) -> AdjustedJob:
     """Return a solved calibration with the covariates, held-out parts and refit that diagnosis needs."""
     problem = solved.problem.with_blocks(solved.solution.blocks)
     model = with_conditions(problem.model)
@@ -151,7 +151,7 @@ def _parts(group: Group) -> Index:
     return np.asarray(rank * _FOLDS // len(rank))
 
 
-def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
+def noise_of(solved: AdjustedMachine, model: str, factor: float) -> NoiseFound:
     """Return the noise of a solved calibration.
 
     Raises UndeterminedError for fewer than five lines or legs, or ten points, if it is structured.
@@ -164,7 +164,7 @@ def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
     return noise_found((solved.solution, factor), model, lambda: clusters_of(solved), estimates, delivered)
 
 
-def clusters_of(solved: Solved) -> Clusters:
+def clusters_of(solved: AdjustedMachine) -> Clusters:
     """Return which readings may share errors: those of one line (six-dof), of one leg, or of successive points."""
     readings = solved.problem.readings
     observations = readings.observations

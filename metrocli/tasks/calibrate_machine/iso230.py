@@ -10,7 +10,13 @@ import numpy as np
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.acceptance.positioning import FIGURES, Measured, at_each_target, expanded, figures
+from metrocli.tasks.calibrate_machine.acceptance.positioning import (
+    FIGURES,
+    LineUncertainty,
+    at_each_target,
+    expanded,
+    figures,
+)
 from metrocli.words import in_a_row, listed
 
 _SAME = 0.01
@@ -40,7 +46,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class _Line:
+class _LineRuns:
     """The runs of one line over the same targets."""
 
     axis: str
@@ -52,7 +58,7 @@ class _Line:
     targets: Array
 
 
-def positioning(runs: Sequence[Run], known: Measured) -> tuple[Table | None, tuple[str, ...]]:
+def positioning(runs: Sequence[Run], known: LineUncertainty) -> tuple[Table | None, tuple[str, ...]]:
     """Return the figures of each line along an axis that was run more than once, with their U, and warnings.
 
     Without such a line there is no table. Runs of several lines are not pooled, since each line has its own zero. The
@@ -78,7 +84,7 @@ def positioning(runs: Sequence[Run], known: Measured) -> tuple[Table | None, tup
     return table, warnings
 
 
-def _whole(runs: Sequence[Run]) -> tuple[list[_Line], list[str]]:
+def _whole(runs: Sequence[Run]) -> tuple[list[_LineRuns], list[str]]:
     """Return the lines that were run more than once, over common targets, and warnings of what is left out of them."""
     whole, warnings = [], []
     for axis, at, name in _lines(runs):
@@ -105,7 +111,7 @@ def _whole(runs: Sequence[Run]) -> tuple[list[_Line], list[str]]:
         ]
         if max(len(up), len(down)) > 1 or min(len(up), len(down)) > 0:
             size = (-1, len(targets))
-            whole.append(_Line(axis, at, name, up.reshape(size), down.reshape(size), targets))
+            whole.append(_LineRuns(axis, at, name, up.reshape(size), down.reshape(size), targets))
     return whole, warnings
 
 
@@ -165,7 +171,7 @@ def _lines(runs: Sequence[Run]) -> list[tuple[str, tuple[float, ...], str]]:
     return list(dict.fromkeys((axis, run.at, run.line) for axis in "XYZ" for run in runs if run.axis == axis))
 
 
-def _too_few(lines: Sequence[_Line]) -> list[str]:
+def _too_few(lines: Sequence[_LineRuns]) -> list[str]:
     """Return warnings of axes of up to 2 m with fewer runs in a direction, or fewer targets, than the standard asks."""
     runs: dict[tuple[str, int, int], list[str]] = {}
     targets: dict[tuple[str, int, float], list[str]] = {}

@@ -43,7 +43,7 @@ _SIDE = "expected 1 after a move in the positive direction of the axis, -1 after
 
 
 @dataclass(frozen=True)
-class Problem(Modelled):
+class MachineProblem(Modelled):
     """The adjustment problem of a machine calibration: model, readings, and what the report needs."""
 
     machine: Machine

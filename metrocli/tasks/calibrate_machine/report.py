@@ -17,13 +17,13 @@ from metrocli.instruments.machine import SQUARENESS, SQUARENESS_NAMES, TOOL
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
-from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
+from metrocli.tasks.calibrate_machine.acceptance.positioning import LineUncertainty
 from metrocli.tasks.calibrate_machine.beside_tables import entries, lines, on_workpiece, rotary_axes, stations, tracker
 from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
 from metrocli.tasks.calibrate_machine.problem import PLACES_OF_AXES
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.settings import Settings
-from metrocli.tasks.calibrate_machine.solve import Solved
+from metrocli.tasks.calibrate_machine.solve import AdjustedMachine
 from metrocli.tasks.calibrate_machine.tables import (
     Determination,
     Tables,
@@ -55,7 +55,7 @@ from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 SIGN = "actual minus commanded"
 
 
-def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
+def report(solved: AdjustedMachine, settings: Settings, noise: NoiseFound) -> Result:
     """Return the result of a solved calibration."""
     solution, added = noise.solution, solved.problem.effects
     tables = tables_of(solved.problem.machine, solution, settings.scales)
@@ -117,12 +117,12 @@ def _positioning(runs: Sequence[Run], settings: Settings, factor: float) -> tupl
     # readings scatter evenly over the range at rest (ISO 230-2:2014, annex A: E_VE)
     own = factor * (settings.noise.displacement or 0.0)
     reading = float(np.hypot(own, settings.positioning.environment / np.sqrt(12)))
-    figures, warnings = positioning(runs, Measured(reading, settings.positioning.scale))
+    figures, warnings = positioning(runs, LineUncertainty(reading, settings.positioning.scale))
     tables = {"positioning": figures, "positioning_targets": at_targets(runs)}
     return {name: one for name, one in tables.items() if one is not None}, warnings
 
 
-def _notes(solved: Solved, settings: Settings, noise: NoiseFound) -> Iterator[str]:
+def _notes(solved: AdjustedMachine, settings: Settings, noise: NoiseFound) -> Iterator[str]:
     """Yield what the machine was measured and adjusted with, in sentences."""
     yield from identifiability_notes(solved.identified)
     yield from solved.problem.notes
@@ -224,7 +224,7 @@ def _places(solution: Solution) -> tuple[str, ...]:
     return (SQUARENESS, *others)
 
 
-def _tools(solved: Solved, solution: Solution) -> Table:
+def _tools(solved: AdjustedMachine, solution: Solution) -> Table:
     block = solution.blocks[TOOL]
     std = solution.std(TOOL) if block.free.any() else np.zeros(block.values.shape)
     used, open_ones = solved.problem.tools_used, solved.identified.open_tools
@@ -239,7 +239,7 @@ def _tools(solved: Solved, solution: Solution) -> Table:
     )
 
 
-def _residuals(solved: Solved) -> Table:
+def _residuals(solved: AdjustedMachine) -> Table:
     observations, found = solved.problem.readings.observations, solved.residuals
     axes = solved.problem.machine.axes
     places = {
@@ -257,18 +257,18 @@ def _residuals(solved: Solved) -> Table:
     return Table.of(columns)
 
 
-def _suspects(solved: Solved) -> Table:
+def _suspects(solved: AdjustedMachine) -> Table:
     names = solved.problem.names
     return _named_tests(solved, [names[i] for i in solved.suspects.rows.tolist()], solved.suspects.tests.tolist())
 
 
-def _named_tests(solved: Solved, names: list[str], tests: list[float]) -> Table:
+def _named_tests(solved: AdjustedMachine, names: list[str], tests: list[float]) -> Table:
     key = next(iter(solved.problem.readings.observations.keys))
     order = np.argsort(-np.array(tests, dtype=float), kind="stable")
     return Table.of({key: np.array(names, dtype=str)[order], "w": np.array(tests, dtype=float)[order]})
 
 
-def _statistics(solved: Solved, settings: Settings) -> Statistics:
+def _statistics(solved: AdjustedMachine, settings: Settings) -> Statistics:
     identified, values = solved.identified, solved.residuals.values
     lengths = np.array([name not in ("ea", "eb", "ec") for name in solved.problem.readings.observations.components])
     rms = {"mm": float(np.sqrt((values[lengths] ** 2).mean()))}

@@ -16,7 +16,7 @@ from metrocli.table import Table
 from metrocli.tasks.fit_part.settings import Settings
 from metrocli.tasks.shared.lists import sigmas
 from metrocli.tasks.shared.part import growth_of
-from metrocli.uncertainty.predicted import Places, independent, points_of
+from metrocli.uncertainty.predicted import PredictedPlaces, independent, points_of
 from metrocli.words import listed, suggestion
 
 TARGET_WORD = "target"
@@ -28,7 +28,7 @@ class Points:
     """Measured points with their joint covariance."""
 
     names: tuple[str, ...]
-    places: Places
+    places: PredictedPlaces
 
     @property
     def points(self) -> Array:
@@ -52,7 +52,7 @@ class Points:
 
 
 @dataclass(frozen=True)
-class Readings:
+class PartReadings:
     """The points of a raw part."""
 
     surface_points: Points
@@ -64,7 +64,7 @@ class Readings:
     warnings: tuple[str, ...] = ()
 
 
-def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_mesh: bool) -> Readings:
+def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_mesh: bool) -> PartReadings:
     """Return the points of a job; `names` are those of the ideal surfaces.
 
     Coded targets are the points that `targets:` names and those with the surface `target`. Where others name their
@@ -106,7 +106,7 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
             "the points are taken as exact: give a column sigma_mm, or `noise: 0.05 mm`, to get uncertainties"
         )
     growth = _growth(settings, points)
-    return Readings(places.of(~target & ~apart), surface, places.of(target), growth, tuple(warnings))
+    return PartReadings(places.of(~target & ~apart), surface, places.of(target), growth, tuple(warnings))
 
 
 def _growth(settings: Settings, points: Table | Result) -> dict[str, float]:

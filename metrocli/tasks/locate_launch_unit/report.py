@@ -15,8 +15,8 @@ from metrocli.result import Estimate, Result, Scalar, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.diagnosis import uncontrolled
-from metrocli.tasks.locate_launch_unit.problem import Problem
-from metrocli.tasks.locate_launch_unit.readings import Readings
+from metrocli.tasks.locate_launch_unit.problem import LaunchUnitProblem
+from metrocli.tasks.locate_launch_unit.readings import AlignedPoses
 from metrocli.tasks.locate_launch_unit.solve import Located
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
 from metrocli.tasks.shared.noise import NoiseFound
@@ -64,7 +64,12 @@ def _as_printed(located: Located, method: str, unit: tuple[Estimate, ...], covar
 
 
 def _as_adjusted(
-    located: Located, problem: Problem, solution: Solution, noise: NoiseFound, unit: tuple[Estimate, ...], method: str
+    located: Located,
+    problem: LaunchUnitProblem,
+    solution: Solution,
+    noise: NoiseFound,
+    unit: tuple[Estimate, ...],
+    method: str,
 ) -> Result:
     """Return the result of an adjusted unit."""
     beams, hidden = _beams(located), uncontrolled(located.readings.receiver, located.place)
@@ -184,7 +189,7 @@ def _told(outliers: Table, critical: float, removed: bool) -> list[str]:
     return [beyond_bound(names, critical, **cure)] if names else []
 
 
-def _repeated(readings: Readings) -> list[str]:
+def _repeated(readings: AlignedPoses) -> list[str]:
     """Return a warning of poses that hold identical readings."""
     rows = np.column_stack([readings.receiver, readings.spindle, readings.angles.T])
     _, first, counts = np.unique(rows, axis=0, return_inverse=True, return_counts=True)

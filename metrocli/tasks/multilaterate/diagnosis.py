@@ -25,7 +25,7 @@ from metrocli.instruments.frames import DistanceBetween
 from metrocli.tasks.multilaterate import KIND
 from metrocli.tasks.multilaterate.effects import EFFECTS, RANGING
 from metrocli.tasks.multilaterate.problem import LENGTHS
-from metrocli.tasks.multilaterate.solve import Solved, refitted
+from metrocli.tasks.multilaterate.solve import AdjustedTracers, refitted
 from metrocli.tasks.shared.environment import blocks_of
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, count, in_blocks, noise_found
 from metrocli.units import parse_quantity
@@ -39,7 +39,7 @@ _BAR = parse_quantity("1 um", "length")
 """Standard uncertainty of an offered calibrated distance"""
 
 
-def adjusted_job(solved: Solved) -> AdjustedJob:
+def adjusted_job(solved: AdjustedTracers) -> AdjustedJob:
     """Return an adjusted network in the form that diagnosis needs."""
     network = solved.network
     model = with_conditions(replace(network.model, blocks=solved.solution.blocks, groups=solved.solution.groups))
@@ -218,7 +218,7 @@ def _with_bar(model: Model, ends: tuple[int, int]) -> Model:
     return replace(model, groups=(*model.groups, bar.with_observations(bar.simulated(model.blocks).observations)))
 
 
-def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
+def noise_of(solved: AdjustedTracers, model: str, factor: float) -> NoiseFound:
     """Return the noise of a solved network; raises UndeterminedError for fewer than ten points if it is structured."""
     estimates = (t.TRACER, *blocks_of(solved.solution), *free_blocks(solved.network.effects))
 
@@ -230,7 +230,7 @@ def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
     return noise_found((solved.solution, factor), model, clusters, estimates)
 
 
-def clusters_of(solved: Solved) -> Index:
+def clusters_of(solved: AdjustedTracers) -> Index:
     """Return the block of points in time of each length used, (n,).
 
     All lengths of a point are in one block, so that each point belongs to one. Points follow each other by the mean

@@ -17,7 +17,7 @@ from metrocli.tasks.multilaterate.diagnosis import adjusted_job, noise_of
 from metrocli.tasks.multilaterate.distance import distance
 from metrocli.tasks.multilaterate.effects import EFFECTS, PLACES
 from metrocli.tasks.multilaterate.features.wanted import wanted_features
-from metrocli.tasks.multilaterate.layout import Layout, Planned
+from metrocli.tasks.multilaterate.layout import PlannedNetwork, PlannedPoints
 from metrocli.tasks.multilaterate.plan import planned
 from metrocli.tasks.multilaterate.problem import build, network_of
 from metrocli.tasks.multilaterate.readings import read
@@ -81,8 +81,8 @@ def plan(job: Job[Settings, Files]) -> Plan:
     files = job.files
     if files.tracers is None:
         raise InputError("plan needs the places where the tracers will stand: `inputs: {tracers: tracers.csv}`")
-    measurement = Planned(files.points, files.tracers, files.lengths or None)
-    return planned(Layout(job.settings, measurement, files.distances, job.effects), files.candidates)
+    measurement = PlannedPoints(files.points, files.tracers, files.lengths or None)
+    return planned(PlannedNetwork(job.settings, measurement, files.distances, job.effects), files.candidates)
 
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
@@ -96,7 +96,7 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
             "simulate needs the truth: the tracers' places in `inputs: tracers`, "
             "and `simulation: {mover_error: 5 um, mover_scale: -25 um/m, tracer_error: 5 mm}`"
         )
-    measurement = Planned(files.points, files.tracers, files.lengths or None)
+    measurement = PlannedPoints(files.points, files.tracers, files.lengths or None)
     return simulated(settings, settings.simulation, measurement, job.effects, np.random.default_rng(options.seed))
 
 

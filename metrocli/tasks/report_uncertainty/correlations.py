@@ -13,13 +13,13 @@ from metrocli.copies import first_run, row_hashes
 from metrocli.errors import Fault
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
-from metrocli.settings import Placed
+from metrocli.settings import LocatedValue
 from metrocli.table import Table
-from metrocli.uncertainty.inputs import Block, NotSemiDefiniteError, Quantity
+from metrocli.uncertainty.inputs import CorrelatedBlock, InputQuantity, NotSemiDefiniteError
 from metrocli.words import suggestion
 
 
-def misnamed(declared: Sequence[Placed], known: Collection[str], with_results: bool) -> Iterable[Fault]:
+def misnamed(declared: Sequence[LocatedValue], known: Collection[str], with_results: bool) -> Iterable[Fault]:
     """Yield a fault for each name that is not a quantity, and for each pair that is given twice."""
     seen: set[frozenset[str]] = set()
     for placed in declared:
@@ -33,7 +33,9 @@ def misnamed(declared: Sequence[Placed], known: Collection[str], with_results: b
         seen.add(frozenset(pair))
 
 
-def refused(declared: Sequence[Placed], quantities: Mapping[str, Quantity], blocks: Sequence[Block]) -> Iterable[Fault]:
+def refused(
+    declared: Sequence[LocatedValue], quantities: Mapping[str, InputQuantity], blocks: Sequence[CorrelatedBlock]
+) -> Iterable[Fault]:
     """Yield a fault for each pair of estimates of one result, and for each quantity without uncertainty."""
     for placed in declared:
         a, b = placed.value.between
@@ -76,7 +78,7 @@ def simultaneous(readings: Iterable[tuple[str, Table, str]], given: Collection[f
     return pairs
 
 
-def contradiction(error: NotSemiDefiniteError, declared: Sequence[Placed], otherwise: Node) -> Fault:
+def contradiction(error: NotSemiDefiniteError, declared: Sequence[LocatedValue], otherwise: Node) -> Fault:
     """Return the fault of contradictory correlations, at the first of those involved, otherwise at `otherwise`."""
     pairs = [placed for placed in declared if set(placed.value.between) <= set(error.names)]
     hint = "no quantities can have all of them: one is too large, or has the wrong sign"

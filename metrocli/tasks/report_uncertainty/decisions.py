@@ -11,8 +11,8 @@ from metrocli.errors import Fault
 from metrocli.expressions.dimensions import Compound, compound, described
 from metrocli.expressions.written import Measure
 from metrocli.frozen import dataclass
-from metrocli.settings import Placed
-from metrocli.tasks.report_uncertainty.entries import Limits
+from metrocli.settings import LocatedValue
+from metrocli.tasks.report_uncertainty.entries import Tolerance
 from metrocli.uncertainty.decision import (
     FACTOR_2017,
     Interval,
@@ -24,7 +24,7 @@ from metrocli.uncertainty.decision import (
     guard_for_specific,
     zone,
 )
-from metrocli.uncertainty.samples import Sample
+from metrocli.uncertainty.samples import MeasurandSample
 from metrocli.words import suggestion
 
 PLAIN = (
@@ -33,16 +33,16 @@ PLAIN = (
 """Keys of a decision whose values have no unit"""
 
 
-def limits_of(placed: Placed) -> Limits:
+def limits_of(placed: LocatedValue) -> Tolerance:
     """Return the limits of a tolerance, which is written as a pair or as a section."""
-    return placed.value if isinstance(placed.value, Limits) else Limits(placed.value)
+    return placed.value if isinstance(placed.value, Tolerance) else Tolerance(placed.value)
 
 
-def faults(tolerance: Any, wanted: Mapping[str, Placed]) -> Iterable[Fault | tuple[str, ...]]:
+def faults(tolerance: Any, wanted: Mapping[str, LocatedValue]) -> Iterable[Fault | tuple[str, ...]]:
     """Yield the faults of the tolerances of measurands."""
     if tolerance is None:
         return
-    if isinstance(tolerance, Placed):
+    if isinstance(tolerance, LocatedValue):
         yield "tolerance", "one width is the tolerance of a volume", "write {NAME: [lower, upper]} for a measurand"
         return
     for name, placed in tolerance.items():
@@ -56,7 +56,7 @@ def faults(tolerance: Any, wanted: Mapping[str, Placed]) -> Iterable[Fault | tup
         yield from _of_one(placed, unit)
 
 
-def _of_one(placed: Placed, unit: Compound) -> Iterable[Fault]:
+def _of_one(placed: LocatedValue, unit: Compound) -> Iterable[Fault]:
     limits = limits_of(placed)
     low, high = limits.between
     process = limits.process
@@ -77,18 +77,18 @@ def _of_one(placed: Placed, unit: Compound) -> Iterable[Fault]:
 
 
 @dataclass(frozen=True)
-class Measured:
+class DecidedMeasurand:
     """A measurand as the decision needs it, in base units."""
 
     value: float
     std: float
     U: float
     dof: float
-    sample: Sample | None
+    sample: MeasurandSample | None
     centre: float
 
 
-def decide(limits: Limits, measured: Measured, factor: float) -> dict[str, Any]:
+def decide(limits: Tolerance, measured: DecidedMeasurand, factor: float) -> dict[str, Any]:
     """Return the decision in the unit of the measurand; `factor` is the size of this unit in base units.
 
     Acceptance zones with U and with 1.65 u (ISO 14253-1), U/T, and the probability of conformity (JCGM 106).
@@ -113,7 +113,7 @@ def decide(limits: Limits, measured: Measured, factor: float) -> dict[str, Any]:
     return decision | _risks(limits, measured, ends, factor)
 
 
-def _risks(limits: Limits, measured: Measured, ends: Interval, factor: float) -> dict[str, Any]:
+def _risks(limits: Tolerance, measured: DecidedMeasurand, ends: Interval, factor: float) -> dict[str, Any]:
     """Return the global risks of simple acceptance if the items are known, and the guard band if a risk is wanted."""
     if measured.std == 0:
         return {}

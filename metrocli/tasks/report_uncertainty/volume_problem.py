@@ -16,7 +16,7 @@ from metrocli.expressions.written import Measure
 from metrocli.frozen import dataclass
 from metrocli.geometry.poses import EULER
 from metrocli.result import Result
-from metrocli.settings import Placed
+from metrocli.settings import LocatedValue
 from metrocli.tasks.report_uncertainty.entries import Contributor, Entries
 from metrocli.tasks.report_uncertainty.values import contributors, identity, shared
 from metrocli.uncertainty.volume import AXES, Contribution, grid, of_models, of_pose
@@ -49,7 +49,7 @@ def faults(settings: Entries) -> Iterable[Fault | tuple[str, ...]]:
         if getattr(settings, key):
             yield key, f"{key} and a volume are both given", "write two jobs"
     tolerance = settings.tolerance
-    if tolerance is not None and not (isinstance(tolerance, Placed) and isinstance(tolerance.value, Measure)):
+    if tolerance is not None and not (isinstance(tolerance, LocatedValue) and isinstance(tolerance.value, Measure)):
         yield "tolerance", "the tolerance of a volume is one width", "write e.g. 'tolerance: 2 mm', the full width"
     elif tolerance is not None and (
         tolerance.value.unit.powers != compound("mm").powers or tolerance.value.number <= 0
@@ -59,7 +59,7 @@ def faults(settings: Entries) -> Iterable[Fault | tuple[str, ...]]:
 
 
 def _of_contributors(settings: Entries) -> Iterable[Fault]:
-    seen: dict[str, Placed] = {}
+    seen: dict[str, LocatedValue] = {}
     for placed in settings.contributors:
         given: Contributor = placed.value
         if given.name in seen:
@@ -118,7 +118,9 @@ def _not_contained(settings: Entries, results: Mapping[str, Result]) -> Iterable
                 )
 
 
-def _size(placed: Placed, results: Mapping[str, Result], points: Array, lengths: Array) -> tuple[Array, bool, float]:
+def _size(
+    placed: LocatedValue, results: Mapping[str, Result], points: Array, lengths: Array
+) -> tuple[Array, bool, float]:
     """Return standard uncertainties (n, 3) or (1, 3), whether the distribution is rectangular, and the dof."""
     given: Contributor = placed.value
     if given.result is not None:
@@ -149,7 +151,7 @@ def _dof(result: Result) -> float:
     return min(result.degrees_of_freedom(estimate.name) for estimate in result.estimates)
 
 
-def _of_result(placed: Placed, result: Result, points: Array) -> Array:
+def _of_result(placed: LocatedValue, result: Result, points: Array) -> Array:
     """Return the standard uncertainties (n, 3) from the pose in a result, or from x, y and z alone."""
     names = [estimate.name for estimate in result.estimates]
     wanted = EULER if all(name in names for name in EULER) else AXES
@@ -169,7 +171,7 @@ def _of_result(placed: Placed, result: Result, points: Array) -> Array:
     return of_pose(values, covariance, points)
 
 
-def _of_model(placed: Placed, results: Mapping[str, Result], points: Array) -> Array:
+def _of_model(placed: LocatedValue, results: Mapping[str, Result], points: Array) -> Array:
     """Return the standard uncertainties (n, 3) from expressions in estimates of one or more results."""
     models = placed.value.model
     names = list(dict.fromkeys(name for model in models for name in model.expression.names if name not in PLACES))

@@ -25,7 +25,7 @@ from metrocli.tasks.report_uncertainty.volume_problem import VolumeProblem, buil
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.decision import FACTOR_2017, capable
 from metrocli.uncertainty.distributions import Normal, Uniform
-from metrocli.uncertainty.inputs import Inputs, Quantity, join
+from metrocli.uncertainty.inputs import InputQuantity, Inputs, join
 from metrocli.uncertainty.propagation import Coverage, coverage_factor, covered, effective_dof
 from metrocli.uncertainty.trials import plan_of
 from metrocli.uncertainty.validation import Judged, judge
@@ -57,7 +57,7 @@ class _Axis:
     place: Array
     k: float
     dof: float
-    mc: monte_carlo.Outcome | None
+    mc: monte_carlo.MonteCarloResult | None
 
 
 def run(settings: Entries, results: Mapping[str, Result], workers: Workers) -> Result:
@@ -90,7 +90,7 @@ def _sum(parts: tuple[Contribution, ...], axis: int) -> tuple[Inputs, Expression
     for n, group in enumerate(by_source(parts)):
         std = sum(float(part.std[:, axis].max()) for part in group)
         shape = Uniform(std * math.sqrt(3)) if all(part.uniform for part in group) else Normal(std)
-        quantities.append(Quantity(f"c{n}", 0.0, shape if std > 0 else None, min(part.dof for part in group)))
+        quantities.append(InputQuantity(f"c{n}", 0.0, shape if std > 0 else None, min(part.dof for part in group)))
     return join(quantities), parse(" + ".join(quantity.name for quantity in quantities))
 
 
@@ -138,7 +138,7 @@ def _left(width: float, guard: float) -> float:
     return width / 2 - guard if guard <= width / 2 else math.nan
 
 
-def _against_trials(axis: _Axis, mc: monte_carlo.Outcome, U: float, settings: Entries) -> dict[str, Any]:
+def _against_trials(axis: _Axis, mc: monte_carlo.MonteCarloResult, U: float, settings: Entries) -> dict[str, Any]:
     """Return the Monte Carlo result for the sum of the maxima, and whether it validates k u."""
     probability = covered(coverage_of(settings), axis.dof)
     sample, std = mc.samples[0], math.sqrt(mc.covariance[0, 0])

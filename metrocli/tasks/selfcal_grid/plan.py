@@ -15,8 +15,8 @@ from metrocli.result import Estimate, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import KIND
 from metrocli.tasks.selfcal_grid.determination.undetermined import Open, candidates, determined, opened
-from metrocli.tasks.selfcal_grid.problem import Problem, build
-from metrocli.tasks.selfcal_grid.readings import Readings
+from metrocli.tasks.selfcal_grid.problem import GridProblem, build
+from metrocli.tasks.selfcal_grid.readings import GridReadings
 from metrocli.tasks.selfcal_grid.settings import Settings, turn_in_words
 from metrocli.tasks.selfcal_grid.simulation import balls_on, views_on_the_grid
 from metrocli.tasks.selfcal_grid.solve import design
@@ -104,7 +104,7 @@ def _worth(views: Sequence[bg.View], half: Index, given: _Given) -> _Worth:
     return _Worth(found, float(np.sqrt((std**2).mean())), float(std.max()), problem.readings.observations.count)
 
 
-def _problem(views: Sequence[bg.View], half: Index, given: _Given) -> Problem:
+def _problem(views: Sequence[bg.View], half: Index, given: _Given) -> GridProblem:
     """Return the adjustment of views with the readings of a grid without errors."""
     settings = given.settings
     each = [balls_on(view, half) for view in views]
@@ -113,7 +113,7 @@ def _problem(views: Sequence[bg.View], half: Index, given: _Given) -> Problem:
     ball = np.concatenate(each)
     table = Table.of({"view": np.repeat([view.name for view in views], count), "i j k": ball})
     view = np.repeat(np.arange(len(views)), count)
-    readings = Readings(tuple(views), view, ball, np.concatenate(values), table)
+    readings = GridReadings(tuple(views), view, ball, np.concatenate(values), table)
     return build(readings, (half, settings.grid.pitch), settings.declared, given.lengths_on(half))
 
 

@@ -17,7 +17,7 @@ _MOST = 20
 
 
 @dataclass(frozen=True)
-class Readings:
+class GridReadings:
     """The readings of the machine, row by row."""
 
     views: tuple[View, ...]
@@ -35,7 +35,7 @@ class Readings:
         return np.asarray(self.view == view)
 
 
-def read(views: Sequence[View], half: Index, table: Table) -> Readings:
+def read(views: Sequence[View], half: Index, table: Table) -> GridReadings:
     """Return the rows matched to views and balls; raises InputError with every row that has no match."""
     names = [view.name for view in views]
     said = table.texts("view")
@@ -60,7 +60,7 @@ def read(views: Sequence[View], half: Index, table: Table) -> Readings:
     used = [view for view in views if view.name in set(said)]
     place = {view.name: n for n, view in enumerate(used)}
     at = np.array([place[name] for name in said], dtype=np.intp)
-    return Readings(tuple(used), at, balls, table.stacked("xyz"), table)
+    return GridReadings(tuple(used), at, balls, table.stacked("xyz"), table)
 
 
 def _counted_from(balls: Index, half: Index) -> int | None:

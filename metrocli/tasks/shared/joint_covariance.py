@@ -46,7 +46,7 @@ def factors(covariance: Covariance, block: str, chosen: Mask) -> dict[str, Array
 
 
 @dataclass(frozen=True)
-class Source:
+class JointInput:
     """An input whose errors are unknowns `z = K e` of a block, e ~ N(0, I): e is the same for all that use it."""
 
     block: str
@@ -61,7 +61,7 @@ def owed(
     delivered: Sequence[str],
     change: Array,
     inputs: Mapping[str, Group],
-    sources: Mapping[str, Source] | None = None,
+    sources: Mapping[str, JointInput] | None = None,
 ) -> tuple[dict[str, Table], dict[str, Array]]:
     """Return the table of the inputs and, for each, the factor F of what it adds to the covariance of the estimates.
 

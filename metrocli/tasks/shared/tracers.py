@@ -123,7 +123,7 @@ def _of_each(names: Sequence[str], index: Index) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class Seen:
+class LengthsToTracers:
     """Lengths with the places of their points as far as they are known, from which tracers are found."""
 
     tracers: Tracers
@@ -149,7 +149,7 @@ def few_of_each(tracers: Tracers) -> Index:
     )
 
 
-def places_of(seen: Seen) -> Array:
+def places_of(seen: LengthsToTracers) -> Array:
     """Return x0, y0, z0, dead path and scale 1 of each tracer, (tracers, 5).
 
     Raises UndeterminedError if a tracer reads too few points to determine or to find its place. Raises InputError if
@@ -181,13 +181,13 @@ def places_of(seen: Seen) -> Array:
     return values
 
 
-def _of_tracer(seen: Seen, i: int) -> tuple[Array, Array]:
+def _of_tracer(seen: LengthsToTracers, i: int) -> tuple[Array, Array]:
     """Return the places of the points that a tracer reads, (n, 3), and the lengths."""
     mine = seen.tracers.of[seen.rows] == i
     return seen.points[mine], seen.length[mine]
 
 
-def _start_of(seen: Seen, i: int, points: Array, lengths: Array) -> Array:
+def _start_of(seen: LengthsToTracers, i: int, points: Array, lengths: Array) -> Array:
     """Return x0, y0, z0 and dead path of one tracer from its lengths; coordinates with a sigma stay as listed."""
     tracers, given = seen.tracers, seen.tracers.said[i]
     said = None if np.isnan(given).any() else given
@@ -213,7 +213,7 @@ def _misfit(points: Array, lengths: Array, tracer: Array) -> float:
     return float(median(np.abs(errors - median(errors))))
 
 
-def _strange(seen: Seen, i: int, misfit: float, bad: int) -> Fault:
+def _strange(seen: LengthsToTracers, i: int, misfit: float, bad: int) -> Fault:
     points, lengths = _of_tracer(seen, i)
     tracers = seen.tracers
     name = f"{tracers.noun} {tracers.names[i]}"

@@ -12,7 +12,7 @@ from simulated import machine as sim
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.settings import Noise
+from metrocli.tasks.calibrate_machine.settings import MachineNoise
 
 Array = NDArray[np.float64]
 Drift = Callable[[str, Array, Array, Array], Array]
@@ -49,7 +49,7 @@ def job(drift: Drift, runs: int = 4, once: tuple[str, ...] = (), warming: bool =
         warmth.append(warmer)
         lines.append(run | dict(zip(sim.CHANNELS, channels, strict=True)) | {"t": t, "temp": 20 + warmer})
     table = sim.line_table(lines, ("t", "temp") if warming else ("t",))
-    noise = Noise(displacement=5e-4, straightness=5e-4, angle=1e-6)
+    noise = MachineNoise(displacement=5e-4, straightness=5e-4, angle=1e-6)
     settings = sim.settings("six-dof", tools={"": (0.0, 0.0, 0.0)}, noise=noise)
     return calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, lines=table))
 

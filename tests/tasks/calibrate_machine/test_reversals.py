@@ -16,7 +16,7 @@ from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.settings import Noise
+from metrocli.tasks.calibrate_machine.settings import MachineNoise
 
 Array = NDArray[np.float64]
 WIDTH, TILT = 0.012, np.array([4e-5, -3e-5, 5e-5])
@@ -75,7 +75,7 @@ def along_lines(change: Callable[[str, Array], Array], seed: int = 82) -> Table:
 
 
 def of_lines(table: Table) -> Diagnosis:
-    noise = Noise(displacement=1e-3, straightness=1e-3, angle=1e-6)
+    noise = MachineNoise(displacement=1e-3, straightness=1e-3, angle=1e-6)
     settings = sim.settings("six-dof", tools={"": (0.0, 0.0, 0.0)}, noise=noise)
     return diagnose(calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, lines=table)))
 

@@ -27,7 +27,7 @@ from simulated.lengths import (
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.formats import csv
 from metrocli.plan import Plan
-from metrocli.settings import Known
+from metrocli.settings import KnownQuantity
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.distance import distance
@@ -75,7 +75,7 @@ def test_the_measurement_states_what_was_planned(m: int, scale: float | None) ->
 
 
 def test_the_growth_of_a_part_is_planned_as_it_is_stated() -> None:
-    net, part = network(30, 4, seed=2), Part(Known(24.0, 0.5), Known(12e-6, 1e-6))
+    net, part = network(30, 4, seed=2), Part(KnownQuantity(24.0, 0.5), KnownQuantity(12e-6, 1e-6))
     bare, job = settings(), replace(settings(), part=part)
     points, tracers = replace(net, nominal=net.points).point_table(), net.tracer_table(0.0)
     without, plan = (

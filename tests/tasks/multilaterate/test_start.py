@@ -246,7 +246,7 @@ def test_the_factor_of_wrong_lengths_is_sought_for_people_only(monkeypatch: pyte
     lengths = np.linalg.norm(points - place, axis=1) * 17 + rng.normal(0, 900, 30)
     nowhere, unknown = np.full((1, 3), np.nan), np.full((1, 3), np.nan)
     one = tracers.Tracers(("LT1",), np.zeros(30, dtype=int), nowhere, unknown, np.zeros(1, dtype=int))
-    seen = tracers.Seen(one, np.arange(30), points, lengths, 1000.0)
+    seen = tracers.LengthsToTracers(one, np.arange(30), points, lengths, 1000.0)
     with pytest.raises(InputError, match="do not belong to these points"):
         tracers.places_of(seen)
     for_people = len(calls)
@@ -264,7 +264,7 @@ def test_a_delay_that_all_ranges_share_is_no_sign_of_wrong_rows() -> None:
     listed = np.tile(points + rng.normal(0, 50, points.shape), (6, 1))
     names, of_each = [f"A{i}" for i in range(6)], np.repeat(np.arange(6), 40)
     known = tracers.Tracers(tuple(names), of_each, beacons, np.zeros((6, 3)), np.arange(6))
-    seen = tracers.Seen(known, np.arange(240), listed, lengths.ravel(), 5000.0, absolute=True)
+    seen = tracers.LengthsToTracers(known, np.arange(240), listed, lengths.ravel(), 5000.0, absolute=True)
     assert (tracers.places_of(seen)[:, :3] == beacons).all()
     lengths[2] = rng.permutation(lengths[2])
     with pytest.raises(InputError) as raised:

@@ -9,7 +9,7 @@ from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.tracker import cartesian
-from metrocli.tasks.adjust_network.readings import Readings
+from metrocli.tasks.adjust_network.readings import NetworkReadings
 from metrocli.words import listed
 
 _CONTRADICTORY = 0.03
@@ -17,7 +17,7 @@ _CONTRADICTORY = 0.03
 
 
 @dataclass(frozen=True)
-class Start:
+class NetworkStart:
     """Rough values of all unknowns."""
 
     points: Array
@@ -28,7 +28,7 @@ class Start:
     """Azimuth of each round of a levelled station, (rounds,)"""
 
 
-def placed(readings: Readings, rough: Start) -> tuple[Index, Array]:
+def placed(readings: NetworkReadings, rough: NetworkStart) -> tuple[Index, Array]:
     """Return the whole sightings, and where each puts its point."""
     seen = readings.sightings
     rows = np.flatnonzero(np.isfinite(seen.values).all(axis=0) & np.isfinite(rough.poses[seen.station, 0]))
@@ -54,7 +54,7 @@ def medians(places: Array, point: Index, count: int) -> Array:
     return found
 
 
-def disagreement(readings: Readings, rough: Start) -> tuple[float, str]:
+def disagreement(readings: NetworkReadings, rough: NetworkStart) -> tuple[float, str]:
     """Return how far set-ups put the same points apart, as a share of the extent, and which ones do so most, in words.
 
     It is the median over the sightings of points that several set-ups see; 0 without any.
@@ -75,7 +75,7 @@ def disagreement(readings: Readings, rough: Start) -> tuple[float, str]:
     return float(np.median(off)) / extent, words
 
 
-def astray(readings: Readings, rough: Start) -> float:
+def astray(readings: NetworkReadings, rough: NetworkStart) -> float:
     """Return how far sightings put points from their list, as a share of the extent: the median over the points."""
     rows, places = placed(readings, rough)
     middle = medians(places, readings.sightings.point[rows], readings.points.count)
@@ -88,7 +88,7 @@ def _extent(places: Array) -> float:
     return float(np.ptp(places, axis=0).max()) or 1.0
 
 
-def must_agree(readings: Readings, rough: Start) -> None:
+def must_agree(readings: NetworkReadings, rough: NetworkStart) -> None:
     """Raise NotConvergedError for set-ups that contradict each other, as no noise and no effect makes them do."""
     share, words = disagreement(readings, rough)
     if share > _CONTRADICTORY:

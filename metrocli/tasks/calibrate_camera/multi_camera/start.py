@@ -23,7 +23,7 @@ _CANDIDATES, _TRIED = 12, 40
 
 
 @dataclass(frozen=True)
-class Seen:
+class CalibratedCamera:
     """One camera with its images, as its own calibration found them."""
 
     name: str
@@ -43,7 +43,7 @@ class Seen:
         return _NEAR * self.size
 
 
-def pose_between(first: Seen, second: Seen, points: Array) -> Array:
+def pose_between(first: CalibratedCamera, second: CalibratedCamera, points: Array) -> Array:
     """Return the pose (6,) of the second camera in the frame of the first, from the pair of images that fits best.
 
     `points` (n, 3) are the targets. Raises InputError that names the pairs of images that do not fit the others.
@@ -71,7 +71,7 @@ def _off(pose: Array, first: Array, second: Array, focal: float, points: Array) 
     return np.asarray(focal * np.sqrt(((units[0] - units[1]) ** 2).sum(axis=2).mean(axis=1)))
 
 
-def _refusal(first: Seen, second: Seen, lines: Sequence[str], pairs: int) -> str:
+def _refusal(first: CalibratedCamera, second: CalibratedCamera, lines: Sequence[str], pairs: int) -> str:
     if not lines:
         return (
             f"{second.name} has no one place beside {first.name}: their images contradict each other. Did a camera "
@@ -82,7 +82,7 @@ def _refusal(first: Seen, second: Seen, lines: Sequence[str], pairs: int) -> str
 
 
 def _strangers(
-    first: Seen, second: Seen, points: Array, pose: Array, pairs: tuple[Index, Index]
+    first: CalibratedCamera, second: CalibratedCamera, points: Array, pose: Array, pairs: tuple[Index, Index]
 ) -> Iterator[tuple[str, bool]]:
     """Yield each image that does not fit its partner, the one with which it was taken, and whether that is known."""
     for i, j in zip(*pairs, strict=True):
@@ -95,7 +95,7 @@ def _strangers(
             yield f"{second.images[j]} not with {first.images[i]}{other}", known
 
 
-def _by_all(first: Seen, second: Seen, points: Array) -> Array:
+def _by_all(first: CalibratedCamera, second: CalibratedCamera, points: Array) -> Array:
     """Return the pose with which the most images of the second camera fit any image of the first."""
     few = points[:: max(len(points) // 4, 1)]
     begins, ends = _thinned(first.places, _CANDIDATES), _thinned(second.places, _TRIED)

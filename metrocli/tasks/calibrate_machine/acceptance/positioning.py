@@ -42,7 +42,7 @@ def _needed(name: str, up: Array, down: Array) -> tuple[Array, ...]:
 
 
 @dataclass(frozen=True)
-class Measured:
+class LineUncertainty:
     """How well the readings of a line are known."""
 
     reading: float
@@ -51,7 +51,7 @@ class Measured:
     """Standard uncertainty of all distances of the line in common (device, temperature, misalignment)"""
 
 
-def expanded(up: Array, down: Array, targets: Array, known: Measured) -> dict[str, float]:
+def expanded(up: Array, down: Array, targets: Array, known: LineUncertainty) -> dict[str, float]:
     """Return U (k = 2) of each figure: `2 sqrt(u_r^2 sum g_i^2 + u_s^2 (sum g_i p_i)^2)`.
 
     g is the derivative of the figure by each reading, p its position, u_r and u_s the uncertainties of a reading and

@@ -15,13 +15,13 @@ from metrocli.instruments.machine import AXES, TOOL
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, Settings
 from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
-from metrocli.tasks.shared.tracers import Seen
+from metrocli.tasks.shared.tracers import LengthsToTracers
 
 _NEARER = 0.25
 """The median distance of stations from their list has to fall below this share of itself when they are mirrored"""
 
 
-def refuse_backwards(found: Array, seen: Seen) -> None:
+def refuse_backwards(found: Array, seen: LengthsToTracers) -> None:
     """Raise InputError if places of stations (n, 3) are near their list only with one axis mirrored about its middle.
 
     The middle is that of the reflectors, which tools carry away from the axes.

@@ -22,16 +22,16 @@ from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, 
 from metrocli.tasks.calibrate_machine.files import NO_FILES, Files
 from metrocli.tasks.calibrate_machine.methods.backwards import refuse_backwards
 from metrocli.tasks.calibrate_machine.methods.targets import BED, targets, with_distances
-from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
+from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.environment import air_of, priors_of, unused
 from metrocli.tasks.shared.lengths import PathNoise, stop_priors, stops_of
-from metrocli.tasks.shared.tracers import Seen, observed, places_of, tracers_of
+from metrocli.tasks.shared.tracers import LengthsToTracers, observed, places_of, tracers_of
 
 READINGS = "lengths"
 
 
-def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Problem:
+def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> MachineProblem:
     """Return the adjustment problem.
 
     Raises InputError if the lengths do not belong to the commanded points, and UndeterminedError if a station reads too
@@ -65,7 +65,7 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Proble
     )
     places = np.ascontiguousarray(nominal.T)
     extent = float(np.ptp(places, axis=0).max()) or 1.0
-    seen = Seen(read_by, np.arange(len(table)), places, table.numbers("length"), extent, file=table.file)
+    seen = LengthsToTracers(read_by, np.arange(len(table)), places, table.numbers("length"), extent, file=table.file)
     station_block = t.tracer_block(
         _places(seen, machine), read_by.names, read_by.free(False, settings.scale is not None), extent
     )
@@ -84,7 +84,7 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Proble
         *priors_of(air),
     )
     tools = list(settings.tools)
-    return Problem(
+    return MachineProblem(
         model_of(
             unknowns,
             noise.at(Group(READINGS, chain, observations), unknowns),
@@ -103,7 +103,7 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Proble
     )
 
 
-def _places(seen: Seen, machine: Machine) -> Array:
+def _places(seen: LengthsToTracers, machine: Machine) -> Array:
     """Return the places of the stations at the start; raises InputError if no place fits their lengths.
 
     Where axes turn, chain, sense or `at` may be wrong: a fault that asks nothing lets a task try them.

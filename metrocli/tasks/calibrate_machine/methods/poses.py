@@ -20,7 +20,7 @@ from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.methods.probing import probing
 from metrocli.tasks.calibrate_machine.methods.standstill import CARTESIAN, standstill
 from metrocli.tasks.calibrate_machine.methods.targets import brought_to, targets
-from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, STANDSTILL, MachineSimulation, Settings
 from metrocli.tasks.shared.environment import air_of
 from metrocli.tasks.shared.lists import listed_places, matched
@@ -34,7 +34,7 @@ _FIRST_TEMPERATURE = 20.0
 _TIGHT = 3
 """Decimals of poses [mm, deg]"""
 
-PROBLEMS: Mapping[str, Callable[[Settings, Table, Files], Problem]] = {
+PROBLEMS: Mapping[str, Callable[[Settings, Table, Files], MachineProblem]] = {
     STANDSTILL: standstill,
     LENGTHS: lengths,
     PROBING: probing,

@@ -23,8 +23,8 @@ from metrocli.instruments.machine import Machine
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support, raise_if
 from metrocli.tasks.calibrate_machine.files import Files
-from metrocli.tasks.calibrate_machine.methods.targets import Targets, balls_of, with_distances
-from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
+from metrocli.tasks.calibrate_machine.methods.targets import MeasuredTargets, balls_of, with_distances
+from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 
 READINGS = "probing"
@@ -33,7 +33,7 @@ _FAR = 20.0
 """A ball that the nominal machine places farther from the probe than this [mm] is not the one that was probed"""
 
 
-def probing(settings: Settings, table: Table, files: Files) -> Problem:
+def probing(settings: Settings, table: Table, files: Files) -> MachineProblem:
     """Return the adjustment problem; raises InputError if poses, balls and tools do not belong together."""
     if files.balls is None:
         raise InputError("probing needs the approximate places of the balls: `inputs: {balls: balls.csv}`")
@@ -59,7 +59,7 @@ def probing(settings: Settings, table: Table, files: Files) -> Problem:
     readings = Group(READINGS, Chain((Undisturbed(machine), FromBed(machine, True))), observations)
     unknowns = {**blocks, **found.blocks}
     names = list(settings.tools)
-    return Problem(
+    return MachineProblem(
         model_of(unknowns, readings, (*found.others, *gauge(machine, unknowns))),
         machine,
         np.ones(n),
@@ -93,7 +93,7 @@ def keys_of(table: Table) -> dict[str, tuple[str, ...]]:
     return {"ball": tuple(balls), "probing": tuple(number)}
 
 
-def _must_meet(machine: Machine, position: Array, found: Targets, read: Array, table: Table) -> None:
+def _must_meet(machine: Machine, position: Array, found: MeasuredTargets, read: Array, table: Table) -> None:
     """Raise InputError if balls are not where the probe found them, or have the names of others."""
     tools = seen_from_bed(machine, position, machine.tools[found.tool].T, True) + read
     off = np.linalg.norm(found.places(machine, position, "bed") - tools, axis=0)

@@ -41,7 +41,7 @@ from metrocli.tasks.calibrate_machine.methods.poses import (
 from metrocli.tasks.calibrate_machine.methods.probing import DISPLACEMENTS
 from metrocli.tasks.calibrate_machine.methods.standstill import CARTESIAN, tracker_noise
 from metrocli.tasks.calibrate_machine.methods.targets import moved_by
-from metrocli.tasks.calibrate_machine.problem import PLACES_OF_AXES, Problem
+from metrocli.tasks.calibrate_machine.problem import PLACES_OF_AXES, MachineProblem
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, STANDSTILL, MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.truth import true_errors, truth_of, warmed
 from metrocli.tasks.job import Job
@@ -102,7 +102,7 @@ def _poses(job: Job[Settings, Files], simulation: MachineSimulation, rng: np.ran
     return table.joined({heading(name): values for name, values in more.items() if name not in table})
 
 
-def _drawn(problem: Problem, rng: np.random.Generator) -> dict[str, Block]:
+def _drawn(problem: MachineProblem, rng: np.random.Generator) -> dict[str, Block]:
     """Return the blocks of a problem at random values within what is known of them: priors, calibrated distances."""
     found = dict(problem.blocks)
     for group in problem.groups:
@@ -119,7 +119,7 @@ def _drawn(problem: Problem, rng: np.random.Generator) -> dict[str, Block]:
     return {**found, **_at_distances(problem, found, rng)}
 
 
-def _at_distances(problem: Problem, found: Mapping[str, Block], rng: np.random.Generator) -> dict[str, Block]:
+def _at_distances(problem: MachineProblem, found: Mapping[str, Block], rng: np.random.Generator) -> dict[str, Block]:
     """Return points on the workpiece moved as little as possible to calibrated distances with their errors."""
     group = next((one for one in problem.groups if isinstance(one.chain.links[0], DistanceBetween)), None)
     if group is None:
@@ -132,7 +132,7 @@ def _at_distances(problem: Problem, found: Mapping[str, Block], rng: np.random.G
     return {ON_WORKPIECE: adjust([block], [read, *near]).blocks[ON_WORKPIECE]}
 
 
-def _instruments(problem: Problem, drawn: Mapping[str, Block], files: Files, tracker: Array) -> dict[str, Block]:
+def _instruments(problem: MachineProblem, drawn: Mapping[str, Block], files: Files, tracker: Array) -> dict[str, Block]:
     """Return tracker or stations at their true places; a station's dead path is that to its first reading."""
     found = {}
     if TRACKER in problem.blocks:
@@ -154,7 +154,7 @@ class _Reading:
 
     job: Job[Settings, Files]
     table: Table
-    problem: Problem
+    problem: MachineProblem
 
     def at(self, observations: Observations) -> Array:
         """Return the readings without noise."""

@@ -21,7 +21,7 @@ from metrocli.tasks.calibrate_machine.methods.poses import PROBLEMS, in_degrees,
 from metrocli.tasks.calibrate_machine.plans.planned import Worth, planned, tracker_pose, worth_of
 from metrocli.tasks.calibrate_machine.plans.stops import judged
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
-from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, STANDSTILL, Settings
 from metrocli.tasks.calibrate_machine.volume import shares_spread
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
@@ -115,10 +115,10 @@ def _enough(settings: Settings, files: Files) -> tuple[_Trial, str]:
     return found, _FEW.format(sizes) if lacks else ""
 
 
-def _problem(settings: Settings, table: Table, files: Files) -> Callable[[], Problem]:
+def _problem(settings: Settings, table: Table, files: Files) -> Callable[[], MachineProblem]:
     """Return a function that builds the adjustment of poses, read on a machine without errors."""
 
-    def problem() -> Problem:
+    def problem() -> MachineProblem:
         tracker = np.zeros(6)
         if settings.method == STANDSTILL:
             places = places_read(settings, table, files)

@@ -29,7 +29,7 @@ from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, planned, worth_of
 from metrocli.tasks.calibrate_machine.plans.stops import all_over, judged, visits
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
-from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, Problem, tools_of
+from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, MachineProblem, tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
@@ -156,7 +156,7 @@ def _matrices(settings: Settings, table: Table, candidates: Array) -> tuple[list
     return matrices, _volume(settings, problem, errors), errors.reach(problem.blocks)
 
 
-def _volume(settings: Settings, problem: Problem, errors: Unknowns) -> Array:
+def _volume(settings: Settings, problem: MachineProblem, errors: Unknowns) -> Array:
     """Return the mean square error vector over the grid of the volume, without rigid motion, as a quadratic form."""
     position = grid_of(problem.machine, settings.volume.counts())
     total = np.zeros((errors.size, errors.size))
@@ -172,7 +172,7 @@ def _time_of_a_point(table: Table, feed: float) -> float:
     return float(moves.mean() / feed + REST)
 
 
-def _problem(settings: Settings, points: Table, places: Array, names: list[str]) -> Problem:
+def _problem(settings: Settings, points: Table, places: Array, names: list[str]) -> MachineProblem:
     """Return the adjustment of lengths from stations to all points, on a machine without errors."""
     vectors = np.array(list(settings.tools.values()))[tools_of(points, settings)]
     reflector, n = points.stacked(POSITION) + vectors, len(points)

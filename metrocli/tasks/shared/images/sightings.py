@@ -19,7 +19,7 @@ from metrocli.targets.find import find
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.images.eccentricity import SIZE
 from metrocli.tasks.shared.images.settings import ImageSettings
-from metrocli.tasks.shared.images.target_list import Targets, known_targets
+from metrocli.tasks.shared.images.target_list import TargetCoordinates, known_targets
 from metrocli.words import listed
 
 OBSERVATIONS = Columns(
@@ -60,7 +60,7 @@ class Sighted:
     """Image points of known targets, ready for an adjustment."""
 
     images: tuple[str, ...]
-    targets: Targets
+    targets: TargetCoordinates
     observations: Observations
     warnings: tuple[str, ...] = ()
     eccentric: bool = False
@@ -206,7 +206,7 @@ def _in_all(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]
     return table, tuple(warnings)
 
 
-def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
+def join(table: Table, targets: TargetCoordinates, sigma: float, fewest: int) -> Sighted:
     """Match readings to targets; leave out images with fewer than `fewest` readings, with a warning.
 
     `sigma` is the standard deviation [px] of readings without one of their own. Raises InputError that names every
@@ -267,7 +267,7 @@ def check_inside(sighted: Sighted, size: tuple[int, int]) -> Sighted:
     return replace(sighted, warnings=(*sighted.warnings, told))
 
 
-def _matched(table: Table, targets: Targets) -> tuple[np.ndarray[tuple[int], np.dtype[np.str_]], Index]:
+def _matched(table: Table, targets: TargetCoordinates) -> tuple[np.ndarray[tuple[int], np.dtype[np.str_]], Index]:
     """Return the name of each reading's target and its number in the list; raises InputError for unknown targets."""
     place = {name: i for i, name in enumerate(targets.names)}
     of_target = np.asarray(table.columns["target"], dtype=str)
