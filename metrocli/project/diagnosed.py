@@ -193,7 +193,7 @@ def _adjusts(path: Path) -> bool:
     """Return whether an extended job can be adjusted: a law in the linearised readings need not hold in the model."""
     job = load(path, JobOptions(accept_doubtful=True))
     with suppress(NotConvergedError, UndeterminedError), allowance(_STEPS):
-        tasks.KINDS[job.kind].task().run(content(job))
+        adjusted_job_of(job)
         return True
     return False
 
