@@ -84,7 +84,7 @@ class Record:
         """
         stated: Mapping[str, str] = self.certificate.get("references", {})
         paths = [file.path for file in self.inputs]
-        return [(name, stated.get(name, "")) for name in (*paths, *(one for one in stated if one not in paths))] + [
+        return [(name, stated.get(name, "")) for name in (*paths, *(name for name in stated if name not in paths))] + [
             *self.below
         ]
 

@@ -236,10 +236,10 @@ def _tried(
     for _ in range(12):
         moved = design.partition.moved(state, step)
         linears = _linears(fields, moved)
-        found = sum(linear.cost for linear in linears)
+        total = sum(linear.cost for linear in linears)
         # the step that restores the datum is exact to first order only, so it may raise the cost by rounding
-        if found <= cost * (1 + 1e-9) + 1e-9 * design.partition.width:
-            return moved, linears, found
+        if total <= cost * (1 + 1e-9) + 1e-9 * design.partition.width:
+            return moved, linears, total
         step = step / 2
     return None
 

@@ -144,13 +144,13 @@ def worst_of(suspects: Suspects) -> Index:
     return np.flatnonzero(suspects.tests >= suspects.tests.max(initial=0.0) / 2)
 
 
-def variance_component(found: Sequence[Residuals]) -> float:
+def variance_component(groups: Sequence[Residuals]) -> float:
     """Return how many times the declared noise readings have, `sqrt(v'Pv / sum r)` with their redundancy numbers r.
 
     Raises UndeterminedError if there are no more readings than unknowns.
     """
-    redundancy = np.concatenate([one.redundancy.ravel() for one in found])
-    w = np.concatenate([one.normalised.ravel() for one in found])
+    redundancy = np.concatenate([residuals.redundancy.ravel() for residuals in groups])
+    w = np.concatenate([residuals.normalised.ravel() for residuals in groups])
     if not redundancy.sum() > _CONTROLLED:
         raise UndeterminedError(
             "noise: the residuals do not show its size: there are no more readings than unknowns; "

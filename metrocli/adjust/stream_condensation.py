@@ -65,13 +65,13 @@ def condense(x: Array, values: Array, cell: Index) -> Condensed:
     fit = (counts > _NODES) & (_smallest_pivot(moments) > _SPREAD)
     few = counts <= _NODES
     pieces = [_parabolas(cells, parts, moments, fit), _as_they_are(cells, few), _means(cells, parts, ~fit & ~few)]
-    index, where, found, weight = (np.concatenate(kind, axis=-1) for kind in zip(*pieces, strict=True))
+    index, where, joined, weight = (np.concatenate(kind, axis=-1) for kind in zip(*pieces, strict=True))
     about = parts.mean[:, np.searchsorted(ordered[starts], index)]
     total = ((cells.values - np.repeat(parts.mean, counts, axis=1)) ** 2).sum(axis=1)
-    misfit = np.maximum(total - ((found - about) ** 2 * weight).sum(axis=1), 0.0)
+    misfit = np.maximum(total - ((joined - about) ** 2 * weight).sum(axis=1), 0.0)
     used = np.where(few, counts, np.where(fit, _NODES, 1)).sum()
     inside = np.lexsort((where, index))
-    return Condensed(index[inside], where[inside], found[:, inside], weight[inside], misfit, int(counts.sum() - used))
+    return Condensed(index[inside], where[inside], joined[:, inside], weight[inside], misfit, int(counts.sum() - used))
 
 
 @dataclass(frozen=True)

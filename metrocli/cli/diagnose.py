@@ -85,10 +85,10 @@ def _design(path: Path, asked: JobOptions, as_json: bool, console: Console) -> i
 
     kind = kind_of_job(path)
     wished = replace(asked, not_needed=KINDS[kind].measured if kind else ())
-    adjusted, found = diagnosed.design_of(load(path, wished), console)
+    adjusted, detectability = diagnosed.design_of(load(path, wished), console)
     if as_json:
-        echo(summary.as_json(verdict.design_data(adjusted, found)))
-    console.print(findings.of_design(adjusted, found))
+        echo(summary.as_json(verdict.design_data(adjusted, detectability)))
+    console.print(findings.of_design(adjusted, detectability))
     return 0
 
 
@@ -183,7 +183,7 @@ def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> i
         echo(summary.as_json(loop_data(loop)))
     console.print(of_loop(loop))
     if not as_json:
-        steps = [one.job for one in loop.extensions]
+        steps = [extension.job for extension in loop.extensions]
         _keep(job, _data(job, loop.first, steps[0] if steps else None), force, console)
         if steps:
             last = load(steps[-1], JobOptions(accept_doubtful=job.accept_doubtful))

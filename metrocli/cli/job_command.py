@@ -44,7 +44,7 @@ def make(kind: str) -> click.Command:
 
 def _job_file(kind: str, job: Path | None, wanted: dict[str, Any]) -> Path:
     """Return the job file of the command, which is written beside the result if options describe the job."""
-    options_given = {one.name: wanted.pop(one.name) for one in KINDS[kind].described}
+    options_given = {question.name: wanted.pop(question.name) for question in KINDS[kind].described}
     values = [value for value in options_given.values() if value]
     names = " and ".join(f"--{name}" for name in options_given)
     if job is not None and values:

@@ -128,12 +128,12 @@ def _executor(
     return nullcontext(InThisProcess(console)) if jobs == 1 else processes(jobs)
 
 
-def _dry_run(found: Sequence[Staleness], console: Console, as_json: bool) -> int:
+def _dry_run(states: Sequence[Staleness], console: Console, as_json: bool) -> int:
     if as_json:
         from metrocli.cli.summary import as_json as json_text
 
-        echo(json_text({"jobs": [state_data(state) for state in found]}))
-    for state in found:
+        echo(json_text({"jobs": [state_data(state) for state in states]}))
+    for state in states:
         console.print(f"{state.step.name}: {state_text(state)}")
     return 0
 

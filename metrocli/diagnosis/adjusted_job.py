@@ -232,9 +232,9 @@ class Misfit:
 
 def misfit_of(job: AdjustedJob) -> Misfit:
     """Return how far the residuals and the places of an adjusted job are from the plausible."""
-    found = [_whitened(group, job) for group in job.model.readings]
-    medians = [float(np.median(np.abs(one))) for one in found]
-    spreads = [float(np.sqrt(np.mean(one**2))) for one in found]
+    whitened = [_whitened(group, job) for group in job.model.readings]
+    medians = [float(np.median(np.abs(values))) for values in whitened]
+    spreads = [float(np.sqrt(np.mean(values**2))) for values in whitened]
     return Misfit(max(medians, default=0.0) / ABSURD, job.astray, max(spreads, default=0.0))
 
 

@@ -130,7 +130,7 @@ def design(state: State, noise: float = 1.0) -> Detectability:
     candidates = tuple(_candidate(state, *spot, noise) for spot in _spots(state))
     readings = tuple(_wrong_reading(state, e, noise) for e in job.effects if e.of_one_reading)
     pairs, scatters = tuple(pairs_of(state, candidates, noise)), scatter_candidates(state, noise)
-    number = (one.key[0] for one in state.random if one.kind == CORRELATED)
+    number = (part.key[0] for part in state.random if part.kind == CORRELATED)
     structure = tuple(dict.fromkeys(state.measurement.knots[one].functions.name for one in number))
     return Detectability(candidates, tuple(state.measurement.not_tested), pairs, readings, scatters, structure)
 

@@ -108,7 +108,7 @@ class Finding:
     @property
     def instead(self) -> tuple[str, ...]:
         """What explains the readings as well, in words."""
-        return (*(str(one.alternative) for one in self.effect.rivals), *map(str, self.noise))
+        return (*(str(rival.alternative) for rival in self.effect.rivals), *map(str, self.noise))
 
 
 @dataclass(frozen=True)
@@ -155,12 +155,12 @@ class Diagnosis:
     @property
     def identified(self) -> tuple[Finding | RandomEffect, ...]:
         """The effects, at one place or at all of theirs, the one with the largest held-out log score first."""
-        return tuple(sorted([*self.findings, *self.scatters], key=lambda one: -one.gain.log_score))
+        return tuple(sorted([*self.findings, *self.scatters], key=lambda effect: -effect.gain.log_score))
 
     @property
     def law(self) -> Law | None:
         """The law with the most evidence, if any predicts held-out readings better."""
-        return next((one for one in self.laws if one.chosen), None)
+        return next((law for law in self.laws if law.chosen), None)
 
     @property
     def gain(self) -> Gain | None:
@@ -189,6 +189,6 @@ class Diagnosis:
             return Verdict.UNEXPLAINED
         if not self.findings and not self.scatters:
             return Verdict.CLEAN
-        instead = [one.instead for one in self.findings] + [one.rivals for one in self.scatters]
-        confirmed = self.scatters or any(one.confirmed for one in self.findings)
+        instead = [finding.instead for finding in self.findings] + [scatter.rivals for scatter in self.scatters]
+        confirmed = self.scatters or any(finding.confirmed for finding in self.findings)
         return Verdict.INDISTINCT if any(instead) or not confirmed else Verdict.EXPLAINED

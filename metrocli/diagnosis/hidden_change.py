@@ -159,17 +159,17 @@ def _shifts(job: AdjustedJob, system: Linearised, absorbed: Array) -> Array:
 
     def moved(name: str) -> Array:
         places = system.entries(name)[:, list(job.delivered.columns)]
-        found = change[np.maximum(places, 0)]
-        found[places < 0] = 0.0
-        return np.asarray(found)
+        shifts = change[np.maximum(places, 0)]
+        shifts[places < 0] = 0.0
+        return np.asarray(shifts)
 
     return job.delivered.of(moved)
 
 
 def _without_moves(job: AdjustedJob, alternatives: Sequence[Candidate], scale: Array, shift: Array) -> None:
     """Take off, in place, what effects move itself: a result that follows the move of a target has no error by it."""
-    for number, one in enumerate(alternatives):
-        moved = job.delivered.moved(one.effect, one.where)
+    for number, candidate in enumerate(alternatives):
+        moved = job.delivered.moved(candidate.effect, candidate.where)
         if moved is not None:
             moved = moved / scale[number]
             off = shift[:, :, number] - moved

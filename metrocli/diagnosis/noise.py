@@ -84,11 +84,11 @@ def _reweighted(job: AdjustedJob, weights: Mapping[str, Array], unit: VarianceGr
         return {**weights, unit.name: weights.get(unit.name, np.ones(count)) / unit.ratio}
     place = job.model.places[unit.key]
     number = place.names.index(unit.name)
-    found = dict(weights)
+    factors = dict(weights)
     for group in job.model.readings:
         factor = weights.get(group.name, np.ones(group.observations.count)).copy()
         index = group.observations.index.get(place.index)
         if index is not None:
             factor[index == number] /= unit.ratio
-        found[group.name] = factor
-    return found
+        factors[group.name] = factor
+    return factors

@@ -133,9 +133,9 @@ def seen_in_words(candidate: DetectableCandidate) -> str:
     if not usual:
         size, unit = candidate.alternative.effect.parameters[0].readable(candidate.plausible)
         return f"larger than {f'{size:.3g} {unit}'.strip()} is not plausible"
-    found = {True: "are", "part": "are in part", False: "are not"}[usual_seen(candidate) or False]
+    verb = {True: "are", "part": "are in part", False: "are not"}[usual_seen(candidate) or False]
     least = candidate.detectable if candidate.testable else candidate.plausible
-    return f"usual sizes ({usual_beside(candidate.alternative.effect, least)}) {found} seen"
+    return f"usual sizes ({usual_beside(candidate.alternative.effect, least)}) {verb} seen"
 
 
 def usual_beside(effect: Effect, size: float) -> str:
@@ -146,7 +146,9 @@ def usual_beside(effect: Effect, size: float) -> str:
     if effect.usual_sizes is None:
         return ""
     dimension, unit = effect.parameters[0].dimension, effect.parameters[0].readable(size)[1]
-    low, high = (units.find_unit(unit, dimension).outside(one) if dimension else one for one in effect.usual_sizes)
+    low, high = (
+        units.find_unit(unit, dimension).outside(usual) if dimension else usual for usual in effect.usual_sizes
+    )
     if low < _SMALLEST and " " in effect.usual.partition(" to ")[0]:
         return effect.usual
     return f"{units.two_digits(low)} to {units.two_digits(high)} {'' if unit == '1' else unit}".strip()
@@ -171,34 +173,36 @@ def candidates(
 ) -> list[dict[str, Any]]:
     """Return all candidates as plain data, tested or not; `scattered` are the effects named at all places."""
     names = list(named)
-    words = ((one, status(one, names, decided)) for one in design.candidates)
+    words = ((candidate, status(candidate, names, decided)) for candidate in design.candidates)
     tested = [_candidate(job, candidate, word, design.structure) for candidate, word in words]
-    readings = [_wrong_reading(job, one) for one in design.readings]
-    missing = [_open(one.effect, one.where, Status.NOT_TESTED, one.reason) for one in design.not_tested]
-    return tested + [_throughout(job, one, scattered) for one in design.scatters] + readings + missing
+    readings = [_wrong_reading(job, reading) for reading in design.readings]
+    missing = [
+        _open(untested.effect, untested.where, Status.NOT_TESTED, untested.reason) for untested in design.not_tested
+    ]
+    return tested + [_throughout(job, scatter, scattered) for scatter in design.scatters] + readings + missing
 
 
-def _throughout(job: AdjustedJob, one: ScatterCandidate, scattered: Sequence[str]) -> dict[str, Any]:
-    word = status_of_scatter(one, scattered)
-    found = _open(one.effect, {}, word, reason_of_scatter(one, word))
-    if not one.testable:
-        return found
-    least = {"value": one.detectable, "unit": one.effect.parameters[0].unit}
-    return found | {"minimal_detectable": least, "above": least, "hides": _hides(job, one.hides)}
+def _throughout(job: AdjustedJob, scatter: ScatterCandidate, scattered: Sequence[str]) -> dict[str, Any]:
+    word = status_of_scatter(scatter, scattered)
+    entry = _open(scatter.effect, {}, word, reason_of_scatter(scatter, word))
+    if not scatter.testable:
+        return entry
+    least = {"value": scatter.detectable, "unit": scatter.effect.parameters[0].unit}
+    return entry | {"minimal_detectable": least, "above": least, "hides": _hides(job, scatter.hides)}
 
 
-def _wrong_reading(job: AdjustedJob, one: WrongReading) -> dict[str, Any]:
-    unchecked = f"; {one.unchecked} readings cannot be checked" if one.unchecked else ""
-    if not one.testable:
-        return _open(one.effect, {}, Status.NOT_TESTABLE, UNCHECKED)
+def _wrong_reading(job: AdjustedJob, reading: WrongReading) -> dict[str, Any]:
+    unchecked = f"; {reading.unchecked} readings cannot be checked" if reading.unchecked else ""
+    if not reading.testable:
+        return _open(reading.effect, {}, Status.NOT_TESTABLE, UNCHECKED)
     words = (
         "wrong readings are listed as outliers; minimal_detectable is that of the median reading, above that of the "
     )
     words += f"one that is checked least{unchecked}"
-    return _open(one.effect, {}, Status.EXCLUDED, words) | {
-        "minimal_detectable": {"value": one.detectable, "unit": one.effect.parameters[0].unit},
-        "above": {"value": one.between[1], "unit": one.effect.parameters[0].unit},
-        "hides": _hides(job, one.hides),
+    return _open(reading.effect, {}, Status.EXCLUDED, words) | {
+        "minimal_detectable": {"value": reading.detectable, "unit": reading.effect.parameters[0].unit},
+        "above": {"value": reading.between[1], "unit": reading.effect.parameters[0].unit},
+        "hides": _hides(job, reading.hides),
     }
 
 

@@ -27,7 +27,7 @@ def opencv(result: Result, within: float) -> dict[str, str]:
 
     Of several cameras each has R and T [mm] of cv::stereoCalibrate, from the frame of the first.
     """
-    return {one.file("opencv.yml"): _of_opencv(one) for one in expressed("opencv", result, within, posed=True)}
+    return {camera.file("opencv.yml"): _of_opencv(camera) for camera in expressed("opencv", result, within, posed=True)}
 
 
 def _of_opencv(camera: ExpressedCamera) -> str:
@@ -46,7 +46,7 @@ def _of_opencv(camera: ExpressedCamera) -> str:
 
 def ros(result: Result, within: float) -> dict[str, str]:
     """Return the YAML of ROS camera_calibration (sensor_msgs/CameraInfo)."""
-    return {one.file("ros.yaml"): _of_ros(one) for one in expressed("ros", result, within)}
+    return {camera.file("ros.yaml"): _of_ros(camera) for camera in expressed("ros", result, within)}
 
 
 def _of_ros(camera: ExpressedCamera) -> str:
@@ -112,7 +112,7 @@ def kalibr(result: Result, within: float) -> dict[str, str]:
         ]
         here = np.eye(4)
         here[:3, :3], shift = camera.from_first
-        here[:3, 3] = [metre.outside(one) for one in shift.tolist()]
+        here[:3, 3] = [metre.outside(coordinate) for coordinate in shift.tolist()]
         if number:
             step = here @ np.linalg.inv(before)
             lines += ["  T_cn_cnm1:", *(f"  - [{_row(row)}]" for row in step.tolist())]
@@ -122,13 +122,16 @@ def kalibr(result: Result, within: float) -> dict[str, str]:
 
 def mrcal(result: Result, within: float) -> dict[str, str]:
     """Return a camera model of mrcal, each of several with its extrinsics [m] from the frame of the first."""
-    return {one.file("camera.cameramodel"): _of_mrcal(one) for one in expressed("mrcal", result, within, posed=True)}
+    return {
+        camera.file("camera.cameramodel"): _of_mrcal(camera)
+        for camera in expressed("mrcal", result, within, posed=True)
+    }
 
 
 def _of_mrcal(camera: ExpressedCamera) -> str:
     turn, shift = camera.from_first
     metre = find_unit("m", "length")
-    place = [*vector_from_rotation(turn).tolist(), *(metre.outside(one) for one in shift.tolist())]
+    place = [*vector_from_rotation(turn).tolist(), *(metre.outside(coordinate) for coordinate in shift.tolist())]
     lines = [
         "{",
         f"    'lensmodel': '{camera.form.name}',",
@@ -145,7 +148,7 @@ def metashape(result: Result, within: float) -> dict[str, str]:
 
     Its p1, p2 are OpenCV's p2, p1.
     """
-    return {one.file("metashape.xml"): _of_metashape(one) for one in expressed("metashape", result, within)}
+    return {camera.file("metashape.xml"): _of_metashape(camera) for camera in expressed("metashape", result, within)}
 
 
 def _of_metashape(camera: ExpressedCamera) -> str:
@@ -163,7 +166,7 @@ def _of_metashape(camera: ExpressedCamera) -> str:
 
 def matlab(result: Result, within: float) -> dict[str, str]:
     """Return a script of MATLAB's Computer Vision Toolbox that makes a cameraIntrinsics."""
-    return {one.file("camera.m"): _of_matlab(one) for one in expressed("matlab", result, within)}
+    return {camera.file("camera.m"): _of_matlab(camera) for camera in expressed("matlab", result, within)}
 
 
 def _of_matlab(camera: ExpressedCamera) -> str:

@@ -96,14 +96,14 @@ def files(result: Result) -> Exported:
     InputError if the result has no tables.
     """
     own = _error_tables(result)
-    found: dict[str, Table | str] = {}
+    tables: dict[str, Table | str] = {}
     for name, table in result.tables.items():
         file = name.replace("/", "-")
         if len(table):
-            found[f"{file}-summary.csv" if f"{file}.csv" in own else f"{file}.csv"] = table
-    if not found:
+            tables[f"{file}-summary.csv" if f"{file}.csv" in own else f"{file}.csv"] = table
+    if not tables:
         raise InputError("the result has no tables")
-    return {**found, **own}
+    return {**tables, **own}
 
 
 def _error_tables(result: Result) -> Exported:

@@ -108,11 +108,11 @@ class ErrorTables:
 
         Each is the sum of the table itself, the angles with the tool vector as lever, and the squareness.
         """
-        found: dict[tuple[str, str], ErrorTable] = {}
+        tables: dict[tuple[str, str], ErrorTable] = {}
         for moves, direction, curve in self._parts():
             key = (moves, direction)
-            found[key] = found[key].plus(curve) if key in found else curve
-        return found
+            tables[key] = tables[key].plus(curve) if key in tables else curve
+        return tables
 
     def _parts(self) -> Iterator[tuple[str, str, ErrorTable]]:
         for name, curve in self.curves.items():
@@ -205,13 +205,13 @@ _BACKLASH = {f"backlash.{axis.lower()}": axis for axis in AXES}
 
 def _effects(result: Result) -> dict[str, Table]:
     """Return the parameters of the effects in a result by their names, such as `backlash.x`."""
-    found = {name: _EFFECT.fullmatch(name) for name in result.tables}
-    return {match[1]: result.tables[name] for name, match in found.items() if match}
+    matches = {name: _EFFECT.fullmatch(name) for name in result.tables}
+    return {match[1]: result.tables[name] for name, match in matches.items() if match}
 
 
 def _reversal(result: Result) -> dict[str, float]:
-    found = {_BACKLASH.get(name): table for name, table in _effects(result).items()}
-    return {axis: float(table.numbers("value")[0]) for axis, table in found.items() if axis}
+    tables = {_BACKLASH.get(name): table for name, table in _effects(result).items()}
+    return {axis: float(table.numbers("value")[0]) for axis, table in tables.items() if axis}
 
 
 def _others(result: Result) -> list[str]:

@@ -142,7 +142,7 @@ def written(tables: ErrorTables) -> Texts:
 def _head(pitches: Sequence[Pitch], notes: list[str]) -> list[str]:
     """Return the comments, without parentheses, since comments of the control cannot be nested."""
     pitch, curve = pitches[0], pitches[0].curve
-    rounded = ", ".join(f"{one.axis} {one.magnification * UNIT:g} MM" for one in pitches)
+    rounded = ", ".join(f"{other.axis} {other.magnification * UNIT:g} MM" for other in pitches)
     k = int(np.argmax(np.abs(curve.values)))
     return [
         *(line.upper() for line in notes),
@@ -171,12 +171,12 @@ def read(texts: Texts) -> list[Pitch]:
     body = "\n".join(line for line in texts[_FILE].splitlines() if not line.startswith("("))
     data = {int(number): int(value) for number, value in _DATUM.findall(body)}
     settings = {(int(axis), int(key)): float(value) for key, axis, value in _PARAMETER.findall(body)}
-    found = []
+    tables = []
     for axis in sorted({axis for axis, _ in settings}):
         reference, first, last, magnification = (round(settings[axis, key]) for key in (3620, 3621, 3622, 3623))
         increments = np.array([data[k] for k in range(first, last + 1)])
-        found.append(Pitch(AXES[axis - 1], first, reference, settings[axis, 3624], magnification, increments))
-    return found
+        tables.append(Pitch(AXES[axis - 1], first, reference, settings[axis, 3624], magnification, increments))
+    return tables
 
 
 def moved(held: Mapping[str, Pitch] | list[Pitch], commanded: Array) -> Array:

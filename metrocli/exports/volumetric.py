@@ -70,12 +70,12 @@ def moved_by_errors(
 
     Raises ValueError if the comments do not name the order of the axes and the tool.
     """
-    found = _CHAIN.search("\n".join(comments))
-    if found is None:
+    chain = _CHAIN.search("\n".join(comments))
+    if chain is None:
         raise ValueError("the comments do not name the chain")
-    tool = (float(found[2]), float(found[3]), float(found[4]))
+    tool = (float(chain[2]), float(chain[3]), float(chain[4]))
     ranges = {axis: (float(where.min()), float(where.max())) for axis, where in zip(AXES, commanded.T, strict=True)}
-    held = ErrorTables(dict(curves), dict(squareness), found[1], tool, ranges)
+    held = ErrorTables(dict(curves), dict(squareness), chain[1], tool, ranges)
     return -held.at(commanded)
 
 

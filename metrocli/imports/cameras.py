@@ -37,9 +37,9 @@ def as_yaml(lines: TextLines) -> str | None:
     text = "\n".join(lines.lines)
     for program, (sign, reader) in _READERS.items():
         if re.search(sign, text, re.MULTILINE):
-            found = reader(lines, text)
-            _must_be_pixels(lines, found)
-            return _written(lines, program, found)
+            camera = reader(lines, text)
+            _must_be_pixels(lines, camera)
+            return _written(lines, program, camera)
     return None
 
 
@@ -51,31 +51,31 @@ class _ReadCamera:
     """As the file has them, but cx and cy from the centre of the first pixel"""
 
 
-def _written(lines: TextLines, program: str, found: _ReadCamera) -> str:
-    model = "fisheye" if found.form.fisheye else "opencv"
-    head = [f"# from {lines.file} (camera)", f"program: {program}", f"image_size: [{found.size[0]}, {found.size[1]}]"]
+def _written(lines: TextLines, program: str, camera: _ReadCamera) -> str:
+    model = "fisheye" if camera.form.fisheye else "opencv"
+    head = [f"# from {lines.file} (camera)", f"program: {program}", f"image_size: [{camera.size[0]}, {camera.size[1]}]"]
     values = [
         f"{name}: {value}{f' {UNITS[name]}' if name in UNITS else ''}"
-        for name, value in found.values.items()
+        for name, value in camera.values.items()
         if name in ("f", "fx", "fy", "cx", "cy") or float(value)
     ]
     return "\n".join([*head, f"model: {model}", *values, ""])
 
 
-def _must_be_pixels(lines: TextLines, found: _ReadCamera) -> None:
+def _must_be_pixels(lines: TextLines, camera: _ReadCamera) -> None:
     """Raise InputError if focal lengths or principal point cannot be pixels of an image of this size."""
     faults = []
-    for name, value in found.values.items():
-        extent = found.size[0] if name == "cx" else found.size[1]
+    for name, value in camera.values.items():
+        extent = camera.size[0] if name == "cx" else camera.size[1]
         number = float(value)
-        if name in ("f", "fx", "fy") and not _FIELD_OF_VIEW * max(found.size) < number:
+        if name in ("f", "fx", "fy") and not _FIELD_OF_VIEW * max(camera.size) < number:
             faults.append(lines.fault(f"{name} = {value} is no focal length in pixels of this image"))
         if name in ("cx", "cy") and not _CENTRE[0] * extent < number < _CENTRE[1] * extent:
             faults.append(lines.fault(f"{name} = {value} is no principal point in pixels of this image"))
     if faults:
-        width, height = found.size
+        width, height = camera.size
         hint = f"expected pixels: the file states an image of {width} x {height} px"
-        raise InputError([Fault(one.message, one.file, hint=hint) for one in faults])
+        raise InputError([Fault(fault.message, fault.file, hint=hint) for fault in faults])
 
 
 def _form(lines: TextLines, program: str, name: str, count: int | None = None) -> LensForm:
@@ -139,7 +139,7 @@ def _of_opencv(lines: TextLines, text: str) -> _ReadCamera:
         raise InputError([lines.fault("the camera matrix has a skew, which OpenCV does not use", None, "set it to 0")])
     if float(skew):
         values["skew"] = repr(float(skew) / float(fx))
-    return _read(lines, program, form, [str(one) for one in size], {**values, **_named(form, shift)})
+    return _read(lines, program, form, [str(name) for name in size], {**values, **_named(form, shift)})
 
 
 def _of_colmap(lines: TextLines, text: str) -> _ReadCamera:
@@ -195,8 +195,8 @@ def _of_metashape(lines: TextLines, text: str) -> _ReadCamera:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise InputError([lines.fault(f"this is not XML: {error}", error.position[0])]) from error
-    found = root if root.tag == "calibration" else root.find(".//calibration")
-    held = {one.tag: (one.text or "").strip() for one in found} if found is not None else {}
+    element = root if root.tag == "calibration" else root.find(".//calibration")
+    held = {entry.tag: (entry.text or "").strip() for entry in element} if element is not None else {}
     names = ("projection", "width", "height", "f")
     _must_have(lines, "Metashape", {name: held.get(name) for name in names})
     form = _form(lines, "metashape", held["projection"])
@@ -215,7 +215,7 @@ def _of_metashape(lines: TextLines, text: str) -> _ReadCamera:
     values |= {"skew": value["b2"] / fx if fx else 0.0, "p1": value["p2"], "p2": value["p1"]}
     values |= {name: value[name] for name in form.terms if name[0] == "k"}
     return _read(
-        lines, "metashape", form, [str(one) for one in size], {name: repr(one) for name, one in values.items()}
+        lines, "metashape", form, [str(entry) for entry in size], {name: repr(entry) for name, entry in values.items()}
     )
 
 
@@ -243,8 +243,8 @@ def _named(form: LensForm, numbers: Sequence[str]) -> dict[str, str]:
 
 
 def _after(pattern: str, text: str, flags: int = 0) -> str | None:
-    found = re.search(pattern, text, flags)
-    return found[1] if found else None
+    match = re.search(pattern, text, flags)
+    return match[1] if match else None
 
 
 _DATA = r"data\s*:\s*\[([^\]]*)\]"
@@ -252,8 +252,8 @@ _DATA = r"data\s*:\s*\[([^\]]*)\]"
 
 def _numbers(pattern: str, text: str) -> list[str]:
     """Return the numbers of a list as written; an empty list if one is no number."""
-    found = re.search(pattern, text, re.DOTALL)
-    parts = re.split(r"[\s,]+", found[1].strip().strip(",")) if found and found[1].strip() else []
+    match = re.search(pattern, text, re.DOTALL)
+    parts = re.split(r"[\s,]+", match[1].strip().strip(",")) if match and match[1].strip() else []
     parts = [part.rstrip(".") for part in parts]
     return parts if all(map(is_number, parts)) else []
 

@@ -107,10 +107,10 @@ def files(lines: TextLines, wishes: ImportOptions) -> Imported:
         if place is None:
             cells.append([with_sign(str(source.value), int(source.sign))] * len(rows))
         else:
-            found = [(number, row[place]) for number, row in rows]
+            values = [(number, row[place]) for number, row in rows]
             if columns[name].dimension != TEXT and mapping.thousands:
-                found = [(number, _ungrouped(text, mapping.thousands)) for number, text in found]
-            texts, wrong = _read(lines, found, columns[name], mapping.decimal == "comma")
+                values = [(number, _ungrouped(text, mapping.thousands)) for number, text in values]
+            texts, wrong = _read(lines, values, columns[name], mapping.decimal == "comma")
             cells.append([with_sign(text, int(source.sign)) for text in texts])
             faults += wrong
     if faults:
@@ -123,7 +123,11 @@ def _input(mapping: Mapping) -> Columns:
     """Return the columns of the input; raises InputError if the kind of job has no such table."""
     inputs = settings_of(KINDS[mapping.job].settings()).get("inputs")
     below = settings_of(inputs[0].spec.section) if inputs and isinstance(inputs[0].spec, Section) else {}
-    tables = {one.key: found for one, _ in below.values() if (found := _table(one.spec)) is not None}
+    tables = {
+        below_setting.key: columns
+        for below_setting, _ in below.values()
+        if (columns := _table(below_setting.spec)) is not None
+    }
     if mapping.input.value not in tables:
         text = f"a job {mapping.job} has no table '{mapping.input.value}'"
         raise InputError([mapping.input.node.fault(text, suggestion(mapping.input.value, list(tables)))])

@@ -60,14 +60,14 @@ def _setups(obs: Element) -> dict[tuple[str, str], list[Element]]:
 
     Directions do not depend on the height; they join the first set-up of their point.
     """
-    found: dict[tuple[str, str], list[Element]] = {}
-    for one in obs:
-        name = one.get("from", obs.get("from", "")).strip()
-        key = name, one.get("from_dh", obs.get("from_dh", "0"))
-        if one.tag == "direction" and one.get("from_dh") is None:
-            key = next((other for other in found if other[0] == name), key)
-        found.setdefault(key, []).append(one)
-    return found
+    setups: dict[tuple[str, str], list[Element]] = {}
+    for element in obs:
+        name = element.get("from", obs.get("from", "")).strip()
+        key = name, element.get("from_dh", obs.get("from_dh", "0"))
+        if element.tag == "direction" and element.get("from_dh") is None:
+            key = next((other for other in setups if other[0] == name), key)
+        setups.setdefault(key, []).append(element)
+    return setups
 
 
 @dataclass(frozen=True)

@@ -146,9 +146,9 @@ def view_block(views: Sequence[View], values: Array) -> Block:
 def hollow(views: Sequence[View], view: Index, balls: Index, pitch: float) -> Array:
     """Return the condition `HOLLOW` of readings (n,) of balls (n, 3)."""
     offsets = np.empty(len(balls))
-    for n, one in enumerate(views):
+    for n, measured in enumerate(views):
         rows = view == n
-        square: Array = ((balls[rows] @ one.turn.T)[:, :2] ** 2).sum(axis=1) * pitch**2
+        square: Array = ((balls[rows] @ measured.turn.T)[:, :2] ** 2).sum(axis=1) * pitch**2
         offsets[rows] = square - (square.mean() if square.size else 0.0)
     return offsets
 

@@ -62,11 +62,11 @@ def start(scene: TargetImages, centre: Array, focal: float | None, guess: float)
     telling = maps[2 * np.bincount(scene.view[keep], minlength=scene.views) >= maps[0].size - 1]
     ratio = focal / guess if focal else (_focal_of_homographies(telling) if planar else _focal_of_projections(telling))
     maps[:, :2] /= ratio
-    found = _poses_of_homographies(maps) if planar else _poses_of_projections(maps)
+    started = _poses_of_homographies(maps) if planar else _poses_of_projections(maps)
     if not planar:
-        found = _resected(scene.selected(keep), local, rays[:, keep] / ratio, found)
-    found[:, :3] *= scale
-    return ratio * guess, poses.compose(found, np.broadcast_to(to_plane, found.shape))
+        started = _resected(scene.selected(keep), local, rays[:, keep] / ratio, started)
+    started[:, :3] *= scale
+    return ratio * guess, poses.compose(started, np.broadcast_to(to_plane, started.shape))
 
 
 def _focal_of_homographies(maps: Array) -> float:
@@ -158,9 +158,9 @@ def cube_rotations() -> Array:
     return turns
 
 
-def _misfit(scene: TargetImages, local: Array, rays: Array, found: Array) -> Array:
+def _misfit(scene: TargetImages, local: Array, rays: Array, pose: Array) -> Array:
     """Return the RMS misfit of each view in the plane Z = 1; infinite if a point is behind the camera."""
-    points = poses.apply(found[scene.view], local[scene.target])
+    points = poses.apply(pose[scene.view], local[scene.target])
     front = points[:, 2] > 0
     gap = points[:, :2] / np.where(front, points[:, 2], 1.0)[:, None] - rays.T
     square = np.where(front, (gap**2).sum(axis=1), np.inf)

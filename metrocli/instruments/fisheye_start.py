@@ -30,7 +30,7 @@ def start_of_fisheye(
     """
     if not focal:
         some = _of_some_views(scene)
-        focal = min((_TRIED * side).tolist(), key=lambda one: _posed(some, {**lens, "f": one})[1])
+        focal = min((_TRIED * side).tolist(), key=lambda trial: _posed(some, {**lens, "f": trial})[1])
     return focal, _posed(scene, {**lens, "f": focal})[0]
 
 
@@ -54,12 +54,12 @@ def _posed(scene: TargetImages, lens: Mapping[str, float]) -> tuple[Array, float
     near = ahead[2] > _WIDEST
     flat = ahead[:2] / np.where(near, ahead[2], 1.0)
     part = TargetImages(scene.points, flat, scene.target, scene.view, scene.views).selected(near)
-    _, found = start(part, np.zeros(2), 1.0, 1.0)
-    found = poses.compose(poses.pose(np.swapaxes(turn, 1, 2), np.zeros(3)), found)
-    at = equidistant(poses.apply(found[scene.view], scene.points[scene.target]).T)
+    _, pose = start(part, np.zeros(2), 1.0, 1.0)
+    pose = poses.compose(poses.pose(np.swapaxes(turn, 1, 2), np.zeros(3)), pose)
+    at = equidistant(poses.apply(pose[scene.view], scene.points[scene.target]).T)
     u, v = image_point(lens, at.x, at.y, fisheye=True)
     off = np.hypot(u - scene.uv[0], v - scene.uv[1])
-    return found, float(np.median(np.nan_to_num(off, nan=np.inf)))
+    return pose, float(np.median(np.nan_to_num(off, nan=np.inf)))
 
 
 def _to_axis(middle: Array) -> Array:

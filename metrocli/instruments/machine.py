@@ -56,7 +56,7 @@ def chain_of(text: str) -> tuple[str, ...]:
     difference to first order. Raises ValueError if the text is not such a chain.
     """
     letters = tuple(re.sub(r"^w|t$", "", re.sub(r"[\s\[\]]", "", text)))
-    linear, turning = ([one for one in letters if one in kind] for kind in (AXES, ANGLES))
+    linear, turning = ([letter for letter in letters if letter in kind] for kind in (AXES, ANGLES))
     if set(letters) - {*AXES, *ANGLES, "b"} or len(set(letters)) < len(letters) or len(turning) > 2:
         raise ValueError(f"'{text}' is not a chain of axes from workpiece to tool: {_EACH_ONCE}")
     if turning and "b" not in letters:

@@ -119,7 +119,7 @@ def machine_blocks(spread: Array) -> list[Block]:
 
 def machine_priors(spread: Array) -> list[Group]:
     """Return what is known of it beforehand: mean 0 and variance 1."""
-    return [prior(one, np.zeros(1, dtype=np.intp), np.ones((1, one.size))) for one in machine_blocks(spread)]
+    return [prior(block, np.zeros(1, dtype=np.intp), np.ones((1, block.size))) for block in machine_blocks(spread)]
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,9 @@ def start(points: Array, lengths: Array, absolute: bool = False, near: Array | N
     if len(lengths) > MOST:
         some = Random(0).sample(range(len(lengths)), MOST)
         points, lengths = points[some], lengths[some]
-    contents = (None if one is None else np.asarray(one, dtype=float).tobytes() for one in (points, lengths, near))
+    contents = (
+        None if array is None else np.asarray(array, dtype=float).tobytes() for array in (points, lengths, near)
+    )
     return np.array(_found(*contents, absolute))
 
 

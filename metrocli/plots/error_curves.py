@@ -80,7 +80,7 @@ def height(errors: Errors) -> float:
 def _axes(errors: Errors) -> str:
     """Return the axes of the columns: three linear ones, or those that have curves where some turn."""
     letters = {curve.name[2] for curve in errors.curves}
-    return "".join(one for one in "XYZABC" if one in letters) if letters & set("ABC") else "XYZ"
+    return "".join(name for name in "XYZABC" if name in letters) if letters & set("ABC") else "XYZ"
 
 
 def _panels(errors: Errors) -> list[list[ErrorCurve]]:

@@ -55,9 +55,9 @@ def _residuals(result: Result) -> PanelRows | None:
         f"{of.get(station, '')} {quantity}".strip()
         for station, quantity in zip(table.texts("station"), table.texts("quantity"), strict=True)
     ]
-    found = _grouped(names, table.numbers("normalised"))
-    count = sum(len(row.values) for row in found)
-    return PanelRows((("", found[:_ROWS]),), largest_of(count), len(found[_ROWS:])) if found else None
+    rows = _grouped(names, table.numbers("normalised"))
+    count = sum(len(row.values) for row in rows)
+    return PanelRows((("", rows[:_ROWS]),), largest_of(count), len(rows[_ROWS:])) if rows else None
 
 
 def _faces(result: Result) -> PanelRows | None:

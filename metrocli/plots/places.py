@@ -39,7 +39,9 @@ def places_of(result: Result) -> tuple[PlottedPoints, ...]:
     ]
     cameras = _instruments(result, "views", "image") if result.statistics.get("rig") == "network" else None
     return tuple(
-        one for one in (*parts, cameras, *_about_board(result), *_launch(result)) if one is not None and len(one.at)
+        points
+        for points in (*parts, cameras, *_about_board(result), *_launch(result))
+        if points is not None and len(points.at)
     )
 
 

@@ -83,7 +83,7 @@ class PlottedResiduals:
 def residuals_of(result: Result) -> list[PlottedResiduals]:
     """Return the residuals of a result, one set for each table and component of a row; empty if it has none."""
     names = [name for name in _TABLES if name in result.tables]
-    return [one for name in names for one in _of_table(result.tables[name], name if len(names) > 1 else "")]
+    return [residuals for name in names for residuals in _of_table(result.tables[name], name if len(names) > 1 else "")]
 
 
 def _of_table(table: Table, kind: str) -> Iterator[PlottedResiduals]:
@@ -147,7 +147,7 @@ def image_residuals(result: Result) -> ImageResiduals | None:
     both = [np.stack([table.numbers(name)[u], table.numbers(name)[v]], axis=1) for name in _VECTORS]
     places, vectors, w = both
     given = [result.statistics.get(name) for name in ("image_width", "image_height")]
-    size = [float(one) for one in given if isinstance(one, int | float)]
+    size = [float(entry) for entry in given if isinstance(entry, int | float)]
     whole = len(size) == len(given)
     width, height = size if whole else (places.max(axis=0) * _MARGIN).tolist()
     return ImageResiduals(table, u, places, vectors, w, (width, height), whole)

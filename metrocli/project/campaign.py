@@ -99,9 +99,9 @@ def _in_file(name: str, value: Node) -> Iterator[_Placed]:
     raw = taken_apart(read_text(path, str(path), held), str(path))
     if name not in raw.header:
         raise InputError([raw.fault(f"the column '{name}' is missing", raw.header_line, None, f"{KEY}: names it")])
-    twice = [one for one, count in Counter(raw.header).items() if count > 1]
+    twice = [column for column, count in Counter(raw.header).items() if count > 1]
     if twice:
-        raise InputError([raw.fault(f"the column '{one}' is there twice", raw.header_line) for one in twice])
+        raise InputError([raw.fault(f"the column '{column}' is there twice", raw.header_line) for column in twice])
     at = raw.header.index(name)
     for line, *cells in zip(raw.numbers, *raw.cells, strict=True):
         row = {column: cell.strip() for column, cell in zip(raw.header, cells, strict=True)}

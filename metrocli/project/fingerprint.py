@@ -84,9 +84,9 @@ def changed_inputs(before: Iterable[InputFile], now: Iterable[InputFile], conten
     """
     known, present = ({file.path: file for file in files} for files in (before, now))
     changed = [
-        f"input {path} changed ({_short(known[path])} -> {_short(one)})"
-        for path, one in present.items()
-        if path in known and one.sha256 != known[path].sha256 and content(path) != known[path].content
+        f"input {path} changed ({_short(known[path])} -> {_short(file)})"
+        for path, file in present.items()
+        if path in known and file.sha256 != known[path].sha256 and content(path) != known[path].content
     ]
     changed += [f"input {path} is new" for path in present if path not in known]
     return changed + [f"input {path} is gone" for path in known if path not in present]

@@ -85,7 +85,7 @@ def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> UserE
     """
     kind = given.kind
     taken = {effect.name for effect in tasks.KINDS[kind].task().effects}
-    found: list[Effect] = []
+    defined: list[Effect] = []
     files: dict[Path, YamlFile] = {}
     packages: dict[str, Package] = {}
     for effect, package in with_packages(kind):
@@ -93,7 +93,7 @@ def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> UserE
         if effect.name in taken:
             faults.append(Fault(f"a package offers an effect '{effect.name}', which exists already"))
         taken.add(effect.name)
-        found.append(effect)
+        defined.append(effect)
     sought = tuple(_project_files_above(given.job.parent))
     by_project = _of_project(sought[-1], given.files)
     for node in filter(None, (heading.effects_from, by_project)):
@@ -104,11 +104,11 @@ def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> UserE
         with suppress(InputError):  # which is among the faults by now
             files[path] = given.files.read(path)
         taken |= {effect.name for effect in effects}
-        found += effects
+        defined += effects
     if heading.define:
-        found += read(heading.define, given.places(), taken, faults)
+        defined += read(heading.define, given.places(), taken, faults)
     project = None if by_project is None else by_project.source.folder / PROJECT_FILE
-    return UserEffects(tuple(found), files, project, packages, sought)
+    return UserEffects(tuple(defined), files, project, packages, sought)
 
 
 def of_project(folder: Path, read_before: YamlFiles) -> Node | None:
@@ -162,12 +162,12 @@ def of_file(
     if define is None or define.kind != "list":
         faults.append((define or root).fault("there is no list `define:`", "write define: [{name: ...}, ...]"))
         return []
-    names, found = set(taken), list[Effect]()
+    names, defined = set(taken), list[Effect]()
     for node in define.items:
         effects = _of_node(node, given, names, faults)
         names |= {effect.name for effect in effects}
-        found += effects
-    return found
+        defined += effects
+    return defined
 
 
 def _of_node(node: Node, given: Defining, taken: Iterable[str], faults: list[Fault]) -> list[Effect]:

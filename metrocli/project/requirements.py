@@ -107,7 +107,9 @@ def units_among(name: str, known: Mapping[str, str]) -> list[str]:
     """Return the unit of a known name, or those of the known names with braces that it fits."""
     if name in known:
         return [known[name]]
-    patterns = {".+".join(map(re.escape, _BRACES.split(one))): unit for one, unit in known.items() if "{" in one}
+    patterns = {
+        ".+".join(map(re.escape, _BRACES.split(quantity))): unit for quantity, unit in known.items() if "{" in quantity
+    }
     return [unit for pattern, unit in patterns.items() if re.fullmatch(pattern, name)]
 
 
@@ -115,7 +117,7 @@ def _allowed(name: str, known: Mapping[str, str]) -> str:
     """Return the known name that is meant, or all of them; standard uncertainties once only."""
     if nearest(name, known) is not None:
         return suggestion(name, known)
-    brief = [one for one in known if not one.endswith((".std", ".dof"))]
+    brief = [candidate for candidate in known if not candidate.endswith((".std", ".dof"))]
     more = ", and the standard uncertainty of an estimate as NAME.std" if len(brief) < len(known) else ""
     return f"{suggestion(name, brief)}{more}"
 

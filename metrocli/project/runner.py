@@ -120,7 +120,8 @@ def compute(
 def counting(held: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     """Return inputs of which those that are read bit by bit, such as images, count what is read."""
     return {
-        key: replace(one, tell=progress.count) if isinstance(one, DecodedImages) else one for key, one in held.items()
+        key: replace(counts, tell=progress.count) if isinstance(counts, DecodedImages) else counts
+        for key, counts in held.items()
     }
 
 
@@ -173,10 +174,10 @@ def _with_other_setting(result: Result, adjustment: Adjustment | None, others: O
 
     if adjustment is None or not others(fits):
         return result
-    found = with_other_setting(adjustment(), others)
-    if found is None:
+    mistaken = with_other_setting(adjustment(), others)
+    if mistaken is None:
         return result
-    (wrong,), better = found.mistakes, (found.before / found.after) ** 2
+    (wrong,), better = mistaken.mistakes, (mistaken.before / mistaken.after) ** 2
     told = f"{wrong}: read so, the squared residuals are {better:.2g} times smaller; write {wrong.write}"
     return replace(result, doubts=(*result.doubts, told))
 
@@ -225,7 +226,7 @@ def _require_named(file: JobFile, held: Mapping[str, Any]) -> None:
 def known_figures(file: JobFile, held: Mapping[str, Any]) -> dict[str, str]:
     """Return the units of all figures that a result can have, by name, as far as its settings and tables name them."""
     names: dict[str, set[str]] = {}
-    for table in (one for one in held.values() if isinstance(one, Table)):
+    for table in (counts for counts in held.values() if isinstance(counts, Table)):
         for column in (name for name, cells in table.columns.items() if cells.dtype.kind == "U"):
             names.setdefault(column, set()).update(table.texts(column))
     return by_names(figures_of(file.kind, file.settings, file.effects), names)

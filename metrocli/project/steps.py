@@ -65,7 +65,7 @@ def load_project(place: Path, accept_doubtful: bool = False) -> tuple[ProjectSte
     project = Section(ProjectFile).read(root, faults)
     if project is BAD:
         raise InputError(faults)
-    listed = [one for node in root.at("jobs").items for one in _one_or_many(node, files, faults)]
+    listed = [entry for node in root.at("jobs").items for entry in _one_or_many(node, files, faults)]
     made = {absolute(output) for job in listed if (output := _peek_output(job)) is not None}
     jobs: dict[str, JobFile] = {}
     for one in listed:
@@ -147,15 +147,15 @@ def _load_one(job: _Listed, wishes: JobOptions, jobs: dict[str, JobFile], faults
 def _makers(listed: Sequence[_Listed], jobs: Mapping[str, JobFile], faults: list[Fault]) -> dict[Path, str]:
     """Return the name of the job that writes each result; adds a fault if two jobs write the same one."""
     makers: dict[Path, str] = {}
-    for one in listed:
-        job = jobs.get(one.name)
+    for entry in listed:
+        job = jobs.get(entry.name)
         if job is None:
             continue
-        first = makers.setdefault(absolute(job.output), one.name)
-        if first != one.name:
-            place = job.root.get("output") or one.node
-            hint = "name another output" if one.part is None else "write the part in braces into the output"
-            faults.append(place.fault(f"two jobs write {job.output}: {first} and {one.name}", hint))
+        first = makers.setdefault(absolute(job.output), entry.name)
+        if first != entry.name:
+            place = job.root.get("output") or entry.node
+            hint = "name another output" if entry.part is None else "write the part in braces into the output"
+            faults.append(place.fault(f"two jobs write {job.output}: {first} and {entry.name}", hint))
     return makers
 
 

@@ -88,8 +88,8 @@ def until_clean(
         )
         end = _end(last, gained, len(extensions) == most)
         if end is not None:
-            found = tuple(name for name, *_ in _parts(gained)) if end is End.INTERRUPTED else ()
-            return Loop(first, last, tuple(extensions), end, found)
+            names = tuple(name for name, *_ in _parts(gained)) if end is End.INTERRUPTED else ()
+            return Loop(first, last, tuple(extensions), end, names)
         number = len(extensions) + 1
         path = job.file.with_name(f"{job.file.stem}.step{number}.yaml")
         result = job.output.with_name(f"{job.output.stem}.step{number}.h5")

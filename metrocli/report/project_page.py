@@ -112,7 +112,8 @@ def _lineage(entries: Sequence[JobEntry]) -> Html:
     ]
     place = {name: (column, row) for column, names in enumerate(columns) for row, name in enumerate(names)}
     boxes = [
-        _box(name, *place[name], one) for name, one in [(path, None) for path in files] + [(e.name, e) for e in entries]
+        _box(name, *place[name], entry)
+        for name, entry in [(path, None) for path in files] + [(e.name, e) for e in entries]
     ]
     lines = [_line(place[source], place[entry.name]) for entry in entries for source in (*entry.inputs, *entry.needs)]
     wide = len(columns) * (_WIDE + _GAP) - _GAP + 2

@@ -122,5 +122,5 @@ class Certificate:
 
 
 def _given(values: Mapping[str, Any]) -> dict[str, Any]:
-    below = ((name, _given(one) if isinstance(one, Mapping) else one) for name, one in values.items())
-    return {name: one for name, one in below if one}
+    below = ((name, _given(entry) if isinstance(entry, Mapping) else entry) for name, entry in values.items())
+    return {name: entry for name, entry in below if entry}

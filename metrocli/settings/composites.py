@@ -115,11 +115,11 @@ class Either:
         shaped = [spec for spec in self.specs if spec.fits(node)]
         attempts = []
         for spec in shaped:
-            found: list[Fault] = []
-            value = spec.read(node, found)
-            if value is not BAD and not found:
+            below: list[Fault] = []
+            value = spec.read(node, below)
+            if value is not BAD and not below:
                 return value
-            attempts.append(found)
+            attempts.append(below)
         faults.extend(self._telling(node, shaped, attempts))
         return BAD
 
@@ -171,10 +171,10 @@ class Uncertain:
         return self._given.fits(node)
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
-        found = self._given.read(node, faults)
-        if found is BAD:
+        below = self._given.read(node, faults)
+        if below is BAD:
             return BAD
-        return KnownQuantity(found) if isinstance(found, float) else KnownQuantity(found.value, found.std)
+        return KnownQuantity(below) if isinstance(below, float) else KnownQuantity(below.value, below.std)
 
     def schema(self) -> Schema:
         return self._given.schema()

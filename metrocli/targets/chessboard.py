@@ -60,8 +60,8 @@ def shown_size(picture: Picture) -> tuple[int, int] | None:
     grey, least, flags = eight_bit(picture), (4, 4), cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
     if min(grey.shape) < LEAST_SIDE:
         return None
-    found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, least, flags)
-    return (max(meta.shape), min(meta.shape)) if found and meta is not None else None
+    shown, _, meta = cv2.findChessboardCornersSBWithMeta(grey, least, flags)
+    return (max(meta.shape), min(meta.shape)) if shown and meta is not None else None
 
 
 def _coarse(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
@@ -89,12 +89,12 @@ def _searched(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
     if min(grey.shape) < LEAST_SIDE:
         return None
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    found, corners = False, None
+    success, corners = False, None
     if grey.size <= QUICK_PIXELS or cv2.checkChessboard(grey, (columns, rows)):
-        found, corners = cv2.findChessboardCorners(grey, (columns, rows), flags=flags)
-    if not found:
-        found, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-    return np.asarray(corners, dtype=float).reshape(-1, 2) if found else None
+        success, corners = cv2.findChessboardCorners(grey, (columns, rows), flags=flags)
+    if not success:
+        success, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    return np.asarray(corners, dtype=float).reshape(-1, 2) if success else None
 
 
 def _in_order(pattern: Pattern, corners: Array, picture: Picture) -> tuple[Array, str]:

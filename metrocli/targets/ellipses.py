@@ -154,10 +154,10 @@ def _is_near(a: Ellipse, b: Ellipse) -> bool:
     return moved < SAME and abs(a.long - b.long) < SAME and abs(a.short - b.short) < SAME
 
 
-def _leads_to(start: Ellipse, found: Ellipse) -> bool:
+def _leads_to(start: Ellipse, ellipse: Ellipse) -> bool:
     """Return whether a start is another outline of an ellipse that has been found already."""
-    near = abs(start.u - found.u) + abs(start.v - found.v) < 0.5 * found.short
-    return near and 0.5 < start.short / found.short < 2
+    near = abs(start.u - ellipse.u) + abs(start.v - ellipse.v) < 0.5 * ellipse.short
+    return near and 0.5 < start.short / ellipse.short < 2
 
 
 def is_good(fitted: FittedEllipse | None) -> bool:

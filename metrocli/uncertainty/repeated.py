@@ -80,13 +80,13 @@ def repeated(results: Sequence[Result], times: Sequence[float]) -> RepeatedCalib
         raise InputError("the calibrations have one time: a drift needs two times at least")
     against_first = tuple(compare(results[0], other).max_en for other in results[1:])
     each = [quantities(result) for result in results]
-    names = [name for name in each[0] if all(name in one for one in each)]
+    names = [name for name in each[0] if all(name in values for values in each)]
     if not names:
         raise InputError("no estimate, table or point is in all of the results: a drift needs the same name in each")
     drifts: list[Drift] = []
     groups: dict[tuple[str, str], list[list[Measured]]] = {}
     for name in names:
-        rows = [one[name] for one in each]
+        rows = [values[name] for values in each]
         if any(row.std > 0 for row in rows) or np.ptp([row.value for row in rows]) > 0:
             drifts.append(_drift(name, rows, at))
             groups.setdefault((name[0], rows[0].unit), []).append(rows)
@@ -110,8 +110,8 @@ def _drift(name: tuple[str, str], rows: Sequence[Measured], at: Array) -> Drift:
 
 
 def _pooled(group: str, unit: str, rows: Sequence[Sequence[Measured]]) -> Pooled:
-    values = np.array([[one.value - row[0].value for one in row] for row in rows])
-    std = np.array([[one.std for one in row] for row in rows])
+    values = np.array([[quantity.value - row[0].value for quantity in row] for row in rows])
+    std = np.array([[quantity.std for quantity in row] for row in rows])
     dof = values.shape[0] * (values.shape[1] - 1)
     scatter = ((values - values.mean(axis=1, keepdims=True)) ** 2).sum() / dof
     return Pooled(group, unit, float(np.sqrt(scatter)), float(np.sqrt((std**2).mean())), dof)

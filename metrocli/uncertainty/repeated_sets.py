@@ -77,8 +77,10 @@ def _quantity(group: str, name: str, values: Array, std: Array, unit: str) -> Re
 def _estimates(results: Sequence[Result]) -> Iterator[RepeatedQuantity]:
     every = [{estimate.name: estimate for estimate in result.estimates} for result in results]
     for name, first in every[0].items():
-        if all(name in one for one in every):
-            values, std = (np.array([getattr(one[name], what) for one in every]) for what in ("value", "std"))
+        if all(name in estimates for estimates in every):
+            values, std = (
+                np.array([getattr(estimates[name], what) for estimates in every]) for what in ("value", "std")
+            )
             yield _quantity("estimates", name, values, std, first.unit)
 
 
@@ -97,8 +99,8 @@ def _lengths(results: Sequence[Result]) -> Iterator[RepeatedQuantity]:
         for table in tables
     ]
     for name in every[0]:
-        if all(name in one for one in every):
-            values, std = np.array([one[name] for one in every], dtype=float).T
+        if all(name in lengths for lengths in every):
+            values, std = np.array([lengths[name] for lengths in every], dtype=float).T
             yield _quantity(LENGTHS, name, values, std, "mm")
 
 

@@ -69,10 +69,10 @@ class TrialsPlan:
             for index, deviations in source(rng, count):
                 deviations += self.values[index]
                 values[self.names[index]] = deviations
-        found = np.empty((len(self.models), count))
-        for row, model, centre in zip(found, self.models, self.centres, strict=True):
+        drawn = np.empty((len(self.models), count))
+        for row, model, centre in zip(drawn, self.models, self.centres, strict=True):
             np.subtract(evaluate(model, values), centre, out=row)
-        return found
+        return drawn
 
 
 def plan_of(
@@ -168,15 +168,15 @@ class Work:
         for chunk in range(number * self.chunks, (number + 1) * self.chunks):
             if self.plan.count(chunk) <= 0:
                 break
-            found = self.plan.outcomes(chunk)
-            _refuse_lost(found, self.plan)
-            tally = Tally.of(found) if tally is None else tally + Tally.of(found)
+            drawn = self.plan.outcomes(chunk)
+            _refuse_lost(drawn, self.plan)
+            tally = Tally.of(drawn) if tally is None else tally + Tally.of(drawn)
             if self.plan.trials is None:
-                spread.append(spread_of(found, self.plan.probability))
+                spread.append(spread_of(drawn, self.plan.probability))
             if self.edges:
-                places.append([edges.places(row) for edges, row in zip(self.edges, found, strict=True)])
+                places.append([edges.places(row) for edges, row in zip(self.edges, drawn, strict=True)])
             else:
-                kept.append(found)
+                kept.append(drawn)
         assert tally is not None
         values = np.concatenate(kept, axis=1) if kept else None
         return Batch(tally, np.array(spread), values, counted(places) if places else None)

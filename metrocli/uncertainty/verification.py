@@ -155,7 +155,7 @@ def verify(result: Result, check: Table, aligned: bool = False) -> Verification:
     if laid:
         measured = _laid(check, measured, places.values)
     covariance, predicted_part = left(places, own), left(places, places.own)
-    traces = (np.trace(one, axis1=1, axis2=2) for one in (predicted_part, covariance))
+    traces = (np.trace(matrix, axis1=1, axis2=2) for matrix in (predicted_part, covariance))
     deviations = _points(check.texts("point"), measured - places.values, covariance, effective(dof, *traces))
     verification = Verification(deviations, laid)
     tools = predicted.tool_vectors(result, check) if "mx" in check else np.zeros_like(read)
@@ -264,7 +264,7 @@ def _points(names: list[str], vectors: Array, covariance: Array, dof: Array) -> 
     widest = k * np.sqrt(np.maximum(values[:, -1], 0.0))
     expanded = np.where(en > 0, sizes / np.where(en > 0, en, 1.0), widest)
     rows = zip(names, sizes.tolist(), expanded.tolist(), en.tolist(), k.tolist(), vectors.tolist(), strict=True)
-    return tuple(Deviation(name, size, big, one, by, tuple(vector)) for name, size, big, one, by, vector in rows)
+    return tuple(Deviation(name, size, big, row, by, tuple(vector)) for name, size, big, row, by, vector in rows)
 
 
 def _lengths(check: Table, first: PredictedPlaces, second: PredictedPlaces, dof: float) -> tuple[Deviation, ...]:

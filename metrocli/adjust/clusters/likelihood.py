@@ -39,7 +39,7 @@ class Likelihood:
         """Return the likelihood from what each cluster sees; `first` are the coordinates of the first unknowns."""
         parts = [acting(cluster, first) for cluster in clusters]
         seen = np.concatenate([cluster.rows.T @ u for cluster, (u, _) in zip(clusters, parts, strict=True)], axis=1)
-        strength = np.concatenate([one for _, one in parts])
+        strength = np.concatenate([part for _, part in parts])
         residual = np.concatenate([u.T @ cluster.residual for cluster, (u, _) in zip(clusters, parts, strict=True)])
         # information other than of the directions seen is 1, and adds nothing
         return cls(np.asarray(np.linalg.qr(seen, mode="r")), strength, residual, square, dof)

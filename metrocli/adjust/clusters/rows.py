@@ -47,10 +47,10 @@ class ClusterRows:
         """The unknowns of more than one cluster or of other rows, (unknowns,)."""
         if self.together:
             return np.ones(self.width, dtype=bool)
-        found: Mask = self._counts > 1
-        for one in self.others:
-            found[one.columns] = True
-        return found
+        several: Mask = self._counts > 1
+        for other in self.others:
+            several[other.columns] = True
+        return several
 
     @property
     def _counts(self) -> Index:
@@ -70,7 +70,9 @@ def rows_of(solution: Solution, clusters: Mapping[str, Index], together: bool = 
         for at in numbers_of(clusters)
     )
     others = tuple(
-        _selected(one, layout, np.arange(one.residual.shape[1])) for name, one in linear.items() if name not in clusters
+        _selected(group, layout, np.arange(group.residual.shape[1]))
+        for name, group in linear.items()
+        if name not in clusters
     )
     return ClusterRows(layout.width, of_clusters, others, together)
 

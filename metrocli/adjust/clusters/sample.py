@@ -104,9 +104,9 @@ class ClusterSample:
     @cached_property
     def factors(self) -> tuple[float, ...]:
         """How many times the expected variance the clusters have, on average over each part."""
-        found, target = np.diag(self.found), np.diag(self.target)
+        levels, target = np.diag(self.found), np.diag(self.target)
         return tuple(
-            float(found[part].sum() / target[part].sum()) if target[part].sum() > 0 else 1.0 for part in self.parts
+            float(levels[part].sum() / target[part].sum()) if target[part].sum() > 0 else 1.0 for part in self.parts
         )
 
     @cached_property

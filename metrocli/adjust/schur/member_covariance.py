@@ -143,11 +143,11 @@ class MemberCovariance:
             readings.append(explained)
         return covariances, readings
 
-    def _collected(self, found: Sequence[Array]) -> Array:
+    def _collected(self, collected: Sequence[Array]) -> Array:
         """Return values found for each part in the order of the members."""
         if not self.shape[1]:
             return np.zeros((0, 0, 0))
-        full = np.empty((self.shape[0], *found[0].shape[1:]))
-        for part, values in zip(self.parts, found, strict=True):
+        full = np.empty((self.shape[0], *collected[0].shape[1:]))
+        for part, values in zip(self.parts, collected, strict=True):
             full[part.members] = values
         return full

@@ -101,16 +101,16 @@ def by_slot(jacobian: Array, slots: int) -> Array:
 
 def add_products(part: TileRows, matrix: Array, right: Array) -> None:
     """Add `K'K` and `K' residual` of one group."""
-    for i, one in enumerate(part.beside):
-        first, residual = (by_slot(x, len(one.places)) for x in (one.jacobian, part.residual[:, None]))
-        np.add.at(right, one.places, (first @ residual.swapaxes(1, 2))[:, :, 0])
+    for i, block in enumerate(part.beside):
+        first, residual = (by_slot(x, len(block.places)) for x in (block.jacobian, part.residual[:, None]))
+        np.add.at(right, block.places, (first @ residual.swapaxes(1, 2))[:, :, 0])
         for other in part.beside[: i + 1]:
-            slots = max(len(one.places), len(other.places))
-            left = by_slot(one.jacobian, slots)
-            gram = left @ (left if other is one else by_slot(other.jacobian, slots)).swapaxes(1, 2)
-            np.add.at(matrix, (one.places[:, :, None], other.places[:, None, :]), gram)
-            if other is not one:
-                np.add.at(matrix, (other.places[:, :, None], one.places[:, None, :]), gram.swapaxes(1, 2))
+            slots = max(len(block.places), len(other.places))
+            left = by_slot(block.jacobian, slots)
+            gram = left @ (left if other is block else by_slot(other.jacobian, slots)).swapaxes(1, 2)
+            np.add.at(matrix, (block.places[:, :, None], other.places[:, None, :]), gram)
+            if other is not block:
+                np.add.at(matrix, (other.places[:, :, None], block.places[:, None, :]), gram.swapaxes(1, 2))
 
 
 def adjusted_variance(first: OtherBlock, second: OtherBlock, reduced: Array) -> Array:

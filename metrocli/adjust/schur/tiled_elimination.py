@@ -227,7 +227,7 @@ class EliminatedTile:
         coupled = self._combined(len(self.free), own)
         product, between = shared(coupled, reduced)
         explained = self._left(reduced) if self._few else self._explained(own, product, between, with_zeros(reduced))
-        return self._covariance(between), tuple(one.reshape(len(one), -1) for one in explained)
+        return self._covariance(between), tuple(part.reshape(len(part), -1) for part in explained)
 
     def with_readings(self, reduced: Array, chosen: Sequence[int]) -> list[Array]:
         """Return the covariance of the members with the adjusted readings of chosen groups, each (s, d, m, k).

@@ -39,57 +39,68 @@ def candidate_lines(
         word = str(status.status(candidate, named or (), decided))
         word = "detectable" if named is None and word == status.Status.EXCLUDED else word
         rows.setdefault((candidate.alternative.effect.form, word), []).append(candidate)
-    lines = [_line(adjusted, design, name, word, found) for (name, word), found in rows.items()]
-    lines += [_of_scatter(adjusted, one, named is None, scattered) for one in design.scatters]
-    lines += [_of_readings(adjusted, one, named is None) for one in design.readings]
+    lines = [_line(adjusted, design, name, word, candidates) for (name, word), candidates in rows.items()]
+    lines += [_of_scatter(adjusted, scatter, named is None, scattered) for scatter in design.scatters]
+    lines += [_of_readings(adjusted, reading, named is None) for reading in design.readings]
     lines += [
-        (one.effect.form, " ".join(one.where.values()), str(status.Status.NOT_TESTED), "", "", one.reason)
-        for one in design.not_tested
+        (
+            untested.effect.form,
+            " ".join(untested.where.values()),
+            str(status.Status.NOT_TESTED),
+            "",
+            "",
+            untested.reason,
+        )
+        for untested in design.not_tested
     ]
     return text_table(_HEAD, lines)
 
 
 def count_of_candidates(diagnosis: Diagnosis) -> str:
     """Return how many candidates have each status, which the full report lists."""
-    named = [one.effect for one in diagnosis.findings]
-    scattered = [one.effect.name for one in diagnosis.scatters]
+    named = [finding.effect for finding in diagnosis.findings]
+    scattered = [scatter.effect.name for scatter in diagnosis.scatters]
     decided = not diagnosis.ended_early
-    words = [status.status(one, named, decided) for one in diagnosis.design.candidates]
-    words += [status.status_of_scatter(one, scattered) for one in diagnosis.design.scatters]
+    words = [status.status(candidate, named, decided) for candidate in diagnosis.design.candidates]
+    words += [status.status_of_scatter(scatter, scattered) for scatter in diagnosis.design.scatters]
     words += [status.Status.NOT_TESTED for _ in diagnosis.design.not_tested]
     counts = ", ".join(f"{count} {word}" for word, count in Counter(words).items())
     return f"candidates: {counts}; `--full` lists them with what each could hide" if counts else "no candidates"
 
 
 def _line(
-    adjusted: AdjustedJob, design: Detectability, name: str, word: str, found: Sequence[DetectableCandidate]
+    adjusted: AdjustedJob, design: Detectability, name: str, word: str, candidates: Sequence[DetectableCandidate]
 ) -> tuple[str, ...]:
-    places = ["/".join(one.alternative.instance) for one in found if one.alternative.instance]
+    places = ["/".join(candidate.alternative.instance) for candidate in candidates if candidate.alternative.instance]
     where = listed(places, _SHOWN)
-    effect = found[0].alternative.effect
+    effect = candidates[0].alternative.effect
     excluded = word == status.Status.EXCLUDED
-    sizes = [status.excluded_above(one) if excluded else one.detectable for one in found if one.testable]
+    sizes = [
+        status.excluded_above(candidate) if excluded else candidate.detectable
+        for candidate in candidates
+        if candidate.testable
+    ]
     why = ""
     if word == status.Status.NOT_TESTABLE:
-        why = f"absorbed by {', '.join(found[0].absorbed_by)}; {_off(found)}"
-    elif word == status.Status.CANNOT_SEE and any(one.missed for one in found):
-        sizes, why = [], status.reason(next(one for one in found if one.missed), word)
-    elif word == status.Status.CANNOT_SEE and any(map(status.is_swallowed, found)):
-        sizes, why = [], status.reason(next(filter(status.is_swallowed, found)), word, design.structure)
+        why = f"absorbed by {', '.join(candidates[0].absorbed_by)}; {_off(candidates)}"
+    elif word == status.Status.CANNOT_SEE and any(candidate.missed for candidate in candidates):
+        sizes, why = [], status.reason(next(candidate for candidate in candidates if candidate.missed), word)
+    elif word == status.Status.CANNOT_SEE and any(map(status.is_swallowed, candidates)):
+        sizes, why = [], status.reason(next(filter(status.is_swallowed, candidates)), word, design.structure)
     elif word == status.Status.CANNOT_SEE:
-        why = _off(found)
+        why = _off(candidates)
     elif word == status.Status.NOT_DECIDED:
-        sizes, why = [], status.reason(found[0], word)
-    seen = {status.usual_seen(one) for one in found}
-    beside = status.usual_beside(effect, min(sizes, default=found[0].plausible))
+        sizes, why = [], status.reason(candidates[0], word)
+    seen = {status.usual_seen(candidate) for candidate in candidates}
+    beside = status.usual_beside(effect, min(sizes, default=candidates[0].plausible))
     usual = f"{beside}: {_SEEN[seen.pop() if len(seen) == 1 else 'part']}" if beside else ""
-    most = max((one.hides for one in found), key=lambda hidden: hidden.size)
+    most = max((candidate.hides for candidate in candidates), key=lambda hidden: hidden.size)
     return name, where, _status(word, sizes, effect.parameters[0]), usual, _hidden(adjusted, most), why
 
 
-def _off(found: Sequence[DetectableCandidate]) -> str:
+def _off(candidates: Sequence[DetectableCandidate]) -> str:
     """Return the size of the effect for which its largest change of the result holds."""
-    most = max(found, key=lambda one: one.hides.size)
+    most = max(candidates, key=lambda candidate: candidate.hides.size)
     return f"off by this if its size is {most.alternative.effect.parameters[0].sized(most.assumed)}"
 
 
@@ -102,15 +113,22 @@ def _status(word: str, sizes: Sequence[float], parameter: Parameter) -> str:
 
 
 def _of_scatter(
-    adjusted: AdjustedJob, one: ScatterCandidate, open_yet: bool, scattered: Sequence[str]
+    adjusted: AdjustedJob, scatter: ScatterCandidate, open_yet: bool, scattered: Sequence[str]
 ) -> tuple[str, ...]:
-    word = str(status.status_of_scatter(one, scattered))
-    if not one.testable:
-        return one.effect.name, "everywhere", word, "", "", one.reason
+    word = str(status.status_of_scatter(scatter, scattered))
+    if not scatter.testable:
+        return scatter.effect.name, "everywhere", word, "", "", scatter.reason
     word = "detectable" if open_yet and word == status.Status.EXCLUDED else word
-    usual = status.usual_beside(one.effect, one.detectable)
-    said = _status(word, [one.detectable], one.effect.parameters[0])
-    return one.effect.name, "everywhere", said, usual, _hidden(adjusted, one.hides), "sizes are standard deviations"
+    usual = status.usual_beside(scatter.effect, scatter.detectable)
+    said = _status(word, [scatter.detectable], scatter.effect.parameters[0])
+    return (
+        scatter.effect.name,
+        "everywhere",
+        said,
+        usual,
+        _hidden(adjusted, scatter.hides),
+        "sizes are standard deviations",
+    )
 
 
 def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool) -> tuple[str, ...]:

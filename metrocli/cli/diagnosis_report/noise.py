@@ -46,9 +46,9 @@ def noisier(unit: VarianceGroup) -> str:
     return f"{name} is {unit.ratio:.2g} times as noisy as the others"
 
 
-def _given(unit: VarianceGroup, found: float) -> str:
+def _given(unit: VarianceGroup, ratio: float) -> str:
     """Return whether the residuals agree with the sigma of given values; `found` is the ratio of their noise to it."""
     what = f"The given values of each {unit.name.removeprefix('prior of ')}"
-    if 1 / AS_OTHERS < found < AS_OTHERS:
+    if 1 / AS_OTHERS < ratio < AS_OTHERS:
         return f"{what} agree with their sigma; the ratio is that of the readings alone."
-    return f"{what} are off by {found:.2g} times their sigma: correct the sigma."
+    return f"{what} are off by {ratio:.2g} times their sigma: correct the sigma."

@@ -64,7 +64,7 @@ def _list(result: Result, beside: Beside, as_json: bool) -> int:
         return 0
     width = max(map(len, summaries), default=0)
     # one table, whose columns stay aligned where the terminal is narrow
-    echo("\n".join(f"{one:{width}}  {text}" for one, text in summaries.items()))
+    echo("\n".join(f"{name:{width}}  {text}" for name, text in summaries.items()))
     return 0
 
 

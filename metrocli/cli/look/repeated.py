@@ -50,21 +50,27 @@ def _times(days: str | None, number: int) -> tuple[list[float], str]:
 
 
 def _figures_of_series(
-    found: RepeatedCalibrations, files: tuple[Path, ...], times: list[float], time: str
+    repeats: RepeatedCalibrations, files: tuple[Path, ...], times: list[float], time: str
 ) -> dict[str, Any]:
     drift: dict[str, dict[str, Any]] = {}
-    for one in found.drifts:
-        row = {"rate": one.rate, "std": one.std, "unit": f"{one.unit}/{time}", "U": one.expanded, "en": one.en}
-        drift.setdefault(one.group, {})[one.name] = row
+    for compared in repeats.drifts:
+        row = {
+            "rate": compared.rate,
+            "std": compared.std,
+            "unit": f"{compared.unit}/{time}",
+            "U": compared.expanded,
+            "en": compared.en,
+        }
+        drift.setdefault(compared.group, {})[compared.name] = row
     pooled = [
         {"group": one.group, "unit": one.unit, "std": one.std, "expected": one.expected, "dof": one.dof}
-        for one in found.pooled
+        for one in repeats.pooled
     ]
     calibrations = [
         {"file": str(file), "time": at, "max_en": en}
-        for file, at, en in zip(files, times, (0.0, *found.against_first), strict=True)
+        for file, at, en in zip(files, times, (0.0, *repeats.against_first), strict=True)
     ]
-    figures = {"max_en": found.max_en, "max_drift_en": found.max_drift_en}
+    figures = {"max_en": repeats.max_en, "max_drift_en": repeats.max_drift_en}
     return {"calibrations": calibrations, "drift": drift, "pooled": pooled, **figures}
 
 

@@ -100,11 +100,11 @@ def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: st
     stored, record = hdf5.read(result)
     stated = in_units(stored, units)
     tables = {}
-    for one in stated.shown:
-        if one.name in stated.tables and len(stated.tables[one.name]):
-            table = stated.tables[one.name]
-            kept = {name: table.columns[name] for name in one.columns or table if name in table}
-            tables[one.name] = columns.table_text(replace(table, columns=kept))
+    for shown in stated.shown:
+        if shown.name in stated.tables and len(stated.tables[shown.name]):
+            table = stated.tables[shown.name]
+            kept = {name: table.columns[name] for name in shown.columns or table if name in table}
+            tables[shown.name] = columns.table_text(replace(table, columns=kept))
     held = diagnosis_of(result, diagnosis, record)
     job = name or (_from(home, result.parent / record.job_file) if record.job_file else "JOB.yaml")
     record = with_standards(result, record)
@@ -148,12 +148,12 @@ def _verdict(result: Path, record: Record | None) -> str:
     return str(held.data["verdict"]) if held is not None and held.of_this else ""
 
 
-def _charts(found: Sequence[Staleness], home: Path) -> Iterator[Html]:
+def _charts(judged: Sequence[Staleness], home: Path) -> Iterator[Html]:
     """Yield the control charts of each job with a list of parts."""
     from metrocli.project.provenance.comparison import table_of
     from metrocli.report.pictures import control_charts
 
-    several = [state for state in found if state.step.job.wishes.part is not None and state.label is not None]
+    several = [state for state in judged if state.step.job.wishes.part is not None and state.label is not None]
     for file, states in groupby(
         sorted(several, key=lambda state: str(state.step.job.file)), lambda state: state.step.job.file
     ):

@@ -27,9 +27,9 @@ class FigureRequirement:
     comparison: str
     limit: float
 
-    def exit_code(self, found: object) -> int:
+    def exit_code(self, evaluated: object) -> int:
         """Print to stderr whether the figure, an attribute of `found`, meets the condition; return 0, or 6 if not."""
-        value = float(getattr(found, self.figure))
+        value = float(getattr(evaluated, self.figure))
         met = bool(_COMPARISONS[self.comparison](value, self.limit))
         echo(f"required {self.text}: {'met' if met else 'NOT met'} ({value:.4g})", err=True)
         return 0 if met else NOT_MET

@@ -88,11 +88,11 @@ class _Carrier:
     def of(cls, spot: Spot, change: Array, values: Mapping[str, Array]) -> _Carrier:
         """Return what a change of all rows (rows,) is where it is not zero."""
         rows = np.flatnonzero(change)
-        return cls(spot, rows, change[rows], {name: one[rows] for name, one in values.items()})
+        return cls(spot, rows, change[rows], {name: column[rows] for name, column in values.items()})
 
     def forms(self, periods: int) -> list[TermForm]:
         """Return the forms of the variables that vary here."""
-        values = {name: one for name, one in self.values.items() if np.ptp(one) > 0}
+        values = {name: column for name, column in self.values.items() if np.ptp(column) > 0}
         return list(forms_of(values, {name: values[name] for name in _ELAPSED if name in values}, periods))
 
     def columns(self, forms: Sequence[TermForm]) -> Array:
@@ -130,12 +130,12 @@ class Library:
 
     def _forms(self) -> list[tuple[_Carrier, list[TermForm]]]:
         for periods in (59, 29, 15, 7):
-            found = [(carrier, carrier.forms(periods)) for carrier in self._carriers]
+            carried = [(carrier, carrier.forms(periods)) for carrier in self._carriers]
             # a term at one place has the rows of its readings only
-            numbers = sum(len(form.factors) * len(carrier.rows) for carrier, forms in found for form in forms)
+            numbers = sum(len(form.factors) * len(carrier.rows) for carrier, forms in carried for form in forms)
             if numbers <= MOST_NUMBERS:
-                return found
-        return [(carrier, forms) for carrier, forms in found if not carrier.spot.where]
+                return carried
+        return [(carrier, forms) for carrier, forms in carried if not carrier.spot.where]
 
     def _family(self, kind: str, factors: int, items: Sequence[tuple[_Carrier, list[TermForm]]]) -> CandidateGroup:
         parts, terms = list[StackedColumns](), list[Term]()
@@ -178,14 +178,14 @@ def _kind_of(form: TermForm) -> tuple[str, int]:
 
 
 def _carriers(job: AdjustedJob, system: Linearised) -> Iterator[_Carrier]:
-    found: list[Array] = []
+    columns: list[Array] = []
     for acting in job.places:
         whole, values = _at(job, system, acting)
         for number, name in enumerate(acting.components):
             change = whole[:, number]
-            if not np.abs(change).max(initial=0.0) > 0 or _alike(change, found):
+            if not np.abs(change).max(initial=0.0) > 0 or _alike(change, columns):
                 continue
-            found.append(change)
+            columns.append(change)
             yield _Carrier.of(Spot(acting, name, ()), change, values)
             for key in acting.where:
                 if key in job.units:
@@ -208,9 +208,9 @@ def _at_places(
             yield _Carrier.of(replace(spot, where=((key, name),)), change * mask, values)
 
 
-def _alike(change: Array, found: Sequence[Array]) -> bool:
+def _alike(change: Array, earlier: Sequence[Array]) -> bool:
     return any(
-        float(change @ other) ** 2 > (1 - _SAME) * float(change @ change) * float(other @ other) for other in found
+        float(change @ other) ** 2 > (1 - _SAME) * float(change @ change) * float(other @ other) for other in earlier
     )
 
 
@@ -239,13 +239,15 @@ def _at(job: AdjustedJob, system: Linearised, acting: Acting) -> tuple[Array, di
         local = LinkContext(job.model.blocks, observations, frozenset())
         before = LinkContext(listed, observations, frozenset())
         value_listed = run_of(group, listed).values[at + 1] if listed is not job.model.blocks else value
-        for name, one in known.items():
-            there = observations.conditions.keys() >= set(one.needs) and job.model.blocks.keys() >= set(one.blocks)
+        for name, variable in known.items():
+            there = observations.conditions.keys() >= set(variable.needs) and job.model.blocks.keys() >= set(
+                variable.blocks
+            )
             if name in own or name.startswith("beam_") or not there:
-                partly |= {name} if one.of_data else set()
+                partly |= {name} if variable.of_data else set()
                 continue
-            full = np.broadcast_to(one.at(value, local).value[0], (n,))
-            moved = full - one.at(value_listed, before).value[0]
+            full = np.broadcast_to(variable.at(value, local).value[0], (n,))
+            moved = full - variable.at(value_listed, before).value[0]
             # the height of a target of a flat board is what the residuals made of it
             if np.isfinite(full).all() and moved.std() <= _ESTIMATED * full.std():
                 values[name] = values.get(name, np.zeros(system.rows)) + system.spread(group, np.array(full))

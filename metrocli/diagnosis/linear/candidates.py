@@ -139,31 +139,28 @@ def families_of(job: AdjustedJob, system: Linearised) -> tuple[list[CandidateGro
         missing += _untestable(job.model, effect)
         for family in _of_effect(job, system, effect, missing):
             families.setdefault((family.name, family.columns.parameters), []).append(family)
-    tested = {one.effect.form for parts in families.values() for part in parts for one in part.alternatives}
-    return [*map(_joined, families.values())], [one for one in missing if one.where or one.effect.form not in tested]
+    tested = {candidate.effect.form for parts in families.values() for part in parts for candidate in part.alternatives}
+    untested = [gap for gap in missing if gap.where or gap.effect.form not in tested]
+    return [*map(_joined, families.values())], untested
 
 
 def families_throughout(job: AdjustedJob, system: Linearised) -> tuple[CandidateGroup, ...]:
     """Return the effects that are sought at all their places at once only, as far as they can act somewhere."""
-    wanted = [one for one in job.effects if one.throughout and set(one.keys) <= set(job.model.places)]
+    wanted = [effect for effect in job.effects if effect.throughout and set(effect.keys) <= set(job.model.places)]
     return tuple(family for effect in wanted for family in _of_effect(job, system, effect, []))
 
 
 def _joined(parts: Sequence[CandidateGroup]) -> CandidateGroup:
     if len(parts) == 1:
         return parts[0]
-    firsts = np.cumsum([0, *(part.columns.count for part in parts)])
+    placed = zip(np.cumsum([0, *(part.columns.count for part in parts[:-1])]).tolist(), parts, strict=True)
     return CandidateGroup(
         parts[0].name,
-        tuple(one for part in parts for one in part.alternatives),
+        tuple(candidate for part in parts for candidate in part.alternatives),
         joined([part.columns for part in parts]),
         np.concatenate([part.raw for part in parts]),
         np.concatenate([part.gram for part in parts]),
-        whole={
-            first + number: own
-            for first, part in zip(firsts.tolist(), parts, strict=False)
-            for number, own in part.whole.items()
-        },
+        whole={at + number: own for at, part in placed for number, own in part.whole.items()},
     )
 
 
@@ -173,10 +170,10 @@ def _untestable(model: Model, effect: Effect) -> list[NotTested]:
     if not places and (effect.definition or effect.keys[0] in model.places):
         few = "this measurement has no" if effect.definition else "all readings share one"
         return [NotTested(effect, f"{few} {effect.keys[0]}")]
-    found = [NotTested(effect, lacking(model, effect, at), at) for at in places if not can_act(model, effect, at)]
-    if len(found) == len(places) and len({one.reason for one in found}) == 1:
-        return [NotTested(effect, found[0].reason)]
-    return found
+    gaps = [NotTested(effect, lacking(model, effect, at), at) for at in places if not can_act(model, effect, at)]
+    if len(gaps) == len(places) and len({gap.reason for gap in gaps}) == 1:
+        return [NotTested(effect, gaps[0].reason)]
+    return gaps
 
 
 def instances(model: Model, effect: Effect) -> list[tuple[str, ...]]:
@@ -220,13 +217,13 @@ def _family(system: Linearised, items: Sequence[_Visible]) -> CandidateGroup:
     shown = np.einsum("kqq->kq", gram) / np.where(raw > 0, raw, 1.0) ** 2
     visible = ~(shown < VISIBLE**2).all(axis=1)
     weak = visible & (shown < _SMALL).any(axis=1)
-    changed, found = ~visible | weak, list(items)
+    changed, shown_items = ~visible | weak, list(items)
     for number in np.flatnonzero(changed).tolist():
         own = OwnColumns(np.zeros(0, dtype=np.intp), np.zeros((0, raw.shape[1])))
         if weak[number]:
             seen = system.seen(columns.whole([number], system.rows)[:, 0])
             own = OwnColumns(rows := rows_with_values(seen), seen[rows])
-        found[number] = (items[number][0], own)
+        shown_items[number] = (items[number][0], own)
         gram[number] = own.values.T @ own.values
         visible[number] = len(own.rows) > 0
     somewhere = {items[int(number)][0].instance for number in np.flatnonzero(visible)}
@@ -234,7 +231,7 @@ def _family(system: Linearised, items: Sequence[_Visible]) -> CandidateGroup:
     return CandidateGroup(
         items[0][0].effect.name,
         tuple(items[number][0] for number in kept),
-        _gathered([found[number] for number in kept]) if changed.any() else columns,
+        _gathered([shown_items[number] for number in kept]) if changed.any() else columns,
         raw[kept],
         gram[kept],
         whole={at: items[number][1] for at, number in enumerate(kept) if changed[number]},
@@ -254,9 +251,9 @@ def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
 
     Effects with scanned parameters can act at a place more than once.
     """
-    same = [one for one in model.added if (one.effect.name, one.effect.by) == (effect.name, effect.by)]
-    added = [one for one in same if one.columns and not one.std]
-    there = {place for one in added for place in one.instances}
+    same = [extra for extra in model.added if (extra.effect.name, extra.effect.by) == (effect.name, effect.by)]
+    added = [extra for extra in same if extra.columns and not extra.std]
+    there = {place for extra in added for place in extra.instances}
     places = instances(model, effect)
     return places if effect.scanned else [place for place in places if place not in there]
 

@@ -139,8 +139,8 @@ class StackedColumns:
     def products(self, visible: Array, at: Index | slice = slice(None)) -> Array:
         """Return the products of some alternatives with visible vectors (rows, m), (alternatives, parameters, m)."""
         chosen = self.values[:, at]
-        found = chosen.reshape(len(self.rows), -1).T @ visible[self._place]
-        return np.asarray(found.reshape(*chosen.shape[1:], visible.shape[1]))
+        of_part = chosen.reshape(len(self.rows), -1).T @ visible[self._place]
+        return np.asarray(of_part.reshape(*chosen.shape[1:], visible.shape[1]))
 
     def dense(self, at: Index | slice = slice(None)) -> Array:
         """Return the columns of some alternatives at the rows, (r, alternatives, parameters)."""
@@ -153,12 +153,12 @@ class StackedColumns:
     def grams(self, basis: Basis) -> Array:
         """Return `g' (I - b b') g` of each alternative, (alternatives, parameters, parameters)."""
         _, count, q = self.values.shape
-        step, absorbs, found = max(_AT_ONCE // max(q, 1), 1), basis.at(self.rows), np.zeros((count, q, q))
+        step, absorbs, squares = max(_AT_ONCE // max(q, 1), 1), basis.at(self.rows), np.zeros((count, q, q))
         for start in range(0, count, step):
             values = self.values[:, start : start + step]
             turned = np.ascontiguousarray(np.moveaxis(values, 1, 0))
-            found[start : start + step] = np.matmul(np.swapaxes(turned, 1, 2), turned) - absorbs.grams(values)
-        return found
+            squares[start : start + step] = np.matmul(np.swapaxes(turned, 1, 2), turned) - absorbs.grams(values)
+        return squares
 
     def cut(self, there: Mask) -> StackedColumns:
         """Return the part at some of its rows (r,)."""
@@ -202,8 +202,8 @@ class Steps:
     def _from_each_on(self, sums: Iterable[Array]) -> Array:
         """Return the sums from each alternative's time on, of those over the stretches, the last stretch first."""
         first, own = self._stretches
-        found = np.cumsum(sums if isinstance(sums, np.ndarray) else np.stack(list(sums)), axis=0)
-        return np.asarray(found[len(first) - 1 - own])
+        sums_so_far = np.cumsum(sums if isinstance(sums, np.ndarray) else np.stack(list(sums)), axis=0)
+        return np.asarray(sums_so_far[len(first) - 1 - own])
 
     def _slices(self) -> Iterator[slice]:
         """Yield the rows of each stretch, the last stretch first."""

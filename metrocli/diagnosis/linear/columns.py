@@ -59,8 +59,8 @@ class Stacked:
 
     def products(self, visible: Array, parameters: int) -> Array:
         """Return the products with visible vectors (rows, m), (alternatives, parameters, m)."""
-        found = self.columns @ visible[: self.columns.shape[1]]
-        return np.asarray(found.reshape(len(self.numbers), parameters, visible.shape[1]))
+        sums = self.columns @ visible[: self.columns.shape[1]]
+        return np.asarray(sums.reshape(len(self.numbers), parameters, visible.shape[1]))
 
 
 @dataclass(frozen=True)
@@ -87,21 +87,21 @@ class CandidateColumns:
         `chosen` limits them to some alternatives, in this order.
         """
         if chosen is None:
-            found = np.zeros((self.count, self.parameters, visible.shape[1]))
+            sums = np.zeros((self.count, self.parameters, visible.shape[1]))
             parts = self.parts
             if len(parts) > _MANY:
                 if not self.stacked:
                     self.stacked.append(Stacked.of(parts))
                 stacked = self.stacked[0]
-                found[stacked.numbers] = stacked.products(visible, self.parameters)
+                sums[stacked.numbers] = stacked.products(visible, self.parameters)
                 parts = stacked.others
             for part in parts:
-                found[part.numbers] = part.products(visible)
-            return found
-        found = np.zeros((len(chosen), self.parameters, visible.shape[1]))
+                sums[part.numbers] = part.products(visible)
+            return sums
+        sums = np.zeros((len(chosen), self.parameters, visible.shape[1]))
         for part, own, at in self._among(chosen):
-            found[own] = part.products(visible, at)
-        return found
+            sums[own] = part.products(visible, at)
+        return sums
 
     @cached_property
     def _held(self) -> tuple[Index, Index]:
@@ -128,21 +128,21 @@ class CandidateColumns:
 
     def grams(self, basis: Basis) -> Array:
         """Return `g' M g` of each alternative, (alternatives, parameters, parameters), M without a basis."""
-        found = np.zeros((self.count, self.parameters, self.parameters))
+        sums = np.zeros((self.count, self.parameters, self.parameters))
         rows = len(basis.local)
         if len(self.parts) > _MANY and rows * self.count * self.parameters <= _DENSE:
             whole = self.whole(range(self.count), rows)
             return np.asarray(grams_of(whole) - basis.grams(whole))
         for part in self.parts:
-            found[part.numbers] = part.grams(basis)
-        return found
+            sums[part.numbers] = part.grams(basis)
+        return sums
 
     def norms(self) -> Array:
         """Return the norm of each whole column, (alternatives, parameters)."""
-        found = np.zeros((self.count, self.parameters))
+        lengths = np.zeros((self.count, self.parameters))
         for part in self.parts:
-            found[part.numbers] = part.norms()
-        return found
+            lengths[part.numbers] = part.norms()
+        return lengths
 
     def at(self, rows: Mask) -> CandidateColumns:
         """Return the columns at some rows only, which keep their numbers."""
@@ -177,25 +177,25 @@ def gathered(items: Iterable[tuple[object, OwnColumns | StepColumns]]) -> Candid
     by_course: dict[int, list[tuple[int, StepColumns]]] = {}
     parts: list[ColumnPart] = []
     count = 0
-    for number, (label, one) in enumerate(items):
-        if isinstance(one, StepColumns):
-            by_course.setdefault(id(one.course), []).append((number, one))
+    for number, (label, own) in enumerate(items):
+        if isinstance(own, StepColumns):
+            by_course.setdefault(id(own.course), []).append((number, own))
         else:
-            by_label.setdefault(label, []).append((number, one))
-        count, parameters = number + 1, one.parameters
+            by_label.setdefault(label, []).append((number, own))
+        count, parameters = number + 1, own.parameters
     for steps in by_course.values():
-        begins, numbers = np.array([[one.begin, number] for number, one in steps]).T
+        begins, numbers = np.array([[step.begin, number] for number, step in steps]).T
         parts.append(Steps(steps[0][1].course, begins, numbers))
     for held in by_label.values():
         numbers, first = np.array([number for number, _ in held]), held[0][1].rows
-        if all(np.array_equal(one.rows, first) for _, one in held):
+        if all(np.array_equal(columns.rows, first) for _, columns in held):
             if len(first):
-                parts.append(StackedColumns(first, side_by_side([one.values for _, one in held]), numbers))
+                parts.append(StackedColumns(first, side_by_side([columns.values for _, columns in held]), numbers))
             continue
-        union = np.unique(np.concatenate([one.rows for _, one in held]))
+        union = np.unique(np.concatenate([columns.rows for _, columns in held]))
         full = np.zeros((len(union), len(held), parameters))
-        for at, (_, one) in enumerate(held):
-            full[np.searchsorted(union, one.rows), at] = one.values
+        for at, (_, own) in enumerate(held):
+            full[np.searchsorted(union, own.rows), at] = own.values
         parts.append(StackedColumns(union, full, numbers))
     return CandidateColumns(count, parameters, tuple(parts))
 
@@ -209,7 +209,7 @@ def joined(several: Sequence[CandidateColumns]) -> CandidateColumns:
     """Return the columns of several families of as many parameters, none of them cut, one after the other."""
     parts: list[ColumnPart] = []
     count = 0
-    for one in several:
-        parts += [part.numbered(part.rows, part.numbers + count) for part in one.parts]
-        count += one.count
+    for columns in several:
+        parts += [part.numbered(part.rows, part.numbers + count) for part in columns.parts]
+        count += columns.count
     return CandidateColumns(count, several[0].parameters, tuple(parts))

@@ -137,9 +137,9 @@ class _Rows:
         if len(parts) == 1:
             return parts[0]
         return _Rows(
-            np.concatenate([one.local for one in parts]),
-            np.concatenate([one.member for one in parts]),
-            np.concatenate([one.shared for one in parts]),
+            np.concatenate([rows.local for rows in parts]),
+            np.concatenate([rows.member for rows in parts]),
+            np.concatenate([rows.shared for rows in parts]),
         )
 
 

@@ -156,22 +156,22 @@ class Linearised:
 
     def rows_at(self, where: Mapping[str, str]) -> Mask:
         """Return the rows of the readings at a place, such as those of one tracer; an axis or an encoder has none."""
-        found = np.zeros(self.rows, dtype=bool)
+        rows = np.zeros(self.rows, dtype=bool)
         for group in self.model.readings:
             inside = np.ones(group.observations.count)
             for key, name in where.items():
                 place = self.model.places[key]
                 index = group.observations.index.get(place.index)
                 inside *= 0.0 if index is None else index == place.names.index(name)
-            found |= self.spread(group, inside) > 0
-        return found
+            rows |= self.spread(group, inside) > 0
+        return rows
 
     def same_rows(self, rows: Index) -> Index:
         """Return the set of rows that equals some rows, which is held once."""
-        found = next((one for one in self.sets_of_rows if np.array_equal(one, rows)), None)
-        if found is None:
+        same = next((row for row in self.sets_of_rows if np.array_equal(row, rows)), None)
+        if same is None:
             self.sets_of_rows.append(rows)
-        return rows if found is None else found
+        return rows if same is None else same
 
     def run(self, group: Group) -> ChainValues:
         """Return the values and derivatives along the chain of a group."""

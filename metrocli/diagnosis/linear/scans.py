@@ -42,7 +42,7 @@ def scans(model: Model, effect: Effect, rows: int) -> list[dict[str, float]]:
             grid = parameter.grid(model.readings[0].observations.conditions)
             values = thinned(grid, parameter.tried if effect.is_step else min(parameter.tried, _of_each(effect, rows)))
         grids.append([(parameter.name, float(value)) for value in values])
-    return [dict(one) for one in itertools.product(*grids)]
+    return [dict(combination) for combination in itertools.product(*grids)]
 
 
 def thinned(values: Array, most: int) -> Array:
@@ -54,7 +54,7 @@ def thinned(values: Array, most: int) -> Array:
 
 def most_tried(effect: Effect, rows: int) -> int:
     """Return how many values of a scanned parameter are tried at most, those in between included."""
-    tried = max((one.tried for one in effect.scanned), default=1)
+    tried = max((parameter.tried for parameter in effect.scanned), default=1)
     if is_filled(effect):
         return max(tried, min(_MOST, _held(effect, rows)))
     return tried if effect.is_step else min(tried, _of_each(effect, rows))
@@ -62,7 +62,7 @@ def most_tried(effect: Effect, rows: int) -> int:
 
 def _of_each(effect: Effect, rows: int) -> int:
     """Return how many values of each scanned number are tried at most, so that the columns of all combinations fit."""
-    numbers = sum(one.grid is not None for one in effect.scanned)
+    numbers = sum(parameter.grid is not None for parameter in effect.scanned)
     return int(_held(effect, rows) ** (1 / max(numbers, 1)) + 1e-9)
 
 
@@ -94,12 +94,12 @@ def scanned_columns(
     seen, sketches = sketch_vectors(system), dict[float, list[Array]]()
     wanted, left = start, most_tried(effect, system.rows) - len(start)
     while wanted:
-        for scanned, found in _with_values(model, system, effect, places, wanted, first=wanted is start):
-            full, block, chosen = found
+        for scanned, columns in _with_values(model, system, effect, places, wanted, first=wanted is start):
+            full, block, chosen = columns
             products = seen.T @ full
             some = itertools.islice(of_places(model, block, chosen, places), _PLACES)
             sketches[scanned[parameter.name]] = [products[:, own] for _, _, own in some]
-            yield scanned, found
+            yield scanned, columns
         between = _between(sketches, grid)[: max(left, 0)]
         wanted, left = [{parameter.name: value} for value in between], left - len(between)
 
@@ -143,9 +143,9 @@ def any_apart(products: Array) -> bool:
     return any(_alike(a.T, b.T) < _APART for a, b in itertools.pairwise(products))
 
 
-def _alike(one: Array, other: Array) -> float:
+def _alike(values: Array, other: Array) -> float:
     """Return the mean squared cosine between the spans of two sets of columns (n, q); 1 where one has none."""
-    bases = [_orthonormal(columns) for columns in (one, other)]
+    bases = [_orthonormal(columns) for columns in (values, other)]
     fewest = min(basis.shape[1] for basis in bases)
     return float(((bases[0].T @ bases[1]) ** 2).sum() / fewest) if fewest else 1.0
 

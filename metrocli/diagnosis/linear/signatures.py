@@ -38,7 +38,7 @@ def beyond_plausible(
     """Return whether the measurement sees a cause only where each of its parameters is larger than plausible."""
     whole = np.zeros((system.rows, len(parameters)))
     whole[own.rows] = own.values
-    plausible = {one.name: one.plausible for one in effect.parameters}
+    plausible = {parameter.name: parameter.plausible for parameter in effect.parameters}
     least = np.linalg.norm(system.seen(whole), axis=0) * [plausible[name] for name in parameters]
     return bool((least < 1).all())
 
@@ -65,10 +65,10 @@ def scan(
         blocks = {**extended.blocks, block.name: block}
         full = np.zeros((system.rows, int(chosen.sum())))
         for group in extended.readings:
-            found = _whitened(system, group, blocks, block, chosen)
+            columns = _whitened(system, group, blocks, block, chosen)
             start = system.first[group.name]
-            factor = group.observations.deviations.T.ravel() / system.scale[start : start + len(found)]
-            full[start : start + len(found)] = found * factor[:, None]
+            factor = group.observations.deviations.T.ravel() / system.scale[start : start + len(columns)]
+            full[start : start + len(columns)] = columns * factor[:, None]
         yield full, block, chosen
 
 
@@ -87,16 +87,16 @@ def scan_with_values(
         yield from zip(scans, scan(model, system, effect, places, scans) if scans else (), strict=True)
         return
     without: NoValueAtReadingError | None = None
-    found = 0
+    count = 0
     for values in scans:
         try:
             columns = next(scan(model, system, effect, places, [values]))
         except NoValueAtReadingError as error:
             without = error
             continue
-        found += 1
+        count += 1
         yield values, columns
-    if without is not None and not found:
+    if without is not None and not count:
         raise without
 
 
@@ -150,7 +150,7 @@ def columns_by_splicing(system: Linearised, group: Group, blocks: Mapping[str, B
     The other links keep their values and derivatives, which saves their evaluation. None if the inserted link changes
     the values, so that the whole chain must be evaluated.
     """
-    before = next(one for one in system.model.groups if one.name == group.name)
+    before = next(other for other in system.model.groups if other.name == group.name)
     links, old = group.chain.links, before.chain.links
     at = next((i for i, link in enumerate(links) if i == len(old) or link is not old[i]), 0)
     if at == 0 or len(links) != len(old) + 1 or any(a is not b for a, b in zip(links[at + 1 :], old[at:], strict=True)):

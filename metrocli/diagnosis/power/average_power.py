@@ -129,9 +129,9 @@ def scatter_candidates(state: State, noise: float = 1.0) -> tuple[ScatterCandida
     """Return what can be detected of effects that are sought throughout, for a noise in units of the declared one."""
     m = state.measurement
     return tuple(
-        _candidate(state, one, noise)
-        for one in m.job.effects
-        if one.throughout and one.name not in m.job.not_sought and m.system.dof > 1
+        _candidate(state, effect, noise)
+        for effect in m.job.effects
+        if effect.throughout and effect.name not in m.job.not_sought and m.system.dof > 1
     )
 
 
@@ -140,8 +140,8 @@ def _candidate(state: State, effect: Effect, noise: float) -> ScatterCandidate:
     number = next((i for i, own in enumerate(m.scatters) if own[0].name == effect.name), None)
     if number is None:
         return ScatterCandidate(effect, float("inf"), UndetectedBias(0.0))
-    one = m.scatter(number)
-    left = one.columns.T @ state.seen(one.columns) * one.unit**-2
+    part = m.scatter(number)
+    left = part.columns.T @ state.seen(part.columns) * part.unit**-2
     eigenvalues = np.linalg.eigvalsh(left)
     seen = eigenvalues[eigenvalues > _SEEN * eigenvalues[-1]], m.dof, effect.plausible / noise
     size, hidden = (_scatter_found(*seen, beyond) * noise for beyond in (_EIGHTY, _NINETY_FIVE))

@@ -90,15 +90,15 @@ class _OfMachine:
 
     def motions(self, value: Array, local: LinkContext) -> list[JointMotion]:
         """Return the motion of each axis at its errors and its location."""
-        found = []
+        carried = []
         for number, axis in enumerate(self.machine.axes):
             position = local.observations.conditions[axis.coordinate]
             errors = np.array(np.broadcast_to(value[ROWS * number : ROWS * (number + 1)], (ROWS, len(position))))
             values = local.members(axis.block)
             for index, weight in zip(*axis.places(position), strict=True):
                 errors[:6] += weight * values[index].T
-            found.append(axis.motion(position, errors, local.members(axis.location)[0]))
-        return found
+            carried.append(axis.motion(position, errors, local.members(axis.location)[0]))
+        return carried
 
     def tip(self, local: LinkContext) -> tuple[Array, Array, Array]:
         """Return the tip at the spindle (3, n), and its derivatives by the tool and by the spindle, (3, 3, n)."""
@@ -254,4 +254,6 @@ def axes_of(machine: Machine, position: Array, body: str) -> Array:
         return np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n))
     directions = [np.repeat(np.eye(3)[:, k : k + 1], n, axis=1) for k in range(3)]
     origin = seen_from_bed(machine, position, np.zeros((3, n)), body == "tool")
-    return np.stack([seen_from_bed(machine, position, one, body == "tool") - origin for one in directions], axis=1)
+    return np.stack(
+        [seen_from_bed(machine, position, direction, body == "tool") - origin for direction in directions], axis=1
+    )

@@ -143,7 +143,7 @@ def nearest(
         slope: Array = np.nan_to_num(np.concatenate([by_lens[0].T, by_lens[1].T]))
         return slope
 
-    found = least_squares(gaps, list(start.values()), slopes, method="lm", x_scale="jac", xtol=1e-15, ftol=1e-15)
-    distance = np.hypot(*gaps(found.x).reshape(2, -1))
-    values = dict(zip(form.terms, found.x.tolist(), strict=True))
+    fit = least_squares(gaps, list(start.values()), slopes, method="lm", x_scale="jac", xtol=1e-15, ftol=1e-15)
+    distance = np.hypot(*gaps(fit.x).reshape(2, -1))
+    values = dict(zip(form.terms, fit.x.tolist(), strict=True))
     return Converted(values, float(np.sqrt((distance**2).mean())), float(distance.max()))

@@ -176,10 +176,10 @@ class Lens(OfBlock):
 
 def _by_point(flat: Projected, point: Array, by_x: Array, by_y: Array) -> Array:
     """Return the derivatives (3, n) by the point in the camera of what has these by x and y of the plane."""
-    found = np.stack([by_x * flat.scale, by_y * flat.scale, by_x * flat.by_z[0] + by_y * flat.by_z[1]])
+    derivatives = np.stack([by_x * flat.scale, by_y * flat.scale, by_x * flat.by_z[0] + by_y * flat.by_z[1]])
     if flat.bend is not None:
-        found[:2] += (by_x * point[0] + by_y * point[1]) * flat.bend * point[:2]
-    return found
+        derivatives[:2] += (by_x * point[0] + by_y * point[1]) * flat.bend * point[:2]
+    return derivatives
 
 
 @dataclass(frozen=True)

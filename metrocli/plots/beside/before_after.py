@@ -69,8 +69,10 @@ def data(result: Result, beside: Beside) -> BeforeAfter | None:
         return None
     view = max(views, key=lambda candidate: candidate.change)
     sets = list(zip(*pairs, strict=True))
-    first, last = (float(np.sqrt(np.mean(np.concatenate([one.w[one.checked] for one in side]) ** 2))) for side in sets)
-    readings = sum(int(one.checked.sum()) for one in sets[1])
+    first, last = (
+        float(np.sqrt(np.mean(np.concatenate([panel.w[panel.checked] for panel in side]) ** 2))) for side in sets
+    )
+    readings = sum(int(panel.checked.sum()) for panel in sets[1])
     before, after = view.panel("before", view.old), view.panel("after", view.new)
     return BeforeAfter(view.about, view.place, before, after, readings, (first, last))
 

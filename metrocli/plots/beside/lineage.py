@@ -36,7 +36,7 @@ def data(result: Result, beside: Beside) -> Graph | None:
     """Return the graph; None for a result whose files are not recorded."""
     if len(beside.lineage) < 2:
         return None
-    known = {one.name: one for one in beside.lineage}
+    known = {file.name: file for file in beside.lineage}
     far: dict[str, int] = {}
     _measure(beside.lineage[0].name, 0, known, far)
     last = max(far.values())

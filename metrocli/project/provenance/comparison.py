@@ -36,8 +36,8 @@ def with_standards(result: Path, record: Record) -> Record:
     origin, *below = files_of(trace(result))
     home = origin.job.parent if origin.job else result.parent
     own = {name for name, _ in record.references()}
-    found = dict(pair for one in below if one.label is not None for pair in _stated(one, home))
-    return replace(record, below=tuple((name, number) for name, number in found.items() if name not in own))
+    standards = dict(pair for entry in below if entry.label is not None for pair in _stated(entry, home))
+    return replace(record, below=tuple((name, number) for name, number in standards.items() if name not in own))
 
 
 def _stated(origin: Origin, home: Path) -> Iterator[tuple[str, str]]:
@@ -81,7 +81,11 @@ def between(first: Path, second: Path) -> Difference:
     """Return what differs between two result files; raises InputError if one cannot be believed."""
     (a, of_a), (b, of_b) = hdf5.read(first), hdf5.read(second)
     known, present = ({estimate.name: estimate for estimate in result.estimates} for result in (a, b))
-    moved = [_moved(known[name], one) for name, one in present.items() if name in known and _differ(known[name], one)]
+    moved = [
+        _moved(known[name], estimate)
+        for name, estimate in present.items()
+        if name in known and _differ(known[name], estimate)
+    ]
     moved.sort(key=lambda change: -change.stds)
     only = [f"{name} is in the second only" for name in present if name not in known]
     only += [f"{name} is in the first only" for name in known if name not in present]

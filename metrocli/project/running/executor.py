@@ -113,15 +113,15 @@ class Processes:
 
     def finished(self) -> Iterator[tuple[str, JobOutcome]]:
         done = wait(self._running, return_when=FIRST_COMPLETED).done
-        if any(isinstance(one.exception(), BrokenProcessPool) for one in done):
+        if any(isinstance(future.exception(), BrokenProcessPool) for future in done):
             done = wait(self._running).done
         lost = []
-        for one in done:
-            begun = self._running.pop(one)
-            if isinstance(one.exception(), BrokenProcessPool):
+        for future_done in done:
+            begun = self._running.pop(future_done)
+            if isinstance(future_done.exception(), BrokenProcessPool):
                 lost.append(begun)
             else:
-                yield begun.name, _outcome(one)
+                yield begun.name, _outcome(future_done)
         if lost:
             self.end()
             for begun in lost:

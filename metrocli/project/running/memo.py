@@ -95,7 +95,7 @@ def remember(
     folder = project_file.parent
     # a package is more than the file that offers its effects: one that moved may be another
     packages = {package.file for step in steps for package in step.job.packages}
-    sought = {one for step in steps for one in step.job.own.sought}
+    sought = {path for step in steps for path in step.job.own.sought}
     read = sought & steps[0].job.wishes.files.held.keys() if steps else sought
     if any(path.exists() for path in sought - read):
         return
@@ -134,8 +134,8 @@ def _judged(
             return {}
         if {os.path.relpath(path, job.folder) for path in job.files} != {file.path for file in label.inputs}:
             return {}
-        for one in label.inputs:
-            add(job.folder / one.path, one.sha256)
+        for entry in label.inputs:
+            add(job.folder / entry.path, entry.sha256)
         if job.wishes.part is not None and job.wishes.part.list is not None:
             add(job.wishes.part.list.path, job.wishes.part.list.sha256)
         if os.path.relpath(job.output, folder) in young:

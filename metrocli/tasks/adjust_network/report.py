@@ -130,11 +130,14 @@ def _rows(solved: AdjustedNetwork, group: Group, residuals: Residuals, names: Se
     numbers["moves_point [mm]"] = _moves(solved, group, numbers["detectable"])
     when, none = condition_columns(observations), np.full(n, np.nan)
     times = {name: np.repeat(when.get(name, none), d) for name in ("t [s]", "temp [degC]") if _timed(solved, name)}
-    keys = {name: np.repeat(one, d) for name, one in _keys(group, names).items()}
+    keys = {name: np.repeat(index, d) for name, index in _keys(group, names).items()}
     quantity = np.tile(np.array(observations.components), n)
     if d > 1:  # given coordinates with a joint covariance: components are named by point and axis
         named = [text.rpartition(" ") for text in observations.components]
-        keys["point [text]"], quantity = np.array([one[0] for one in named]), np.array([one[2] for one in named])
+        keys["point [text]"], quantity = (
+            np.array([index[0] for index in named]),
+            np.array([index[2] for index in named]),
+        )
     what = {"quantity [text]": quantity, "unit [text]": (observations.unit,) * (d * n)}
     return Table.of({**keys, **what, **{name: number.T.ravel() for name, number in numbers.items()}, **times})
 
@@ -162,7 +165,7 @@ def _groups(solved: AdjustedNetwork) -> Table:
         for number in (-1,) if instrument is None else np.unique(instrument).tolist():
             here = slice(None) if instrument is None else instrument == number
             name = group.name if instrument is None else names[number]
-            rows.setdefault((name, *what), []).append(tuple(one[here] for one in whole))
+            rows.setdefault((name, *what), []).append(tuple(values[here] for values in whole))
     return Table.of_rows(
         ("instrument [text]", "quantity [text]", "unit [text]", "readings", "rms", "redundancy", "variance_factor"),
         [(*key, *_figures(parts)) for key, parts in rows.items()],
@@ -202,7 +205,7 @@ def _two_face(solved: AdjustedNetwork) -> Table:
     half[1] *= near[2]
     rows = np.flatnonzero(np.isfinite(half).any(axis=0))
     names = (readings.stations.names, readings.points.names)
-    station, point = ([one[i] for i in index[rows]] for one, index in zip(names, pairs, strict=True))
+    station, point = ([pair[i] for i in index[rows]] for pair, index in zip(names, pairs, strict=True))
     return Table.of(
         {"station [text]": station, "point [text]": point, "azimuth elevation distance [mm]": half[:, rows].T}
     )
@@ -210,13 +213,15 @@ def _two_face(solved: AdjustedNetwork) -> Table:
 
 def _listed(chosen: Sequence[SuspectedReading]) -> Table:
     """Return a table of readings: their keys, quantity and test."""
-    names = list(dict.fromkeys(name for one in chosen for name in one.keys))
-    rows = [(*(one.keys.get(name, "") for name in names), one.test) for one in chosen]
+    names = list(dict.fromkeys(name for suspect in chosen for name in suspect.keys))
+    rows = [(*(suspect.keys.get(name, "") for name in names), suspect.test) for suspect in chosen]
     return Table.of_rows((*(f"{name} [text]" for name in names), "w"), rows)
 
 
 def _named(chosen: Sequence[SuspectedReading]) -> list[str]:
-    return [f"{'/'.join(text for text in one.keys.values() if text)} (w = {one.test:.1f})" for one in chosen]
+    return [
+        f"{'/'.join(text for text in suspect.keys.values() if text)} (w = {suspect.test:.1f})" for suspect in chosen
+    ]
 
 
 def _statistics(solved: AdjustedNetwork, solution: Solution) -> Statistics:

@@ -195,7 +195,7 @@ def _refuse_sightings(
 def _rounds(names: Iterable[str], station: Index) -> tuple[Index, tuple[tuple[int, str], ...]]:
     """Return the number of the round of each sighting, and station and name of each round."""
     numbers: dict[tuple[int, str], int] = {}
-    of = [numbers.setdefault(one, len(numbers)) for one in zip(station.tolist(), names, strict=True)]
+    of = [numbers.setdefault(pair, len(numbers)) for pair in zip(station.tolist(), names, strict=True)]
     return np.array(of, dtype=np.intp), tuple(numbers)
 
 

@@ -41,7 +41,7 @@ _DEAD = (300.0, 900.0)
 def designed(settings: Settings, files: Files, truth: NetworkSimulation) -> Files:
     """Return the files with readings of nothing: those of the file, and all points from the stations without any."""
     chosen = [settings.instruments.get(name) for name in files.stations.texts("instrument")]
-    polar = np.array([one is not None and one.type != INTERFEROMETER for one in chosen])
+    polar = np.array([instrument is not None and instrument.type != INTERFEROMETER for instrument in chosen])
     stations = np.array(files.stations.texts("station"))
     points = _names(files)
     read_already = set(files.sightings.texts("station")) if len(files.sightings) else set()

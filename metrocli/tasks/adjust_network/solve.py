@@ -138,18 +138,21 @@ def _adjusted(used: _Used) -> AdjustedNetwork:
     residuals = {
         group.name: residuals_of(solution, group) for group in solution.groups if group.name in network.model.measured
     }
-    count = sum(one.values.size for one in residuals.values())
+    count = sum(residual.values.size for residual in residuals.values())
     return AdjustedNetwork(
         network, solution, residuals, tuple(_suspects(residuals, solution)), used.out, critical_value(count)
     )
 
 
-def _suspects(found: Mapping[str, Residuals], solution: Solution) -> Iterator[SuspectedReading]:
+def _suspects(of_groups: Mapping[str, Residuals], solution: Solution) -> Iterator[SuspectedReading]:
     """Yield the wrong readings, the worst first; all groups are tested together."""
-    found = {name: one for name, one in found.items() if not name.startswith(GIVEN_POINTS)}
-    names = [name for name, one in found.items() for _ in range(one.values.shape[1])]
-    rows = np.concatenate([np.arange(one.values.shape[1]) for one in found.values()])
-    parts = ([getattr(one, key) for one in found.values()] for key in ("values", "sigma", "redundancy", "normalised"))
+    of_groups = {name: residuals for name, residuals in of_groups.items() if not name.startswith(GIVEN_POINTS)}
+    names = [name for name, residuals in of_groups.items() for _ in range(residuals.values.shape[1])]
+    rows = np.concatenate([np.arange(residuals.values.shape[1]) for residuals in of_groups.values()])
+    parts = (
+        [getattr(residuals, key) for residuals in of_groups.values()]
+        for key in ("values", "sigma", "redundancy", "normalised")
+    )
     tested = suspects(
         Residuals(*(np.concatenate(part, axis=1) for part in parts)), FitQuality(solution.cost, solution.dof, True)
     )
@@ -166,12 +169,12 @@ def _without(network: Network, solution: Solution, out: tuple[SuspectedReading, 
     groups = {group.name: group for group in solution.groups}
     components, rows = [], []
     others: dict[str, list[int]] = {}
-    for one in out:
-        if is_sighting(groups[one.group]):
-            components.append(component(groups[one.group]))
-            rows.append(int(groups[one.group].observations.index[ROW][one.row]))
+    for suspect in out:
+        if is_sighting(groups[suspect.group]):
+            components.append(component(groups[suspect.group]))
+            rows.append(int(groups[suspect.group].observations.index[ROW][suspect.row]))
         else:
-            others.setdefault(one.group, []).append(one.row)
+            others.setdefault(suspect.group, []).append(suspect.row)
     seen = np.array(components, dtype=np.intp), np.array(rows, dtype=np.intp)
     fewer = {name: np.array(at, dtype=np.intp) for name, at in others.items()}
     return network.of(network.readings.without(seen, fewer), solution.blocks)

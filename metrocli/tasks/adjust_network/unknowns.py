@@ -32,7 +32,7 @@ def kind_of_stations(readings: NetworkReadings) -> list[str]:
 
 
 def rows_of_kind(kinds: Sequence[str], kind: str) -> Index:
-    return np.array([i for i, one in enumerate(kinds) if one == kind], dtype=np.intp)
+    return np.array([i for i, name in enumerate(kinds) if name == kind], dtype=np.intp)
 
 
 def blocks_of(readings: NetworkReadings, start: NetworkStart, extent: float) -> Iterator[Block]:

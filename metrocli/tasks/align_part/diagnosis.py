@@ -33,7 +33,7 @@ def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> Adjuste
     in_camera = poses.apply(into[index["view"]], points).T
     turn = poses.rotation_of(held)[index["view"]]
     about = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
-    found = [
+    known = [
         *covariates(model, in_camera),
         covariate("place of the target", points.T, 2),
         covariate("place of the spindle", held[index["view"], :3].T, 2),
@@ -43,7 +43,7 @@ def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> Adjuste
         KIND.name,
         model,
         EFFECTS,
-        named(found),
+        named(known),
         ("image", "target"),
         folds(index["view"]),
         Delivered("place of the part", spindle.PART, (0, 1, 2), "um", "length"),

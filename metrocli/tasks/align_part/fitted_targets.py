@@ -78,27 +78,27 @@ def target_list(targets: Table | Result, part: Part | None = None) -> TargetList
             "`part:` in its job too, with the temperature at which its points were measured"
         )
     warnings = () if part is not None or not cold else (_AT_20,)
-    found = targets.tables["targets"]
-    if len(found) < FEWEST:
+    listed = targets.tables["targets"]
+    if len(listed) < FEWEST:
         raise InputError(
-            f"the fit-part result has {len(found)} targets, and a part needs {FEWEST}: name them in its job, "
+            f"the fit-part result has {len(listed)} targets, and a part needs {FEWEST}: name them in its job, "
             "e.g. `targets: [T*]`, or by the surface `target` in its points"
         )
     covariance = _joint(targets.arrays["targets_own"], targets.arrays["targets_common"])
-    table = _listed(found.texts("target"), found.stacked("xyz"), covariance, "the targets of the fit-part result")
+    table = _listed(listed.texts("target"), listed.stacked("xyz"), covariance, "the targets of the fit-part result")
     return TargetList(table, covariance if covariance.any() else None, warnings)
 
 
 def _of_network(points: Result) -> TargetList:
     """Return the points of a network as targets."""
-    found = points.tables["points"]
+    table = points.tables["points"]
     joint = points.arrays.get("points_joint_covariance")
     if joint is None:
         raise InputError("the network has too many points to be targets: their joint covariance is not in its result")
-    n = len(found)
+    n = len(table)
     covariance = _regular(np.asarray(joint).reshape(n, 3, n, 3).copy())
     return TargetList(
-        _listed(found.texts("point"), found.stacked("xyz"), covariance, "the points of the network"), covariance
+        _listed(table.texts("point"), table.stacked("xyz"), covariance, "the points of the network"), covariance
     )
 
 

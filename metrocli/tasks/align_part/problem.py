@@ -53,7 +53,7 @@ class AlignmentProblem(Modelled):
 
     def with_part(self, part: Part) -> AlignmentProblem:
         """Return a copy whose part has grown from 20 degC, by an unknown that its temperature observes."""
-        expansion = next(one for one in EFFECTS if one.name == EXPANSION)
+        expansion = next(effect for effect in EFFECTS if effect.name == EXPANSION)
         size = expansion.parameters[0].name
         model = with_known_effect(self.model, expansion, {size: part.growth}, {size: part.std})
         return replace(self, model=model, part=part)

@@ -89,15 +89,15 @@ def _estimates(
     """Return names, values, covariance and units of x y z alpha beta gamma, of gamma_s in 7D, and of effects."""
     pose = solution.blocks[spindle.PART].values[0]
     angle = solution.blocks[spindle.COUPLING]
-    found = effect_estimates(effects, solution)
+    estimates = effect_estimates(effects, solution)
     covariance = solution.joint(delivered(effects))
     change = np.eye(len(covariance))
     change[:6, :6] = poses.euler_form_by_step(pose)
     covariance = change @ covariance @ change.T
     turns = [math.remainder(float(turn), math.tau) for turn in angle.values[angle.free]]
-    values = np.concatenate([poses.euler_form(pose), turns, [one.value for one in found]])
-    names = (*poses.EULER, *(["gamma_s"] if angle.free.any() else []), *(one.name for one in found))
-    units = (*_UNITS[: len(names) - len(found)], *(one.unit for one in found))
+    values = np.concatenate([poses.euler_form(pose), turns, [estimate.value for estimate in estimates]])
+    names = (*poses.EULER, *(["gamma_s"] if angle.free.any() else []), *(estimate.name for estimate in estimates))
+    units = (*_UNITS[: len(names) - len(estimates)], *(estimate.unit for estimate in estimates))
     return names, values, (covariance + covariance.T) / 2, units
 
 
@@ -106,7 +106,7 @@ def report(
 ) -> Result:
     """Return the result of a solved alignment, with the corrections of its fixture and the points to gauge."""
     solution = adjusted.solution
-    found = adjusted.known_residuals()
+    residuals = adjusted.known_residuals()
     names, values, covariance, units = _estimates(solution, problem.effects)
     std = np.sqrt(np.diag(covariance))
     estimates = tuple(
@@ -114,7 +114,7 @@ def report(
         for name, value, s, unit in zip(names, values, std, units, strict=True)
     )
     pose = solution.blocks[spindle.PART].values[0]
-    tables, arrays = _tables(problem, adjusted, found)
+    tables, arrays = _tables(problem, adjusted, residuals)
     tables[TABLE] = uncontrolled(problem, adjusted, files)
     arrays |= {"rotation": poses.rotation_of(pose), "correlation": covariance / std[:, None] / std}
     details = adjusted.structured.details(names) if adjusted.structured is not None else {}
@@ -132,7 +132,7 @@ def report(
         title="",
         estimates=estimates,
         covariance=covariance,
-        statistics=_statistics(problem, adjusted, found, prediction),
+        statistics=_statistics(problem, adjusted, residuals, prediction),
         tables=tables,
         arrays=arrays,
         warnings=(*_warnings(problem, adjusted, tables["views"], prediction), *fixture.warnings),
@@ -150,15 +150,15 @@ def report(
 
 
 def _tables(
-    problem: AlignmentProblem, adjusted: AdjustedImages, found: Residuals
+    problem: AlignmentProblem, adjusted: AdjustedImages, residuals: Residuals
 ) -> tuple[dict[str, Table], dict[str, Array]]:
     """Return the tables of readings, views and targets, of effects, and of what is owed."""
     images, targets = problem.sighted.images, problem.sighted.targets.names
     index = adjusted.group.observations.index
     tables = {
-        "residuals": residual_table(found, adjusted.group),
-        "views": rms_table(found.values, adjusted.group, "image", index["view"], images),
-        "targets": _targets(adjusted, rms_table(found.values, adjusted.group, "target", index[TARGET], targets)),
+        "residuals": residual_table(residuals, adjusted.group),
+        "views": rms_table(residuals.values, adjusted.group, "image", index["view"], images),
+        "targets": _targets(adjusted, rms_table(residuals.values, adjusted.group, "target", index[TARGET], targets)),
         "rejected": adjusted.rejected,
     }
     effect_tables, effect_arrays = effect_results(problem.effects, adjusted.solution)
@@ -178,15 +178,15 @@ def _targets(adjusted: AdjustedImages, table: Table) -> Table:
 
 def _growth(problem: AlignmentProblem, solution: Solution) -> float:
     """Return by how much the part has grown in all, by what is known and what is estimated."""
-    grown = (solution.blocks[one.block].values[-1, 0] for one in problem.effects if one.effect.name == EXPANSION)
+    grown = (solution.blocks[added.block].values[-1, 0] for added in problem.effects if added.effect.name == EXPANSION)
     return float(sum(grown))
 
 
 def _statistics(
-    problem: AlignmentProblem, adjusted: AdjustedImages, found: Residuals, prediction: AnglePrediction | None
+    problem: AlignmentProblem, adjusted: AdjustedImages, residuals: Residuals, prediction: AnglePrediction | None
 ) -> Statistics:
     """Return the statistics of the adjustment, and what is predicted of the clamping angle."""
-    statistics = basic_statistics(adjusted.solution, {"px": root_mean_square(found.values)}) | {
+    statistics = basic_statistics(adjusted.solution, {"px": root_mean_square(residuals.values)}) | {
         "readings": adjusted.group.observations.count,
         "rejected": len(adjusted.rejected),
         "images": len(problem.sighted.images),

@@ -120,7 +120,7 @@ def note_of(motion: SpindleErrors) -> str:
 def _with_status(machine: Result, status: str) -> list[str]:
     """Return the errors with a status of determination: angles first, since they turn the spindle."""
     errors = machine.tables["errors"]
-    names = [name for name, one in zip(errors.texts("error"), errors.texts("status"), strict=True) if one == status]
+    names = [name for name, error in zip(errors.texts("error"), errors.texts("status"), strict=True) if error == status]
     return sorted(names, key=lambda name: not is_angle(name))
 
 

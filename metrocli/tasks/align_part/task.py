@@ -59,8 +59,8 @@ def run(job: Job[Settings, Files]) -> Result:
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the adjusted job for `diagnose`, with all its readings, outliers included; raises as `run` does."""
     problem = prepared(job)
-    found = adjusted_job(problem, solved(replace(job.settings, outliers="report"), problem))
-    return replace(found, not_sought=not_sought(job.settings.shutter, found.model))
+    whole = adjusted_job(problem, solved(replace(job.settings, outliers="report"), problem))
+    return replace(whole, not_sought=not_sought(job.settings.shutter, whole.model))
 
 
 def prepared(job: Job[Settings, Files]) -> AlignmentProblem:

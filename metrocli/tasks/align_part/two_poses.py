@@ -50,8 +50,8 @@ def mirrored_pose(problem: AlignmentProblem, adjusted: AdjustedImages) -> Alignm
     raise UndeterminedError(_alike(part.values[0], other.blocks[spindle.PART].values[0]), 0.0)
 
 
-def _alike(found: Array, other: Array) -> str:
-    one, two = (np.degrees(poses.euler_form(pose)[3:]) for pose in (found, other))
+def _alike(first: Array, other: Array) -> str:
+    one, two = (np.degrees(poses.euler_form(pose)[3:]) for pose in (first, other))
     words = (f"alpha {a:.2f}, beta {b:.2f}, gamma {c:.2f} deg" for a, b, c in (one, two))
     return (
         "the images fit two poses of the part alike, since its targets lie nearly in one plane and are small or far "

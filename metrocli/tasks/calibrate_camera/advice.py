@@ -194,14 +194,14 @@ def strange_images(problem: CameraProblem, images: Group, residuals: Array | Non
     frame, planar = plane_frame(problem.sighted.targets.points[np.unique(index)])
     if problem.rig != "board" or not planar:
         return []
-    plane, found = poses.apply(frame, problem.sighted.targets.points)[index, :2], []
+    plane, warnings = poses.apply(frame, problem.sighted.targets.points)[index, :2], []
     for i in np.flatnonzero(_examined(view, residuals)):
         mine, uv = plane[view == i], rows.readings[:, view == i].T
         off = _off_any_view(mine, uv) if determines_homography(mine) else 0.0
         if off > GATE * np.sqrt(np.ptp(uv, axis=0).prod() / len(uv)):
             name = f"image {problem.sighted.images[int(i)]}"
-            found.append(f"{name} fits no view of a flat board, by {off:.0f} px: are its targets in another order?")
-    return found if 2 * len(found) < len(np.unique(view)) else []
+            warnings.append(f"{name} fits no view of a flat board, by {off:.0f} px: are its targets in another order?")
+    return warnings if 2 * len(warnings) < len(np.unique(view)) else []
 
 
 def _off_any_view(plane: Array, uv: Array) -> float:

@@ -80,8 +80,8 @@ def build(rig: str, settings: CameraSettings, sighted: Sighted, bars: Table | No
     started = started.with_model(with_groups(started.model, rig))
     if not sighted.eccentric:
         return started
-    group, found = corrected(started.images, started.blocks, started.others, datum, targets.radius)
-    return started.with_model(started.model.with_group(group).with_blocks(found))
+    group, consistent = corrected(started.images, started.blocks, started.others, datum, targets.radius)
+    return started.with_model(started.model.with_group(group).with_blocks(consistent))
 
 
 def target_datum(rig: str, targets: Block) -> Datum | None:
@@ -113,14 +113,14 @@ def _start(
     view, views = (np.zeros_like(sighted.view), 1) if rig == "cmm" else (sighted.view, len(sighted.images))
     if convention == "fisheye":
         scene = TargetImages(sighted.targets.points, uv, sighted.target, view, views)
-        focal, found = start_of_fisheye(scene, values, known, float(max(size)))
-        return focal, found if rig == "board" else poses.inverse(found)
+        focal, started = start_of_fisheye(scene, values, known, float(max(size)))
+        return focal, started if rig == "board" else poses.inverse(started)
     if known and any(values.get(name) for name in DISTORTION):
         x, y = undistort(*plane_point(values, uv[0], uv[1]), values)
         uv = np.nan_to_num(np.stack([x * known + centre[0], y * known + centre[1]]))
     scene = TargetImages(sighted.targets.points, uv, sighted.target, view, views)
-    focal, found = start(scene, centre, known, float(max(size)))
-    return focal, found if rig == "board" else poses.inverse(found)
+    focal, started = start(scene, centre, known, float(max(size)))
+    return focal, started if rig == "board" else poses.inverse(started)
 
 
 def _better_start(problem: CameraProblem, settings: CameraSettings) -> CameraProblem:
@@ -189,9 +189,9 @@ def _resected(problem: CameraProblem, targets: Array) -> CameraProblem:
     name = camera.view_name(problem.rig)
     sighted = replace(problem.sighted, targets=replace(problem.sighted.targets, points=targets))
     _, views = _start(problem.rig, problem.convention, sighted, problem.blocks[camera.LENS].named(), problem.image_size)
-    found = {name: views, camera.TARGET: targets}
+    values = {name: views, camera.TARGET: targets}
     return problem.with_blocks(
-        {**problem.blocks, **{key: problem.blocks[key].with_values(one) for key, one in found.items()}}
+        {**problem.blocks, **{key: problem.blocks[key].with_values(value) for key, value in values.items()}}
     )
 
 

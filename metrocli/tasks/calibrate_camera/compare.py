@@ -126,7 +126,7 @@ def _held_out(problem: CameraProblem) -> Array:
     views = len(problem.sighted.images)
     folds = views if views <= _ALL_FOLDS else _FOLDS
     fold_of = np.arange(views) % folds
-    found = []
+    residuals = []
     for fold in range(folds):
         inside = fold_of == fold
         train = problem.of_images(~inside)
@@ -141,8 +141,8 @@ def _held_out(problem: CameraProblem) -> Array:
         held = {name: block if name == own else fitted[name].fixed() for name, block in test.blocks.items()}
         posed = adjust(held.values(), [test.images], None, StoppingRule(limit=_FOLD_STEPS, covariance=False)).blocks
         residual = test.images.residuals(posed)
-        found.append([float((residual**2).sum()), test.images.observations.count])
-    return np.array(found)
+        residuals.append([float((residual**2).sum()), test.images.observations.count])
+    return np.array(residuals)
 
 
 def _chosen(fitted: list[FittedLens]) -> int:

@@ -40,13 +40,13 @@ def adjusted_job(problem: CameraProblem, adjusted: AdjustedImages) -> AdjustedJo
     known = (
         replace(one, of_units=one.name == PLACE) for one in covariates(model, _in_camera(problem.rig, model, points))
     )
-    found = [*known, covariate("place of the target", points.T, 3)]
+    every = [*known, covariate("place of the target", points.T, 3)]
     cmm = problem.rig == "cmm"
     return AdjustedJob(
         KIND.name,
         model,
-        tuple(lens_shape(problem.with_model(model)) if one is LENS_SHAPE else one for one in EFFECTS),
-        named(found),
+        tuple(lens_shape(problem.with_model(model)) if effect is LENS_SHAPE else effect for effect in EFFECTS),
+        named(every),
         () if cmm else ("image",),
         folds(index[camera.TARGET if cmm else "view"]),
         _delivered(problem.rig, model),
@@ -76,9 +76,9 @@ def _moved(model: Model) -> Callable[[Effect, Mapping[str, str]], Array | None]:
             return np.asarray((block.values - block.values.mean(axis=0))[:, :, None])
         if effect.name != "moved-target":
             return None
-        found = np.zeros((len(block.members), 3, 3))
-        found[block.members.index(where["target"])] = np.eye(3)
-        return found
+        changes = np.zeros((len(block.members), 3, 3))
+        changes[block.members.index(where["target"])] = np.eye(3)
+        return changes
 
     return moved
 

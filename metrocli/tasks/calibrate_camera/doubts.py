@@ -113,7 +113,7 @@ def held_doubts(problem: CameraProblem, settings: CameraSettings, adjusted: Adju
     freed = adjust(model.blocks.values(), [adjusted.group, *problem.others], problem.datum)
     if not freed.outcome.good or freed.cost >= _MUCH * solution.cost:
         return []
-    known, found = (one.blocks[camera.LENS].named() for one in (solution, freed))
+    known, found = (state.blocks[camera.LENS].named() for state in (solution, freed))
     told = ", ".join(f"{name} is held at {known[name]:g}, but the readings see {found[name]:.4g}" for name in held)
     return [
         f"{told}: with {' and '.join(held)} free the squared residuals are {freed.cost / solution.cost:.2g} times as "

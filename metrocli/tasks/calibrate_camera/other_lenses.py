@@ -75,8 +75,8 @@ def other_settings(job: Job[Settings, Files], problem: CameraProblem) -> Iterato
 def _left(problem: CameraProblem) -> float:
     """Return the root mean square of the residuals [px] of a calibration."""
     groups = [problem.images, *problem.others]
-    found = adjust(problem.blocks.values(), groups, problem.datum, StoppingRule(limit=_STEPS, covariance=False))
-    return root_mean_square(problem.images.residuals({**problem.blocks, **found.blocks}))
+    solution = adjust(problem.blocks.values(), groups, problem.datum, StoppingRule(limit=_STEPS, covariance=False))
+    return root_mean_square(problem.images.residuals({**problem.blocks, **solution.blocks}))
 
 
 def fisheye_instead(problem: CameraProblem, settings: CameraSettings, rms: float) -> list[str]:

@@ -261,14 +261,14 @@ class Settings:
             yield "cameras", "cameras are two or more: write a single one as camera: {...}"
         if self.camera != CameraSettings():
             yield "camera", "both camera and cameras are given: write each camera under cameras"
-        if len({one.convention for one in self.cameras.values()}) > 1:
+        if len({camera.convention for camera in self.cameras.values()}) > 1:
             yield "cameras", "cameras are of one lens model: all opencv, all fisheye or all backward"
-        if len({"fx" in one.estimate or "fx" in one.given() for one in self.cameras.values()}) > 1:
+        if len({"fx" in camera.estimate or "fx" in camera.given() for camera in self.cameras.values()}) > 1:
             yield "cameras", "either all cameras have f, or all have fx and fy"
         if self.rig == "network":
             yield "rig", "cameras are calibrated together from a board, or from targets placed by a CMM"
-        for name, one in self.cameras.items():
-            if self.inputs.observations is not None and one.image_size is None:
+        for name, several in self.cameras.items():
+            if self.inputs.observations is not None and several.image_size is None:
                 yield f"cameras.{name}", "image_size is missing: a table of observations does not contain it"
 
 

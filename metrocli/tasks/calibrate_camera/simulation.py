@@ -59,16 +59,16 @@ def with_lengths(
     sigma = np.concatenate([table.numbers("sigma") for table, _ in tables])
     drawn = np.concatenate([table.numbers("length") for table, _ in tables]) + rng.normal(0.0, 1.0, len(sigma)) * sigma
     used, number = np.unique(ends, return_inverse=True)
-    one, other = number.reshape(ends.shape)
+    number_of_end, other = number.reshape(ends.shape)
     begun = places.points[used]
     variance = np.where(np.isnan(places.sigma[used]), _UNKNOWN, places.sigma[used]).ravel() ** 2
     moved, rows = np.zeros_like(begun), np.arange(len(drawn))
     for _ in range(_ITERATIONS):
-        away = (begun + moved)[other] - (begun + moved)[one]
+        away = (begun + moved)[other] - (begun + moved)[number_of_end]
         now = np.maximum(np.linalg.norm(away, axis=1), 1e-300)
         slopes = np.zeros((len(drawn), *begun.shape))
         slopes[rows, other] = away / now[:, None]
-        slopes[rows, one] = -slopes[rows, other]
+        slopes[rows, number_of_end] = -slopes[rows, other]
         slope = slopes.reshape(len(drawn), -1)
         weight = np.linalg.pinv((slope * variance) @ slope.T + np.diag(sigma**2), rcond=1e-14, hermitian=True)
         before, moved = moved, (variance * (slope.T @ (weight @ (drawn - now + slope @ moved.ravel())))).reshape(-1, 3)

@@ -75,19 +75,19 @@ def _by_turns(problem: CameraProblem) -> CameraProblem:
     held = {name: block.fixed() for name, block in problem.blocks.items() if name != camera.TARGET}
     blocks = {**problem.blocks, **held}
     # a target has its own readings only: one that wrong readings spoil spoils no other
-    found = adjust(
+    solution = adjust(
         blocks.values(), [problem.images, *problem.others], None, StoppingRule(limit=_STEPS, covariance=False)
     )
-    return _valued(problem, found.blocks)
+    return _valued(problem, solution.blocks)
 
 
 def _robust(problem: CameraProblem, blocks: Mapping[str, Block], datum: Datum | None = None) -> Mapping[str, Block]:
     return robust_start(blocks.values(), [problem.images, *problem.others], IMAGES, datum, camera.VIEW)
 
 
-def _valued(problem: CameraProblem, found: Mapping[str, Block]) -> CameraProblem:
+def _valued(problem: CameraProblem, blocks: Mapping[str, Block]) -> CameraProblem:
     """Return a calibration with the values that were found, and with its own unknowns."""
-    return problem.with_blocks({name: one.with_values(found[name].values) for name, one in problem.blocks.items()})
+    return problem.with_blocks({name: block.with_values(blocks[name].values) for name, block in problem.blocks.items()})
 
 
 def _strays(problem: CameraProblem) -> int:

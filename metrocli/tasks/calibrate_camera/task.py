@@ -76,8 +76,8 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     if job.settings.cameras is not None:
         return multi_camera.diagnosed(job, job.settings.cameras)
     settings, problem = prepared(job)
-    found = adjusted_job(problem, solved(replace(settings, outliers="report"), problem))
-    return replace(found, not_sought=not_sought(settings.shutter, found.model))
+    whole = adjusted_job(problem, solved(replace(settings, outliers="report"), problem))
+    return replace(whole, not_sought=not_sought(settings.shutter, whole.model))
 
 
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:

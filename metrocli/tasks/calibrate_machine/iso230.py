@@ -68,17 +68,17 @@ def positioning(runs: Sequence[Run], known: LineUncertainty) -> tuple[Table | No
     warnings = (*left_out, *_too_few(whole), *_apart(_lines(runs)))
     if not whole:
         return None, warnings
-    found = [figures(one.up, one.down) for one in whole]
-    spread = [expanded(one.up, one.down, one.targets, known) for one in whole]
+    evaluated = [figures(line.up, line.down) for line in whole]
+    spread = [expanded(line.up, line.down, line.targets, known) for line in whole]
     table = Table.of(
         {
-            "axis": [one.axis for one in whole],
-            "at": [_named(one.axis, one.at) for one in whole],
-            "line": [one.name for one in whole],
-            "runs_up": [len(one.up) for one in whole],
-            "runs_down": [len(one.down) for one in whole],
-            **{f"{name} [mm]": [one[name] for one in found] for name in FIGURES},
-            **{f"U_{name} [mm]": [one[name] for one in spread] for name in FIGURES},
+            "axis": [line.axis for line in whole],
+            "at": [_named(line.axis, line.at) for line in whole],
+            "line": [line.name for line in whole],
+            "runs_up": [len(line.up) for line in whole],
+            "runs_down": [len(line.down) for line in whole],
+            **{f"{name} [mm]": [line[name] for line in evaluated] for name in FIGURES},
+            **{f"U_{name} [mm]": [line[name] for line in spread] for name in FIGURES},
         }
     )
     return table, warnings
@@ -158,11 +158,11 @@ def _named(axis: str, at: Sequence[float]) -> str:
 def at_targets(runs: Sequence[Run]) -> Table | None:
     """Return mean and standard deviation (nan of one run) in each direction at each target of the same lines."""
     parts = []
-    for one in _whole(runs)[0]:
-        texts = {"axis": one.axis, "at": _named(one.axis, one.at), "line": one.name}
-        labels = {name: np.full(len(one.targets), text) for name, text in texts.items()}
-        numbers = np.concatenate(at_each_target(one.up, one.down))
-        parts.append(Table.of({**labels, "position [mm]": one.targets, "up down s_up s_down [mm]": numbers.T}))
+    for line in _whole(runs)[0]:
+        texts = {"axis": line.axis, "at": _named(line.axis, line.at), "line": line.name}
+        labels = {name: np.full(len(line.targets), text) for name, text in texts.items()}
+        numbers = np.concatenate(at_each_target(line.up, line.down))
+        parts.append(Table.of({**labels, "position [mm]": line.targets, "up down s_up s_down [mm]": numbers.T}))
     return Table.stack(parts) if parts else None
 
 
@@ -175,12 +175,12 @@ def _too_few(lines: Sequence[_LineRuns]) -> list[str]:
     """Return warnings of axes of up to 2 m with fewer runs in a direction, or fewer targets, than the standard asks."""
     runs: dict[tuple[str, int, int], list[str]] = {}
     targets: dict[tuple[str, int, float], list[str]] = {}
-    for one in lines:
-        travel, up, down, count = float(np.ptp(one.targets)), len(one.up), len(one.down), len(one.targets)
+    for line in lines:
+        travel, up, down, count = float(np.ptp(line.targets)), len(line.up), len(line.down), len(line.targets)
         if travel <= _LONG and min(up, down) < _RUNS:
-            runs.setdefault((one.axis, up, down), []).append(f"'{one.name}'")
+            runs.setdefault((line.axis, up, down), []).append(f"'{line.name}'")
         if travel <= _LONG and count < max(_TARGETS, ceil(_TARGETS * travel / _PER_METRE)):
-            targets.setdefault((one.axis, count, travel), []).append(f"'{one.name}'")
+            targets.setdefault((line.axis, count, travel), []).append(f"'{line.name}'")
     return [
         *(
             f"axis {axis}, line {listed(names, 5)}: {up} run{'s' * (up != 1)} up and {down} down; {_ASKS} "

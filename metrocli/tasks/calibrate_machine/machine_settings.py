@@ -132,12 +132,12 @@ class MachineSettings:
             yield "chain", str(error)
         else:
             turning = self.axes.turning
-            for letter in (one for one in ANGLES if one in letters and one not in turning):
+            for letter in (angle for angle in ANGLES if angle in letters and angle not in turning):
                 yield "axes", f"the chain has {letter}, but no axis is given: write `{letter.lower()}: {_EXAMPLE}`"
-            for letter in (one for one in turning if one not in letters):
+            for letter in (name for name in turning if name not in letters):
                 yield f"axes.{letter.lower()}", f"the chain {self.chain} has no {letter}: add it there, or leave this"
             linear = self.axes.given
-            for letter in (one for one in AXES if self.turns and (one in letters) != (one in linear)):
+            for letter in (name for name in AXES if self.turns and (name in letters) != (name in linear)):
                 there = "the axes" if letter in letters else f"the chain {self.chain}"
                 yield "axes", f"{letter} is missing in {there}"
             if self.tool_uncertainty == UNKNOWN and not self.turns:

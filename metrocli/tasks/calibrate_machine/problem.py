@@ -106,9 +106,9 @@ class MachineProblem(Modelled):
         if not wanted:
             return self
         bare = {name: block for name, block in self.blocks.items() if name in BLOCKS}
-        found = extended(self.model.with_blocks(bare), wanted)
+        model = extended(self.model.with_blocks(bare), wanted)
         return self.with_model(
-            found.with_blocks({name: self.blocks.get(name, found.blocks[name]) for name in found.blocks})
+            model.with_blocks({name: self.blocks.get(name, model.blocks[name]) for name in model.blocks})
         )
 
 
@@ -191,12 +191,12 @@ def conditions(
     `place` (3, n) is the nominal place of the point that is read, unless it is the commanded position. Raises
     InputError if a direction of approach is not -1, 0 or 1.
     """
-    found = machine.conditions(position) | dict(zip(NOMINAL, position[:3] if place is None else place, strict=True))
+    columns = machine.conditions(position) | dict(zip(NOMINAL, position[:3] if place is None else place, strict=True))
     if table is not None:
         _refuse_sides(table)
-        found |= table.conditions("t", "temp", *ALL_SIDES)
-        found |= since_turns(position, found)
-    return found
+        columns |= table.conditions("t", "temp", *ALL_SIDES)
+        columns |= since_turns(position, columns)
+    return columns
 
 
 def since_turns(position: Array, given: Mapping[str, Array]) -> dict[str, Array]:
@@ -206,13 +206,13 @@ def since_turns(position: Array, given: Mapping[str, Array]) -> dict[str, Array]
     contradict the order, are left out.
     """
     n = position.shape[1]
-    order, found = np.argsort(given.get("t", np.arange(n)), kind="stable"), {}
+    order, since = np.argsort(given.get("t", np.arange(n)), kind="stable"), {}
     for axis, places in zip(POSITION, position[:, order], strict=False):
         side = given.get(f"from_{axis}")
         way = None if side is None else since_turn(np.diff(places, prepend=places[:1]), side[order])
         if way is not None:
-            found[SINCE.format(axis=axis)] = way[np.argsort(order)]
-    return found
+            since[SINCE.format(axis=axis)] = way[np.argsort(order)]
+    return since
 
 
 def _refuse_sides(table: Table) -> None:

@@ -66,13 +66,13 @@ def report(solved: AdjustedMachine, settings: Settings, noise: NoiseFound) -> Re
     if not solved.problem.displacement_only:
         volume = volume_tables(tables, identified, settings.volume, solved.problem.tools_used)
     tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
-    found = (*_estimates(solution), *effect_estimates(added, solution))
+    estimates = (*_estimates(solution), *effect_estimates(added, solution))
     doubts, far_off = misplaced(solved)
     figures, of_figures = _positioning(solved.problem.runs, settings, noise.factor)
     return Result(
         kind=KIND.name,
         title="",
-        estimates=found,
+        estimates=estimates,
         covariance=solution.joint((*_places(solution), *tools, *free_blocks(added))),
         statistics=with_found(_statistics(solved, settings), noise),
         tables={
@@ -105,7 +105,7 @@ def report(solved: AdjustedMachine, settings: Settings, noise: NoiseFound) -> Re
             *([ShownTable("suspects")] if len(solved.suspects.rows) else []),
         ),
         notes=(*_notes(solved, settings, noise), *in_words(hidden)),
-        details=noise.details([one.name for one in found]),
+        details=noise.details([estimate.name for estimate in estimates]),
         plain=("dof",),
     )
 
@@ -119,7 +119,7 @@ def _positioning(runs: Sequence[Run], settings: Settings, factor: float) -> tupl
     reading = float(np.hypot(own, settings.positioning.environment / np.sqrt(12)))
     figures, warnings = positioning(runs, LineUncertainty(reading, settings.positioning.scale))
     tables = {"positioning": figures, "positioning_targets": at_targets(runs)}
-    return {name: one for name, one in tables.items() if one is not None}, warnings
+    return {name: table for name, table in tables.items() if table is not None}, warnings
 
 
 def _notes(solved: AdjustedMachine, settings: Settings, noise: NoiseFound) -> Iterator[str]:
@@ -148,16 +148,16 @@ def _wanted(identified: Identifiability) -> list[str]:
 
 def _estimates(solution: Solution) -> tuple[Estimate, ...]:
     """Return the estimated squareness errors, then the estimated tool vectors."""
-    tool, found = solution.blocks[TOOL], tuple[Estimate, ...]()
+    tool, estimates = solution.blocks[TOOL], tuple[Estimate, ...]()
     for name in _places(solution):
         block = solution.blocks[name]
         own = tuple((unit_of(column),) for column in block.columns)
-        found += estimates_of_block(block, solution.std(name), own, lambda _, column: column)
+        estimates += estimates_of_block(block, solution.std(name), own, lambda _, column: column)
     if not tool.free.any():
-        return found
+        return estimates
     names = dict(zip(tool.members, tool_names(solution.blocks), strict=True))
     spread, units = solution.std(TOOL), (("mm",),) * 3
-    return found + estimates_of_block(tool, spread, units, lambda tool, axis: f"{names[tool]}.{axis}")
+    return estimates + estimates_of_block(tool, spread, units, lambda tool, axis: f"{names[tool]}.{axis}")
 
 
 def _table(tables: Tables, name: str, identified: Identifiability) -> Table:
@@ -240,7 +240,7 @@ def _tools(solved: AdjustedMachine, solution: Solution) -> Table:
 
 
 def _residuals(solved: AdjustedMachine) -> Table:
-    observations, found = solved.problem.readings.observations, solved.residuals
+    observations, residuals = solved.problem.readings.observations, solved.residuals
     axes = solved.problem.machine.axes
     places = {
         f"{axis.letter.lower()} [{unit_of_position(axis)}]": observations.conditions[axis.coordinate] for axis in axes
@@ -249,10 +249,10 @@ def _residuals(solved: AdjustedMachine) -> Table:
     for i, component in enumerate(observations.components):
         unit = "rad" if component in ("ea", "eb", "ec") else "mm"
         columns |= {
-            f"residual_{component} [{unit}]": found.values[i],
+            f"residual_{component} [{unit}]": residuals.values[i],
             f"sigma_{component} [{unit}]": observations.deviations[i],
-            f"normalised_{component}": found.normalised[i],
-            f"redundancy_{component}": found.redundancy[i],
+            f"normalised_{component}": residuals.normalised[i],
+            f"redundancy_{component}": residuals.redundancy[i],
         }
     return Table.of(columns)
 

@@ -205,7 +205,7 @@ class Settings:
         if self.method not in TURNING:
             letters = tuple(letter for letter in letters if letter not in ANGLES)
         words = errors_by_word(letters)
-        return tuple(dict.fromkeys(one for name in names for one in words.get(name, (canonical(name),))))
+        return tuple(dict.fromkeys(word for name in names for word in words.get(name, (canonical(name),))))
 
     @property
     def scales(self) -> dict[str, Warm]:
@@ -220,7 +220,7 @@ class Settings:
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield faults for inputs and noise that the method needs and lacks, and for settings it does not use."""
         needed = _INPUTS[self.method]
-        for key in dict.fromkeys(one for keys in _INPUTS.values() for one in keys):
+        for key in dict.fromkeys(need for keys in _INPUTS.values() for need in keys):
             given = getattr(self.inputs, key) is not None
             if given != (key in needed):
                 verb = "needs" if key in needed else "does not use"

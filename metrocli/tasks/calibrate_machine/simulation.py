@@ -245,7 +245,7 @@ def _lines(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) -> t
     readings = readings + np.einsum("nab,bn->an", root, rng.normal(size=readings.shape))
     names = {"line": np.array(lines.names)[lines.of], "axis": np.array(lines.axis)[lines.of]}
     channels = {" ".join(CHANNELS[:3]) + " [mm]": readings[:3].T, " ".join(CHANNELS[3:]) + " [rad]": readings[3:].T}
-    when = {heading(name): one for name, one in given.items()}
+    when = {heading(name): column for name, column in given.items()}
     places = (
         {} if table is None else {f"{axis} [mm]": lines.position[i] for i, axis in enumerate(POSITION) if axis in table}
     )

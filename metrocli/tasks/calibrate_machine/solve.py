@@ -74,18 +74,18 @@ def solve(problem: MachineProblem, remove: bool) -> AdjustedMachine:
     begun = _KeptReadings(problem.with_blocks(start), identified, ())
 
     def fewer(used: _KeptReadings, solved: AdjustedMachine) -> tuple[_KeptReadings, bool]:
-        worst, found, names = worst_of(solved.suspects), solved.suspects, solved.problem.names
+        worst, suspected, names = worst_of(solved.suspects), solved.suspects, solved.problem.names
         if not remove or not worst.size:
             return used, False
         keep = np.ones(len(names), dtype=bool)
-        keep[found.rows[worst]] = False
+        keep[suspected.rows[worst]] = False
         left = solved.problem.selected(keep)
         identified = identify(left)
         values = solved.solution.blocks.items()
         state = {name: replace(block, free=identified.blocks[name].free) for name, block in values}
         gone = (
             (names[row], test)
-            for row, test in zip(found.rows[worst].tolist(), found.tests[worst].tolist(), strict=True)
+            for row, test in zip(suspected.rows[worst].tolist(), suspected.tests[worst].tolist(), strict=True)
         )
         return _KeptReadings(left.with_blocks(state), identified, (*used.rejected, *gone)), True
 

@@ -48,8 +48,8 @@ def run(job: Job[Settings, Files]) -> Result:
 def with_adjustment(job: Job[Settings, Files]) -> tuple[Result, Adjustment]:
     """Return the result of `run`, and what gives its adjustment in the form that diagnosis works on."""
     solved, factor = _solved(job)
-    found = report(solved, job.settings, noise_of(solved, job.settings.noise.model, factor))
-    return found, partial(adjusted_job, solved)
+    result = report(solved, job.settings, noise_of(solved, job.settings.noise.model, factor))
+    return result, partial(adjusted_job, solved)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:

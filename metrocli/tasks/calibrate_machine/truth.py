@@ -154,16 +154,16 @@ def blocks_of(
     """
     wanted = settings.estimated
     kept = {name: table for name, table in tables.items() if name in wanted}
-    found = [axis.block_of(kept, wanted) for axis in machine.axes]
+    blocks = [axis.block_of(kept, wanted) for axis in machine.axes]
     given = {name: value for name, value in places.items() if name in wanted}
-    found.append(squareness_block(given, wanted))
+    blocks.append(squareness_block(given, wanted))
     for at, axis in enumerate(machine.axes):
         if isinstance(axis, RotaryAxis):
-            found[at] = axis.in_gauge(found[at])
-            found.append(axis.location_block(given, wanted))
+            blocks[at] = axis.in_gauge(blocks[at])
+            blocks.append(axis.location_block(given, wanted))
     if machine.turns:
-        found.append(spindle_block(given, wanted))
-    return {**error_blocks(machine, settings), **{block.name: block for block in found}}
+        blocks.append(spindle_block(given, wanted))
+    return {**error_blocks(machine, settings), **{block.name: block for block in blocks}}
 
 
 def _drawn(axis: Axis, name: str, smooth: bool, rng: np.random.Generator) -> Array:

@@ -31,17 +31,17 @@ def volume_tables(
     position = grid_of(tables.machine, wanted.counts(len(tables.machine.axes)))
     tools = tables.blocks[TOOL].members
     grids = [_on_grid(tables, position, i, name in identified.open_tools) for i, name in enumerate(tools)]
-    found = {
+    shown = {
         "volumetric": _summary(grids, tools, measured),
         "volume": Table.stack([grid.table(tools[i], tables.machine) for i, grid in enumerate(grids)]),
     }
     if tables.machine.turns:
-        return found
+        return shown
     first = tools.index(measured[0])
     drawn = draws(tables.raw)
     along, figures = diagonals(tables, drawn, first)
     return {
-        **found,
+        **shown,
         "diagonals": along,
         "diagonal_figures": figures,
         "circular": circular(tables, drawn, first, wanted.circle),

@@ -116,7 +116,9 @@ def misplaced(solved: AdjustedMachine) -> tuple[list[str], list[str]]:
         for i, off in zip(across, block.values[0, :2].tolist(), strict=True):
             where, size = f"{'xyz'[i]} of the place of {axis.letter}", units.sized(abs(off), "length")
             if abs(off) > _FAR_AWAY and abs(off + 2 * axis.at[i]) < _MIRRORED * abs(off):
-                place = ", ".join(f"{-one if k == i else one:g} mm" for k, one in enumerate(axis.at))
+                place = ", ".join(
+                    f"{-coordinate if k == i else coordinate:g} mm" for k, coordinate in enumerate(axis.at)
+                )
                 doubts.append(f"{where} has the wrong sign: it is off by {size}; write at: [{place}]")
             elif abs(off) > _FAR_AWAY:
                 warnings.append(f"{where} is {size} from that of the job: is `at` right?")

@@ -87,8 +87,8 @@ def _contradicting(stock: Stock, minimum: float, into: Array) -> tuple[Stock, In
     if patches is not None:
         alone, at_level = on_own_patches(stock, patches, into)
         tried = [(alone, every[at_level]), (alone, every), *tried]
-    for one, rows in tried:
-        some = one.of(rows)
+    for part, rows in tried:
+        some = part.of(rows)
         begun = some.at(into)
         _, least, duals = most_of_many(some, into, begun=begun)
         if not feasible(least, minimum):
@@ -110,8 +110,8 @@ def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun
 
     holding = np.unique(stock.surface[duals > 0]).tolist()
     chosen = holding
-    for one in holding:
-        rest = [other for other in chosen if other != one]
+    for number in holding:
+        rest = [other for other in chosen if other != number]
         if rest and not together(rest):
             chosen = rest
     smaller = (some for size in range(1, len(chosen)) for some in combinations(holding, size))
@@ -163,7 +163,10 @@ def refuse(
         f"{minimum - first.least:.3f} mm less than required (points {points})",
         *(["  without any one of these surfaces the others of them have the minimum"] if several else []),
         *([f"  the whole part leaves {in_a_row(each)}"] if each else ["  the part has no other surface"]),
-        *(f"  beside them: {in_a_row(one.surfaces)} (at most {one.least:.3f} mm)" for one in further),
+        *(
+            f"  beside them: {in_a_row(set_of_points.surfaces)} (at most {set_of_points.least:.3f} mm)"
+            for set_of_points in further
+        ),
         f"  {what}",
     ]
     lines += [f"  or: {hint}"] if hint else []

@@ -40,12 +40,12 @@ def sensitivity_with_exchanges(fit: PoseFit, aim: PoseCriterion, start: Array, p
 
     `start` (6,) is the pose into the part frame before the fit.
     """
-    found = sensitivity(fit, aim, start, places)
+    nearby = sensitivity(fit, aim, start, places)
     rows, outward = fit.local.rows, fit.local.shape.normal @ poses.rotation_of(fit.into)
-    by_pose = np.einsum("ni,ij,nj->n", rows, found.covariance, rows)
+    by_pose = np.einsum("ni,ij,nj->n", rows, nearby.covariance, rows)
     spread = np.sqrt(np.maximum(by_pose, 0.0) + _along(outward, places) ** 2)
     near = (fit.local.overstock - aim.minimum < _NEAR * spread) | (fit.duals > 0)
-    return sensitivity_of_draws(fit, aim, start, places) if spread.any() and near.any() else found
+    return sensitivity_of_draws(fit, aim, start, places) if spread.any() and near.any() else nearby
 
 
 def _along(outward: Array, places: PredictedPlaces) -> Array:

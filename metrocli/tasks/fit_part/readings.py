@@ -81,8 +81,8 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
             chosen = _chosen_targets(settings, table)
         with each():
             said = _said(settings, table, () if of_mesh else names)
-    named = np.array([bool(one) and one != TARGET_WORD for one in said])
-    target = chosen | np.array([one == TARGET_WORD for one in said])
+    named = np.array([bool(name) and name != TARGET_WORD for name in said])
+    target = chosen | np.array([name == TARGET_WORD for name in said])
     warnings, apart = [], np.zeros(len(said), dtype=bool)
     if named.any() and not target.any():
         target = ~named
@@ -98,7 +98,7 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
     surface = None
     if named.any() and not of_mesh:
         number = {name: n for n, name in enumerate(names)}
-        surface = np.array([number.get(one, 0) for one in said], dtype=np.intp)[~target & ~apart]
+        surface = np.array([number.get(name, 0) for name in said], dtype=np.intp)[~target & ~apart]
     if (target | apart).all():
         raise InputError([table.fault("there is no point of a surface", "name surfaces in the column `surface`")])
     if not places.covariance.any():
@@ -180,7 +180,7 @@ def _said(settings: Settings, table: Table, known: tuple[str, ...]) -> list[str]
                 faults.append(Fault(f"surfaces: no point has the name '{pattern}'", table.file))
             for row in hit:
                 said[row] = surface
-    wrong = [row for row, one in enumerate(said) if known and one and one != TARGET_WORD and one not in known]
+    wrong = [row for row, name in enumerate(said) if known and name and name != TARGET_WORD and name not in known]
     if "surface" in table:
         faults += table.faults_at(
             wrong,

@@ -68,7 +68,9 @@ def report(problem: PointPairs, solution: Solution, mirrored: float) -> Result:
         statistics=statistics,
         tables={
             "points": Table.of(points),
-            "residuals": Table.stack([residual_table(one, group) for one, group in zip(read, groups, strict=True)]),
+            "residuals": Table.stack(
+                [residual_table(residuals, group) for residuals, group in zip(read, groups, strict=True)]
+            ),
             "suspects": Table.of({"point [text]": list(worst), "w": list(worst.values())}),
         },
         arrays={"rotation": poses.rotation_of(pose)},
@@ -81,7 +83,9 @@ def report(problem: PointPairs, solution: Solution, mirrored: float) -> Result:
 def _merged(read: list[Residuals]) -> Residuals:
     """Return the residuals of all coordinates, group by group and axis by axis, as readings of one component."""
     parts = ("values", "sigma", "redundancy", "normalised")
-    return Residuals(*(np.concatenate([_flat(getattr(one, part), one) for one in read])[None] for part in parts))
+    return Residuals(
+        *(np.concatenate([_flat(getattr(residuals, part), residuals) for residuals in read])[None] for part in parts)
+    )
 
 
 def _flat(values: Array, residuals: Residuals) -> Array:

@@ -56,12 +56,12 @@ def _of_the_mirror_image(problem: PointPairs) -> float:
     rows = problem.full
     if len(rows) < len(problem.names):
         return float("nan")
-    found = rms(problem.measured, problem.nominal, problem.scale)
+    as_listed = rms(problem.measured, problem.nominal, problem.scale)
     mirrored = mirrored_rms(problem.measured, problem.nominal, problem.scale)
-    if len(rows) > 3 and mirrored * _MIRRORED < found:
+    if len(rows) > 3 and mirrored * _MIRRORED < as_listed:
         raise InputError(
             "the measured points are a mirror image of the nominal ones: mirrored, they fit to "
-            f"{mirrored:.3g} mm (root mean square), and to {found:.3g} mm as they are; turn the sign of one axis in "
+            f"{mirrored:.3g} mm (root mean square), and to {as_listed:.3g} mm as they are; turn the sign of one axis in "
             "one of the lists"
         )
     names = exchanged(problem.measured, problem.nominal, problem.scale)

@@ -145,10 +145,10 @@ def _further_table(prospect: Prospect, more: Sequence[Further]) -> dict[str, Tab
     if not more:
         return {}
     wanted, encoder = prospect.wanted, prospect.noise.encoder
-    known = [Uncertainty(one.location, encoder) for one in more]
+    known = [Uncertainty(motion.location, encoder) for motion in more]
     columns = {
         "poses": len(prospect.located.readings.names) + 1 + np.arange(len(more)),
-        "x y z [mm]": [one.receiver for one in more],
+        "x y z [mm]": [motion.receiver for motion in more],
         "probability": [wanted.worst(each) for each in known],
         "probability_aligned": [wanted.worst_aligned(each) for each in known],
     }
@@ -205,7 +205,7 @@ def _told(prospect: Prospect, more: Sequence[Further]) -> list[str]:
         f"aligned at the far end by the receiver's own readings, it stays in range with {percent(aligned)} probability"
     ]
     if aligned < prospect.planned.confidence and more:
-        known = [Uncertainty(one.location, prospect.noise.encoder) for one in more]
+        known = [Uncertainty(motion.location, prospect.noise.encoder) for motion in more]
         enough = [
             i for i, each in enumerate(known) if prospect.wanted.worst_aligned(each) >= prospect.planned.confidence
         ]

@@ -183,7 +183,7 @@ def _worst(solution: Solution, names: Sequence[str]) -> tuple[SuspectedPose, int
             w = np.abs(residuals_of(solution, group).normalised[0])
             row = int(np.argmax(w))
             tests.append((SuspectedPose(group.name, group.observations.keys["pose"][row], float(w[row])), row))
-    return max(tests, key=lambda one: one[0].test)
+    return max(tests, key=lambda suspect: suspect[0].test)
 
 
 def _without(blocks: Mapping[str, Block], groups: Sequence[Group], name: str, row: int) -> Solution | None:

@@ -160,16 +160,18 @@ def _residuals(parts: list[tuple[Group, Residuals]], located: Located) -> Table:
 
     It is for the test for outliers that is made, and 80 % power.
     """
-    groups, found = [group.observations for group, _ in parts], [residuals for _, residuals in parts]
+    groups, of_groups = [group.observations for group, _ in parts], [residuals for _, residuals in parts]
     keys = {key: np.concatenate([np.array(o.keys[key]) for o in groups]) for key in ("pose", "reading")}
     unit = f"[{groups[0].unit}]"
     numbers = {
         f"value {unit}": [o.readings for o in groups],
-        f"residual {unit}": [one.values for one in found],
-        f"sigma {unit}": [one.sigma for one in found],
-        "normalised": [one.normalised for one in found],
-        "redundancy": [one.redundancy for one in found],
-        f"detectable {unit}": [minimal_detectable(one, located.critical, located.noise) for one in found],
+        f"residual {unit}": [residuals.values for residuals in of_groups],
+        f"sigma {unit}": [residuals.sigma for residuals in of_groups],
+        "normalised": [residuals.normalised for residuals in of_groups],
+        "redundancy": [residuals.redundancy for residuals in of_groups],
+        f"detectable {unit}": [
+            minimal_detectable(residuals, located.critical, located.noise) for residuals in of_groups
+        ],
     }
     return Table.of(
         {**keys, **{name: np.concatenate([part[0] for part in number]) for name, number in numbers.items()}}

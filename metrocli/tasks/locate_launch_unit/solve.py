@@ -131,8 +131,8 @@ def _located(readings: AlignedPoses, noise: LaunchUnitNoise, how: How) -> Locate
     values = used.blocks[lu.UNIT].values[0].copy()
     values[3] = wrapped(values[3])
     covariance = used.covariance_or_raise().of(lu.UNIT)
-    found = checked.outliers, checked.critical, checked.noise
-    return Located(values, covariance, readings, problem, used, *found)
+    checks = checked.outliers, checked.critical, checked.noise
+    return Located(values, covariance, readings, problem, used, *checks)
 
 
 def _undetermined(problem: LaunchUnitProblem, solution: Solution) -> str:
@@ -140,9 +140,9 @@ def _undetermined(problem: LaunchUnitProblem, solution: Solution) -> str:
     hidden = absorbed(problem.effects, solution, None)
     if hidden:
         return "\n".join(
-            f"{one.label} cannot be separated from the other unknowns of this job, which absorb it; "
-            f"leave it out; what would separate it: {one.effect.reveal}"
-            for one in hidden
+            f"{added.label} cannot be separated from the other unknowns of this job, which absorb it; "
+            f"leave it out; what would separate it: {added.effect.reveal}"
+            for added in hidden
         )
     reason = f"undetermined: {solution.undetermined[0]}" if solution.undetermined else solution.outcome.value
     return explained(problem.readings, reason)
@@ -167,13 +167,13 @@ def _must_suffice(readings: AlignedPoses, noise: LaunchUnitNoise, method: str) -
         raise UndeterminedError(explained(readings, text))
 
 
-def explained(readings: AlignedPoses, found: str) -> str:
+def explained(readings: AlignedPoses, words: str) -> str:
     """Return the message of what is undetermined, why, and what would determine it."""
     n = len(readings.names)
     angle = np.rad2deg(np.arcsin(min(spread(readings.beams) / np.sqrt(n), 1.0)))
     why = "there is one pose" if n == 1 else f"all {n} poses lie on nearly one beam (within {angle:.2g} degrees)"
     return (
-        f"the place of the launch unit cannot be determined: {found}\n"
+        f"the place of the launch unit cannot be determined: {words}\n"
         f"  why: {why}, so the unit could be anywhere along it\n"
         "  what would determine it: a pose whose beam comes from another direction, or a measured distance"
     )

@@ -143,7 +143,7 @@ def _changes(at: Array, error: Array) -> Array:
     """Return the change of an error per length from each place (n, 3) to its nearest one, where these differ."""
     from scipy.spatial import cKDTree
 
-    distance, nearest = (found[:, 1] for found in cKDTree(at).query(at, k=2))
+    distance, nearest = (distances[:, 1] for distances in cKDTree(at).query(at, k=2))
     apart = distance > 0
     return np.asarray((error - error[nearest])[apart] / distance[apart, None])
 

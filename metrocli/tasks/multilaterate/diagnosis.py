@@ -72,21 +72,21 @@ def covariates(model: Model) -> list[Covariate]:
     """Return the quantities with which an unknown effect on lengths could vary."""
     observations = model.readings[0].observations
     conditions = observations.conditions
-    found = [
+    known = [
         Covariate(name, {LENGTHS: conditions[key]}, 6)
         for name, key in (("t_s", ELAPSED), ("temp_degC", WARMING))
         if key in conditions
     ]
     if ELAPSED not in conditions:
-        found.append(Covariate("order of the readings", {LENGTHS: np.arange(observations.count, dtype=float)}, 6))
+        known.append(Covariate("order of the readings", {LENGTHS: np.arange(observations.count, dtype=float)}, 6))
     beam = t.beams(t.reach(), model.blocks, observations)
     length = np.sqrt((beam**2).sum(axis=0))
-    found.append(Covariate("length_mm", {LENGTHS: length}, 5))
-    found.append(Covariate("beam azimuth", {LENGTHS: np.arctan2(beam[1], beam[0])}, 4, angle=True))
-    found.append(Covariate("beam elevation", {LENGTHS: beam[2] / length}, 4))
+    known.append(Covariate("length_mm", {LENGTHS: length}, 5))
+    known.append(Covariate("beam azimuth", {LENGTHS: np.arctan2(beam[1], beam[0])}, 4, angle=True))
+    known.append(Covariate("beam elevation", {LENGTHS: beam[2] / length}, 4))
     points = model.blocks[t.POINT].values[observations.index[t.POINT]].T
-    found.append(Covariate("place of the point", {LENGTHS: np.ascontiguousarray(points)}, 3))
-    return found
+    known.append(Covariate("place of the point", {LENGTHS: np.ascontiguousarray(points)}, 3))
+    return known
 
 
 def folds(point: Index, conditions: Mapping[str, Array]) -> Index:
@@ -146,7 +146,9 @@ def _with_repeats(model: Model, rows: Index, later: float, warmer: float = 0.0) 
         last = float(old.conditions[WARMING][np.argmax(old.conditions.get(ELAPSED, np.zeros(1)))])
         conditions[WARMING] = np.full(len(rows), last + warmer)
     repeated = old.followed_by(replace(new, conditions=conditions))
-    groups = tuple(replace(one, observations=repeated) if one is group else one for one in model.groups)
+    groups = tuple(
+        replace(measured, observations=repeated) if measured is group else measured for measured in model.groups
+    )
     return replace(model, groups=groups)
 
 
@@ -186,8 +188,8 @@ def _with_corners(model: Model) -> Model:
             members=np.concatenate([datum.members, zeros]),
         )
     groups = tuple(
-        replace(one, observations=old.followed_by(changed)) if one is group else _of_more(one, points)
-        for one in model.groups
+        replace(measured, observations=old.followed_by(changed)) if measured is group else _of_more(measured, points)
+        for measured in model.groups
     )
     places_ = {**model.places, "point": Place(points.members, t.POINT)}
     whole = replace(model, blocks={**model.blocks, t.POINT: points}, groups=groups, datum=datum, places=places_)

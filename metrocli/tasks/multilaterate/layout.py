@@ -210,7 +210,7 @@ def ranked(layout: PlannedNetwork, candidates: Table | None) -> Ranking:
     part = _part(layout)
     before = np.array(_worth(part))
     more = [part.with_tracer(f"candidate {name}", place) for name, place in zip(names, places, strict=True)]
-    with_it = np.array([_worth(one) for one in more]).reshape(-1, 2)
+    with_it = np.array([_worth(network) for network in more]).reshape(-1, 2)
     order = np.argsort(with_it[:, 0], kind="stable")[: int(np.isfinite(with_it[:, 0]).sum())]
     gain = 1 - with_it[order] / before if np.isfinite(before).all() else np.full((len(order), 2), np.nan)
     columns: dict[str, Values] = {"candidate": np.array(names, dtype=str)[order]}

@@ -68,9 +68,9 @@ def reasons(network: TracerNetwork, solution: Solution) -> list[str]:
     hidden = absorbed(network.effects, solution, network.datum) if solution.undetermined else ()
     if hidden:
         return [
-            f"{one.label} cannot be separated from the other unknowns of this job, which absorb it; "
-            f"leave it out; what would separate it: {one.effect.reveal}"
-            for one in hidden
+            f"{added.label} cannot be separated from the other unknowns of this job, which absorb it; "
+            f"leave it out; what would separate it: {added.effect.reveal}"
+            for added in hidden
         ]
     causes = [*_counts(network, solution), *_shapes(network, solution)]
     return causes or ["the tracers see the points from too few directions; add tracers or points far from the others"]

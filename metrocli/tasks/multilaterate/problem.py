@@ -111,18 +111,18 @@ def _points_from(readings: LengthReadings, places: Array) -> Array:
 
     A point is to known tracers what a tracer is to known points.
     """
-    found, observations = readings.nominal.copy(), readings.observations
+    points, observations = readings.nominal.copy(), readings.observations
     if not (readings.absolute and readings.tracers.given.all()):
-        return found
+        return points
     of, ends = observations.index[t.POINT], places[observations.index[t.TRACER], :3]
     lengths = observations.readings[0]
-    miss = np.abs(lengths - np.linalg.norm(found[of] - ends, axis=1))
-    rough = np.bincount(of, miss > _ROUGH * readings.seen_by.extent, len(found)) > 0
+    miss = np.abs(lengths - np.linalg.norm(points[of] - ends, axis=1))
+    rough = np.bincount(of, miss > _ROUGH * readings.seen_by.extent, len(points)) > 0
     for i in np.flatnonzero(rough & (readings.seen >= 3)).tolist():
         mine = of == i
         place = start(ends[mine], lengths[mine], True, readings.nominal[i])[:3]
-        found[i] = np.where((readings.sigma[i] != 0) & np.isfinite(place), place, found[i])
-    return found
+        points[i] = np.where((readings.sigma[i] != 0) & np.isfinite(place), place, points[i])
+    return points
 
 
 def network_of(

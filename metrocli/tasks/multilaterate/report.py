@@ -192,10 +192,13 @@ def _residuals(solved: AdjustedTracers) -> Table:
 
 def _rejected(solved: AdjustedTracers) -> Table:
     observations = solved.whole.lengths.observations
-    chosen = sorted(solved.rejected, key=lambda one: one.row)
-    rows = [one.row for one in chosen]
+    chosen = sorted(solved.rejected, key=lambda rejected: rejected.row)
+    rows = [rejected.row for rejected in chosen]
     keys = {f"{key} [text]": [values[row] for row in rows] for key, values in observations.keys.items()}
-    tests = {"w": [one.test for one in chosen], "reason [text]": [str(one.reason) for one in chosen]}
+    tests = {
+        "w": [rejected.test for rejected in chosen],
+        "reason [text]": [str(rejected.reason) for rejected in chosen],
+    }
     return Table.of({**keys, "reading [mm]": observations.readings[0, rows], **tests})
 
 
@@ -222,9 +225,9 @@ def _warnings(solved: AdjustedTracers) -> list[str]:
     lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures)]
     keys = solved.whole.lengths.observations.keys
     wrong = [
-        f"{keys['point'][one.row]}/{name_of(keys, 'tracer', one.row)}"
-        for one in solved.rejected
-        if one.reason in (Reason.GROSS, Reason.OUTLIER)
+        f"{keys['point'][rejected.row]}/{name_of(keys, 'tracer', rejected.row)}"
+        for rejected in solved.rejected
+        if rejected.reason in (Reason.GROSS, Reason.OUTLIER)
     ]
     if wrong:
         lines.append(f"{len(wrong)} lengths are left out as wrong: {listed(wrong)} (table rejected)")
@@ -234,7 +237,7 @@ def _warnings(solved: AdjustedTracers) -> list[str]:
         if suspect.tracer
     ]
     untold = [suspect for suspect in solved.suspects if not suspect.tracer]
-    alike = [f"{one.point} (w = {one.test:.1f}: {' or '.join(one.others)})" for one in untold]
+    alike = [f"{suspect.point} (w = {suspect.test:.1f}: {' or '.join(suspect.others)})" for suspect in untold]
     bound = f"the outlier bound |w| = {solved.critical:.2f}"
     if solved.solution.sigma0 > 1:
         bound += " (w divided by sigma0, the largest by sigma0 without that length)"

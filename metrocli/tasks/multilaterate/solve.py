@@ -150,7 +150,7 @@ def solve(network: TracerNetwork, remove: bool) -> AdjustedTracers:
         return _KeptLengths(state, used.out | more, used.back), bool(more)
 
     used, solved = in_rounds(begun, lambda used: _adjusted(network, used.state, used.out), fewer)
-    better = [one for one in solved.second if one.better and not one.decided]
+    better = [mirrored for mirrored in solved.second if mirrored.better and not mirrored.decided]
     solved = _adjusted(network, at_others(solved.solution.blocks, better), used.out) if better else solved
     must_be_decided(solved.second)
     return solved
@@ -245,7 +245,7 @@ def _doubtful(solved: AdjustedTracers) -> dict[int, Rejected]:
     sigma = solved.residuals.sigma[0] * noise_of_tests(solved.solution)
     misfit = np.bincount(point, (solved.residuals.values[0] / sigma) ** 2, len(left))
     bad = lost & (misfit > chdtri(np.maximum(left - 3, 1), _DOUBT))
-    used = np.delete(np.arange(solved.whole.lengths.observations.count), [one.row for one in solved.rejected])
+    used = np.delete(np.arange(solved.whole.lengths.observations.count), [rejected.row for rejected in solved.rejected])
     return {int(row): Rejected(int(row), float("nan"), Reason.CONTRADICTED) for row in used[bad[point]]}
 
 
@@ -280,7 +280,9 @@ def _worst(solved: AdjustedTracers) -> dict[int, Rejected]:
     most = max((suspect.test for suspect in solved.suspects), default=0.0)
     chosen = [suspect for suspect in solved.suspects if suspect.test >= most / 2]
     reason = {True: Reason.OUTLIER, False: Reason.ALIKE}
-    return {row: Rejected(row, one.test, reason[bool(one.tracer)]) for one in chosen for row in one.rows}
+    return {
+        row: Rejected(row, suspect.test, reason[bool(suspect.tracer)]) for suspect in chosen for row in suspect.rows
+    }
 
 
 def _without_innocent(solved: AdjustedTracers, out: dict[int, Rejected]) -> dict[int, Rejected]:
@@ -288,4 +290,4 @@ def _without_innocent(solved: AdjustedTracers, out: dict[int, Rejected]) -> dict
     observations = solved.whole.lengths.observations
     miss: Array = solved.whole.lengths.residuals(solved.solution.blocks)[0] / observations.sigma[0]
     alive = solved.network.seen[observations.index[t.POINT]] > 0
-    return {row: one for row, one in out.items() if not (alive[row] and abs(miss[row]) < _INNOCENT)}
+    return {row: rejected for row, rejected in out.items() if not (alive[row] and abs(miss[row]) < _INNOCENT)}

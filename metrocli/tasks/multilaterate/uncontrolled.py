@@ -40,10 +40,10 @@ def scale_warnings(network: TracerNetwork, solution: Solution) -> Iterator[str]:
     scales = solution.covariance_or_raise().of(t.TRACER)[4 :: block.size, 4 :: block.size]
     mean = float(np.sqrt(max(scales.mean(), 0.0)))
     if mean < scale.uncertainty:
-        one, all_together = units.sized(scale.uncertainty, "ratio"), units.sized(mean, "ratio")
+        own, all_together = units.sized(scale.uncertainty, "ratio"), units.sized(mean, "ratio")
         yield (
-            f"{len(block.members)} independent scales of {one} make the scale of the network {all_together}; "
-            f"if they share a source, such as one weather station, write `scale: {{uncertainty: OWN, common: {one}}}`; "
+            f"{len(block.members)} independent scales of {own} make the scale of the network {all_together}; "
+            f"if they share a source, such as one weather station, write `scale: {{uncertainty: OWN, common: {own}}}`; "
             "if not, `common: 0 ppm`"
         )
 

@@ -128,9 +128,9 @@ class _Gathering:
         if any(held) and self.files is None:
             return
         table = (self.files or {}).get(f"{node.path}.{'readings' if held[0] else 'samples'}")
-        if found := quantity(name, placed, table, self.faults):
-            self.quantities[name] = found
-            self.units[name] = found.unit
+        if read := quantity(name, placed, table, self.faults):
+            self.quantities[name] = read
+            self.units[name] = read.unit
 
     def target(self, name: str) -> str:
         """Return the name of the estimate that a quantity stands for, or its own name if it is not an estimate."""

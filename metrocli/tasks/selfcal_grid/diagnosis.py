@@ -83,7 +83,10 @@ def _forth_and_back(model: Model) -> Model:
     last = np.array([time[view == n].max(initial=0.0) for n in range(int(view.max()) + 1)])[view]
     later = {name: old.conditions[name] + 2 * (last - time) for name in ("t", ELAPSED) if name in old.conditions}
     again = replace(old, conditions={**old.conditions, **later})
-    groups = tuple(replace(one, observations=old.followed_by(again)) if one is group else one for one in model.groups)
+    groups = tuple(
+        replace(measured, observations=old.followed_by(again)) if measured is group else measured
+        for measured in model.groups
+    )
     return replace(model, groups=groups)
 
 
@@ -109,8 +112,8 @@ def _with_views(problem: GridProblem, model: Model) -> Model:
     links = (bg.mounted(views, pitch) if isinstance(link, bg.Mounted) else link for link in group.chain.links)
     observations = old.followed_by(changed)
     groups = tuple(
-        replace(one, chain=Chain(tuple(links)), observations=observations) if one is group else one
-        for one in model.groups
+        replace(measured, chain=Chain(tuple(links)), observations=observations) if measured is group else measured
+        for measured in model.groups
     )
     return replace(model, blocks={**model.blocks, bg.VIEW: block}, groups=groups)
 
@@ -191,8 +194,8 @@ def clusters_of(solved: AdjustedGrid) -> Index:
     view = observations.index[bg.VIEW]
     order = observations.conditions.get("t", np.arange(observations.count, dtype=float))
     clusters, first = np.zeros(observations.count, dtype=np.intp), 0
-    for one in np.unique(view).tolist():
-        mine = np.flatnonzero(view == one)
+    for number in np.unique(view).tolist():
+        mine = np.flatnonzero(view == number)
         clusters[mine] = first + in_blocks(order[mine])
         first = int(clusters[mine].max()) + 1
     return clusters

@@ -61,7 +61,7 @@ def check(readings: GridReadings, pitch: float) -> list[str]:
     ):
         if faults:
             raise InputError([Fault(text, file) for text in faults])
-    astray = [one for n, seen in enumerate(observed) if seen for one in _astray(readings, n, seen, pitch)]
+    astray = [fault for n, seen in enumerate(observed) if seen for fault in _astray(readings, n, seen, pitch)]
     if astray:
         raise InputError(astray[:_MOST])
     return [*_doubtful_pitch(observed, pitch), *_off_site(readings, observed)]

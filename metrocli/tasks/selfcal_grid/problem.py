@@ -174,7 +174,7 @@ def _keys(table: Table) -> dict[str, tuple[str, ...]]:
     names = ["view", *"ijk", *(["repeat"] if "repeat" in table else [])]
     keys = {name: tuple(table.texts(name)) for name in names}
     again: dict[object, int] = {}
-    same = np.array([again.setdefault(one, len(again)) for one in zip(*keys.values(), strict=True)])
+    same = np.array([again.setdefault(row, len(again)) for row in zip(*keys.values(), strict=True)])
     return told_apart(keys, same, table.numbers("t") if "t" in table else None)
 
 

@@ -98,21 +98,25 @@ def design(problem: GridProblem) -> FieldDesign:
             "the balls stand in one row: no view shows a turn of the artefact about it; measure at least two rows"
         )
     try:
-        found = design_of(problem.fields)
+        field_design = design_of(problem.fields)
     except OpenDesignError as error:
         raise UndeterminedError(
             f"the views leave machine and artefact error undetermined: {error}; with views turned by 90 deg about two "
             "axes and one view shifted by a pitch, only the 13 directions of rigid motion and scale are undetermined"
         ) from error
-    _refuse_absorbed(problem, found)
-    return with_determined_datum(problem, found)
+    _refuse_absorbed(problem, field_design)
+    return with_determined_datum(problem, field_design)
 
 
-def _refuse_absorbed(problem: GridProblem, found: FieldDesign) -> None:
+def _refuse_absorbed(problem: GridProblem, field_design: FieldDesign) -> None:
     """Raise UndeterminedError if the other unknowns can absorb an effect of the job in these views."""
-    null = found.null / np.maximum(np.abs(found.null).max(axis=0), 1e-300) if found.null.size else found.null
+    null = (
+        field_design.null / np.maximum(np.abs(field_design.null).max(axis=0), 1e-300)
+        if field_design.null.size
+        else field_design.null
+    )
     for effect in problem.effects:
-        columns = found.partition.columns[effect.block]
+        columns = field_design.partition.columns[effect.block]
         block = problem.fields.blocks[effect.block]
         reach = np.broadcast_to(block.reach, columns.shape)[columns >= 0]
         if (np.abs(null[columns[columns >= 0]]) > _TAKEN * reach[:, None]).any():
@@ -142,13 +146,13 @@ def solve(problem: GridProblem, remove: bool) -> AdjustedGrid:
 
 
 def _once(problem: GridProblem, whole: GridProblem, out: dict[int, float]) -> AdjustedGrid:
-    found: FieldSolution = adjust_fields(problem.fields, design(problem))
-    solution = found.solution
+    adjusted: FieldSolution = adjust_fields(problem.fields, design(problem))
+    solution = adjusted.solution
     if solution.outcome is not Outcome.CONVERGED:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit)
-    residuals = found.residuals()
+    residuals = adjusted.residuals()
     tested = suspects(residuals[0], FitQuality(solution.cost, solution.dof, noise_known=True))
-    return AdjustedGrid(problem, whole, found, residuals, tested, tuple(sorted(out.items())))
+    return AdjustedGrid(problem, whole, adjusted, residuals, tested, tuple(sorted(out.items())))
 
 
 def _worst(solved: AdjustedGrid, out: dict[int, float]) -> dict[int, float]:
@@ -165,13 +169,13 @@ def leave_one_out(solved: AdjustedGrid) -> list[LeftOut]:
     """Return for each view the fall of the sum of squares without it, and that of the degrees of freedom."""
     view = solved.problem.readings.observations.index[bg.VIEW]
     rows = []
-    for n, one in enumerate(solved.problem.views):
+    for n, left_out in enumerate(solved.problem.views):
         without = _adjusted(solved.problem.only(np.asarray(view != n)))
         if without is None:
-            rows.append(LeftOut(one.name, float("nan"), 0, float("nan"), 0))
+            rows.append(LeftOut(left_out.name, float("nan"), 0, float("nan"), 0))
             continue
         fall, dof = solved.solution.cost - without.cost, solved.solution.dof - without.dof
-        rows.append(LeftOut(one.name, fall, dof, without.cost, without.dof))
+        rows.append(LeftOut(left_out.name, fall, dof, without.cost, without.dof))
     return rows
 
 

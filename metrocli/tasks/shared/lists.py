@@ -61,7 +61,7 @@ def matched(table: Table, column: str, names: Sequence[str] | Texts, where: str)
     strange = np.flatnonzero(rows < 0)
     if strange.size:
         meant = {name: nearest(name, names) for name in {values[row] for row in strange[:MOST_FAULTS].tolist()}}
-        hints = {name: f"did you mean '{found}'?" for name, found in meant.items() if found}
+        hints = {name: f"did you mean '{meaning}'?" for name, meaning in meant.items() if meaning}
         text = f"{column} '{{}}' is not in {where}".format
         raise InputError(table.faults_at(strange, lambda row: text(values[row]), lambda row: hints.get(values[row])))
     return rows
@@ -75,7 +75,7 @@ def _by_hashes(texts: Texts, names: Texts) -> Index | None:
     if not len(texts) or not len(names):
         return None
     width = max(texts.dtype, names.dtype)
-    here, there = (row_hashes(Table({"": one.astype(width)}), ("",)) for one in (texts, names))
+    here, there = (row_hashes(Table({"": texts_of.astype(width)}), ("",)) for texts_of in (texts, names))
     order = np.argsort(there)
     begins = np.flatnonzero(np.append(True, here[1:] != here[:-1]))  # of the runs of rows with one name
     candidates = order[np.searchsorted(there[order[:-1]], here[begins])]

@@ -47,11 +47,11 @@ def medians(places: Array, point: Index, count: int) -> Array:
     begin = np.cumsum(counts) - counts
     known = counts > 0
     low, high = (begin + (counts - 1) // 2)[known], (begin + counts // 2)[known]
-    found = np.full((count, 3), np.nan)
+    centres = np.full((count, 3), np.nan)
     for axis in range(3):
         ordered = places[np.lexsort((places[:, axis], point)), axis]
-        found[known, axis] = (ordered[low] + ordered[high]) / 2
-    return found
+        centres[known, axis] = (ordered[low] + ordered[high]) / 2
+    return centres
 
 
 def disagreement(readings: NetworkReadings, rough: NetworkStart) -> tuple[float, str]:
@@ -69,9 +69,9 @@ def disagreement(readings: NetworkReadings, rough: NetworkStart) -> tuple[float,
     off = np.linalg.norm(places - middle[seen.point[rows]], axis=1)[shared]
     extent = _extent(places)
     station = seen.station[rows][shared]
-    of = {int(one): float(np.median(off[station == one])) for one in np.unique(station)}
-    worst = sorted(of, key=lambda one: -of[one])[:3]
-    words = listed([f"{readings.stations.names[one]} by {of[one]:.3g} mm" for one in worst])
+    of = {int(number): float(np.median(off[station == number])) for number in np.unique(station)}
+    worst = sorted(of, key=lambda number: -of[number])[:3]
+    words = listed([f"{readings.stations.names[number]} by {of[number]:.3g} mm" for number in worst])
     return float(np.median(off)) / extent, words
 
 

@@ -66,7 +66,7 @@ class _Search:
     def run(self) -> None:
         """Place set-ups until no further one can be placed."""
         while True:
-            best = max(self._open(), key=lambda one: one[0], default=(0, -1))
+            best = max(self._open(), key=lambda pair: pair[0], default=(0, -1))
             if best[0] <= 0:
                 return
             self.place(best[1])
@@ -74,14 +74,14 @@ class _Search:
     def _open(self) -> list[tuple[int, int]]:
         """Return how many known points each set-up that can be placed shares, and its number."""
         known = self._known()
-        found = []
+        missing = []
         for number, rows in enumerate(self.rows):
             if np.isfinite(self.gamma[number]):
                 continue
             usable = self._usable(number, rows, known)
             if self._enough(number, usable):
-                found.append((len(usable), number))
-        return found
+                missing.append((len(usable), number))
+        return missing
 
     def _known(self) -> Mask:
         return _whole(self.points)

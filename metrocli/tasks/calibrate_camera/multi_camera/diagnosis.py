@@ -36,5 +36,5 @@ def adjusted_job(system: CameraSystem, adjusted: AdjustedImages) -> AdjustedJob:
         single_components=True,
         sharing=len(np.unique(index["view"])),
         made_together=("image",),
-        not_sought={one.name: _OF_ONE for one in EFFECTS if one.name not in _OF_TARGETS},
+        not_sought={effect.name: _OF_ONE for effect in EFFECTS if effect.name not in _OF_TARGETS},
     )

@@ -108,22 +108,22 @@ def parameters(system: CameraSystem, solution: Solution) -> Parameters:
         changes.append(poses.euler_form_by_step(pose))
         names += [f"{name}.{key}" for key in poses.EULER]
         of += POSE_UNITS
-    found = estimates(system.effects, solution)
-    changes.append(np.eye(len(found)))
+    added = estimates(system.effects, solution)
+    changes.append(np.eye(len(added)))
     change = _diagonal(changes)
     covariance = change @ solution.joint(delivered(system)) @ change.T
-    names, of = [*names, *(one.name for one in found)], [*of, *(one.unit for one in found)]
-    every = np.concatenate([*values, [one.value for one in found]])
+    names, of = [*names, *(estimate.name for estimate in added)], [*of, *(estimate.unit for estimate in added)]
+    every = np.concatenate([*values, [estimate.value for estimate in added]])
     return Parameters(tuple(names), every, (covariance + covariance.T) / 2, tuple(of))
 
 
 def _diagonal(parts: Sequence[Array]) -> Array:
-    size = sum(len(one) for one in parts)
-    found, at = np.zeros((size, size)), 0
-    for one in parts:
-        found[at : at + len(one), at : at + len(one)] = one
-        at += len(one)
-    return found
+    size = sum(len(part) for part in parts)
+    whole, at = np.zeros((size, size)), 0
+    for matrix in parts:
+        whole[at : at + len(matrix), at : at + len(matrix)] = matrix
+        at += len(matrix)
+    return whole
 
 
 def _lens_table(solution: Solution) -> Table:

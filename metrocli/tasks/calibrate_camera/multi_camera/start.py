@@ -55,9 +55,9 @@ def pose_between(first: CalibratedCamera, second: CalibratedCamera, points: Arra
     fits = off[best] <= second.limit
     if not fits.all():
         pose = held[best] if fits.mean() >= _MOST else _by_all(first, second, points)
-        found = list(_strangers(first, second, points, pose, (at, to)))
+        strangers = list(_strangers(first, second, points, pose, (at, to)))
         # a pose that few pairs fit is chance
-        lines = [line for line, _ in found] if fits.mean() >= _MOST or any(known for _, known in found) else []
+        lines = [line for line, _ in strangers] if fits.mean() >= _MOST or any(known for _, known in strangers) else []
         raise InputError([Fault(_refusal(first, second, lines, len(at)), hint="rename the images, or leave them out")])
     chosen: Array = held[best]
     return chosen
@@ -67,7 +67,7 @@ def _off(pose: Array, first: Array, second: Array, focal: float, points: Array) 
     """Return by how much the second camera sees targets elsewhere than poses of the first predict, rms (images,) px."""
     predicted = poses.compose(first, np.broadcast_to(pose, first.shape))
     rays = [poses.apply(poses.inverse(one)[:, None], points) for one in (predicted, second)]
-    units = [one / np.linalg.norm(one, axis=2, keepdims=True) for one in rays]
+    units = [ray / np.linalg.norm(ray, axis=2, keepdims=True) for ray in rays]
     return np.asarray(focal * np.sqrt(((units[0] - units[1]) ** 2).sum(axis=2).mean(axis=1)))
 
 
@@ -102,7 +102,7 @@ def _by_all(first: CalibratedCamera, second: CalibratedCamera, points: Array) ->
     tried = [poses.compose(poses.inverse(one), other) for one in begins for other in ends]
 
     def matching(pose: Array) -> int:
-        all_of = (np.broadcast_to(one, first.places.shape) for one in ends)
+        all_of = (np.broadcast_to(end, first.places.shape) for end in ends)
         return sum(bool((_off(pose, first.places, one, second.focal, few) <= second.limit).any()) for one in all_of)
 
     return max(tried, key=matching)
@@ -114,7 +114,7 @@ def _thinned(values: Array, most: int) -> Array:
 
 def all_in_first(between: Sequence[tuple[int, int, Array]], count: int) -> Array:
     """Return the poses (cameras, 6) in the frame of the first, of poses of cameras in that of another, in order."""
-    found = np.zeros((count, 6))
+    in_first = np.zeros((count, 6))
     for camera, beside, pose in between:
-        found[camera] = poses.compose(found[beside], pose)
-    return found
+        in_first[camera] = poses.compose(in_first[beside], pose)
+    return in_first

@@ -81,8 +81,8 @@ def system_of(settings: Settings, cameras: Mapping[str, OneOfSeveral], sighted: 
     system = CameraSystem(model, settings.rig, cameras, exposed, replace(sighted, warnings=warnings))
     if not sighted.eccentric:
         return system
-    group, found = corrected(group, blocks, tuple(known), datum, targets.radius)
-    return system.with_model(model.with_group(group).with_blocks(found))
+    group, consistent = corrected(group, blocks, tuple(known), datum, targets.radius)
+    return system.with_model(model.with_group(group).with_blocks(consistent))
 
 
 def _alone(rig: str, camera_of: tuple[str, OneOfSeveral], sighted: Sighted) -> CameraProblem:
@@ -93,8 +93,8 @@ def _alone(rig: str, camera_of: tuple[str, OneOfSeveral], sighted: Sighted) -> C
     except UndeterminedError as error:
         raise UndeterminedError(f"camera {name}: {error}") from error
     control = StoppingRule(limit=_STEPS, covariance=False)
-    found = adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, control)
-    return problem.with_blocks({**problem.blocks, **found.blocks})
+    solution = adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, control)
+    return problem.with_blocks({**problem.blocks, **solution.blocks})
 
 
 def _seen(exposed: Exposures, number: int, problem: CameraProblem) -> CalibratedCamera:
@@ -133,13 +133,13 @@ def _blocks(
 
 def _views(exposed: Exposures, seen: Sequence[CalibratedCamera], held: Array, count: int) -> Array:
     """Return the pose of the first camera in the frame of the targets at each exposure, by the first that sees them."""
-    found = np.full((count, 6), np.nan)
-    for one, mount in zip(seen, held, strict=True):
+    views = np.full((count, 6), np.nan)
+    for calibrated, mount in zip(seen, held, strict=True):
         back = poses.inverse(mount)
-        new = np.isnan(found[one.exposure, 0])
-        at = poses.compose(one.places, np.broadcast_to(back, one.places.shape))
-        found[one.exposure[new]] = at[new]
-    return found
+        new = np.isnan(views[calibrated.exposure, 0])
+        at = poses.compose(calibrated.places, np.broadcast_to(back, calibrated.places.shape))
+        views[calibrated.exposure[new]] = at[new]
+    return views
 
 
 def _lenses(cameras: Sequence[str], blocks: Sequence[Block]) -> Block:

@@ -40,20 +40,20 @@ def prepared(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> 
     """Return the adjustment of all cameras with starting values and effects."""
     settings, files = job.settings, job.files
     if files.images is not None:
-        cameras = {name: _sized(name, one, files.images.size) for name, one in cameras.items()}
+        cameras = {name: _sized(name, several, files.images.size) for name, several in cameras.items()}
     sigma = float("nan") if settings.targets == ESTIMATE else 0.0
     sighted = sightings(settings, files.observations, files.targets, files.images, Needs(4, sigma, sigma))
     return system_of(settings, cameras, sighted).with_effects(job.effects)
 
 
-def _sized(name: str, one: OneOfSeveral, size: tuple[int, int]) -> OneOfSeveral:
-    declared = one.image_size or size
+def _sized(name: str, several: OneOfSeveral, size: tuple[int, int]) -> OneOfSeveral:
+    declared = several.image_size or size
     if tuple(declared) != tuple(size):
         raise InputError(
             f"the images are {size[0]} x {size[1]} px, but cameras: {name}: image_size is {declared[0]} x "
             f"{declared[1]} px"
         )
-    return replace(one, image_size=size)
+    return replace(several, image_size=size)
 
 
 def _solved(settings: Settings, system: CameraSystem) -> AdjustedImages:

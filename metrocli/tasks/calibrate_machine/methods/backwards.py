@@ -21,7 +21,7 @@ _NEARER = 0.25
 """The median distance of stations from their list has to fall below this share of itself when they are mirrored"""
 
 
-def refuse_backwards(found: Array, seen: LengthsToTracers) -> None:
+def refuse_backwards(measured: Array, seen: LengthsToTracers) -> None:
     """Raise InputError if places of stations (n, 3) are near their list only with one axis mirrored about its middle.
 
     The middle is that of the reflectors, which tools carry away from the axes.
@@ -32,16 +32,16 @@ def refuse_backwards(found: Array, seen: LengthsToTracers) -> None:
     rough = np.isfinite(said).all(axis=1) & np.isnan(sigma).all(axis=1)
     if not rough.any():
         return
-    found, said = found[rough], said[rough]
+    measured, said = measured[rough], said[rough]
     twice = seen.points.min(axis=0) + seen.points.max(axis=0)
-    mirrored = [_miss(np.where(np.arange(3) == axis, twice - found, found), said) for axis in range(3)]
+    mirrored = [_miss(np.where(np.arange(3) == axis, twice - measured, measured), said) for axis in range(3)]
     axis = int(np.argmin(mirrored))
-    if mirrored[axis] < _NEARER * _miss(found, said):
-        raise InputError([_fault(AXES[axis], _miss(found, said), mirrored[axis], seen.file)])
+    if mirrored[axis] < _NEARER * _miss(measured, said):
+        raise InputError([_fault(AXES[axis], _miss(measured, said), mirrored[axis], seen.file)])
 
 
-def _miss(found: Array, said: Array) -> float:
-    return float(np.median(np.linalg.norm(found - said, axis=1)))
+def _miss(measured: Array, said: Array) -> float:
+    return float(np.median(np.linalg.norm(measured - said, axis=1)))
 
 
 def _fault(axis: str, as_read: float, mirrored: float, file: str) -> Fault:

@@ -42,9 +42,9 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Machin
     machine = machine_of(settings)
     blocks = error_blocks(machine, settings)
     position = commanded(machine, table)
-    found = with_distances(targets(settings, blocks, table, files.reflectors), files.distances)
+    measured = with_distances(targets(settings, blocks, table, files.reflectors), files.distances)
     on = settings.instrument.on
-    nominal = found.places(machine, position, on)
+    nominal = measured.places(machine, position, on)
     read_by = tracers_of(table, files.listed_stations, dict.fromkeys, "station")
     must_support(machine, position, blocks)
     names = np.array(table.texts("point"), dtype=str)
@@ -53,14 +53,14 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Machin
     given = conditions(machine, position, table, nominal if machine.turns else None)
     readings = observed(table, read_by, (points.tolist(), point), given, air)
     time = readings.conditions.get("t")
-    stops = stops_of(visits(position, found.tool, point), time)
+    stops = stops_of(visits(position, measured.tool, point), time)
     observations = replace(
         readings,
-        index={**machine.index(position), **found.index, **readings.index, t.STOP: stops},
+        index={**machine.index(position), **measured.index, **readings.index, t.STOP: stops},
         conditions={
             **readings.conditions,
             t.ALONE: (stops == 0).astype(float),
-            **(found.conditions | found.first_seen(table) if machine.turns else {}),
+            **(measured.conditions | measured.first_seen(table) if machine.turns else {}),
         },
     )
     places = np.ascontiguousarray(nominal.T)
@@ -74,10 +74,10 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Machin
     noise = PathNoise.of(settings.noise.of_lengths)
     stop_block = t.stop_block(stops) if noise.repeatability else None
     more = (station_block, stop_block, None if air is None else air.block)
-    unknowns = {**blocks, **found.blocks, **{block.name: block for block in more if block is not None}}
-    chain = t.chain(reach(machine, on, found.workpiece), stop_block is not None, air is not None)
+    unknowns = {**blocks, **measured.blocks, **{block.name: block for block in more if block is not None}}
+    chain = t.chain(reach(machine, on, measured.workpiece), stop_block is not None, air is not None)
     others = (
-        *found.others,
+        *measured.others,
         *gauge(machine, unknowns),
         *read_by.known(station_block, settings.scale),
         *stop_priors(stop_block, noise.repeatability),
@@ -94,7 +94,7 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Machin
         ),
         machine,
         np.ones(len(table)),
-        found.used(tools),
+        measured.used(tools),
         unused(settings.environment, table),
         notes=() if air is None else (air.note,),
         noise=noise,
@@ -113,17 +113,17 @@ def _places(seen: LengthsToTracers, machine: Machine) -> Array:
     except InputError as error:
         if not machine.turns:
             raise
-        faults = [replace(one, hint=None) if (one.hint or "").endswith("?") else one for one in error.faults]
+        faults = [replace(fault, hint=None) if (fault.hint or "").endswith("?") else fault for fault in error.faults]
         raise InputError(faults) from error
 
 
 def stop_names(stops: Index, points: np.typing.NDArray[np.str_], time: Array | None) -> list[str]:
     """Return the names of the stops of several lengths, by point and time; the first stands for all other stops."""
-    found = [t.NO_STOP]
+    names = [t.NO_STOP]
     if time is not None:
         first = np.unique(stops, return_index=True)[1][int((stops == 0).any()) :]
-        found += [f"{points[row]} at {time[row]:g} s" for row in first]
-    return found
+        names += [f"{points[row]} at {time[row]:g} s" for row in first]
+    return names
 
 
 def visits(position: Array, tool: Index, point: Index) -> Index:

@@ -109,7 +109,7 @@ class _Linearised:
 
 def _longest_cell(effects: Sequence[Wanted]) -> float:
     """Return the longest cell for the periods of the effects: an eighth of a period is nearly a parabola."""
-    periods = [float(one.values["period"]) for one in effects if "period" in one.values]
+    periods = [float(effect.values["period"]) for effect in effects if "period" in effect.values]
     return min(periods, default=np.inf) / _CELLS_IN_A_PERIOD
 
 

@@ -90,8 +90,8 @@ def without_errors(settings: Settings, table: Table, files: Files, tracker: Arra
 def places_read(settings: Settings, table: Table, files: Files) -> Array:
     """Return the places (3, n) of the targets on a machine without errors, in the axes of what the instrument is on."""
     machine = machine_of(settings)
-    found = targets(settings, error_blocks(machine, settings), table, files.reflectors)
-    return found.places(machine, commanded(machine, table), settings.instrument.on)
+    measured = targets(settings, error_blocks(machine, settings), table, files.reflectors)
+    return measured.places(machine, commanded(machine, table), settings.instrument.on)
 
 
 def around(places: Array, count: int) -> Array:

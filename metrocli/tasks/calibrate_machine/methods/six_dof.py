@@ -225,13 +225,13 @@ def displacement_only(settings: Settings, lines: MeasuredLines, table: Table) ->
 def runs_of(lines: MeasuredLines, table: Table) -> list[Run]:
     """Return the runs along single axes with their displacement readings; a line may have runs in both directions."""
     turns = np.flatnonzero((np.diff(lines.of) != 0) | (np.diff(lines.sense) != 0)) + 1
-    found = []
+    runs = []
     for rows in np.split(np.arange(len(lines.of)), turns):
         direction, name = lines.axis[lines.of[rows[0]]], lines.names[lines.of[rows[0]]]
         if len(DIRECTIONS[direction]) == 1 and len(rows) > 1:
             at = tuple(np.delete(lines.position[:, rows[0]], DIRECTIONS[direction]).round(2).tolist())
-            found.append(Run(direction.upper(), lines.distance[rows], table.numbers(f"e{direction}")[rows], at, name))
-    return found
+            runs.append(Run(direction.upper(), lines.distance[rows], table.numbers(f"e{direction}")[rows], at, name))
+    return runs
 
 
 def approach(lines: MeasuredLines) -> dict[str, Array]:

@@ -143,13 +143,13 @@ def targets(settings: Settings, blocks: Mapping[str, Block], table: Table, refle
     on_workpiece = np.array([known[name][0] for name in read])
     number = np.array([known[name][1] for name in read])
     tool_block, more = _with_tools(blocks[TOOL], reflectors, ~fixed)
-    found = {TOOL: tool_block}
+    unknowns = {TOOL: tool_block}
     others = [*tool_prior(blocks, settings), *more]
     if fixed.any():
-        found[ON_WORKPIECE], known_places = _listed(reflectors, "reflector", fixed)
+        unknowns[ON_WORKPIECE], known_places = _listed(reflectors, "reflector", fixed)
         others += known_places
     return MeasuredTargets(
-        found,
+        unknowns,
         np.where(on_workpiece, 0, number),
         np.where(on_workpiece, number, 0),
         on_workpiece,
@@ -183,9 +183,9 @@ def brought_to(machine: Machine, position: Array, ball: Array, tip: Array) -> Ar
 def moved_by(machine: Machine, position: Array, way: Array) -> Array:
     """Return positions (axes, n) whose linear axes are moved by ways (3, n) along x, y and z."""
     linear = [i for i, axis in enumerate(machine.axes) if not isinstance(axis, RotaryAxis)]
-    found = np.array(position)
-    found[linear] += way[[machine.axes[i].number for i in linear]]
-    return found
+    moved = np.array(position)
+    moved[linear] += way[[machine.axes[i].number for i in linear]]
+    return moved
 
 
 def _with_tools(tools: Block, listed: Table, chosen: Mask) -> tuple[Block, list[Group]]:
@@ -229,17 +229,17 @@ def balls_of(settings: Settings, blocks: Mapping[str, Block], table: Table, ball
     )
 
 
-def with_distances(found: MeasuredTargets, distances: Table | None) -> MeasuredTargets:
+def with_distances(measured: MeasuredTargets, distances: Table | None) -> MeasuredTargets:
     """Return targets with calibrated distances between points on the workpiece.
 
     Raises InputError for a name that no reading has.
     """
     if distances is None:
-        return found
-    if not found.workpiece:
+        return measured
+    if not measured.workpiece:
         raise InputError([distances.fault("there are no points on the workpiece", "leave the distances out")])
-    names = found.blocks[ON_WORKPIECE].members
-    ends = np.stack([matched(distances, one, list(names), "the points that are read") for one in ("from", "to")])
+    names = measured.blocks[ON_WORKPIECE].members
+    ends = np.stack([matched(distances, end, list(names), "the points that are read") for end in ("from", "to")])
     refuse(
         distances,
         {
@@ -256,4 +256,4 @@ def with_distances(found: MeasuredTargets, distances: Table | None) -> MeasuredT
         unit="mm",
     )
     group = Group("distances", Chain((DistanceBetween(ON_WORKPIECE),)), observed)
-    return replace(found, others=(*found.others, group))
+    return replace(measured, others=(*measured.others, group))

@@ -108,8 +108,8 @@ def plan_of_path(settings: Settings, table: Table | None) -> Plan:
     own = [] if table is None else _own(settings, wanted, path_of(settings, machine, table))
     longest = wanted.length or edges_and_diagonals(machine).length
     asked = PathRequirements(longest, wanted.ratio * _MARGIN, len(settings.tools), wanted.seed)
-    found = search(machine, lambda path: planned_problem(settings, wanted, path), asked)
-    path = Path.of(found.vertices, found.tool)
+    chosen = search(machine, lambda path: planned_problem(settings, wanted, path), asked)
+    path = Path.of(chosen.vertices, chosen.tool)
     worth = worth_of(settings, planned_problem(settings, wanted, path))
     time, ratio = float(travelled_time(path, wanted.feed)), worth.identified.ratio
     warnings = (
@@ -124,8 +124,8 @@ def plan_of_path(settings: Settings, table: Table | None) -> Plan:
     ]
     figures = (Estimate("path_length", path.length, 0.0, "mm"), Estimate("duration", time, 0.0, "s"))
     files: dict[str, Table | str] = {
-        "path.csv": _path_table(settings, found, wanted),
-        "path.nc": _program(settings, found, wanted),
+        "path.csv": _path_table(settings, chosen, wanted),
+        "path.nc": _program(settings, chosen, wanted),
     }
     return planned(notes, figures, worth, files, warnings)
 
@@ -200,21 +200,21 @@ def predicted_errors(tables: Tables, identified: Identifiability) -> Table:
     )
 
 
-def _path_table(settings: Settings, found: ChosenPath, wanted: PathPlan) -> Table:
-    table = Table.of({"x y z [mm]": found.vertices})
+def _path_table(settings: Settings, path: ChosenPath, wanted: PathPlan) -> Table:
+    table = Table.of({"x y z [mm]": path.vertices})
     if list(settings.tools) != [""]:
-        table = table.joined({"tool": np.array(list(settings.tools))[found.tool]})
-    return table.joined({"feed [mm/s]": np.full(len(found.tool), wanted.feed)})
+        table = table.joined({"tool": np.array(list(settings.tools))[path.tool]})
+    return table.joined({"feed [mm/s]": np.full(len(path.tool), wanted.feed)})
 
 
-def _program(settings: Settings, found: ChosenPath, wanted: PathPlan) -> str:
+def _program(settings: Settings, path: ChosenPath, wanted: PathPlan) -> str:
     """Return the path as an NC program: positions of the spindle's reference point, without tool length offset."""
     names = list(settings.tools)
     blocks: list[NcBlock] = []
-    for i, vertex in enumerate(found.vertices):
+    for i, vertex in enumerate(path.vertices):
         to = dict(zip("XYZ", vertex.tolist(), strict=True))
-        if i == 0 or found.tool[i] != found.tool[i - 1]:
-            blocks += [Stop(f"mount reflector {names[found.tool[i]]}".strip()), Rapid(to), Dwell(REST)]
+        if i == 0 or path.tool[i] != path.tool[i - 1]:
+            blocks += [Stop(f"mount reflector {names[path.tool[i]]}".strip()), Rapid(to), Dwell(REST)]
         else:
             blocks += [Feed(to, wanted.feed), Dwell(REST)]
     remarks = [*PLACES, "the reflector faces the tracker; exact stop at every vertex"]

@@ -114,10 +114,12 @@ def _chosen(settings: Settings, wanted: PathPlan, candidates: Array) -> _Choice:
             f"{wanted.time / 3600:.1f} h are too short for three stations with {_FEWEST} points for each tool: "
             "give `plan: {time: ...}` more, or use fewer knots"
         )
-    enough = [one for one in choices if wanted.uncertainty is not None and one.uncertainty <= wanted.uncertainty]
+    enough = [
+        choice for choice in choices if wanted.uncertainty is not None and choice.uncertainty <= wanted.uncertainty
+    ]
     if enough:
-        return min(enough, key=lambda one: one.time)
-    return min(choices, key=lambda one: one.uncertainty)
+        return min(enough, key=lambda choice: choice.time)
+    return min(choices, key=lambda choice: choice.uncertainty)
 
 
 def _in_turn(settings: Settings, wanted: PathPlan, candidates: Array) -> Iterator[_Choice]:
@@ -135,11 +137,11 @@ def _in_turn(settings: Settings, wanted: PathPlan, candidates: Array) -> Iterato
         if len(chosen) < 3 or most < _FEWEST:
             continue
         points = min(most, _MOST)
-        one = float(np.sqrt(variances[best] * (_TRIED + 8)))
+        unit = float(np.sqrt(variances[best] * (_TRIED + 8)))
         if wanted.uncertainty is not None:
-            points = min(max(int(np.ceil((one / wanted.uncertainty) ** 2)) - 8, _FEWEST), points)
+            points = min(max(int(np.ceil((unit / wanted.uncertainty) ** 2)) - 8, _FEWEST), points)
         time = len(chosen) * (wanted.setup + (points + 8) * tools * step)
-        yield _Choice(tuple(chosen), points, one / np.sqrt(points + 8), time)
+        yield _Choice(tuple(chosen), points, unit / np.sqrt(points + 8), time)
 
 
 def _matrices(settings: Settings, table: Table, candidates: Array) -> tuple[list[Array], Array, Array]:

@@ -45,7 +45,7 @@ def worst_ratio(problem: MachineProblem) -> float:
 
 def _loose(held: Sequence[Group]) -> list[Group]:
     """Return the conditions of tables among groups, with weights like those of readings, which saves digits."""
-    return [one.with_noise_times(_LOOSE) for one in held if isinstance(one.chain.links[0], Combinations)]
+    return [group.with_noise_times(_LOOSE) for group in held if isinstance(group.chain.links[0], Combinations)]
 
 
 def _angles_as_lengths(problem: MachineProblem) -> Array:

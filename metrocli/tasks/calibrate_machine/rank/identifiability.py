@@ -130,7 +130,7 @@ def at_knots(problem: MachineProblem) -> tuple[Group, ...]:
     """
     turning = [axis for axis in problem.machine.axes if isinstance(axis, RotaryAxis)]
     readings = problem.readings
-    others = tuple(one for one in problem.groups if one.name != readings.name)
+    others = tuple(group for group in problem.groups if group.name != readings.name)
     if not turning:
         return problem.groups
     copies = []

@@ -43,7 +43,7 @@ class OpenDirections:
     def rows_of(self) -> Mapping[str, Index]:
         """Indices of the unknowns of each error, by its name."""
         columns = [column for _, _, column in self.unknowns.names(self.blocks)]
-        return {name: np.array([i for i, one in enumerate(columns) if one == name], int) for name in self.names}
+        return {name: np.array([i for i, column in enumerate(columns) if column == name], int) for name in self.names}
 
     def moved(self, group_rows: Array) -> Array:
         """Return the displacement that each direction causes at its full plausible size, (d*n, k)."""

@@ -110,11 +110,11 @@ def _std_of(name: str) -> str:
     return f"s{name}" if len(name) == 1 else f"s_{name}"
 
 
-def _fit(one: RequestedFeature, criterion: Criterion, points: Array) -> FeatureFit:
+def _fit(feature: RequestedFeature, criterion: Criterion, points: Array) -> FeatureFit:
     try:
-        return (least_squares if criterion is Criterion.LEAST_SQUARES else minimum_zone)(one.shape, points)
+        return (least_squares if criterion is Criterion.LEAST_SQUARES else minimum_zone)(feature.shape, points)
     except (UndeterminedError, NotConvergedError) as error:
-        raise type(error)(f"feature '{one.name}': {error}", _READINGS_FIT) from error
+        raise type(error)(f"feature '{feature.name}': {error}", _READINGS_FIT) from error
 
 
 def _refuse_vague(each: Sequence[tuple[RequestedFeature, FeatureFit]], values: Array, std: Array) -> None:

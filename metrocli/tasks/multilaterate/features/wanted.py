@@ -30,17 +30,17 @@ def wanted_features(features: Mapping[str, LocatedValue], probing: Table | None)
     """Return the features of a job; raises InputError for those without points or with too few."""
     names = np.array([] if probing is None else probing.texts("feature"), dtype=str)
     known = sorted(set(names.tolist()))
-    found, faults = [], []
+    requested, faults = [], []
     for name, placed in features.items():
         shape = IdealFeature(placed.value if isinstance(placed.value, str) else placed.value.shape)
         fit = "least-squares" if isinstance(placed.value, str) else placed.value.fit
         rows = np.flatnonzero(names == name)
         if fault := _fault(name, shape, len(rows), known, placed):
             faults.append(fault)
-        found.append(RequestedFeature(name, shape, tuple(Criterion) if fit == "both" else (Criterion(fit),), rows))
+        requested.append(RequestedFeature(name, shape, tuple(Criterion) if fit == "both" else (Criterion(fit),), rows))
     if faults:
         raise InputError(faults)
-    return tuple(found)
+    return tuple(requested)
 
 
 def _fault(name: str, shape: IdealFeature, points: int, known: list[str], placed: LocatedValue) -> Fault | None:

@@ -192,8 +192,8 @@ def _families(problem: GridProblem, basis: Array, fields: Array, extra: int) -> 
     for pattern, projector in patterns(problem):
         inside = basis.T @ projector(fields).reshape(basis.shape)
         values, vectors = np.linalg.eigh((inside + inside.T) / 2)
-        found = vectors[:, values > 1 - _ONE]
-        fresh = found - named @ (named.T @ found)
+        open_vectors = vectors[:, values > 1 - _ONE]
+        fresh = open_vectors - named @ (named.T @ open_vectors)
         new, sizes, _ = thin_svd(fresh)
         new = new[:, sizes > 1e-4]
         if new.shape[1]:

@@ -94,4 +94,4 @@ def _without_the_unread(block: Block, index: Mapping[str, Index]) -> Block:
 
 def named(covariates: Iterable[Covariate]) -> tuple[Covariate, ...]:
     """Return the covariates that are not constant over the readings."""
-    return tuple(one for one in covariates if np.ptp(np.atleast_2d(one.values[IMAGES]), axis=1).max() > 0)
+    return tuple(known for known in covariates if np.ptp(np.atleast_2d(known.values[IMAGES]), axis=1).max() > 0)

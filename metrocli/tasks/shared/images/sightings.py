@@ -163,10 +163,10 @@ def sight(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]:
     A single dot has another place in each image, so it is named after the image (file name without its ending). Raises
     InputError if no image shows a target, or one cannot be read.
     """
-    found = _sought(images, pattern)
-    if isinstance(found, InputError):
-        raise InputError(found.faults)
-    return found
+    observed = _sought(images, pattern)
+    if isinstance(observed, InputError):
+        raise InputError(observed.faults)
+    return observed
 
 
 @lru_cache(maxsize=1)
@@ -189,13 +189,17 @@ def _in_all(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]
     sizes: list[Array] = []
     warnings: list[str] = []
     for name, picture in images:
-        found = find(pattern, picture)
-        if found.reason:
-            warnings.append(f"{name}: {found.reason}")
-        names += [name] * len(found.targets)
-        targets += [name.rsplit(".", 1)[0]] if pattern.type == "dot" and len(found.targets) else list(found.targets)
-        parts.append(found.uv)
-        sizes.append(np.sqrt(found.axes.prod(axis=1)))
+        targets_seen = find(pattern, picture)
+        if targets_seen.reason:
+            warnings.append(f"{name}: {targets_seen.reason}")
+        names += [name] * len(targets_seen.targets)
+        targets += (
+            [name.rsplit(".", 1)[0]]
+            if pattern.type == "dot" and len(targets_seen.targets)
+            else list(targets_seen.targets)
+        )
+        parts.append(targets_seen.uv)
+        sizes.append(np.sqrt(targets_seen.axes.prod(axis=1)))
     uv = np.concatenate([*parts, np.zeros((0, 2))])
     if not len(uv):
         text = f"no target found in any of {len(images.names)} images{_shown_board(pattern, images, images.names)}"

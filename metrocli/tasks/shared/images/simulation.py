@@ -175,11 +175,11 @@ def _image_points(model: Model) -> Array:
     """
     group = model.readings[0]
     for _ in range(_ROUNDS):
-        found = group.chain.predict(model.blocks, group.observations)
-        if not np.isfinite(found).all():
+        uv = group.chain.predict(model.blocks, group.observations)
+        if not np.isfinite(uv).all():
             raise InputError("simulation: with this effect the camera does not see every target; check its size")
-        change = float(np.abs(found - group.observations.readings).max(initial=0.0))
-        group = group.with_observations(group.observations.with_readings(found))
+        change = float(np.abs(uv - group.observations.readings).max(initial=0.0))
+        group = group.with_observations(group.observations.with_readings(uv))
         if change < _SETTLED:
             break
     return group.observations.readings
