@@ -61,8 +61,8 @@ def _of_the_mirror_image(problem: PointPairs) -> float:
     if len(rows) > 3 and mirrored * _MIRRORED < as_listed:
         raise InputError(
             "the measured points are a mirror image of the nominal ones: mirrored, they fit to "
-            f"{mirrored:.3g} mm (root mean square), and to {as_listed:.3g} mm as they are; turn the sign of one axis in "
-            "one of the lists"
+            f"{mirrored:.3g} mm (root mean square), and to {as_listed:.3g} mm as they are; turn the sign of one axis "
+            "in one of the lists"
         )
     names = exchanged(problem.measured, problem.nominal, problem.scale)
     if names is not None:
