@@ -17,7 +17,9 @@ from metrocli.instruments.machine import SQUARENESS, SQUARENESS_NAMES, TOOL
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
+from metrocli.tasks.calibrate_machine.acceptance.paths import paths
 from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
+from metrocli.tasks.calibrate_machine.acceptance.rotary_motion import rotary_motion
 from metrocli.tasks.calibrate_machine.beside_tables import entries, lines, on_workpiece, rotary_axes, stations, tracker
 from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
 from metrocli.tasks.calibrate_machine.problem import PLACES_OF_AXES
@@ -55,13 +57,14 @@ from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 SIGN = "actual minus commanded"
 
 
-def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
-    """Return the result of a solved calibration."""
+def report(solved: Solved, settings: Settings, noise: NoiseFound, listed: Table | None = None) -> Result:
+    """Return the result of a solved calibration; `listed` are the positions of kinematic tests."""
     solution, added = noise.solution, solved.problem.effects
     tables = tables_of(solved.problem.machine, solution, settings.scales)
     identified = solved.identified
     effect_tables, effect_arrays = effect_results(added, solution)
     hidden = uncontrolled(solved, tables, settings)
+    turning, along = rotary_motion(tables, _known(identified)), paths(tables, solved, settings, listed)
     volume = {}
     if not solved.problem.displacement_only:
         volume = volume_tables(tables, identified, settings.volume, solved.problem.tools_used)
@@ -81,6 +84,8 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
             "squareness": _squareness(tables, identified),
             "axes": _axes(tables),
             **rotary_axes(tables.machine),
+            **turning,
+            **along,
             "tools": _tools(solved, solution),
             **on_workpiece(solution),
             **tracker(solution),
@@ -101,7 +106,7 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
         shown=(
             ShownTable("errors", ("error", "status", "with", "largest", "largest_std", "unit")),
             ShownTable("volumetric"),
-            *map(ShownTable, figures),
+            *map(ShownTable, (*turning, *list(along)[:1], *figures)),
             *([ShownTable("suspects")] if len(solved.suspects.rows) else []),
         ),
         notes=(*_notes(solved, settings, noise), *in_words(hidden)),
@@ -144,6 +149,11 @@ def _at_20_degrees(settings: Settings) -> Iterator[str]:
 def _wanted(identified: Identifiability) -> list[str]:
     """Return the names of the errors with tables that the job estimates."""
     return [name for name in identified.tables if identified.status[name] != Determination.NOT_ESTIMATED]
+
+
+def _known(identified: Identifiability) -> list[str]:
+    """Return the names of the errors whose values the readings determine, alone or with others."""
+    return [name for name in _wanted(identified) if identified.status[name] != Determination.UNDETERMINED]
 
 
 def _estimates(solution: Solution) -> tuple[Estimate, ...]:
