@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -18,10 +18,9 @@ from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.acceptance.paths import paths
-from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
 from metrocli.tasks.calibrate_machine.acceptance.rotary_motion import rotary_motion
+from metrocli.tasks.calibrate_machine.acceptance.runs import positioning_of
 from metrocli.tasks.calibrate_machine.beside_tables import entries, lines, on_workpiece, rotary_axes, stations, tracker
-from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
 from metrocli.tasks.calibrate_machine.problem import PLACES_OF_AXES
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.settings import Settings
@@ -71,7 +70,7 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound, listed: Table 
     tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
     found = (*_estimates(solution), *effect_estimates(added, solution))
     doubts, far_off = misplaced(solved)
-    figures, of_figures = _positioning(solved.problem.runs, settings, noise.factor)
+    figures, of_figures = positioning_of(tables, solved, settings, noise.factor)
     return Result(
         kind=KIND.name,
         title="",
@@ -113,18 +112,6 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound, listed: Table 
         details=noise.details([one.name for one in found]),
         plain=("dof",),
     )
-
-
-def _positioning(runs: Sequence[Run], settings: Settings, factor: float) -> tuple[dict[str, Table], tuple[str, ...]]:
-    """Return the figures of ISO 230-2 and the means at their targets, of runs along single axes, and warnings."""
-    if not runs:
-        return {}, ()
-    # readings scatter evenly over the range at rest (ISO 230-2:2014, annex A: E_VE)
-    own = factor * (settings.noise.displacement or 0.0)
-    reading = float(np.hypot(own, settings.positioning.environment / np.sqrt(12)))
-    figures, warnings = positioning(runs, Measured(reading, settings.positioning.scale))
-    tables = {"positioning": figures, "positioning_targets": at_targets(runs)}
-    return {name: one for name, one in tables.items() if one is not None}, warnings
 
 
 def _notes(solved: Solved, settings: Settings, noise: NoiseFound) -> Iterator[str]:
