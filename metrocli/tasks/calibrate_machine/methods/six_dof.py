@@ -28,8 +28,8 @@ from metrocli.instruments.six_dof import (
 )
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support, tool_prior
-from metrocli.tasks.calibrate_machine.iso230 import Run
-from metrocli.tasks.calibrate_machine.problem import SIDES, MachineProblem, conditions, model_of, since_turns
+from metrocli.tasks.calibrate_machine.iso230 import Run, others_at
+from metrocli.tasks.calibrate_machine.problem import SIDES, Problem, conditions, model_of, since_turns
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.words import listed, suggestion
 
@@ -229,9 +229,10 @@ def runs_of(lines: MeasuredLines, table: Table) -> list[Run]:
     for rows in np.split(np.arange(len(lines.of)), turns):
         direction, name = lines.axis[lines.of[rows[0]]], lines.names[lines.of[rows[0]]]
         if len(DIRECTIONS[direction]) == 1 and len(rows) > 1:
-            at = tuple(np.delete(lines.position[:, rows[0]], DIRECTIONS[direction]).round(2).tolist())
-            runs.append(Run(direction.upper(), lines.distance[rows], table.numbers(f"e{direction}")[rows], at, name))
-    return runs
+            at = np.delete(lines.position[:, rows[0]], DIRECTIONS[direction]).round(2).tolist()
+            axis, where = direction.upper(), others_at(direction.upper(), at)
+            found.append(Run(axis, lines.distance[rows], table.numbers(f"e{direction}")[rows], where, name))
+    return found
 
 
 def approach(lines: MeasuredLines) -> dict[str, Array]:
