@@ -57,7 +57,7 @@ def data(result: Result, about: str) -> tuple[PositioningLine, ...] | None:
         letters = _FIGURES if both else _ONE_WAY
         figures = tuple((letter, float(table.numbers(letter)[row]) * size) for letter in letters)
         name = ", ".join(filter(None, key[1:]))
-        lines.append(Line(key[0], name, position[own], up, down, s_up, s_down, figures))
+        lines.append(PositioningLine(key[0], name, position[own], up, down, s_up, s_down, figures))
     return tuple(lines) or None
 
 

@@ -196,11 +196,11 @@ class Combinations:
         """Names of the blocks."""
         return tuple(self.weights)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the combinations (conditions, 1) and their derivatives by each member."""
-        found = sum(np.einsum("cmk,mk->c", own, local.members(name)) for name, own in self.weights.items())
+        applied = sum(np.einsum("cmk,mk->c", own, local.members(name)) for name, own in self.weights.items())
         derivatives = {name: np.swapaxes(own, 0, 1)[..., None] for name, own in self.weights.items()}
-        return Step(np.asarray(found)[:, None], by_block=derivatives)
+        return Step(np.asarray(applied)[:, None], by_block=derivatives)
 
 
 def gauge(machine: Machine, blocks: Mapping[str, Block]) -> tuple[Group, ...]:

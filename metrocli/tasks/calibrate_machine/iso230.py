@@ -78,13 +78,13 @@ def positioning(runs: Sequence[Run], known: LineUncertainty) -> tuple[Table | No
     spread = [expanded(line.up, line.down, line.targets, known) for line in whole]
     table = Table.of(
         {
-            "axis": [one.axis for one in whole],
-            "at": [one.at for one in whole],
-            "line": [one.name for one in whole],
-            "runs_up": [len(one.up) for one in whole],
-            "runs_down": [len(one.down) for one in whole],
-            **{f"{name} [{_unit(whole[0].axis)}]": [one[name] for one in found] for name in FIGURES},
-            **{f"U_{name} [{_unit(whole[0].axis)}]": [one[name] for one in spread] for name in FIGURES},
+            "axis": [line.axis for line in whole],
+            "at": [line.at for line in whole],
+            "line": [line.name for line in whole],
+            "runs_up": [len(line.up) for line in whole],
+            "runs_down": [len(line.down) for line in whole],
+            **{f"{name} [{_unit(whole[0].axis)}]": [figure[name] for figure in evaluated] for name in FIGURES},
+            **{f"U_{name} [{_unit(whole[0].axis)}]": [figure[name] for figure in spread] for name in FIGURES},
         }
     )
     return table, warnings
@@ -100,7 +100,7 @@ def _degrees(axis: str) -> str:
     return "deg" if axis in ANGLES else "mm"
 
 
-def _whole(runs: Sequence[Run]) -> tuple[list[_Line], list[str]]:
+def _whole(runs: Sequence[Run]) -> tuple[list[_LineRuns], list[str]]:
     """Return the lines that were run more than once, over common targets, and warnings of what is left out of them."""
     whole, warnings = [], []
     for axis, at, name in _lines(runs):
@@ -192,16 +192,16 @@ def _lines(runs: Sequence[Run]) -> list[tuple[str, str, str]]:
     )
 
 
-def _too_few(lines: Sequence[_Line]) -> list[str]:
+def _too_few(lines: Sequence[_LineRuns]) -> list[str]:
     """Return warnings of axes of up to 2 m or one turn with fewer runs in a direction, or targets, than are asked."""
     runs: dict[tuple[str, int, int], list[str]] = {}
     targets: dict[tuple[str, int, float], list[str]] = {}
     for line in lines:
         travel, up, down, count = float(np.ptp(line.targets)), len(line.up), len(line.down), len(line.targets)
         if travel <= _LONG and min(up, down) < _RUNS:
-            runs.setdefault((one.axis, up, down), []).append(f"'{one.name}'")
-        if one.axis in AXES and travel <= _LONG and count < max(_TARGETS, ceil(_TARGETS * travel / _PER_METRE)):
-            targets.setdefault((one.axis, count, travel), []).append(f"'{one.name}'")
+            runs.setdefault((line.axis, up, down), []).append(f"'{line.name}'")
+        if line.axis in AXES and travel <= _LONG and count < max(_TARGETS, ceil(_TARGETS * travel / _PER_METRE)):
+            targets.setdefault((line.axis, count, travel), []).append(f"'{line.name}'")
     return [
         *(
             f"axis {axis}, line {listed(names, 5)}: {up} run{'s' * (up != 1)} up and {down} down; {_ASKS} "
@@ -214,10 +214,10 @@ def _too_few(lines: Sequence[_Line]) -> list[str]:
             for (axis, count, travel), names in targets.items()
         ),
         *(
-            f"axis {one.axis}, at {one.at or 'rest'}: {len(one.targets)} targets over {np.ptp(one.targets):g} deg; "
-            f"{_ASKS} {_fewest(one.targets)}"
+            f"axis {line.axis}, at {line.at or 'rest'}: {len(line.targets)} targets over {np.ptp(line.targets):g} deg; "
+            f"{_ASKS} {_fewest(line.targets)}"
             for one in lines
-            if one.axis in ANGLES and len(one.targets) < _fewest(one.targets)
+            if line.axis in ANGLES and len(line.targets) < _fewest(line.targets)
         ),
     ]
 

@@ -56,7 +56,7 @@ from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 SIGN = "actual minus commanded"
 
 
-def report(solved: Solved, settings: Settings, noise: NoiseFound, listed: Table | None = None) -> Result:
+def report(solved: AdjustedMachine, settings: Settings, noise: NoiseFound, listed: Table | None = None) -> Result:
     """Return the result of a solved calibration; `listed` are the positions of kinematic tests."""
     solution, added = noise.solution, solved.problem.effects
     tables = tables_of(solved.problem.machine, solution, settings.scales)
@@ -114,7 +114,7 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound, listed: Table 
     )
 
 
-def _notes(solved: Solved, settings: Settings, noise: NoiseFound) -> Iterator[str]:
+def _notes(solved: AdjustedMachine, settings: Settings, noise: NoiseFound) -> Iterator[str]:
     """Yield what the machine was measured and adjusted with, in sentences."""
     yield from identifiability_notes(solved.identified)
     yield from solved.problem.notes

@@ -43,7 +43,7 @@ PROBLEMS: Mapping[str, Callable[[Settings, Table, Files], MachineProblem]] = {
 """The adjustment problem of a table, by the method that reads rotary axes in any pose"""
 
 
-def problem_at(settings: Settings, table: Table, files: Files) -> Problem:
+def problem_at(settings: Settings, table: Table, files: Files) -> MachineProblem:
     """Return the adjustment problem of a table, with the errors that an earlier calibration gives.
 
     Raises InputError if the files do not belong together.

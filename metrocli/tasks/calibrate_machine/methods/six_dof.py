@@ -29,7 +29,7 @@ from metrocli.instruments.six_dof import (
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support, tool_prior
 from metrocli.tasks.calibrate_machine.iso230 import Run, others_at
-from metrocli.tasks.calibrate_machine.problem import SIDES, Problem, conditions, model_of, since_turns
+from metrocli.tasks.calibrate_machine.problem import SIDES, MachineProblem, conditions, model_of, since_turns
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.words import listed, suggestion
 
@@ -231,8 +231,8 @@ def runs_of(lines: MeasuredLines, table: Table) -> list[Run]:
         if len(DIRECTIONS[direction]) == 1 and len(rows) > 1:
             at = np.delete(lines.position[:, rows[0]], DIRECTIONS[direction]).round(2).tolist()
             axis, where = direction.upper(), others_at(direction.upper(), at)
-            found.append(Run(axis, lines.distance[rows], table.numbers(f"e{direction}")[rows], where, name))
-    return found
+            runs.append(Run(axis, lines.distance[rows], table.numbers(f"e{direction}")[rows], where, name))
+    return runs
 
 
 def approach(lines: MeasuredLines) -> dict[str, Array]:
