@@ -15,7 +15,7 @@ from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import CORRELATED, READINGS
 from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.hidden_change import POWER, UndetectedBias, forms_for, hidden_by_readings, hidden_change
+from metrocli.diagnosis.hidden_change import POWER, UndetectedBias, forms_for, hidden_by_readings, undetected_bias
 from metrocli.diagnosis.linear.candidates import Candidate, NotTested
 from metrocli.diagnosis.linear.distributions import noncentrality, single_level
 from metrocli.diagnosis.linear.projection import Linearised
@@ -53,10 +53,10 @@ class DetectableCandidate:
 
     It is counted over all that is tried; inf if nothing is visible.
     """
-    hides: UndetectedBias
+    undetected: UndetectedBias
     """Largest change of the delivered result by an effect that is not found with 95 % power"""
     assumed: float
-    """Largest size that `hides` counts with: the largest usual one, or that found with 95 % power if it is larger"""
+    """Largest size that `undetected` counts with: the largest usual one, or that found with 95 % power if larger"""
     absorbed_by: tuple[str, ...]
     missed: bool = False
     """Whether its scan is too coarse for the readings, so that a form between two of its values can be missed"""
@@ -100,7 +100,7 @@ class WrongReading:
     """Median over all readings of the smallest error that is found, in their unit; inf if none shows its own error"""
     between: tuple[float, float]
     """The smallest and the largest of these errors over the readings that are checked"""
-    hides: UndetectedBias
+    undetected: UndetectedBias
     """Largest change of the delivered result by an error of one reading that is not found with 95 % power"""
     unchecked: int
     """Number of readings whose errors no other reading shows"""
@@ -184,7 +184,7 @@ def _candidate(state: State, family: int, chosen: Sequence[int], noise: float) -
     farthest = np.sqrt(own.columns.parameters) * assumed / alternative.effect.plausible
     reach = np.array([(power[q], farthest) for q in ranks.tolist()])
     some = thinned(np.arange(float(len(chosen))), forms_for(m.system, own.columns.parameters)).astype(int)
-    hides = hidden_change(m.job, m.system, own, np.array(chosen)[some].tolist(), gram, reach[some])
+    hides = undetected_bias(m.job, m.system, own, np.array(chosen)[some].tolist(), gram, reach[some])
     absorbers = () if rank else _absorbers(m.system, _full(m.job, m.system, alternative))
     missed = own.has_gaps(m.system, chosen)
     upper = _upper(state, family, at)

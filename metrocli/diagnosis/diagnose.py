@@ -94,7 +94,7 @@ def diagnose(
     return Diagnosis(
         job=first.measurement.job,
         noise=noise,
-        noisier_units=_variance_groups(state),
+        variance_groups=_variance_groups(state),
         outliers=wrong_readings(state),
         findings=tuple(_findings(state, zip(names, gained, shifts, strict=False), noise.ratio)),
         left=_left(state, correlated, laws, repeats, whole or gained[-1] if names else whole),
@@ -109,7 +109,7 @@ def diagnose(
         scatters=scattered,
         unconfirmed=unconfirmed,
         laws=laws,
-        processes=correlated,
+        correlated_errors=correlated,
         limited=limit if job.budget.ended else None,
         interrupted=job.budget.interrupted,
         quick=quick,

@@ -117,7 +117,7 @@ class Diagnosis:
 
     job: AdjustedJob
     noise: NoiseRatio
-    noisier_units: tuple[VarianceGroup, ...]
+    variance_groups: tuple[VarianceGroup, ...]
     outliers: tuple[Outlier, ...]
     findings: tuple[Finding, ...]
     left: RemainingStructure | None
@@ -141,7 +141,7 @@ class Diagnosis:
     """Effects that held-out readings do not confirm; they are not in the model"""
     laws: tuple[Law, ...] = ()
     """The simplest sums of terms that explain what no effect does, one for each number of terms"""
-    processes: tuple[CorrelatedError, ...] = ()
+    correlated_errors: tuple[CorrelatedError, ...] = ()
     """Smooth random errors that belong to the noise; all effects are found beside them"""
     limited: float | None = None
     """The limit of CPU time [s], if the search ended there"""

@@ -48,7 +48,7 @@ class UndetectedBias:
     """Name of the member that moves most, such as the point"""
 
 
-def hidden_change(
+def undetected_bias(
     job: AdjustedJob, system: Linearised, family: CandidateGroup, chosen: Sequence[int], gram: Array, reach: Array
 ) -> UndetectedBias:
     """Return the largest change of a delivered member by undetected sizes theta of some alternatives of a family.

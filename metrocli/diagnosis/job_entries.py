@@ -49,7 +49,7 @@ def proposed_noise(diagnosis: Diagnosis) -> str:
     Left are structure and smooth errors that count as noise: uncertainties for white noise include neither.
     """
     job = diagnosis.job
-    left = diagnosis.left is not None or diagnosis.processes
+    left = diagnosis.left is not None or diagnosis.correlated_errors
     return STRUCTURED if left and job.sharing >= FEWEST and job.noise_model != STRUCTURED else ""
 
 

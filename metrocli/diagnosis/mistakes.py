@@ -62,7 +62,7 @@ class Mistaken:
     mistakes: tuple[Mistake, ...]
     job: AdjustedJob
     before: float
-    """`strangeness` of the job with the mistake, inf if it failed"""
+    """`misfit_ratio` of the job with the mistake, inf if it failed"""
     after: float
 
 
@@ -156,7 +156,7 @@ def _redundant(job: AdjustedJob) -> int:
     return max(rows - sum(int(block.free.sum()) for block in job.model.blocks.values()), 1)
 
 
-def strangeness(job: AdjustedJob) -> float:
+def misfit_ratio(job: AdjustedJob) -> float:
     """Return how far a job is beyond the plausible: by its median residual, or by its places compared with the files.
 
     Above 1 it is absurd.

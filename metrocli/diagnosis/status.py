@@ -86,8 +86,8 @@ def reason_of_scatter(candidate: ScatterCandidate, word: str) -> str:
     if word == Status.NOT_TESTABLE:
         return candidate.reason
     least = candidate.effect.parameters[0].sized(candidate.detectable)
-    said = "excluded above" if word == Status.EXCLUDED else "detected from"
-    return f"{said} a standard deviation of {least}"
+    message = "excluded above" if word == Status.EXCLUDED else "detected from"
+    return f"{message} a standard deviation of {least}"
 
 
 def _claims(name: IdentifiedEffect, alternative: Candidate) -> bool:
@@ -111,7 +111,7 @@ def reason(candidate: DetectableCandidate, word: str, structure: Sequence[str] =
     parameter = effect.parameters[0]
     plausible, at = parameter.readable(candidate.plausible)
     if word == Status.NOT_TESTABLE:
-        return f"absorbed by {', '.join(candidate.absorbed_by)}; `hides` is for {plausible:.3g} {at}".rstrip()
+        return f"absorbed by {', '.join(candidate.absorbed_by)}; `undetected` is for {plausible:.3g} {at}".rstrip()
     if word == Status.NOT_DECIDED:
         return "the search ended before this was decided"
     size, unit = parameter.readable(excluded_above(candidate))
@@ -122,7 +122,7 @@ def reason(candidate: DetectableCandidate, word: str, structure: Sequence[str] =
         name = effect.scanned[0].name
         return f"missed between values of {name}, which are further apart than the readings tell: scan a smaller range"
     if word == Status.CANNOT_SEE:
-        hides = f"`hides` is for {parameter.sized(candidate.assumed)}"
+        hides = f"`undetected` is for {parameter.sized(candidate.assumed)}"
         return f"detected from {f'{size:.3g} {unit}'.strip()} on; {seen_in_words(candidate)}; {hides}"
     return "" if word == Status.NAMED else f"excluded above {f'{size:.3g} {unit}'.strip()}; {seen_in_words(candidate)}"
 
@@ -188,7 +188,7 @@ def _throughout(job: AdjustedJob, scatter: ScatterCandidate, scattered: Sequence
     if not scatter.testable:
         return entry
     least = {"value": scatter.detectable, "unit": scatter.effect.parameters[0].unit}
-    return entry | {"minimal_detectable": least, "above": least, "hides": _hides(job, scatter.hides)}
+    return entry | {"minimal_detectable": least, "above": least, "hides": _hides(job, scatter.undetected)}
 
 
 def _wrong_reading(job: AdjustedJob, reading: WrongReading) -> dict[str, Any]:
@@ -202,7 +202,7 @@ def _wrong_reading(job: AdjustedJob, reading: WrongReading) -> dict[str, Any]:
     return _open(reading.effect, {}, Status.EXCLUDED, words) | {
         "minimal_detectable": {"value": reading.detectable, "unit": reading.effect.parameters[0].unit},
         "above": {"value": reading.between[1], "unit": reading.effect.parameters[0].unit},
-        "hides": _hides(job, reading.hides),
+        "hides": _hides(job, reading.undetected),
     }
 
 
@@ -211,7 +211,7 @@ def _candidate(job: AdjustedJob, candidate: DetectableCandidate, word: str, stru
     return _open(own.effect, own.where, word, reason(candidate, word, structure)) | {
         "visible_share": candidate.visible,
         **_sizes(candidate),
-        "hides": _hides(job, candidate.hides),
+        "hides": _hides(job, candidate.undetected),
     }
 
 

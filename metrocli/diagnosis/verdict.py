@@ -35,7 +35,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             "ratio": noise.ratio,
             "interval": [noise.low, noise.high],
             "as_declared": noise.as_declared,
-            "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.noisier_units],
+            "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.variance_groups],
             "repeats": None if repeats is None else {"ratio": repeats.ratio, "lack_of_fit": repeats.lack_of_fit},
         },
         "part": _part(diagnosis.job),
@@ -52,7 +52,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
         "together": None if diagnosis.together is None else _gain(diagnosis.together, diagnosis.job),
         "structure": {"before": diagnosis.before, "after": diagnosis.after},
         "unexplained": None if left is None else _left(diagnosis.job, left),
-        "processes": [_process(diagnosis.job, error) for error in diagnosis.processes],
+        "processes": [_process(diagnosis.job, error) for error in diagnosis.correlated_errors],
         "laws": [_law(diagnosis.job, law) for law in diagnosis.laws],
         "candidates": candidates(
             diagnosis.job,

@@ -74,11 +74,11 @@ class Jets:
         with np.errstate(all="ignore"):
             jet = self._applied(part.operation, arguments)
         if not np.isfinite(jet.value).all():
-            said = f"'{self.expression.source(part)}' has no value at the best estimates"
-            raise NoValueError(said, part.start, "outside the range of the function, or a division by zero")
+            message = f"'{self.expression.source(part)}' has no value at the best estimates"
+            raise NoValueError(message, part.start, "outside the range of the function, or a division by zero")
         if not all(np.isfinite(item).all() for item in (jet.gradient, jet.hessian, jet.along) if item is not None):
-            said = f"'{self.expression.source(part)}' has no derivative at the best estimates"
-            raise _not_differentiable(said, part.start)
+            message = f"'{self.expression.source(part)}' has no derivative at the best estimates"
+            raise _not_differentiable(message, part.start)
         return jet
 
     def _applied(self, operation: str, arguments: Sequence[Jet]) -> Jet:

@@ -140,8 +140,8 @@ def _near(text: str, start: int) -> str:
 def _refuse_text(text: str) -> None:
     """Raise ExpressionError for faults that show in the text itself, which limits the work of the parser."""
     if len(text) > LONGEST:
-        said = f"the model has {len(text)} characters, at most {LONGEST} are allowed"
-        raise ExpressionError(said, LONGEST, "write it as several shorter ones")
+        message = f"the model has {len(text)} characters, at most {LONGEST} are allowed"
+        raise ExpressionError(message, LONGEST, "write it as several shorter ones")
     foreign = _FOREIGN.search(text)
     if foreign:
         character = foreign[0]

@@ -267,8 +267,8 @@ def repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Con
         if raw.numbers[row] in without:
             continue
         if key in first:
-            said = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
-            faults.append(raw.fault(f"{said}: a second row", raw.numbers[row], None, f"first in line {first[key]}"))
+            message = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
+            faults.append(raw.fault(f"{message}: a second row", raw.numbers[row], None, f"first in line {first[key]}"))
         else:
             first[key] = raw.numbers[row]
     return faults

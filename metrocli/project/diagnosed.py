@@ -36,7 +36,7 @@ from metrocli.effects.acting import Variable
 from metrocli.effects.own import columns
 from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError, UsageError
 from metrocli.formats.csv_text import numeric
-from metrocli.formats.file_bytes import written_aside
+from metrocli.formats.file_bytes import atomic_write
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node, node_of, relocated
 from metrocli.progress import SILENT, Named, Progress, counted
@@ -212,7 +212,7 @@ def _write(job: JobFile, diagnosis: Diagnosis, law: Law | None, place: tuple[Pat
     body = yaml_text.emit(_extended(job, new, defined, diagnosis, (path.parent, result)))
     how = _NAMED if new or diagnosis.scatters else _RIGHT if _correction(diagnosis) else _SHARED
     text = f"# {job.file.name}{how}\n{_DIGEST}{_digest(body)[:16]}\n{body}"
-    with written_aside(path) as aside:
+    with atomic_write(path) as aside:
         aside.write_text(text, encoding="utf-8")
 
 

@@ -144,8 +144,8 @@ def _checked(value: Any, node: Node, faults: list[Fault]) -> Any:
     The method yields `(key path, message[, hint])`, or a Fault with its place. Returns BAD if there is any.
     """
     check = getattr(value, "faults", None)
-    said = list(check()) if check else []
-    listed = [item if isinstance(item, Fault) else node.at(item[0]).fault(*item[1:]) for item in said]
+    message = list(check()) if check else []
+    listed = [item if isinstance(item, Fault) else node.at(item[0]).fault(*item[1:]) for item in message]
     faults.extend(listed)
     return BAD if listed else value
 

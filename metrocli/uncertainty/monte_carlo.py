@@ -146,16 +146,16 @@ def _adaptive(plan: TrialsPlan, workers: Workers, digits: int, most: int) -> Mon
             "  fix the number of trials (`trials`), or choose a smaller probability or k"
         )
     kept: list[Batch] = []
-    settled = False
+    converged = False
     numbers = range(max(min(most, _kept(plan)) // plan.chunk, 2))
     for batch in _told(workers.ordered(Work(plan, 1), numbers), workers, None):
         kept.append(batch)
         # a standard deviation over chunks needs two of them
         if len(kept) > 1 and _small(_tally(kept), np.concatenate([batch.spread for batch in kept]), plan.units, digits):
-            settled = True
+            converged = True
             break
     outcome = _gathered(plan, kept)
-    if settled:
+    if converged:
         return outcome
     edges = tuple(Edges.around(row.values) for row in outcome.samples if isinstance(row, Sorted))
     total = Batch(_tally(kept), np.concatenate([batch.spread for batch in kept]), None, _binned(outcome, edges))

@@ -94,13 +94,13 @@ def _line(
     seen = {status.usual_seen(candidate) for candidate in candidates}
     beside = status.usual_beside(effect, min(sizes, default=candidates[0].plausible))
     usual = f"{beside}: {_SEEN[seen.pop() if len(seen) == 1 else 'part']}" if beside else ""
-    most = max((candidate.hides for candidate in candidates), key=lambda hidden: hidden.size)
+    most = max((candidate.undetected for candidate in candidates), key=lambda hidden: hidden.size)
     return name, where, _status(word, sizes, effect.parameters[0]), usual, _hidden(adjusted, most), why
 
 
 def _off(candidates: Sequence[DetectableCandidate]) -> str:
     """Return the size of the effect for which its largest change of the result holds."""
-    most = max(candidates, key=lambda candidate: candidate.hides.size)
+    most = max(candidates, key=lambda candidate: candidate.undetected.size)
     return f"off by this if its size is {most.alternative.effect.parameters[0].sized(most.assumed)}"
 
 
@@ -120,13 +120,13 @@ def _of_scatter(
         return scatter.effect.name, "everywhere", word, "", "", scatter.reason
     word = "detectable" if open_yet and word == status.Status.EXCLUDED else word
     usual = status.usual_beside(scatter.effect, scatter.detectable)
-    said = _status(word, [scatter.detectable], scatter.effect.parameters[0])
+    message = _status(word, [scatter.detectable], scatter.effect.parameters[0])
     return (
         scatter.effect.name,
         "everywhere",
-        said,
+        message,
         usual,
-        _hidden(adjusted, scatter.hides),
+        _hidden(adjusted, scatter.undetected),
         "sizes are standard deviations",
     )
 
@@ -138,7 +138,7 @@ def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool) -> 
     word = _status("detectable" if open_yet else status.Status.EXCLUDED, wrong.between, wrong.effect.parameters[0])
     why = "larger ones are listed as wrong readings"
     why += f"; {wrong.unchecked} readings are checked by no other" if wrong.unchecked else ""
-    return name, "one reading", word, "", _hidden(adjusted, wrong.hides), why
+    return name, "one reading", word, "", _hidden(adjusted, wrong.undetected), why
 
 
 def _hidden(adjusted: AdjustedJob, hidden: UndetectedBias) -> str:

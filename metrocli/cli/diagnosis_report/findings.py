@@ -91,7 +91,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
 
 def _early(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield what a search that ended early may not have done: smooth errors are raced after the names."""
-    if diagnosis.findings and not diagnosis.processes:
+    if diagnosis.findings and not diagnosis.correlated_errors:
         yield "The names may not have been held against smooth random errors yet: some may be chance."
 
 
@@ -184,12 +184,12 @@ def _included(diagnosis: Diagnosis) -> str:
 
 
 def _processes(diagnosis: Diagnosis) -> Iterator[str]:
-    for error in diagnosis.processes:
+    for error in diagnosis.correlated_errors:
         size, chance = error.sized(diagnosis.job.reading[1]), _chance(float(np.exp(error.log_level)))
         yield f"{smooth(error)}: {size} (standard deviation, {chance})"
         if error.instead_of:
             yield f"  Without it these would be named: {listed([str(each) for each in error.instead_of], _SHOWN)}."
-    if diagnosis.processes:
+    if diagnosis.correlated_errors:
         counted = "the named effects and detectable sizes hold" if diagnosis.findings else "detectable sizes hold"
         yield f"  Chance explains it as well as any cause. It counts as noise: {counted} beside it."
         if diagnosis.left is None:

@@ -27,9 +27,11 @@ def headline(diagnosis: Diagnosis) -> str:
         return f"{diagnosis.verdict}{wrong}"
     as_declared = noise.as_declared or diagnosis.job.noise_model or ESTIMATED in diagnosis.job.declared
     limits = [] if as_declared else [f"the noise is {_times(noise.ratio)} times what was declared"]
-    limits += [noisier(unit) for unit in diagnosis.noisier_units if unit.key != DECLARED_SIGMA]
+    limits += [noisier(unit) for unit in diagnosis.variance_groups if unit.key != DECLARED_SIGMA]
     if diagnosis.left is None and diagnosis.job.noise_model != STRUCTURED:
-        limits += [f"an {smooth(error)} is not in the uncertainties of the result" for error in diagnosis.processes]
+        limits += [
+            f"an {smooth(error)} is not in the uncertainties of the result" for error in diagnosis.correlated_errors
+        ]
     where = f" in {diagnosis.job.part}" if diagnosis.job.part else ""
     where += f" so far ({diagnosis.ended_early})" if diagnosis.ended_early else ""
     return f"{diagnosis.verdict}{where}{wrong}{', but ' if limits else ''}{', and '.join(limits)}"
@@ -54,7 +56,7 @@ def summary(diagnosis: Diagnosis) -> Iterator[str]:
     share = 1 - (gain.after / gain.before) ** 2 if gain.before else 0.0
     explained = f"{100 * share:.0f} %" if share > LEAST_REDUCTION else "little"
     verb, remains = "explain" if len(names) > 1 else "explains", ""
-    rest = [error for error in diagnosis.processes if error.unit == diagnosis.job.reading[0]]
+    rest = [error for error in diagnosis.correlated_errors if error.unit == diagnosis.job.reading[0]]
     if rest:
         size = units.sized(
             float(np.sqrt(sum((error.std * error.visible) ** 2 for error in rest))), diagnosis.job.reading[1]

@@ -24,7 +24,7 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
     elif ESTIMATED in declared:
         yield f"noise: {interval} times that of the job ({declared}); the estimated part follows the residuals"
     elif noise.as_declared:
-        others = " for the others" if any(unit.key != DECLARED_SIGMA for unit in diagnosis.noisier_units) else ""
+        others = " for the others" if any(unit.key != DECLARED_SIGMA for unit in diagnosis.variance_groups) else ""
         yield f"noise: as declared{others} ({interval} times {declared or 'it'})"
     else:
         yield f"noise: {interval} times the declared noise{f' ({declared})' if declared else ''}"
@@ -33,7 +33,7 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
             yield f"  Usual reasons: {_USUAL}."
         if noise.low > _HIGH_NOISE and noise.dof < _FEW_DOF:
             yield f"  With {noise.dof:.0f} degrees of freedom, several wrong readings may pass as noise: measure more."
-    for unit in diagnosis.noisier_units:
+    for unit in diagnosis.variance_groups:
         if unit.key == DECLARED_SIGMA:
             yield f"  {_given(unit, unit.ratio * noise.ratio)}"
         else:

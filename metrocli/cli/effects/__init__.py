@@ -96,10 +96,10 @@ def _faults(by_kind: dict[str, tuple[Kind, list[Effect]]]) -> tuple[list[Any], i
     from metrocli.effects.own.trials import broken
 
     faults = [
-        Fault(f"{effect.name}: {said}", hint=f"an effect for {name}")
+        Fault(f"{effect.name}: {message}", hint=f"an effect for {name}")
         for name, (kind, own) in by_kind.items()
         for effect in own
-        for said in broken(effect, kind.task().places)
+        for message in broken(effect, kind.task().places)
     ]
     return faults, sum(len(own) for _, own in by_kind.values())
 

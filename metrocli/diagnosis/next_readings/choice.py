@@ -103,7 +103,9 @@ def next_readings(diagnosis: Diagnosis, count: int) -> Next:
     proposed = proposals(job)
     tests = list(_of_indistinct(diagnosis, proposed, known)) if proposed else []
     if not tests and proposed:
-        unseen = sorted(filter(_is_unseen, diagnosis.design.candidates), key=lambda candidate: -candidate.hides.size)
+        unseen = sorted(
+            filter(_is_unseen, diagnosis.design.candidates), key=lambda candidate: -candidate.undetected.size
+        )
         tried = [_of_candidate(job, candidate.alternative, proposed, known) for candidate in unseen[:_TRIED]]
         tests = [test for test in tried if _can_rise(test, count)][:_UNSEEN]
     return _chosen(tests, proposed, count)
@@ -131,8 +133,10 @@ def revealing(job: AdjustedJob, design: Detectability, wanted: str, count: int) 
     if wanted_candidate is None:
         hint = suggestion(wanted, list(known)) if known else "this job has no candidates"
         reason = next(_reasons(design, name, place.rpartition("=")[2]), "")
-        said = f"is no candidate here: {reason}" if reason else f"is no effect that this measurement could have; {hint}"
-        raise UsageError(f"--reveal: '{wanted}' {said}")
+        message = (
+            f"is no candidate here: {reason}" if reason else f"is no effect that this measurement could have; {hint}"
+        )
+        raise UsageError(f"--reveal: '{wanted}' {message}")
     proposed = proposals(job)
     return _chosen([_of_candidate(job, wanted_candidate, proposed, KnownErrors())] if proposed else [], proposed, count)
 

@@ -49,7 +49,7 @@ class KnownErrors:
     def from_diagnosis(diagnosis: Diagnosis) -> KnownErrors:
         """Return what a diagnosis found out about the readings."""
         wrong = tuple(outlier.keys for outlier in diagnosis.outliers)
-        return KnownErrors(diagnosis.noise.ratio, diagnosis.noisier_units, wrong)
+        return KnownErrors(diagnosis.noise.ratio, diagnosis.variance_groups, wrong)
 
 
 @dataclass(frozen=True)

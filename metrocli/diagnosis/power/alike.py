@@ -83,13 +83,13 @@ def pairs_of(state: State, candidates: Sequence[ComparedCandidate], noise: float
     turns = [_unit(gram[its, its]) for its in own]
     for i, other in enumerate(testable):
         for j in range(i):
-            imitated = turns[j].T @ gram[own[j], own[i]]
-            product = imitated @ turns[i]
+            confounded = turns[j].T @ gram[own[j], own[i]]
+            product = confounded @ turns[i]
             # the largest singular value cannot exceed the root of the sum of squares, so most pairs need no SVD
             apart = other.alternative.spot != testable[j].alternative.spot and (product**2).sum() > _ALIKE**2
             rho = float(np.linalg.norm(product, 2)) if apart else 0.0
             if rho > _ALIKE:
-                size = noise * size_separated(gram[own[i], own[i]], imitated, _SEPARATED)
+                size = noise * size_separated(gram[own[i], own[i]], confounded, _SEPARATED)
                 yield Pair(other.name, testable[j].name, min(rho, 1.0), size, other.unit, other.dimension)
 
 

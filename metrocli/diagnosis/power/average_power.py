@@ -52,19 +52,19 @@ def size_found(grams: Array, ranks: Array, level: float, dof: int, wanted: float
     return _size(mean_power, wanted, max(float(roots[-1]) for roots, _ in curves.values()) / float(strengths.max()))
 
 
-def size_separated(gram: Array, imitated: Array, wanted: float) -> float:
+def size_separated(gram: Array, confounded: Array, wanted: float) -> float:
     """Return the size `a` at which an effect is taken for itself and not for another with a mean probability.
 
     The probability is the mean of `Phi(a |Gd| sqrt((1 - rho) / 2))` over directions d: the larger of two correlated
     projections is that of the right one. G (n, q) is the whitened change of the readings, `gram` is G'G, and rho is
-    the cosine of Gd with the span of the other's orthonormal columns b: `imitated` is b'G (p, q). A direction that the
-    other imitates counts as half a case.
+    the cosine of Gd with the span of the other's orthonormal columns b: `confounded` is b'G (p, q). A direction that
+    the other can mimic counts as half a case.
     """
     from scipy.special import ndtr
 
     towards = directions(gram.shape[1])
     squares = np.einsum("da,ab,db->d", towards, gram, towards)
-    shared = ((imitated @ towards.T) ** 2).sum(axis=0)
+    shared = ((confounded @ towards.T) ** 2).sum(axis=0)
     cosine = np.sqrt(np.minimum(shared / np.maximum(squares, _NOTHING), 1.0))
     strengths = np.sqrt(squares * np.maximum(1 - cosine, _NOTHING) / 2)
     return _size(lambda size: float(ndtr(size * strengths).mean()), wanted, 1 / float(strengths.max()))
@@ -111,7 +111,7 @@ class ScatterCandidate:
     effect: Effect
     detectable: float
     """Standard deviation of its sizes that is found in 80 of 100 cases; inf if none is"""
-    hides: UndetectedBias
+    undetected: UndetectedBias
     """Change of the delivered result that is exceeded in 5 % of cases, by a scatter that is found with 95 % power"""
 
     @property

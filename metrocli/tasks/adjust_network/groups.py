@@ -22,7 +22,7 @@ from metrocli.tasks.adjust_network.readings import Lengths, NetworkReadings
 from metrocli.tasks.adjust_network.settings import Settings
 from metrocli.tasks.adjust_network.sightings import QUANTITIES
 from metrocli.tasks.adjust_network.unknowns import kind_of_stations, rows_of_kind
-from metrocli.tasks.shared.lists import told_apart
+from metrocli.tasks.shared.lists import distinguished
 
 LENGTHS, BARS, HEIGHTS = "lengths", "bars", "heights"
 """Names of the groups of readings beside those of sightings"""
@@ -116,7 +116,7 @@ def _observations(readings: NetworkReadings) -> Observations:
         conditions[s.TARGET_HEIGHT] = seen.height
     pair = seen.point * len(stations.names) + seen.station
     pair = pair * 2 + (seen.face < 0)
-    keys = told_apart(keys, pair * len(seen.rounds) + seen.orientation, conditions.get("t"))
+    keys = distinguished(keys, pair * len(seen.rounds) + seen.orientation, conditions.get("t"))
     return Observations(seen.values, np.ones(1), index, keys=keys, conditions=conditions)
 
 
@@ -146,7 +146,7 @@ def lengths(readings: NetworkReadings) -> Iterator[Group]:
     }
     conditions = distances.table.conditions("t", "temp") | n.parts_of(readings.instruments, instrument)
     conditions |= _begun(conditions, distances.first)
-    keys = told_apart(keys, distances.second * len(stations.names) + distances.first, conditions.get("t"))
+    keys = distinguished(keys, distances.second * len(stations.names) + distances.first, conditions.get("t"))
     observations = Observations(
         distances.values[None], np.ones(1), index, keys=keys, conditions=conditions, components=("length",), unit="mm"
     )

@@ -150,9 +150,9 @@ def _between(table: Table | None, column: str, names: Sequence[str]) -> Lengths 
 
 
 def _must_be_points(chosen: Iterable[str], names: Sequence[str]) -> None:
-    strange = [name for name in chosen if name not in set(names)]
-    if strange:
-        raise InputError(f"datum_points: no file names the points {listed(strange)}")
+    unmatched = [name for name in chosen if name not in set(names)]
+    if unmatched:
+        raise InputError(f"datum_points: no file names the points {listed(unmatched)}")
 
 
 def _with_warnings(readings: NetworkReadings) -> NetworkReadings:

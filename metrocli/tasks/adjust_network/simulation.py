@@ -155,8 +155,8 @@ def simulated(
             kept = {key: one for key, one in table.columns.items() if key != column}
             tables[f"{name}.csv"] = replace(table, columns={**kept, column: read_[name][0]}, units={**table.units})
     names, places = readings.points.names, readings.points.listed
-    said = places + rng.normal(0.0, 1.0, places.shape) * truth.point_error
-    tables["points.csv"] = listed_places("point", names, said)
+    listed_at = places + rng.normal(0.0, 1.0, places.shape) * truth.point_error
+    tables["points.csv"] = listed_places("point", names, listed_at)
     tables["true_points.csv"] = listed_places("point", names, places)
     return Simulation(tables, _truth(model) | true_values(model))
 

@@ -90,8 +90,8 @@ def _interferometers(readings: NetworkReadings, rows: Index, start: NetworkStart
         if lengths is not None:
             own = lengths.first == number
             near = readings.stations.listed[number]
-            told = near if np.isfinite(near).all() else None
-            values[at, :4] = place_of(start.points[lengths.second[own]], lengths.values[own], absolute, told)
+            near_place = near if np.isfinite(near).all() else None
+            values[at, :4] = place_of(start.points[lengths.second[own]], lengths.values[own], absolute, near_place)
     return t.tracer_block(values, [readings.stations.names[i] for i in rows], free, extent)
 
 

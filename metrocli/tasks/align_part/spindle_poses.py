@@ -79,7 +79,7 @@ class SpindlePoses:
         faults = outside(self.machine, self.commanded, "image", rows)
         open_ones = _with_status(self.machine, "undetermined")
         if open_ones:
-            said = (
+            message = (
                 f"the machine's result does not determine {', '.join(open_ones)}: it predicts the tools that were "
                 "measured, and not how the spindle turns"
             )
@@ -87,7 +87,7 @@ class SpindlePoses:
                 "calibrate with three tools that are not on one line, or name in `estimate` of its job the errors "
                 "without these, which then count as zero"
             )
-            faults.append(Fault(said, hint=hint))
+            faults.append(Fault(message, hint=hint))
         if faults:
             raise InputError(faults)
 

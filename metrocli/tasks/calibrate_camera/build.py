@@ -158,11 +158,11 @@ def _unmirrored(problem: CameraProblem) -> CameraProblem:
     if problem.rig != "board" or not planar:
         return problem
     turned = better_poses(dict(problem.blocks), problem.images, board, poses.rotation_of(frame)[2])
-    told = (
+    message = (
         f"the readings do not separate the tilt of {len(turned.undecided)} views from its mirror image "
         f"(the board is small or far away): {listed(turned.undecided)}",
     )
-    sighted = replace(problem.sighted, warnings=problem.sighted.warnings + (told if turned.undecided else ()))
+    sighted = replace(problem.sighted, warnings=problem.sighted.warnings + (message if turned.undecided else ()))
     turned_back = problem.with_blocks({**problem.blocks, camera.VIEW: turned.views})
     return replace(turned_back, sighted=sighted)
 

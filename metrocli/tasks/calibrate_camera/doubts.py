@@ -114,9 +114,9 @@ def held_doubts(problem: CameraProblem, settings: CameraSettings, adjusted: Adju
     if not freed.outcome.good or freed.cost >= _MUCH * solution.cost:
         return []
     known, found = (state.blocks[camera.LENS].named() for state in (solution, freed))
-    told = ", ".join(f"{name} is held at {known[name]:g}, but the readings see {found[name]:.4g}" for name in held)
+    fixed = ", ".join(f"{name} is held at {known[name]:g}, but the readings see {found[name]:.4g}" for name in held)
     return [
-        f"{told}: with {' and '.join(held)} free the squared residuals are {freed.cost / solution.cost:.2g} times as "
+        f"{fixed}: with {' and '.join(held)} free the squared residuals are {freed.cost / solution.cost:.2g} times as "
         "large; estimate what is held, or correct it"
     ]
 

@@ -44,8 +44,8 @@ def corner_std(problem: CameraProblem, solution: Solution, readings: Array) -> f
         at_corners, near = (
             np.concatenate([lens, by_shape(link, uv)], axis=1) for lens, uv in ((at_corners, corners), (near, some))
         )
-    imitated = np.linalg.lstsq(near_turn, near, rcond=None)[0]
-    change = at_corners - by_turn @ imitated
+    confounded = np.linalg.lstsq(near_turn, near, rcond=None)[0]
+    change = at_corners - by_turn @ confounded
     covariance = solution.joint((camera.LENS, *([SHAPE] if link is not None else [])))
     variance = np.einsum("ia,ab,ib->i", change, covariance, change)
     return float(np.sqrt(np.maximum(variance.reshape(2, -1).sum(axis=0), 0.0).max()))

@@ -66,7 +66,7 @@ class MachineProblem(Modelled):
     """Whether the instrument stands on the bed of a machine with rotary axes"""
     given: tuple[str, ...] = ()
     """Errors of the linear axes that an earlier calibration gives with their covariance"""
-    said: Array | None = None
+    listed_at: Array | None = None
     """Listed places of the stations of lengths, (stations, 3), nan where not listed; None for other readings"""
 
     @property

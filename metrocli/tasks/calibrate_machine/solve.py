@@ -51,11 +51,11 @@ class AdjustedMachine:
     @cached_property
     def second(self) -> list[Mirrored]:
         """Stations with a second place that fits their lengths as well; none for other readings."""
-        if self.problem.said is None:
+        if self.problem.listed_at is None:
             return []
         name = self.problem.readings.name
         group = next(group for group in self.solution.groups if group.name == name)
-        return mirrored(of_tracers(self.solution, group, self.problem.said), max(1.0, self.solution.misfit))
+        return mirrored(of_tracers(self.solution, group, self.problem.listed_at), max(1.0, self.solution.misfit))
 
     @cached_property
     def suspects(self) -> Suspects:

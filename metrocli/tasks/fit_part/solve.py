@@ -99,16 +99,16 @@ def solve(settings: Settings, prepared: Prepared) -> FittedPart:
     """
     nominal, places = prepared.nominal, prepared.readings.surface_points
     rough = _rough(prepared)
-    settled = levels(nominal, places.points, prepared.readings.surface, rough, places.sigma)
-    used = ~settled.outlying if settings.outliers == "remove" else np.ones(len(places.points), dtype=bool)
-    stock = settled.stock.of(used)
+    even = levels(nominal, places.points, prepared.readings.surface, rough, places.sigma)
+    used = ~even.outlying if settings.outliers == "remove" else np.ones(len(places.points), dtype=bool)
+    stock = even.stock.of(used)
     name, minimum = settings.overstock.aim, settings.overstock.minimum
-    open_motions = c.must_be_determined(stock, settled.into, name)
-    turned = reversed_surfaces(stock, nominal, settled.into) if isinstance(nominal, OfSurfaces) else []
-    highest, largest, holding = most_of_many(stock, settled.into)
+    open_motions = c.must_be_determined(stock, even.into, name)
+    turned = reversed_surfaces(stock, nominal, even.into) if isinstance(nominal, OfSurfaces) else []
+    highest, largest, holding = most_of_many(stock, even.into)
     if not c.feasible(largest, minimum):
         contradictions = c.contradictions(stock, minimum, highest)
-        hint = c.wrong_side(turned) if turned else c.all_inside(settled.level, isinstance(nominal, OfMesh))
+        hint = c.wrong_side(turned) if turned else c.all_inside(even.level, isinstance(nominal, OfMesh))
         raise c.refuse(contradictions, places.of(used).names, minimum, largest, hint)
     # a negative minimum allows for missing material, and surfaces without it look the same
     doubts = [c.wrong_side(turned)] if turned else []
@@ -117,12 +117,12 @@ def solve(settings: Settings, prepared: Prepared) -> FittedPart:
     if name == MOST and not np.isfinite(largest):
         raise UndeterminedError("the least overstock has no limit: no surface faces the others; use another aim")
     # nearer to what is sought than the largest least overstock, where they are allowed: no motion, and the even fit
-    near = {LEAST_MOTION: (prepared.start, settled.into), EVEN: (settled.into,)}.get(name, ())
+    near = {LEAST_MOTION: (prepared.start, even.into), EVEN: (even.into,)}.get(name, ())
     begin = next((into for into in near if _has_the_minimum(stock, minimum, into)), highest)
     aim, fitted = fitted_part(stock, name, minimum, (begin, largest, holding), prepared.start)
     sense = sensitivity_with_exchanges(fitted, aim, prepared.start, places.of(used).places)
     warnings = (*prepared.readings.warnings, *open_motions, *doubts)
-    return FittedPart(prepared, settled, used, stock, aim, fitted, min(minimum, largest), largest, sense, warnings)
+    return FittedPart(prepared, even, used, stock, aim, fitted, min(minimum, largest), largest, sense, warnings)
 
 
 def _has_the_minimum(stock: Stock, minimum: float, into: Array) -> bool:

@@ -17,7 +17,7 @@ from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.distance import between_two
-from metrocli.tasks.multilaterate.layout_faults import carries
+from metrocli.tasks.multilaterate.layout_faults import is_determined
 from metrocli.tasks.multilaterate.problem import TracerNetwork, network_of
 from metrocli.tasks.multilaterate.readings import read as read_lengths
 from metrocli.tasks.multilaterate.settings import Files, LengthSimulation, Settings
@@ -105,8 +105,8 @@ class PlannedNetwork:
         lengths = replace(design, columns={**design.columns, "length": read})
         bare = replace(tracers, columns={k: v for k, v in tracers.columns.items() if k != "dead_path"})
         readings = read_lengths(self.settings, Files(lengths, points, bare))
-        said = readings.tracers.said
-        places = np.column_stack([said, np.zeros(len(said)), np.ones(len(said))])
+        listed_at = readings.tracers.listed_at
+        places = np.column_stack([listed_at, np.zeros(len(listed_at)), np.ones(len(listed_at))])
         network = network_of(self.settings, readings, places, self.distances)
         return network.with_effects(self.effects)
 
@@ -222,7 +222,7 @@ def ranked(layout: PlannedNetwork, candidates: Table | None) -> Ranking:
 
 def _worth(layout: PlannedNetwork) -> tuple[float, float]:
     """Return the uncertainty of the points, root mean square and worst; inf if they are undetermined."""
-    if not carries(layout.network, layout.solution) or layout.solution.covariance is None:
+    if not is_determined(layout.network, layout.solution) or layout.solution.covariance is None:
         return float("inf"), float("inf")
     return root_mean_square(layout.covariances), float(worst_direction(layout.covariances).max())
 

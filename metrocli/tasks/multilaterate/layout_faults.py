@@ -33,7 +33,7 @@ def weakness(network: TracerNetwork, solution: Solution) -> float:
     return float(np.sqrt(max(spread, 0.0)) / np.sqrt((network.lengths.observations.sigma**2).mean()))
 
 
-def carries(network: TracerNetwork, solution: Solution) -> bool:
+def is_determined(network: TracerNetwork, solution: Solution) -> bool:
     """Return whether the layout determines the points well enough for a result."""
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         return False

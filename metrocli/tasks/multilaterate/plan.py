@@ -44,7 +44,7 @@ def planned(layout: PlannedNetwork, candidates: Table | None) -> Plan:
     Raises UndeterminedError, with what would determine the points, if the layout does not.
     """
     ranking = ranked(layout, candidates)
-    if not layout_faults.carries(layout.network, layout.solution):
+    if not layout_faults.is_determined(layout.network, layout.solution):
         best = _best(ranking)
         raise UndeterminedError("\n".join([layout_faults.explained(layout.network, layout.solution), *best]))
     lengths, hidden = _lengths(layout), uncontrolled(layout.network)

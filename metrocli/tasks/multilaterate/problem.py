@@ -42,7 +42,7 @@ class TracerNetwork(Modelled):
     """Whether lengths are absolute distances, without a dead path"""
     surveyed: bool = False
     """Whether the places of all tracers are known, so that points need no listed places"""
-    said: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    listed_at: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """Listed places of the tracers, (tracers, 3), nan if not listed"""
     warnings: tuple[str, ...] = ()
     scale: Scale | None = None
@@ -163,4 +163,6 @@ def network_of(
     model = Model(blocks, groups, datum, (LENGTHS,), acting, t.aspects(t.reach()), nominal=nominal)
     warnings, air = readings.warnings, readings.air
     given, scale = bool(tracers.given.all()), settings.scale
-    return TracerNetwork(model, noise, readings.nominal, readings.absolute, given, tracers.said, warnings, scale, air)
+    return TracerNetwork(
+        model, noise, readings.nominal, readings.absolute, given, tracers.listed_at, warnings, scale, air
+    )

@@ -89,7 +89,7 @@ def read(settings: Settings, files: Files) -> LengthReadings:
         index = {} if stops is None else {t.STOP: numbers}
         conditions = {**observations.conditions, t.ALONE: alone}
         observations = replace(observations, index={**observations.index, **index}, conditions=conditions)
-    places = np.vstack([nominal[np.bincount(point, minlength=len(names)) > 0], read_by.said[read_by.given]])
+    places = np.vstack([nominal[np.bincount(point, minlength=len(names)) > 0], read_by.listed_at[read_by.given]])
     extent = float(np.ptp(places, axis=0).max()) or 1.0
     rows = few_of_each(read_by)
     seen = LengthsToTracers(read_by, rows, nominal[point[rows]], length[rows], extent, absolute, lengths.file)

@@ -236,8 +236,8 @@ def _warnings(solved: AdjustedTracers) -> list[str]:
         for suspect in solved.suspects
         if suspect.tracer
     ]
-    untold = [suspect for suspect in solved.suspects if not suspect.tracer]
-    alike = [f"{suspect.point} (w = {suspect.test:.1f}: {' or '.join(suspect.others)})" for suspect in untold]
+    ambiguous = [suspect for suspect in solved.suspects if not suspect.tracer]
+    alike = [f"{suspect.point} (w = {suspect.test:.1f}: {' or '.join(suspect.others)})" for suspect in ambiguous]
     bound = f"the outlier bound |w| = {solved.critical:.2f}"
     if solved.solution.sigma0 > 1:
         bound += " (w divided by sigma0, the largest by sigma0 without that length)"
@@ -259,9 +259,9 @@ def _warnings(solved: AdjustedTracers) -> list[str]:
 def _elsewhere(solved: AdjustedTracers) -> Iterator[str]:
     """Yield a warning of tracers far from their listed places: lengths fit a layout and its mirror image alike."""
     tracers, network = solved.solution.blocks[t.TRACER], solved.network
-    if not len(network.said):
+    if not len(network.listed_at):
         return
-    gap = np.linalg.norm(tracers.values[:, :3] - network.said, axis=1)
+    gap = np.linalg.norm(tracers.values[:, :3] - network.listed_at, axis=1)
     away = np.linalg.norm(tracers.values[:, :3] - network.nominal[network.seen > 0].mean(axis=0), axis=1)
     far = np.flatnonzero(gap > _ELSEWHERE * away)
     if far.size:

@@ -62,13 +62,13 @@ def simulated(
     reading = model.groups[0].chain.predict(model.blocks, observations)[0] + rng.normal(0.0, 1.0, path.shape) * sigma
     reading = reading + _returns(settings.noise, observations, actual, places, rng)
     reading = reading if air is None else reading / air.towards
-    said = places + rng.normal(0.0, 1.0, places.shape) * truth.tracer_error
+    listed_at = places + rng.normal(0.0, 1.0, places.shape) * truth.tracer_error
     when = {heading(name): condition for name, condition in design.conditions(*CONDITIONS).items()}
     lengths = Table.of({**{name: design.columns[name] for name in ("point", "tracer")}, "length [mm]": reading, **when})
     names = planned.tracers.texts("tracer")
     files = {
         "lengths.csv": lengths,
-        "tracers.csv": listed_places("tracer", names, said),
+        "tracers.csv": listed_places("tracer", names, listed_at),
         "true_points.csv": listed_places("point", planned.points.texts("point"), actual),
     }
     return Simulation(files, _named(names, stations) | true_values(model))

@@ -31,7 +31,7 @@ from metrocli.tasks.multilaterate.blunders import (
     unchecked,
     undisturbed_start,
 )
-from metrocli.tasks.multilaterate.layout_faults import carries, explained
+from metrocli.tasks.multilaterate.layout_faults import explained, is_determined
 from metrocli.tasks.multilaterate.problem import LENGTHS, TracerNetwork
 from metrocli.tasks.multilaterate.second_places import EQUAL, at_others, noise_of_tests, second_places, units_of_tests
 from metrocli.tasks.shared.lengths import with_repeatability
@@ -119,7 +119,7 @@ class AdjustedTracers:
         extent = float(np.ptp(network.nominal[seen], axis=0).max()) or 1.0
         off = network.nominal[seen] - blocks[t.POINT].values[seen]
         points = float(np.sqrt((off**2).sum(axis=1).mean()))
-        apart = np.linalg.norm(network.said - blocks[t.TRACER].values[:, :3], axis=1)
+        apart = np.linalg.norm(network.listed_at - blocks[t.TRACER].values[:, :3], axis=1)
         finite = apart[np.isfinite(apart)]
         tracers = float(median(finite)) / extent if finite.size else 0.0
         return max(points / (_POINTS_NEAR * extent + _noise_of(network)), tracers / _TRACERS_NEAR)
@@ -145,7 +145,7 @@ def solve(network: TracerNetwork, remove: bool) -> AdjustedTracers:
     def fewer(used: _KeptLengths, solved: AdjustedTracers) -> tuple[_KeptLengths, bool]:
         state, worst = solved.solution.blocks, _worst(solved) if remove else {}
         if used.back and not worst:
-            return _KeptLengths(state, _without_innocent(solved, used.out), False), True
+            return _KeptLengths(state, _with_reinstated(solved, used.out), False), True
         more = worst or (_doubtful(solved) if used.out else {})
         return _KeptLengths(state, used.out | more, used.back), bool(more)
 
@@ -204,7 +204,7 @@ def _kept(network: TracerNetwork, out: Mapping[int, Rejected]) -> Mask:
 
 
 def _must_carry(network: TracerNetwork, solution: Solution) -> None:
-    if not carries(network, solution):
+    if not is_determined(network, solution):
         raise UndeterminedError(explained(network, solution), solution.misfit)
 
 
@@ -223,7 +223,7 @@ def _must_be_near(network: TracerNetwork, solution: Solution) -> None:
     middle = float(median(away))
     if middle > _ASTRAY * np.ptp(network.nominal[seen], axis=0).max() + _noise_of(network):
         placed = _PLACES + _DELAY * network.absolute
-        why = placed if np.isfinite(network.said).all() else _NO_PLACES
+        why = placed if np.isfinite(network.listed_at).all() else _NO_PLACES
         raise NotConvergedError(f"the points found lie {middle:.3g} mm from their listed places (median): {why}")
 
 
@@ -285,7 +285,7 @@ def _worst(solved: AdjustedTracers) -> dict[int, Rejected]:
     }
 
 
-def _without_innocent(solved: AdjustedTracers, out: dict[int, Rejected]) -> dict[int, Rejected]:
+def _with_reinstated(solved: AdjustedTracers, out: dict[int, Rejected]) -> dict[int, Rejected]:
     """Return the lengths that stay out; those left out at the start that fit the solution are used again."""
     observations = solved.whole.lengths.observations
     miss: Array = solved.whole.lengths.residuals(solved.solution.blocks)[0] / observations.sigma[0]

@@ -48,8 +48,8 @@ def check(job: Job[Settings, Files]) -> None:
     """Raise InputError that lists the faults in the combination of files and in the effects, without computing."""
     settings, files = job.settings, job.files
     readings = read(settings, files)
-    said = readings.tracers.said
-    places = np.column_stack([np.nan_to_num(said), np.zeros(len(said)), np.ones(len(said))])
+    listed_at = readings.tracers.listed_at
+    places = np.column_stack([np.nan_to_num(listed_at), np.zeros(len(listed_at)), np.ones(len(listed_at))])
     bare = network_of(settings, readings, places)
     with all_faults() as each:
         with each():

@@ -117,11 +117,11 @@ def _risks(limits: Tolerance, measured: DecidedMeasurand, ends: Interval, factor
     """Return the global risks of simple acceptance if the items are known, and the guard band if a risk is wanted."""
     if measured.std == 0:
         return {}
-    said: dict[str, Any] = {}
+    printed: dict[str, Any] = {}
     items = Items(limits.process.mean.value, limits.process.std.value) if limits.process else None
     if items is not None:
         risks = global_risk(items, measured.std, ends, ends)
-        said |= {
+        printed |= {
             "consumer": risks.consumer,
             "consumer_of_accepted": risks.consumer_of_accepted,
             "producer": risks.producer,
@@ -129,15 +129,15 @@ def _risks(limits: Tolerance, measured: DecidedMeasurand, ends: Interval, factor
     if limits.risk is not None:
         specific = guard_for_specific(measured.std, limits.risk, ends, measured.dof)
         guard = specific if items is None else guard_for_global(items, measured.std, ends, limits.risk)
-        said |= {
+        printed |= {
             "wanted_risk": limits.risk,
             "guard_band": guard / factor,
             "acceptance_guarded": _shown(ends.inside(guard), factor),
         }
         if items is not None and math.isfinite(guard):
             guarded = global_risk(items, measured.std, ends, ends.inside(guard))
-            said |= {"guarded": {"consumer": guarded.consumer, "producer": guarded.producer}}
-    return said
+            printed |= {"guarded": {"consumer": guarded.consumer, "producer": guarded.producer}}
+    return printed
 
 
 def _end(limit: Measure | None, otherwise: float) -> float:
@@ -153,18 +153,18 @@ def lines(decision: Mapping[str, Any], unit: str) -> list[str]:
     """Return a decision as lines of text."""
     low, high = decision["limits"]
     zones = f"{decision['zone']} with U (ISO 14253-1), {decision['zone_2017']} with 1.65 u"
-    said = [f"tolerance {low:.10g} to {high:.10g} {unit}: {zones}"]
+    printed = [f"tolerance {low:.10g} to {high:.10g} {unit}: {zones}"]
     if not decision["acceptance"]:
-        said.append("U is larger than half of the tolerance: the acceptance zone of ISO 14253-1 is empty")
+        printed.append("U is larger than half of the tolerance: the acceptance zone of ISO 14253-1 is empty")
     if "T" in decision:
         words = "capable" if decision["capable"] else "not capable"
-        said.append(f"U/T = {100 * decision['U_over_T']:.1f} %: {words} by the 20 % rule of Berndt")
+        printed.append(f"U/T = {100 * decision['U_over_T']:.1f} %: {words} by the 20 % rule of Berndt")
     mc = f", by Monte Carlo {decision['conformance_mc']:.6g}" if "conformance_mc" in decision else ""
-    said.append(f"probability of conformity {decision['conformance']:.6g} (JCGM 106){mc}")
+    printed.append(f"probability of conformity {decision['conformance']:.6g} (JCGM 106){mc}")
     if "consumer" in decision:
         of_accepted = f"{decision['consumer_of_accepted']:.4g} of those accepted"
         risks = f"consumer {decision['consumer']:.4g} ({of_accepted}), producer {decision['producer']:.4g}"
-        said.append(f"global risks: {risks}")
+        printed.append(f"global risks: {risks}")
     if "guard_band" in decision:
         ends = decision["acceptance_guarded"]
         accept = (
@@ -172,5 +172,5 @@ def lines(decision: Mapping[str, Any], unit: str) -> list[str]:
             if ends
             else "no value can be accepted"
         )
-        said.append(f"guard band for a risk of {decision['wanted_risk']:g}: {accept}")
-    return said
+        printed.append(f"guard band for a risk of {decision['wanted_risk']:g}: {accept}")
+    return printed

@@ -86,8 +86,8 @@ class InputEntry:
         others = [name for name, _ in settings_of(type(self)).items() if name != "estimate"]
         extra = next((name for name in others if getattr(self, name) is not None), None)
         if self.estimate is not None and extra is not None:
-            said = f"the result gives the value and uncertainty of an estimate; {extra} is too much"
-            yield extra, said, f"leave {extra} out"
+            message = f"the result gives the value and uncertainty of an estimate; {extra} is too much"
+            yield extra, message, f"leave {extra} out"
 
 
 @dataclass(frozen=True)
@@ -240,8 +240,8 @@ class Contributor:
         """Yield the faults of keys that contradict each other or are incomplete."""
         given = [name for name in FORMS if getattr(self, name) is not None]
         if len(given) != 1:
-            said = f"has {' and '.join(given)}" if given else "has no uncertainty"
-            yield "", f"the contributor '{self.name}' {said}", f"give one of {', '.join(FORMS)}"
+            message = f"has {' and '.join(given)}" if given else "has no uncertainty"
+            yield "", f"the contributor '{self.name}' {message}", f"give one of {', '.join(FORMS)}"
 
 
 FORMS = ("result", "std", "half_width", "expansion", "length_error", "model")

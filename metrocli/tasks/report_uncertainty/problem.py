@@ -69,8 +69,8 @@ def build(
 
 def _heavy_tails(inputs: Inputs) -> list[str]:
     few = [q.name for q in inputs.quantities if q.dof <= 2 and isinstance(q.distribution, Normal)]
-    said = "has 2 degrees of freedom or fewer: its t distribution has no standard deviation"
-    return [f"{name} {said}. Mean and std of Monte Carlo depend on chance, its intervals do not" for name in few]
+    message = "has 2 degrees of freedom or fewer: its t distribution has no standard deviation"
+    return [f"{name} {message}. Mean and std of Monte Carlo depend on chance, its intervals do not" for name in few]
 
 
 @dataclass
@@ -188,16 +188,16 @@ class _Gathering:
                 if self.results is None:
                     continue
                 known = [f"{prefix}.{estimate.name}" for estimate in self.results[prefix].estimates]
-                said = f"the result '{prefix}' has no estimate '{part.name[len(prefix) + 1 :]}'"
+                message = f"the result '{prefix}' has no estimate '{part.name[len(prefix) + 1 :]}'"
             elif point:
                 known = list(self.settings.inputs.results)
-                said = f"there is no result '{prefix}' under inputs"
+                message = f"there is no result '{prefix}' under inputs"
             else:
                 known = [*self.settings.quantities, *FUNCTIONS]
-                said = f"there is no quantity '{part.name}'"
+                message = f"there is no quantity '{part.name}'"
             hint = suggestion(part.name if point and prefix in self.settings.inputs.results else prefix, known)
             hint = hint if known else "name the result under `inputs: {results: {NAME: FILE.h5}}`"
-            self.faults.append(model.fault(ExpressionError(said, part.start, hint)))
+            self.faults.append(model.fault(ExpressionError(message, part.start, hint)))
 
     def _unused(self) -> None:
         for name, placed in self.settings.quantities.items():
@@ -227,8 +227,8 @@ class _Gathering:
             return
         if unit.powers != wanted.powers or unit.point != wanted.point:
             node = placed.node.at("unit") if placed.node.get("unit") else model.node
-            said = f"{placed.node.path}: the model gives {described(unit)}, the unit is that of {described(wanted)}"
-            self.faults.append(node.fault(said, f"unit: one such as {_example(unit)}"))
+            message = f"{placed.node.path}: the model gives {described(unit)}, the unit is that of {described(wanted)}"
+            self.faults.append(node.fault(message, f"unit: one such as {_example(unit)}"))
         self.wanted[name] = wanted
 
     def _join(self, blocks: list[CorrelatedBlock]) -> None:
@@ -244,9 +244,9 @@ class _Gathering:
             if not isinstance(self.quantities[reading[0]].distribution, Sampled)
         ]
         self.faults += [fault for fault in repeats if isinstance(fault, Fault)]
-        self.noted += [said for said in repeats if isinstance(said, str)]
+        self.noted += [message for message in repeats if isinstance(message, str)]
         together = correlations.simultaneous(readings, {frozenset(pair.between) for pair in declared})
-        self.noted += [pair.said for pair in together]
+        self.noted += [pair.message for pair in together]
         pairs = [(*pair.between, pair.value) for pair in (*declared, *together)]
         # quantities in the order of the job, then estimates of results in the order of the models
         order = [quantity for name, quantity in self.quantities.items() if name in self.named]

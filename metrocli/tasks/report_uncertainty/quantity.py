@@ -164,8 +164,8 @@ def _size(measure: Measure, best: Measure) -> float:
     """Return a width in base units; it must have the kind of unit of its quantity and not be negative."""
     key = measure.node.path.rpartition(".")[2]
     if measure.unit.powers != best.unit.powers:
-        said = f"{key} is {described(measure.unit)}, the value {described(best.unit)}"
-        raise _Wrong(key, said, "write it without a unit" if best.unit.number else f"write it in {best.unit.text}")
+        message = f"{key} is {described(measure.unit)}, the value {described(best.unit)}"
+        raise _Wrong(key, message, "write it without a unit" if best.unit.number else f"write it in {best.unit.text}")
     if measure.number < 0:
         raise _Wrong(key, f"{key} is negative: {measure.node.text}", "0 or more")
     return measure.value

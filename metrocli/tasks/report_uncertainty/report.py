@@ -179,14 +179,14 @@ def _monte_carlo(evaluation: BothMethods, index: int, probability: float) -> dic
     mean, std = float(outcome.means[index]), math.sqrt(outcome.covariance[index, index])
     if std <= _ROUNDING * abs(mean):
         return {"mean": mean, "std": 0.0, "interval": [mean, mean], "shortest": [mean, mean], "trials": outcome.trials}
-    said: dict[str, Any] = {
+    printed: dict[str, Any] = {
         "mean": mean,
         "std": std,
         "interval": [end + centre for end in sample.symmetric(probability)],
         "shortest": [end + centre for end in sample.shortest(probability)],
         "trials": outcome.trials,
     }
-    return said | ({"resolution": sample.resolution} if sample.resolution else {})
+    return printed | ({"resolution": sample.resolution} if sample.resolution else {})
 
 
 def _budget(evaluation: BothMethods, measurands: Sequence[_Measurand]) -> Table:
@@ -218,10 +218,10 @@ def _share(linear: LinearPropagation, along: Any, i: int) -> float:
 
 
 def _warnings(measurand: _Measurand) -> list[str]:
-    said = [f"{measurand.name}: {note}" for note in measurand.linear.notes]
+    printed = [f"{measurand.name}: {note}" for note in measurand.linear.notes]
     if measurand.verdict is not None and not measurand.verdict.valid and not measurand.linear.replaced:
-        said.append(f"{measurand.name}: Monte Carlo does not validate the interval of GUM; use that of Monte Carlo")
-    return said
+        printed.append(f"{measurand.name}: Monte Carlo does not validate the interval of GUM; use that of Monte Carlo")
+    return printed
 
 
 def _notes(evaluation: BothMethods, measurand: _Measurand) -> list[str]:
@@ -231,11 +231,11 @@ def _notes(evaluation: BothMethods, measurand: _Measurand) -> list[str]:
     dof = details["dof"]
     freedom = f", {dof:.4g} effective degrees of freedom" if math.isfinite(dof) else ""
     covers = f"k = {details['k']:.3g}, {100 * details['probability']:.4g} %"
-    said = [f"{measurand.name} = {value}{unit}, U = {U}{unit} ({covers}{freedom}), u = {std}{unit}"]
+    printed = [f"{measurand.name} = {value}{unit}, U = {U}{unit} ({covers}{freedom}), u = {std}{unit}"]
     second = details["second_order"]
     if math.isfinite(second["std"]) and measurand.linear.nonlinear > 1e-4:
         value, std = rounded(second["value"], second["std"])
-        said.append(f"  second order: {value}{unit}, u = {std}{unit}")
+        printed.append(f"  second order: {value}{unit}, u = {std}{unit}")
     mc = details.get("mc")
     if mc is not None:
         ends = [
@@ -243,18 +243,18 @@ def _notes(evaluation: BothMethods, measurand: _Measurand) -> list[str]:
             for key in ("interval", "shortest")
         ]
         mean, std = rounded(mc["mean"], mc["std"])
-        said.append(
+        printed.append(
             f"  Monte Carlo, {mc['trials']} trials: {mean}{unit}, u = {std}{unit}, interval {ends[0]}, "
             f"shortest {ends[1]}{unit}"
         )
-        said.append(f"  U covers {100 * mc['covered']:.4g} % of the trials")
+        printed.append(f"  U covers {100 * mc['covered']:.4g} % of the trials")
         if mc.get("resolution"):
-            said.append(f"  trials counted in bins: interval ends are known to {mc['resolution']:.1e}{unit}")
-    said += _judgement(measurand)
-    said += [f"  {line}" for line in _budget_lines(evaluation, measurand)]
+            printed.append(f"  trials counted in bins: interval ends are known to {mc['resolution']:.1e}{unit}")
+    printed += _judgement(measurand)
+    printed += [f"  {line}" for line in _budget_lines(evaluation, measurand)]
     if "tolerance" in details:
-        said += [f"  {line}" for line in lines(details["tolerance"], measurand.unit)]
-    return said
+        printed += [f"  {line}" for line in lines(details["tolerance"], measurand.unit)]
+    return printed
 
 
 def _judgement(measurand: _Measurand) -> list[str]:
@@ -282,5 +282,5 @@ def _budget_lines(evaluation: BothMethods, measurand: _Measurand) -> list[str]:
         slope, brings = linear.sensitivities[i] * scale / factor, linear.contributions[i] / factor
         value, std = rounded(item.value / scale, item.std / scale)
         rows.append((item.name, value, std, item.unit.text, f"{slope:.4g}", f"{brings:.3g}", f"{share:.1f}", dof))
-    said = aligned(rows, left=(0, 3))
-    return said + ([f"... {len(order) - 20} more (show --table budget)"] if len(order) > 20 else [])
+    printed = aligned(rows, left=(0, 3))
+    return printed + ([f"... {len(order) - 20} more (show --table budget)"] if len(order) > 20 else [])

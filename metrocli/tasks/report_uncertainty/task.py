@@ -87,8 +87,8 @@ def _trials(
         # correlation is that of the pair itself
         declared = [placed for placed in settings.correlations if set(placed.value.between) == pair]
         node = (*declared, *settings.correlations)[0].node
-        said = f"{' and '.join(sorted(pair))}: {error}"
-        raise InputError([node.fault(said, "use a smaller correlation, or other distributions")]) from error
+        message = f"{' and '.join(sorted(pair))}: {error}"
+        raise InputError([node.fault(message, "use a smaller correlation, or other distributions")]) from error
     return monte_carlo.run(plan, workers, wanted.digits, wanted.most)
 
 

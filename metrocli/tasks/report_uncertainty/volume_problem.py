@@ -67,8 +67,8 @@ def _of_contributors(settings: Entries) -> Iterable[Fault]:
         seen[given.name] = placed
         if given.result is not None and given.result not in settings.inputs.results:
             hint = suggestion(given.result, settings.inputs.results) if settings.inputs.results else "name it there"
-            said = f"there is no result '{given.result}' under inputs"
-            yield placed.node.at("result").fault(said, hint)
+            message = f"there is no result '{given.result}' under inputs"
+            yield placed.node.at("result").fault(message, hint)
         for model in given.model or ():
             for part in model.expression.parts:
                 prefix = part.name.partition(".")[0]
@@ -157,9 +157,9 @@ def _of_result(placed: LocatedValue, result: Result, points: Array) -> Array:
     wanted = EULER if all(name in names for name in EULER) else AXES
     missing = [name for name in wanted if name not in names]
     if missing:
-        said = f"the result '{placed.value.result}' ({result.kind}) has no {', '.join(missing)}"
+        message = f"the result '{placed.value.result}' ({result.kind}) has no {', '.join(missing)}"
         hint = "a pose (x y z alpha beta gamma), or x y z; else give a model of it"
-        raise InputError([placed.node.at("result").fault(said, hint)])
+        raise InputError([placed.node.at("result").fault(message, hint)])
     at = [names.index(name) for name in wanted]
     scale = np.array([compound(result.estimates[index].unit).factor for index in at])
     covariance = np.asarray(result.covariance)[np.ix_(at, at)] * scale[:, None] * scale
@@ -185,10 +185,10 @@ def _of_model(placed: LocatedValue, results: Mapping[str, Result], points: Array
         result = results[prefix]
         estimates = [item.name for item in result.estimates]
         if estimate not in estimates:
-            said = ExpressionError(
+            message = ExpressionError(
                 f"the result '{prefix}' has no estimate '{estimate}'", 0, suggestion(estimate, estimates)
             )
-            raise InputError([next(model for model in models if name in model.expression.names).fault(said)])
+            raise InputError([next(model for model in models if name in model.expression.names).fault(message)])
         at = estimates.index(estimate)
         unit = compound(result.estimates[at].unit)
         values[name] = result.estimates[at].value * unit.factor
@@ -228,8 +228,8 @@ def _double(settings: Entries, results: Mapping[str, Result]) -> Iterable[str]:
             sources.setdefault(given.source, []).append(given.name)
     for source, names in sources.items():
         if len(names) > 1:
-            said = f"{' and '.join(names)} have the common source '{source}'"
-            yield f"{said}: they are added linearly, because they are fully correlated"
+            message = f"{' and '.join(names)} have the common source '{source}'"
+            yield f"{message}: they are added linearly, because they are fully correlated"
     yield from _of_results(placed, results, labels)
 
 

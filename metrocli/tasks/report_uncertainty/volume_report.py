@@ -116,21 +116,21 @@ def coverage_of(settings: Entries) -> Coverage:
 def _details(axis: _Axis, settings: Entries) -> dict[str, Any]:
     coverage = coverage_of(settings)
     U, probability = axis.k * axis.std, covered(coverage, axis.dof)
-    said: dict[str, Any] = {
+    printed: dict[str, Any] = {
         "U": U, "U_pointwise": axis.k * axis.pointwise, "std_pointwise": axis.pointwise, "at": axis.place.tolist(),
         "k": axis.k, "dof": axis.dof, "probability": probability, "interval": [-U, U],
         "second_order": {"value": 0.0, "std": axis.std}, "gum_valid": math.nan,
     }  # fmt: skip
     if axis.mc is not None:
-        said |= _against_trials(axis, axis.mc, U, settings)
+        printed |= _against_trials(axis, axis.mc, U, settings)
     if settings.tolerance is not None:
         width = settings.tolerance.value.value
-        said["tolerance"] = {
+        printed["tolerance"] = {
             "T": width, "U_over_T": U / width, "capable": capable(U, width),
             "U_over_T_pointwise": axis.k * axis.pointwise / width,
             "acceptance": _left(width, U), "acceptance_2017": _left(width, FACTOR_2017 * axis.std),
         }  # fmt: skip
-    return said
+    return printed
 
 
 def _left(width: float, guard: float) -> float:
@@ -197,15 +197,15 @@ def _sources(settings: Entries) -> Table:
 
 
 def _warnings(details: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    said = []
+    printed = []
     for name, detail in details.items():
         mc = detail.get("mc")
         if mc is not None and not detail["gum_valid"]:
-            said.append(
+            printed.append(
                 f"{name}: by Monte Carlo, k = {detail['k']:.3g} covers {100 * mc['covered']:.2f} % of the distribution "
                 f"of the sum; k = {mc['k_trials']:.2f} covers {100 * detail['probability']:.4g} %"
             )
-    return said
+    return printed
 
 
 def _notes(

@@ -24,7 +24,7 @@ from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid.effects import AXES
 from metrocli.tasks.selfcal_grid.readings import GridReadings, ball_name
-from metrocli.tasks.shared.lists import repeated, told_apart
+from metrocli.tasks.shared.lists import distinguished, repeated
 from metrocli.words import suggestion
 
 _EXACT = 1e-2
@@ -175,7 +175,7 @@ def _keys(table: Table) -> dict[str, tuple[str, ...]]:
     keys = {name: tuple(table.texts(name)) for name in names}
     again: dict[object, int] = {}
     same = np.array([again.setdefault(row, len(again)) for row in zip(*keys.values(), strict=True)])
-    return told_apart(keys, same, table.numbers("t") if "t" in table else None)
+    return distinguished(keys, same, table.numbers("t") if "t" in table else None)
 
 
 def _start(readings: GridReadings, n: int, pitch: float) -> Array:
@@ -206,8 +206,8 @@ def _lengths(table: Table, views: Sequence[bg.View], balls: Index, pitch: float)
         for row, before in repeated(zip(*(map(tuple, end.tolist()) for end in ends), strict=True), given.tolist())
     ]
     for row in range(len(table)):
-        if "view" in table and (said := table.texts("view")[row]) not in ["", *names]:
-            faults.append(table.fault_at(row, f"view '{said}' has no readings", suggestion(said, names)))
+        if "view" in table and (written := table.texts("view")[row]) not in ["", *names]:
+            faults.append(table.fault_at(row, f"view '{written}' has no readings", suggestion(written, names)))
         if nominal[row] == 0:
             faults.append(table.fault_at(row, f"a length from {ball_name(ends[0][row])} to itself"))
         if table.numbers("sigma")[row] <= 0:

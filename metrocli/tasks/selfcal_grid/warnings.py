@@ -32,8 +32,8 @@ def warnings(solved: AdjustedGrid, left_open: Open, std: Array, left_out: Sequen
         observations = solved.problem.readings.observations
         keys = observations.keys
         order = solved.suspects.rows[np.argsort(-solved.suspects.tests)]
-        told = [f"{keys['view'][n]}: ({keys['i'][n]}, {keys['j'][n]}, {keys['k'][n]})" for n in order]
-        lines.append(beyond_bound(told, solved.suspects.critical))
+        message = [f"{keys['view'][n]}: ({keys['i'][n]}, {keys['j'][n]}, {keys['k'][n]})" for n in order]
+        lines.append(beyond_bound(message, solved.suspects.critical))
     return lines + _disagreeing(left_out)
 
 
@@ -43,13 +43,13 @@ def contradicting(solved: AdjustedGrid) -> list[str]:
         return []
     tests = np.abs(solved.residuals[1].normalised[0])
     keys = solved.problem.fields.groups[1].observations.keys
-    told = [
+    message = [
         " to ".join(f"({', '.join(keys[f'{name}{end}'][n] for name in 'ijk')})" for end in "12")
         + f" |w| = {tests[n]:.1f}"
         for n in np.argsort(-tests)
         if tests[n] > solved.suspects.critical
     ]
-    return [f"lengths do not agree with each other or with the readings: {listed(told, 5)}"] if told else []
+    return [f"lengths do not agree with each other or with the readings: {listed(message, 5)}"] if message else []
 
 
 def _disagreeing(left_out: Sequence[LeftOut]) -> list[str]:

@@ -107,8 +107,8 @@ class Mirrored:
         return f"{self.noun} {self.name} at {coordinates(self.found)} or {coordinates(self.other)}"
 
 
-def of_tracers(solution: Solution, group: Group, said: Array) -> NetworkLengths:
-    """Return the lengths of a group as those from tracers to the ends of its chain; `said` are the listed places."""
+def of_tracers(solution: Solution, group: Group, listed_at: Array) -> NetworkLengths:
+    """Return the lengths of a group as those from tracers, which are `listed_at` places, to the ends of its chain."""
     block, observations = solution.blocks[t.TRACER], group.observations
     residuals = residuals_of(solution, group)
     noun = next(key for key in observations.keys if key in ("tracer", "station"))
@@ -126,7 +126,7 @@ def of_tracers(solution: Solution, group: Group, said: Array) -> NetworkLengths:
         block.values[:, :3],
         solution.std(t.TRACER)[:, :3],
         block.free[:, :3],
-        said,
+        listed_at,
         block.free[:, 3],
     )
 

@@ -91,7 +91,7 @@ def test_on_a_line_that_is_run_once_a_drift_of_the_zero_is_a_positioning_error()
     of = {one.alternative.instance: one for one in seen if one.alternative.effect.name == "laser-dead-path-drift"}
     unseen, shown = of["L0",], of["L1",]
     assert np.isinf(unseen.detectable) and unseen.absorbed_by
-    assert 2e-3 < unseen.hides.size < 4e-3
+    assert 2e-3 < unseen.undetected.size < 4e-3
     assert shown.detectable < 1e-3 / 60 / 5
 
 

@@ -103,9 +103,9 @@ def test_a_length_that_is_too_short_is_said() -> None:
 
 def promised_over_found(plan: Plan, result: Result) -> list[float]:
     """Largest standard uncertainties of the errors: of the measurement over those of the plan."""
-    said, got = plan.tables["errors"], result.tables["errors"]
-    assert said.texts("error") == got.texts("error")
-    return (got.numbers("largest_std") / said.numbers("largest_std")).tolist()
+    listed_at, got = plan.tables["errors"], result.tables["errors"]
+    assert listed_at.texts("error") == got.texts("error")
+    return (got.numbers("largest_std") / listed_at.numbers("largest_std")).tolist()
 
 
 def test_points_are_planned_and_keep_their_promise() -> None:

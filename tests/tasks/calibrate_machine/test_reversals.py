@@ -107,7 +107,7 @@ def test_points_approached_from_one_side_do_not_show_it() -> None:
     unseen = {one.alternative.instance: one for one in seen.candidates if str(one.alternative).startswith("straight")}
     assert set(unseen) == {("xy",), ("xz",), ("yx",), ("yz",), ("zx",), ("zy",)}
     assert all(np.isinf(one.detectable) and one.absorbed_by for one in unseen.values())
-    assert max(one.hides.size for one in unseen.values()) < 1e-6
+    assert max(one.undetected.size for one in unseen.values()) < 1e-6
 
 
 @pytest.mark.slow

@@ -28,20 +28,20 @@ def refuse_backwards(measured: Array, seen: LengthsToTracers) -> None:
 
     Only places listed without a standard uncertainty are compared: the others are kept.
     """
-    said, sigma = seen.tracers.said, seen.tracers.sigma
-    rough = np.isfinite(said).all(axis=1) & np.isnan(sigma).all(axis=1)
+    listed_at, sigma = seen.tracers.listed_at, seen.tracers.sigma
+    rough = np.isfinite(listed_at).all(axis=1) & np.isnan(sigma).all(axis=1)
     if not rough.any():
         return
-    measured, said = measured[rough], said[rough]
+    measured, listed_at = measured[rough], listed_at[rough]
     twice = seen.points.min(axis=0) + seen.points.max(axis=0)
-    mirrored = [_miss(np.where(np.arange(3) == axis, twice - measured, measured), said) for axis in range(3)]
+    mirrored = [_miss(np.where(np.arange(3) == axis, twice - measured, measured), listed_at) for axis in range(3)]
     axis = int(np.argmin(mirrored))
-    if mirrored[axis] < _NEARER * _miss(measured, said):
-        raise InputError([_fault(AXES[axis], _miss(measured, said), mirrored[axis], seen.file)])
+    if mirrored[axis] < _NEARER * _miss(measured, listed_at):
+        raise InputError([_fault(AXES[axis], _miss(measured, listed_at), mirrored[axis], seen.file)])
 
 
-def _miss(measured: Array, said: Array) -> float:
-    return float(np.median(np.linalg.norm(measured - said, axis=1)))
+def _miss(measured: Array, listed_at: Array) -> float:
+    return float(np.median(np.linalg.norm(measured - listed_at, axis=1)))
 
 
 def _fault(axis: str, as_read: float, mirrored: float, file: str) -> Fault:

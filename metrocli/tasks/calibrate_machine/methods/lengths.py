@@ -98,7 +98,7 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Machin
         unused(settings.environment, table),
         notes=() if air is None else (air.note,),
         noise=noise,
-        said=read_by.said,
+        listed_at=read_by.listed_at,
         sees_bed=machine.turns and on == BED,
     )
 

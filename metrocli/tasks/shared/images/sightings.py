@@ -258,17 +258,17 @@ def check_inside(sighted: Sighted, size: tuple[int, int]) -> Sighted:
     i = int(np.flatnonzero(far if far.any() else outside)[0])
     keys = sighted.observations.keys
     which = "one of them far" if far.any() else "the first"
-    told = (
+    message = (
         f"{outside.sum()} of {outside.size} readings lie outside an image of {size[0]} x {size[1]} px, "
         f"{which}: image {keys['image'][i]}, target {keys['target'][i]} at ({uv[0, i]:.1f}, {uv[1, i]:.1f}); "
         "check image_size and the columns"
     )
     exchanged = ((uv >= -_BEYOND * extent[::-1]) & (uv <= (1 + _BEYOND) * extent[::-1])).all()
     if exchanged:
-        raise InputError(f"{told}; with u and v exchanged all would lie inside")
+        raise InputError(f"{message}; with u and v exchanged all would lie inside")
     if outside.mean() > _MANY or far.any():
-        raise InputError(told)
-    return replace(sighted, warnings=(*sighted.warnings, told))
+        raise InputError(message)
+    return replace(sighted, warnings=(*sighted.warnings, message))
 
 
 def _matched(table: Table, targets: TargetCoordinates) -> tuple[np.ndarray[tuple[int], np.dtype[np.str_]], Index]:
@@ -277,11 +277,11 @@ def _matched(table: Table, targets: TargetCoordinates) -> tuple[np.ndarray[tuple
     of_target = np.asarray(table.columns["target"], dtype=str)
     names, which = np.unique(of_target, return_inverse=True)
     numbers = np.array([place.get(str(name), -1) for name in names], dtype=np.intp)[which]
-    strange = np.flatnonzero(numbers < 0)
-    if strange.size:
+    unmatched = np.flatnonzero(numbers < 0)
+    if unmatched.size:
         hint = "add it to the targets file, or remove the row"
         text = "target '{}' is not in the list of targets".format
-        raise InputError(table.faults_at(strange, lambda row: text(of_target[row]), lambda row: hint))
+        raise InputError(table.faults_at(unmatched, lambda row: text(of_target[row]), lambda row: hint))
     return of_target, numbers
 
 

@@ -192,9 +192,9 @@ def test_minimum_zones_that_other_points_can_hold_are_named() -> None:
         result = run(net, points[:6], ["A"] * 6, wanted, correction=Correction(0.0, probe))
         found = result.tables["features"]
         assert found.numbers("may_touch").tolist() == [0, expected]
-        said = [line for line in result.notes if "errors can lay on other points" in line]
-        assert len(said) == (expected > 0)
-        assert not said or f"A ({expected} more)" in said[0]
+        listed_at = [line for line in result.notes if "errors can lay on other points" in line]
+        assert len(listed_at) == (expected > 0)
+        assert not listed_at or f"A ({expected} more)" in listed_at[0]
 
 
 def test_a_job_can_ask_for_every_shape() -> None:
