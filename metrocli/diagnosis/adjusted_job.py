@@ -158,7 +158,7 @@ class AdjustedJob:
     """Unit and dimension in which errors of held-out readings are reported"""
     replicates: Mapping[str, Index] = field(default_factory=dict)
     """For each group a label (n,) that is shared by readings repeated under the same conditions"""
-    astray: float = 0.0
+    list_offset: float = 0.0
     """Distance of places from where the files list them, relative to what is plausible; above 1 a file is wrong"""
     fewest: int = 3
     """Fewest components of readings that an effect must change; what changes fewer is an outlier"""
@@ -235,7 +235,7 @@ def misfit_of(job: AdjustedJob) -> Misfit:
     whitened = [_whitened(group, job) for group in job.model.readings]
     medians = [float(np.median(np.abs(values))) for values in whitened]
     spreads = [float(np.sqrt(np.mean(values**2))) for values in whitened]
-    return Misfit(max(medians, default=0.0) / ABSURD, job.astray, max(spreads, default=0.0))
+    return Misfit(max(medians, default=0.0) / ABSURD, job.list_offset, max(spreads, default=0.0))
 
 
 def _whitened(group: Group, job: AdjustedJob) -> np.typing.NDArray[np.float64]:

@@ -22,8 +22,8 @@ from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.quadratics import ranks_of, roots
 from metrocli.diagnosis.linear.scans import thinned
 from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.power.alike import Pair, pairs_of
 from metrocli.diagnosis.power.average_power import ScatterCandidate, scatter_candidates, size_found
+from metrocli.diagnosis.power.collinear import Pair, pairs_of
 from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass
 

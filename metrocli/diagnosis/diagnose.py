@@ -32,7 +32,7 @@ from metrocli.diagnosis.linear.memory import as_fits
 from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import VarianceGroup, noise_of
-from metrocli.diagnosis.power.alike import separations
+from metrocli.diagnosis.power.collinear import separations
 from metrocli.diagnosis.residual_structure import REPEATS, PureError, RemainingStructure, pure_error
 from metrocli.diagnosis.rounds import searched
 from metrocli.diagnosis.wrong_readings import wrong_readings

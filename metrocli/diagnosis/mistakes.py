@@ -194,9 +194,9 @@ def _tried(
         yield mistake, misfit, job
 
 
-def suspicious(sigma0: float, astray: float) -> bool:
+def suspicious(sigma0: float, list_offset: float) -> bool:
     """Return whether a result is so far from plausible that other readings of its files are worth a try."""
-    return sigma0 > ABSURD or astray > _SUSPECT_PLACES
+    return sigma0 > ABSURD or list_offset > _SUSPECT_PLACES
 
 
 def misread(

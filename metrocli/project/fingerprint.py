@@ -60,7 +60,7 @@ def of_result(result: Result, record: Record) -> str:
 
     When and by which version it was made does not count, nor the text of its job.
     """
-    skipped = ("astray", "made_from", "tables")
+    skipped = ("list_offset", "made_from", "tables")
     values = {name: value for name, value in _named(result) if name not in skipped}
     tables = {name: (table.columns, table.units) for name, table in result.tables.items()}
     verdicts = _by_name(record.verdicts)

@@ -136,7 +136,7 @@ def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
         sigma0 = result.statistics.get("sigma0", 0.0)
         if task.diagnosed is None or not isinstance(sigma0, float):
             return result
-        if not suspicious(sigma0, result.astray):
+        if not suspicious(sigma0, result.list_offset):
             return _with_other_setting(result, adjustment, partial(task.others, job), sigma0 <= MOST)
     except MetrocliError as error:
         if task.diagnosed is None:
@@ -159,11 +159,11 @@ def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
 
 def _elsewhere(result: Result) -> Result:
     """Return a result that is doubtful where its places are not those that its files list."""
-    if result.astray <= 1:
+    if result.list_offset <= 1:
         return result
     told = (
-        f"its places lie {result.astray:.1f} times as far from those that its files list as is plausible: a list is "
-        "wrong, such as rows in another order, and no other unit or axis mends it"
+        f"its places lie {result.list_offset:.1f} times as far from those that its files list as is plausible: a list "
+        "is wrong, such as rows in another order, and no other unit or axis mends it"
     )
     return replace(result, doubts=(*result.doubts, told))
 

@@ -22,7 +22,7 @@ from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.noise import NoiseRatio
-from metrocli.diagnosis.power.alike import Pair
+from metrocli.diagnosis.power.collinear import Pair
 from metrocli.project.diagnosed import carry_out
 from metrocli.project.job import load
 

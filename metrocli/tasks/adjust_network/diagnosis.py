@@ -50,7 +50,7 @@ def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
         {group.name: _folds(group) for group in model.readings},
         Delivered(*delivered, (0, 1, 2), "um", "length"),
         refit,
-        astray=solved.astray,
+        list_offset=solved.list_offset,
         fewest=1,
         certified=frozenset(
             reading.name for reading in model.readings if reading.name.startswith((BARS, GIVEN_POINTS))

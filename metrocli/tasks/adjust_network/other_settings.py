@@ -18,7 +18,7 @@ from metrocli.instruments.tracker import DISTANCE
 from metrocli.table import Table
 from metrocli.tasks.adjust_network.readings import NetworkReadings, read
 from metrocli.tasks.adjust_network.settings import Files, Settings
-from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, astray, disagreement, medians, placed
+from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, disagreement, list_offset, medians, placed
 from metrocli.tasks.adjust_network.starts.search import start
 from metrocli.tasks.job import Job
 
@@ -66,7 +66,7 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[_Other]:
 
 def _agrees(readings: NetworkReadings, rough: NetworkStart) -> bool:
     """Return whether set-ups agree with each other and with the list, as none does with angles of another sort."""
-    return max(disagreement(readings, rough)[0], astray(readings, rough)) < _RIGHT
+    return max(disagreement(readings, rough)[0], list_offset(readings, rough)) < _RIGHT
 
 
 def _started(readings: NetworkReadings) -> NetworkStart | None:

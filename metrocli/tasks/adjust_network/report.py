@@ -71,7 +71,7 @@ def report(solved: AdjustedNetwork, noise: NoiseFound) -> Result:
         notes=(*found_notes(noise), *noise_notes(solution, cures=(_REMOVE,)), *_datum_note(solved, placed)),
         details=noise.details([estimate.name for estimate in delivered]),
         plain=("dof",),
-        astray=solved.astray,
+        list_offset=solved.list_offset,
     )
 
 

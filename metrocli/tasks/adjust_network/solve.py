@@ -67,7 +67,7 @@ class AdjustedNetwork:
         return tuple(group for group in self.solution.groups if group.name in self.network.model.measured)
 
     @property
-    def astray(self) -> float:
+    def list_offset(self) -> float:
         """How far points lie from their lists, relative to the plausible deviation.
 
         It is the root mean square: inner constraints lay the network onto the list by least squares.

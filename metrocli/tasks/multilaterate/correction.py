@@ -160,7 +160,7 @@ def _refuse(probing: Probing, match: Index, text: str) -> None:
         )
 
 
-def astray(network: TracerNetwork, probing: Probing | None) -> float:
+def list_offset(network: TracerNetwork, probing: Probing | None) -> float:
     """Return how far the replayed points are from where they were probed, relative to what is plausible.
 
     Both are readings of one mover, so that a median beyond a fifth of the extent of the points is a mistake in a file.

@@ -62,7 +62,7 @@ def adjusted_job(solved: AdjustedTracers) -> AdjustedJob:
         {LENGTHS: folds(group.observations.index[t.POINT], group.observations.conditions)},
         Delivered(*delivered, (0, 1, 2), "um", "length"),
         refit,
-        astray=solved.astray,
+        list_offset=solved.list_offset,
         sharing=count(clusters_of(solved)),
         offers=offers,
     )

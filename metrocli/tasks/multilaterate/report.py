@@ -16,7 +16,7 @@ from metrocli.result import SCALE, Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
 from metrocli.tasks.multilaterate.blunders import Reason
-from metrocli.tasks.multilaterate.correction import Probing, astray, corrected, distant, wrong_entries
+from metrocli.tasks.multilaterate.correction import Probing, corrected, distant, list_offset, wrong_entries
 from metrocli.tasks.multilaterate.features.report import FEATURES, SHOWN, exchanging, fitted
 from metrocli.tasks.multilaterate.features.wanted import RequestedFeature
 from metrocli.tasks.multilaterate.second_places import noise_of_tests
@@ -101,7 +101,7 @@ def report(
         ),
         details=noise.details([estimate.name for estimate in delivered]),
         plain=("dof",),
-        astray=max(solved.astray, astray(solved.network, probing)),
+        list_offset=max(solved.list_offset, list_offset(solved.network, probing)),
     )
 
 

@@ -107,7 +107,7 @@ class AdjustedTracers:
         return second_places(self.network, self.solution, noise_of_tests(self.solution))
 
     @property
-    def astray(self) -> float:
+    def list_offset(self) -> float:
         """How far points and tracers lie from their lists, relative to the plausible deviation.
 
         The points have a root mean square, the tracers a median; the larger ratio counts. 0 where tracers are known.

@@ -12,7 +12,7 @@ from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.job import Job, Task
-from metrocli.tasks.multilaterate.correction import astray, probing_of, refuse_lost
+from metrocli.tasks.multilaterate.correction import list_offset, probing_of, refuse_lost
 from metrocli.tasks.multilaterate.diagnosis import adjusted_job, noise_of
 from metrocli.tasks.multilaterate.distance import distance
 from metrocli.tasks.multilaterate.effects import EFFECTS, PLACES
@@ -69,7 +69,10 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     network = build(job.settings, job.files).with_effects(job.effects)
     solved, _ = weighed(job.settings.noise.model, network, lambda network: solve(network, remove=False))
     adjusted = adjusted_job(solved)
-    return replace(adjusted, astray=max(adjusted.astray, astray(solved.network, probing_of(job.settings, job.files))))
+    return replace(
+        adjusted,
+        list_offset=max(adjusted.list_offset, list_offset(solved.network, probing_of(job.settings, job.files))),
+    )
 
 
 def plan(job: Job[Settings, Files]) -> Plan:

@@ -55,7 +55,7 @@ def test_probing_points_far_from_their_replay_are_a_mistake(mistake: str) -> Non
         probing = table(at, "point", net.names)
         probing = replace(probing, columns={"feature": np.repeat(["flank"], 20), **probing.columns})
         job = multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), probing=probing)
-        absurd[name] = multilaterate.run(job).astray, misfit_of(multilaterate.diagnosed(job)).worst
+        absurd[name] = multilaterate.run(job).list_offset, misfit_of(multilaterate.diagnosed(job)).worst
     assert max(absurd["as it is"]) < 0.1
     # beyond 1 `diagnose` calls it a mistake; the task refuses the file if another reading of it is 1000 times better
     assert min(absurd[mistake]) > 1

@@ -75,7 +75,7 @@ def disagreement(readings: NetworkReadings, rough: NetworkStart) -> tuple[float,
     return float(np.median(off)) / extent, words
 
 
-def astray(readings: NetworkReadings, rough: NetworkStart) -> float:
+def list_offset(readings: NetworkReadings, rough: NetworkStart) -> float:
     """Return how far sightings put points from their list, as a share of the extent: the median over the points."""
     rows, places = placed(readings, rough)
     middle = medians(places, readings.sightings.point[rows], readings.points.count)

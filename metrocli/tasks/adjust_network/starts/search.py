@@ -14,7 +14,7 @@ from metrocli.errors import UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments.tracker import cartesian
 from metrocli.tasks.adjust_network.readings import NetworkReadings
-from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, astray, disagreement, must_agree
+from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, disagreement, list_offset, must_agree
 from metrocli.tasks.adjust_network.starts.rough_poses import fitted
 from metrocli.words import listed
 
@@ -187,7 +187,7 @@ def start(readings: NetworkReadings) -> NetworkStart:
     search = _Search(readings, given, levelled)
     search.run()
     begun = search.found()
-    if search.stuck() or max(disagreement(readings, begun)[0], astray(readings, begun)) > _LOOSE:
+    if search.stuck() or max(disagreement(readings, begun)[0], list_offset(readings, begun)) > _LOOSE:
         search = _alone(readings, levelled)
         _onto_list(search, given)
     search.intersect()

@@ -1,4 +1,4 @@
-"""Candidates whose visible signatures are alike, and what to measure to distinguish two of them.
+"""Candidates whose visible signatures are collinear, and what to measure to distinguish two of them.
 
 Method: docs/algorithms/evidence.md.
 """
@@ -21,8 +21,8 @@ from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.power.average_power import size_separated
 from metrocli.frozen import dataclass
 
-_ALIKE = 0.9
-"""Correlation above which two candidates are reported as alike"""
+_COLLINEAR = 0.9
+"""Correlation above which two candidates are reported as collinear"""
 _SAME = 0.999
 """Correlation above which two candidates cannot be distinguished at all"""
 _DEPENDENT = 1e-8
@@ -86,9 +86,9 @@ def pairs_of(state: State, candidates: Sequence[ComparedCandidate], noise: float
             confounded = turns[j].T @ gram[own[j], own[i]]
             product = confounded @ turns[i]
             # the largest singular value cannot exceed the root of the sum of squares, so most pairs need no SVD
-            apart = other.alternative.spot != testable[j].alternative.spot and (product**2).sum() > _ALIKE**2
+            apart = other.alternative.spot != testable[j].alternative.spot and (product**2).sum() > _COLLINEAR**2
             rho = float(np.linalg.norm(product, 2)) if apart else 0.0
-            if rho > _ALIKE:
+            if rho > _COLLINEAR:
                 size = noise * size_separated(gram[own[i], own[i]], confounded, _SEPARATED)
                 yield Pair(other.name, testable[j].name, min(rho, 1.0), size, other.unit, other.dimension)
 
@@ -131,7 +131,7 @@ def separations(job: AdjustedJob, pairs: Sequence[tuple[Candidate, Candidate]]) 
     """
     advice: list[list[tuple[float, str]]] = [[] for _ in pairs]
     for words, model in job.offers(job.model):
-        unsettled = [at for at, its in enumerate(advice) if sum(rho < _ALIKE for rho, _ in its) < _OFFERED]
+        unsettled = [at for at, its in enumerate(advice) if sum(rho < _COLLINEAR for rho, _ in its) < _OFFERED]
         if not unsettled:
             break
         system = linearised(model)
@@ -151,7 +151,7 @@ def _cosine(system: Linearised, candidate: Candidate, other: Candidate) -> float
 
 def _advice(rows: Sequence[tuple[float, str]], pair: tuple[Candidate, Candidate]) -> list[str]:
     """Return the offers that help to distinguish a pair, of those with the cosine that each leaves."""
-    enough = [f"{words} (their correlation falls to {rho:.2f})" for rho, words in rows if rho < _ALIKE]
+    enough = [f"{words} (their correlation falls to {rho:.2f})" for rho, words in rows if rho < _COLLINEAR]
     if enough:
         return enough
     helping = [
