@@ -47,7 +47,7 @@ def noisier(unit: VarianceGroup) -> str:
 
 
 def _given(unit: VarianceGroup, ratio: float) -> str:
-    """Return whether the residuals agree with the sigma of given values; `found` is the ratio of their noise to it."""
+    """Return whether the residuals agree with the sigma of given values; `ratio` is that of their noise to it."""
     what = f"The given values of each {unit.name.removeprefix('prior of ')}"
     if 1 / AS_OTHERS < ratio < AS_OTHERS:
         return f"{what} agree with their sigma; the ratio is that of the readings alone."

@@ -28,7 +28,7 @@ class FigureRequirement:
     limit: float
 
     def exit_code(self, evaluated: object) -> int:
-        """Print to stderr whether the figure, an attribute of `found`, meets the condition; return 0, or 6 if not."""
+        """Print whether the figure, an attribute of `evaluated`, meets the condition; return 0, or 6 if it does not."""
         value = float(getattr(evaluated, self.figure))
         met = bool(_COMPARISONS[self.comparison](value, self.limit))
         echo(f"required {self.text}: {'met' if met else 'NOT met'} ({value:.4g})", err=True)

@@ -18,7 +18,7 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import TARGET
-from metrocli.result import Estimate, Result, ShownTable
+from metrocli.result import Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.align_part import KIND
 from metrocli.tasks.align_part.diagnosis import uncontrolled
@@ -27,23 +27,10 @@ from metrocli.tasks.align_part.fixturing import corrections, predicted_points
 from metrocli.tasks.align_part.problem import AlignmentProblem
 from metrocli.tasks.align_part.settings import Files
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
-from metrocli.tasks.shared.images.camera_parameters import HIGH
-from metrocli.tasks.shared.images.tables import (
-    adjustment_notes,
-    rms_table,
-    root_mean_square,
-    suspect_images,
-    suspect_readings,
-)
+from metrocli.tasks.shared.images.camera_parameters import HIGH, Parameters, with_effects
+from metrocli.tasks.shared.images.tables import adjustment_notes, image_statistics, image_tables, image_warnings
 from metrocli.tasks.shared.joint_covariance import owed
-from metrocli.tasks.shared.statistics import (
-    Statistics,
-    basic_statistics,
-    noise_notes,
-    noise_warnings,
-    residual_table,
-    with_noise,
-)
+from metrocli.tasks.shared.statistics import Statistics, noise_notes, noise_warnings
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 
 _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad", "rad")
@@ -71,11 +58,10 @@ def predicted(problem: AlignmentProblem) -> AnglePrediction | None:
     design = covariance_at(problem.blocks.values(), [problem.images, *problem.others], problem.datum)
     if design.covariance is None:
         return None
-    names, _, covariance, _ = _estimates(design)
-    std = np.sqrt(np.diag(covariance))
-    correlation = covariance[6, 3:6] / (std[6] * std[3:6])
+    p = _parameters(design)
+    correlation = p.correlation[6, 3:6]
     worst = int(np.argmax(np.abs(correlation)))
-    return AnglePrediction(float(std[6]), float(correlation[worst]), names[3 + worst])
+    return AnglePrediction(float(p.std[6]), float(correlation[worst]), p.names[3 + worst])
 
 
 def delivered(effects: Sequence[Added] = ()) -> tuple[str, ...]:
@@ -83,22 +69,14 @@ def delivered(effects: Sequence[Added] = ()) -> tuple[str, ...]:
     return (spindle.PART, spindle.COUPLING, *free_blocks(effects))
 
 
-def _estimates(
-    solution: Solution, effects: Sequence[Added] = ()
-) -> tuple[tuple[str, ...], Array, Array, tuple[str, ...]]:
-    """Return names, values, covariance and units of x y z alpha beta gamma, of gamma_s in 7D, and of effects."""
+def _parameters(solution: Solution, effects: Sequence[Added] = ()) -> Parameters:
+    """Return x y z alpha beta gamma, gamma_s in 7D, and the effects."""
     pose = solution.blocks[spindle.PART].values[0]
     angle = solution.blocks[spindle.COUPLING]
-    estimates = effect_estimates(effects, solution)
-    covariance = solution.joint(delivered(effects))
-    change = np.eye(len(covariance))
-    change[:6, :6] = poses.euler_form_by_step(pose)
-    covariance = change @ covariance @ change.T
     turns = [math.remainder(float(turn), math.tau) for turn in angle.values[angle.free]]
-    values = np.concatenate([poses.euler_form(pose), turns, [estimate.value for estimate in estimates]])
-    names = (*poses.EULER, *(["gamma_s"] if angle.free.any() else []), *(estimate.name for estimate in estimates))
-    units = (*_UNITS[: len(names) - len(estimates)], *(estimate.unit for estimate in estimates))
-    return names, values, (covariance + covariance.T) / 2, units
+    names, values = (*poses.EULER, *["gamma_s"] * len(turns)), np.concatenate([poses.euler_form(pose), turns])
+    joint, change = solution.joint(delivered(effects)), poses.euler_form_by_step(pose)
+    return with_effects(names, values, _UNITS[: len(names)], joint, change, effect_estimates(effects, solution))
 
 
 def report(
@@ -107,31 +85,26 @@ def report(
     """Return the result of a solved alignment, with the corrections of its fixture and the points to gauge."""
     solution = adjusted.solution
     residuals = adjusted.known_residuals()
-    names, values, covariance, units = _estimates(solution, problem.effects)
-    std = np.sqrt(np.diag(covariance))
-    estimates = tuple(
-        Estimate(name, float(value), float(s), unit)
-        for name, value, s, unit in zip(names, values, std, units, strict=True)
-    )
+    p = _parameters(solution, problem.effects)
     pose = solution.blocks[spindle.PART].values[0]
     tables, arrays = _tables(problem, adjusted, residuals)
     tables[TABLE] = uncontrolled(problem, adjusted, files)
-    arrays |= {"rotation": poses.rotation_of(pose), "correlation": covariance / std[:, None] / std}
-    details = adjusted.structured.details(names) if adjusted.structured is not None else {}
+    arrays |= {"rotation": poses.rotation_of(pose), "correlation": p.correlation}
+    details = adjusted.details(p.names)
     estimated = math.inf if adjusted.noise is None else float(solution.dof)
     dof = min((details[angle]["dof"] for angle in ("alpha", "beta") if angle in details), default=estimated)
-    fixture = corrections(values[:6], covariance[:6, :6], files.supports, dof)
+    fixture = corrections(p.values[:6], p.covariance[:6, :6], files.supports, dof)
     tables |= fixture.tables
     if files.points is not None:
-        known = [*range(6), *(k for k, name in enumerate(names) if name.startswith(f"{EXPANSION}."))]
-        joint = covariance[np.ix_(known, known)]
+        known = [*range(6), *(k for k, name in enumerate(p.names) if name.startswith(f"{EXPANSION}."))]
+        joint = p.covariance[np.ix_(known, known)]
         tables["points"], of_points = predicted_points(files.points, pose, joint, _growth(problem, solution))
         arrays |= of_points
     return Result(
         kind=KIND.name,
         title="",
-        estimates=estimates,
-        covariance=covariance,
+        estimates=p.estimates,
+        covariance=p.covariance,
         statistics=_statistics(problem, adjusted, residuals, prediction),
         tables=tables,
         arrays=arrays,
@@ -153,14 +126,8 @@ def _tables(
     problem: AlignmentProblem, adjusted: AdjustedImages, residuals: Residuals
 ) -> tuple[dict[str, Table], dict[str, Array]]:
     """Return the tables of readings, views and targets, of effects, and of what is owed."""
-    images, targets = problem.sighted.images, problem.sighted.targets.names
-    index = adjusted.group.observations.index
-    tables = {
-        "residuals": residual_table(residuals, adjusted.group),
-        "views": rms_table(residuals.values, adjusted.group, "image", index["view"], images),
-        "targets": _targets(adjusted, rms_table(residuals.values, adjusted.group, "target", index[TARGET], targets)),
-        "rejected": adjusted.rejected,
-    }
+    tables = image_tables(adjusted, residuals, problem.sighted, "view")
+    tables["targets"] = _targets(adjusted, tables["targets"])
     effect_tables, effect_arrays = effect_results(problem.effects, adjusted.solution)
     owed_tables, owed_arrays = ({}, {}) if adjusted.structured is not None else _owed(problem, adjusted.solution)
     return tables | effect_tables | owed_tables, effect_arrays | owed_arrays
@@ -186,13 +153,12 @@ def _statistics(
     problem: AlignmentProblem, adjusted: AdjustedImages, residuals: Residuals, prediction: AnglePrediction | None
 ) -> Statistics:
     """Return the statistics of the adjustment, and what is predicted of the clamping angle."""
-    statistics = basic_statistics(adjusted.solution, {"px": root_mean_square(residuals.values)}) | {
+    own: Statistics = {
         "readings": adjusted.group.observations.count,
         "rejected": len(adjusted.rejected),
         "images": len(problem.sighted.images),
     }
-    if adjusted.noise is not None:
-        statistics = with_noise(statistics, adjusted.solution, {"noise": adjusted.noise}, adjusted.structured)
+    statistics = image_statistics(adjusted, residuals, own)
     if prediction is not None:
         statistics |= {"predicted_std_gamma_s": prediction.std, "predicted_correlation_gamma_s": prediction.correlation}
     return statistics
@@ -224,7 +190,7 @@ def _notes(solution: Solution, adjusted: AdjustedImages, prediction: AnglePredic
 def _warnings(
     problem: AlignmentProblem, adjusted: AdjustedImages, views: Table, prediction: AnglePrediction | None
 ) -> list[str]:
-    lines = [*problem.sighted.warnings, *problem.warnings]
+    lines = list(problem.warnings)
     if problem.camera.covariance is None:
         lines.append("the camera is taken as exact: its file contains no covariance")
     if prediction is not None and abs(prediction.correlation) > HIGH:
@@ -233,11 +199,8 @@ def _warnings(
             "the images hardly separate them; "
             "take images from positions further apart, or with the spindle turned by 90 or 180 degrees"
         )
-    lines += suspect_images(problem.sighted.images, views.numbers("rms"), views.numbers("readings"))
-    lines += suspect_readings(adjusted.suspects, adjusted.group)
-    if adjusted.noise is None:
-        lines += noise_warnings(adjusted.solution)
-    return lines
+    lines = image_warnings(adjusted, problem.sighted, views, lines)
+    return lines + (noise_warnings(adjusted.solution) if adjusted.noise is None else [])
 
 
 def explained(problem: AlignmentProblem, solution: Solution) -> str:

@@ -12,7 +12,7 @@ from metrocli.effects.estimates import tables as effect_results
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
-from metrocli.result import Estimate, Result, ShownTable
+from metrocli.result import Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.advice import (
@@ -38,24 +38,16 @@ from metrocli.tasks.calibrate_camera.settings import CameraSettings, Settings
 from metrocli.tasks.calibrate_camera.shape.found import shape_notes, shape_rms, shape_table
 from metrocli.tasks.calibrate_camera.turned_images import turned_images
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
-from metrocli.tasks.shared.images.camera_parameters import POSE_UNITS, Parameters, parameters, unit_of
+from metrocli.tasks.shared.images.camera_parameters import Parameters, parameters, pose_columns, unit_of
 from metrocli.tasks.shared.images.tables import (
     adjustment_notes,
-    rms_table,
+    image_statistics,
+    image_tables,
+    image_warnings,
     root_mean_square,
-    suspect_images,
-    suspect_readings,
 )
 from metrocli.tasks.shared.joint_covariance import factors
-from metrocli.tasks.shared.statistics import (
-    Statistics,
-    basic_statistics,
-    chi_interval,
-    noise_notes,
-    noise_warnings,
-    residual_table,
-    with_noise,
-)
+from metrocli.tasks.shared.statistics import Statistics, chi_interval, noise_notes, noise_warnings
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.uncertainty.predicted import POINTS_COVARIANCE
 
@@ -86,9 +78,6 @@ class _Calibration:
     def index(self, name: str) -> Index:
         return self.adjusted.group.observations.index[name]
 
-    def rms_table(self, label: str, index: Index, names: tuple[str, ...]) -> Table:
-        return rms_table(self.residuals.values, self.adjusted.group, label, index, names)
-
 
 def report(problem: CameraProblem, job: Settings, adjusted: AdjustedImages, tests: Table | None = None) -> Result:
     """Return the result of a solved calibration; `tests` are lengths that test a network."""
@@ -98,23 +87,21 @@ def report(problem: CameraProblem, job: Settings, adjusted: AdjustedImages, test
     p = parameters(problem.rig, solution, problem.effects)
     centre = principal_point(problem, adjusted)
     solved = _Calibration(problem, settings, adjusted, adjusted.known_residuals(), covariance, p, centre)
-    views, tested = _views(solved), _tested(solved, tests, job) if tests is not None else None
+    tested = _tested(solved, tests, job) if tests is not None else None
     hidden = uncontrolled(problem, settings, adjusted, centre)
-    tables, arrays = _tables_and_arrays(solved, views, hidden)
+    tables, arrays = _tables_and_arrays(solved, hidden)
     statistics = _statistics(solved)
     if tested is not None:
         tables["length_errors"] = tested.table
     return Result(
         kind=KIND.name,
         title="",
-        estimates=tuple(
-            Estimate(*row) for row in zip(p.names, p.values.tolist(), p.std.tolist(), p.units, strict=True)
-        ),
+        estimates=p.estimates,
         covariance=p.covariance,
         statistics={**statistics, **(tested.statistics if tested is not None else {})},
         tables=tables,
         arrays=arrays,
-        warnings=(*_warnings(solved, views), *coverage_warnings(statistics)),
+        warnings=(*_warnings(solved, tables.get("views")), *coverage_warnings(statistics)),
         doubts=tuple(_doubts(solved)),
         shown=(ShownTable("views", ("image", "readings", "rms", "largest", "largest_target")),)
         if problem.rig == "board"
@@ -127,12 +114,12 @@ def report(problem: CameraProblem, job: Settings, adjusted: AdjustedImages, test
             *(noise_notes(solution) if adjusted.noise is None else ()),
             *in_words(hidden),
         ),
-        details=adjusted.structured.details(p.names) if adjusted.structured is not None else {},
+        details=adjusted.details(p.names),
         plain=("dof",),
     )
 
 
-def _tables_and_arrays(solved: _Calibration, views: Table, hidden: Table) -> tuple[dict[str, Table], dict[str, Array]]:
+def _tables_and_arrays(solved: _Calibration, hidden: Table) -> tuple[dict[str, Table], dict[str, Array]]:
     """Return the tables of a calibration, and its covariances and correlations."""
     problem, settings, solution, adjusted = solved.problem, solved.settings, solved.solution, solved.adjusted
     p, covariance = solved.delivered, solved.covariance
@@ -141,11 +128,7 @@ def _tables_and_arrays(solved: _Calibration, views: Table, hidden: Table) -> tup
     form = photogrammetric_form(problem, settings, solution)
     if form is not None:
         arrays["photogrammetric_covariance"] = form_covariance(form, covariance)
-    names = problem.sighted.targets.names
-    tables = {
-        "residuals": residual_table(solved.residuals, adjusted.group),
-        "targets": solved.rms_table("target", solved.index(camera.TARGET), names),
-        "rejected": adjusted.rejected,
+    tables = image_tables(adjusted, solved.residuals, problem.sighted, "view") | {
         "correlations": p.high_correlations(),
         "significance": p.significance(),
         "conventions": conventions_table(problem, settings, solution, covariance),
@@ -154,8 +137,11 @@ def _tables_and_arrays(solved: _Calibration, views: Table, hidden: Table) -> tup
         TABLE: hidden,
         **effect_tables,
     }
-    if problem.rig != "cmm":
-        tables["views"] = views
+    if problem.rig == "cmm":
+        del tables["views"]  # the machine gives their poses: they are no unknowns
+    else:
+        of_views = pose_columns(solution.blocks[camera.VIEW].values, covariance.members(camera.VIEW))
+        tables["views"] = tables["views"].joined(of_views)
         arrays |= _view_covariances(solved)
     if problem.rig == "network" or (problem.rig == "board" and problem.blocks[camera.TARGET].free.any()):
         tables["points"], of_points = _points(solved)
@@ -176,8 +162,7 @@ def _statistics(solved: _Calibration) -> Statistics:
     eigenvalues, _ = np.linalg.eigh(solved.delivered.correlation)
     low, high = chi_interval(solution)
     pixel = solved.settings.pixel_size
-    statistics: Statistics = {
-        **basic_statistics(solution, {"px": root_mean_square(values)}),
+    own: Statistics = {
         "rank": solution.unknowns,
         "datum": "inner constraints on the targets" if solution.conditions else "given by known targets",
         "rms_u": u_rms,
@@ -198,23 +183,7 @@ def _statistics(solved: _Calibration) -> Statistics:
         "rig": problem.rig,
         "convention": problem.convention,
     }
-    return (
-        statistics
-        if adjusted.noise is None
-        else with_noise(statistics, solution, {"noise": adjusted.noise}, adjusted.structured)
-    )
-
-
-def _views(solved: _Calibration) -> Table:
-    table = solved.rms_table("image", solved.index("view"), solved.problem.sighted.images)
-    if solved.problem.rig == "cmm":
-        return table
-    values = solved.solution.blocks[camera.VIEW].values
-    change = poses.euler_form_by_step(values)
-    std = np.sqrt(np.einsum("vab,vbc,vac->va", change, solved.covariance.members(camera.VIEW), change))
-    pairs = np.stack([poses.euler_form(values), std], axis=2)
-    headings = [f"{name} s_{name} [{unit}]" for name, unit in zip(poses.EULER, POSE_UNITS, strict=True)]
-    return table.joined(dict(zip(headings, np.swapaxes(pairs, 0, 1), strict=True)))
+    return image_statistics(adjusted, solved.residuals, own)
 
 
 def _view_covariances(solved: _Calibration) -> dict[str, Array]:
@@ -266,12 +235,9 @@ def _ray_angles(solved: _Calibration) -> Array:
     return angles
 
 
-def _warnings(solved: _Calibration, views: Table) -> list[str]:
+def _warnings(solved: _Calibration, views: Table | None) -> list[str]:
     problem, adjusted = solved.problem, solved.adjusted
-    lines = list(problem.sighted.warnings)
-    if problem.rig != "cmm":
-        lines += suspect_images(problem.sighted.images, views.numbers("rms"), views.numbers("readings"))
-    lines += suspect_readings(adjusted.suspects, adjusted.group)
+    lines = image_warnings(adjusted, problem.sighted, views)
     lines += correlation_warnings(solved.delivered.high_correlations())
     lines += turned_too_little(problem, solved.solution) + seen_from_behind(problem, solved.solution)
     lines += noise_warnings(solved.solution) if adjusted.noise is None else []

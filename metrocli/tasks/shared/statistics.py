@@ -54,7 +54,7 @@ def with_noise(
 ) -> Statistics:
     """Return the statistics of a job whose noise is estimated from the residuals.
 
-    `found` is that noise, by its name. sigma0 then belongs to the unit weight, and the global test does not apply.
+    `weighed_noise` is that noise by name. sigma0 then belongs to the unit weight, and the global test does not apply.
     """
     (size,) = weighed_noise.values()
     kept = {name: value for name, value in statistics.items() if name not in ("p_value", "sigma0_low", "sigma0_high")}

@@ -2,41 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.solution import Solution
-from metrocli.arrays import Array
+from metrocli.adjust.solution import Residuals, Solution
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.lenses.conventions import projection_range
-from metrocli.result import Estimate, Result, ShownTable
+from metrocli.result import Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.advice import correlation_warnings
 from metrocli.tasks.calibrate_camera.multi_camera.system import IMAGE, CameraSystem
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
-from metrocli.tasks.shared.images.camera_parameters import POSE_UNITS, Parameters, unit_of
-from metrocli.tasks.shared.images.tables import (
-    adjustment_notes,
-    rms_table,
-    root_mean_square,
-    suspect_images,
-    suspect_readings,
+from metrocli.tasks.shared.images.camera_parameters import (
+    POSE_UNITS,
+    Parameters,
+    in_diagonal,
+    pose_columns,
+    unit_of,
+    with_effects,
 )
-from metrocli.tasks.shared.statistics import (
-    Statistics,
-    basic_statistics,
-    chi_interval,
-    noise_notes,
-    noise_warnings,
-    residual_table,
-    with_noise,
-)
+from metrocli.tasks.shared.images.tables import adjustment_notes, image_statistics, image_tables, image_warnings
+from metrocli.tasks.shared.statistics import Statistics, chi_interval, noise_notes, noise_warnings
 
 CAMERAS = "cameras"
 """Table of the cameras: image size and pose of each"""
@@ -51,41 +43,30 @@ def report(system: CameraSystem, adjusted: AdjustedImages) -> Result:
     """Return the result of several cameras that were adjusted together."""
     solution, residuals = adjusted.solution, adjusted.known_residuals()
     p = parameters(system, solution)
-    index = adjusted.group.observations.index
-    images = rms_table(residuals.values, adjusted.group, "image", index[IMAGE], system.sighted.images)
     effects, arrays = effect_results(system.effects, solution)
-    tables = {
-        "residuals": residual_table(residuals, adjusted.group),
-        "views": images,
-        "targets": rms_table(
-            residuals.values, adjusted.group, "target", index[camera.TARGET], system.sighted.targets.names
-        ),
-        "rejected": adjusted.rejected,
+    tables = image_tables(adjusted, residuals, system.sighted, IMAGE) | {
         "correlations": p.high_correlations(),
         "significance": p.significance(),
         "camera": _lens_table(solution),
         CAMERAS: _cameras(system, solution),
         **effects,
     }
-    warnings = [*system.sighted.warnings, *suspect_readings(adjusted.suspects, adjusted.group)]
-    warnings += suspect_images(system.sighted.images, images.numbers("rms"), images.numbers("readings"))
+    warnings = image_warnings(adjusted, system.sighted, tables["views"])
     warnings += correlation_warnings(p.high_correlations())
     known = adjusted.noise is None
     return Result(
         kind=KIND.name,
         title="",
-        estimates=tuple(
-            Estimate(*row) for row in zip(p.names, p.values.tolist(), p.std.tolist(), p.units, strict=True)
-        ),
+        estimates=p.estimates,
         covariance=p.covariance,
-        statistics=_statistics(system, adjusted, residuals.values),
+        statistics=_statistics(system, adjusted, residuals),
         tables=tables,
         arrays={"correlation": p.correlation, **arrays},
         warnings=(*warnings, *(noise_warnings(solution) if known else ())),
         doubts=tuple(_folds(system, adjusted)),
         shown=(ShownTable(CAMERAS, ("camera", "x", "y", "z", "alpha", "beta", "gamma")),),
         notes=(*adjustment_notes(adjusted), *_baselines(solution), *(noise_notes(solution) if known else ())),
-        details=adjusted.structured.details(p.names) if adjusted.structured is not None else {},
+        details=adjusted.details(p.names),
         plain=("dof",),
     )
 
@@ -108,22 +89,8 @@ def parameters(system: CameraSystem, solution: Solution) -> Parameters:
         changes.append(poses.euler_form_by_step(pose))
         names += [f"{name}.{key}" for key in poses.EULER]
         of += POSE_UNITS
-    added = estimates(system.effects, solution)
-    changes.append(np.eye(len(added)))
-    change = _diagonal(changes)
-    covariance = change @ solution.joint(delivered(system)) @ change.T
-    names, of = [*names, *(estimate.name for estimate in added)], [*of, *(estimate.unit for estimate in added)]
-    every = np.concatenate([*values, [estimate.value for estimate in added]])
-    return Parameters(tuple(names), every, (covariance + covariance.T) / 2, tuple(of))
-
-
-def _diagonal(parts: Sequence[Array]) -> Array:
-    size = sum(len(part) for part in parts)
-    whole, at = np.zeros((size, size)), 0
-    for matrix in parts:
-        whole[at : at + len(matrix), at : at + len(matrix)] = matrix
-        at += len(matrix)
-    return whole
+    joint, added = solution.joint(delivered(system)), estimates(system.effects, solution)
+    return with_effects(names, np.concatenate(values), of, joint, in_diagonal(changes), added)
 
 
 def _lens_table(solution: Solution) -> Table:
@@ -141,21 +108,15 @@ def _lens_table(solution: Solution) -> Table:
 def _cameras(system: CameraSystem, solution: Solution) -> Table:
     """Return the size of the images of each camera, and its pose in the frame of the first."""
     mount = solution.blocks[camera.MOUNT]
-    change = poses.euler_form_by_step(mount.values)
-    each = solution.covariance_or_raise().members(camera.MOUNT)
-    std = np.sqrt(np.maximum(np.einsum("vab,vbc,vac->va", change, each, change), 0.0))
-    pairs = np.swapaxes(np.stack([poses.euler_form(mount.values) + 0.0, std], axis=2), 0, 1)
-    headings = [f"{name} s_{name} [{unit}]" for name, unit in zip(poses.EULER, POSE_UNITS, strict=True)]
     sizes = np.array([system.size(name) for name in mount.members])
     own = {"camera [text]": mount.members, "image_width": sizes[:, 0], "image_height": sizes[:, 1]}
-    return Table.of({**own, **dict(zip(headings, pairs, strict=True))})
+    return Table.of({**own, **pose_columns(mount.values, solution.covariance_or_raise().members(camera.MOUNT))})
 
 
-def _statistics(system: CameraSystem, adjusted: AdjustedImages, residuals: Array) -> Statistics:
-    solution, observations = adjusted.solution, adjusted.group.observations
-    low, high = chi_interval(solution)
-    statistics: Statistics = {
-        **basic_statistics(solution, {"px": root_mean_square(residuals)}),
+def _statistics(system: CameraSystem, adjusted: AdjustedImages, residuals: Residuals) -> Statistics:
+    observations = adjusted.group.observations
+    low, high = chi_interval(adjusted.solution)
+    own: Statistics = {
         "readings": observations.count,
         "rejected": len(adjusted.rejected),
         "images": len(system.sighted.images),
@@ -166,9 +127,7 @@ def _statistics(system: CameraSystem, adjusted: AdjustedImages, residuals: Array
         "rig": system.rig,
         "convention": system.convention,
     }
-    if adjusted.noise is None:
-        return statistics
-    return with_noise(statistics, solution, {"noise": adjusted.noise}, adjusted.structured)
+    return image_statistics(adjusted, residuals, own)
 
 
 def _baselines(solution: Solution) -> Iterator[str]:

@@ -89,6 +89,10 @@ class AdjustedImages:
             raise RuntimeError(self.solution.outcome.value)
         return self.residuals
 
+    def details(self, names: Sequence[str]) -> dict[str, dict[str, float]]:
+        """Return what is known of each estimate besides its uncertainty."""
+        return self.structured.details(names) if self.structured is not None else {}
+
     def with_structure(self, delivered: Sequence[str]) -> AdjustedImages:
         """Return the adjustment with the covariance that lets readings of one image share errors.
 

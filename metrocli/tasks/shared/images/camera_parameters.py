@@ -1,4 +1,4 @@
-"""The parameters that result from a camera calibration, with their covariance."""
+"""The estimates of an adjustment of image points, with their covariance: lens parameters, poses, effects."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.lenses.distortion import DISTORTION
 from metrocli.instruments.lenses.lens import UNITS
+from metrocli.result import Estimate
 from metrocli.table import Table
 
 HIGH = 0.95
@@ -37,6 +38,12 @@ class Parameters:
     def std(self) -> Array:
         """Standard uncertainties."""
         return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """The parameters one by one."""
+        rows = zip(self.names, self.values.tolist(), self.std.tolist(), self.units, strict=True)
+        return tuple(Estimate(*row) for row in rows)
 
     @property
     def correlation(self) -> Array:
@@ -82,21 +89,52 @@ def parameters(rig: str, solution: Solution, effects: Sequence[Added] = ()) -> P
     """
     lens = solution.blocks[camera.LENS]
     free = np.flatnonzero(lens.free[0])
-    names = [lens.columns[i] for i in free]
-    units = [unit_of(name) for name in names]
-    values = lens.values[0, free]
+    names = tuple(lens.columns[i] for i in free)
+    units = tuple(unit_of(name) for name in names)
+    values, change = lens.values[0, free], np.eye(len(free))
     if rig == "cmm":
-        values = np.concatenate([values, poses.euler_form(solution.blocks[camera.TAPER].values[0])])
-        names += list(poses.EULER)
-        units += POSE_UNITS
-    added = estimates(effects, solution)
-    matrix = solution.joint(delivered(rig, effects))
-    if rig == "cmm":
-        change = np.eye(len(matrix))
-        pose = slice(len(free), len(free) + 6)
-        change[pose, pose] = poses.euler_form_by_step(solution.blocks[camera.TAPER].values[0])
-        matrix = change @ matrix @ change.T
-    names += [estimate.name for estimate in added]
-    units += [estimate.unit for estimate in added]
-    values = np.concatenate([values, [estimate.value for estimate in added]])
-    return Parameters(tuple(names), values, (matrix + matrix.T) / 2, tuple(units))
+        pose = solution.blocks[camera.TAPER].values[0]
+        names, units = (*names, *poses.EULER), (*units, *POSE_UNITS)
+        values = np.concatenate([values, poses.euler_form(pose)])
+        change = in_diagonal([change, poses.euler_form_by_step(pose)])
+    return with_effects(
+        names, values, units, solution.joint(delivered(rig, effects)), change, estimates(effects, solution)
+    )
+
+
+def with_effects(
+    names: Sequence[str], values: Array, units: Sequence[str], joint: Array, change: Array, added: Sequence[Estimate]
+) -> Parameters:
+    """Return parameters and behind them the estimates of effects.
+
+    `joint` (n, n) is the covariance of all their steps, of which `change` (k, k) makes that of the k parameters.
+    """
+    whole = in_diagonal([change, np.eye(len(joint) - len(change))])
+    covariance = whole @ joint @ whole.T
+    return Parameters(
+        (*names, *(estimate.name for estimate in added)),
+        np.concatenate([values, [estimate.value for estimate in added]]),
+        (covariance + covariance.T) / 2,
+        (*units, *(estimate.unit for estimate in added)),
+    )
+
+
+def in_diagonal(parts: Sequence[Array]) -> Array:
+    """Return square matrices in the diagonal of one that is 0 elsewhere."""
+    ends = np.cumsum([len(part) for part in parts])
+    whole = np.zeros((ends[-1], ends[-1]))
+    for end, part in zip(ends.tolist(), parts, strict=True):
+        whole[end - len(part) : end, end - len(part) : end] = part
+    return whole
+
+
+def pose_columns(values: Array, covariance: Array) -> dict[str, Array]:
+    """Return x y z alpha beta gamma of poses (n, 6), each with its standard uncertainty, by heading.
+
+    `covariance` (n, 6, 6) is that of the steps of each pose.
+    """
+    change = poses.euler_form_by_step(values)
+    std = np.sqrt(np.maximum(np.einsum("vab,vbc,vac->va", change, covariance, change), 0.0))
+    # adding 0 turns -0 into 0: the pose of a camera that is the frame itself has no sign
+    columns = zip(poses.EULER, POSE_UNITS, (poses.euler_form(values) + 0.0).T, std.T, strict=True)
+    return {f"{name} s_{name} [{unit}]": np.stack([value, s], axis=1) for name, unit, value, s in columns}

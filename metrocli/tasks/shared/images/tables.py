@@ -1,4 +1,4 @@
-"""Tables and warnings of an image adjustment: residuals, RMS by image and by target, and what stands out."""
+"""What every image adjustment reports: residuals, RMS by image and by target, statistics, and what stands out."""
 
 from __future__ import annotations
 
@@ -8,10 +8,19 @@ import numpy as np
 
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import Suspects
+from metrocli.adjust.solution import Residuals
 from metrocli.arrays import Array, Index
+from metrocli.instruments.camera import TARGET
 from metrocli.table import Table
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
-from metrocli.tasks.shared.statistics import beyond_bound
+from metrocli.tasks.shared.images.sightings import Sighted
+from metrocli.tasks.shared.statistics import (
+    Statistics,
+    basic_statistics,
+    beyond_bound,
+    residual_table,
+    with_noise,
+)
 
 _VIEW_SUSPECT = 2.5
 """A warning names images whose RMS is more than this many times the median."""
@@ -46,6 +55,36 @@ def rms_table(residuals: Array, group: Group, label: str, index: Index, names: S
             f"largest_{other} [text]": [keys[i] if i >= 0 else "" for i in worst],
         }
     )
+
+
+def image_tables(adjusted: AdjustedImages, residuals: Residuals, sighted: Sighted, view: str) -> dict[str, Table]:
+    """Return the tables of readings, images and targets; `view` is the index of the images among those of readings."""
+    group = adjusted.group
+    index = group.observations.index
+    return {
+        "residuals": residual_table(residuals, group),
+        "views": rms_table(residuals.values, group, "image", index[view], sighted.images),
+        "targets": rms_table(residuals.values, group, "target", index[TARGET], sighted.targets.names),
+        "rejected": adjusted.rejected,
+    }
+
+
+def image_statistics(adjusted: AdjustedImages, residuals: Residuals, own: Statistics) -> Statistics:
+    """Return the statistics of an adjustment of image points, with those of its kind of job."""
+    statistics = basic_statistics(adjusted.solution, {"px": root_mean_square(residuals.values)}) | own
+    if adjusted.noise is None:
+        return statistics
+    return with_noise(statistics, adjusted.solution, {"noise": adjusted.noise}, adjusted.structured)
+
+
+def image_warnings(
+    adjusted: AdjustedImages, sighted: Sighted, views: Table | None, own: Sequence[str] = ()
+) -> list[str]:
+    """Return the warnings of what was found in the images, of the kind of job, and of what stands out."""
+    lines = [*sighted.warnings, *own]
+    if views is not None:
+        lines += suspect_images(sighted.images, views.numbers("rms"), views.numbers("readings"))
+    return lines + suspect_readings(adjusted.suspects, adjusted.group)
 
 
 def suspect_images(names: Sequence[str], rms: Array, counts: Array) -> list[str]:
