@@ -5,7 +5,7 @@ Method: docs/algorithms/laws.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import count, groupby
@@ -18,8 +18,7 @@ from metrocli.adjust.model.groups import listed_values
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.prices import Prices, counted
-from metrocli.diagnosis.laws.further_columns import kept
-from metrocli.diagnosis.laws.terms import TermForm, columns_of, forms_of
+from metrocli.diagnosis.laws.terms import TermForm, columns_of, forms_of, powers_are_tried
 from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup
 from metrocli.diagnosis.linear.column_parts import StackedColumns
 from metrocli.diagnosis.linear.columns import CandidateColumns
@@ -255,3 +254,27 @@ def _at(job: AdjustedJob, system: Linearised, acting: Acting) -> tuple[Array, di
     seen = {name: one[acting_on] for name, one in values.items() if name not in partly}
     chosen = kept(seen, {name for name, one in known.items() if one.of_data})
     return whole, {name: values[name] for name in chosen}
+
+
+_FEWEST = 4
+"""Fewest different values of a column"""
+_ALIKE = 0.999
+"""Correlation above which a column counts as the same variable: as the time, or as the number of the row"""
+
+
+def kept(values: Mapping[str, Array], of_data: Collection[str]) -> dict[str, Array]:
+    """Return the variables (rows,) without columns of the data that have few values or follow another variable.
+
+    The time counts also by its order, so that a column that numbers the readings follows it.
+    """
+    columns = {name: column for name, column in values.items() if name not in of_data}
+    order = {"order": np.unique(columns["t"], return_inverse=True)[1].astype(float)} if "t" in columns else {}
+    for name in (column for column in values if column in of_data and powers_are_tried(column)):
+        if len(np.unique(values[name])) >= _FEWEST and not _follows(values[name], (columns | order).values()):
+            columns[name] = values[name]
+    return columns
+
+
+def _follows(values: Array, others: Collection[Array]) -> bool:
+    varying = [other for other in others if np.ptp(other) > 0]
+    return any(abs(float(np.corrcoef(values, column)[0, 1])) > _ALIKE for column in varying)

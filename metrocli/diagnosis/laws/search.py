@@ -18,11 +18,11 @@ from metrocli.diagnosis.evidence.held_out import Fold, Model, Train, folds_of
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.laws.library import Library, Term
-from metrocli.diagnosis.laws.near import near_effects
 from metrocli.diagnosis.laws.steps import Lawful, among_terms, columns_of_terms, forward
 from metrocli.diagnosis.laws.terms import columns_of
 from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.projection import Linearised
+from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.frozen import dataclass
 
 _LAW = float(np.log(30.0))
@@ -249,3 +249,23 @@ def _showing(system: Linearised, explained: Array) -> tuple[str, Mask]:
         unit = group.observations.unit
         of_unit[unit] = of_unit.get(unit, np.zeros(system.rows, dtype=bool)) | system.rows_of(group)
     return max(of_unit.items(), key=lambda one: float((explained[one[1]] ** 2).sum()))
+
+
+_LEAST, _MOST = 0.9, 2
+"""Smallest cosine of an effect that is reported as nearly the law, and the largest number of them"""
+
+
+def near_effects(state: State, shown: Array) -> tuple[tuple[Candidate, float], ...]:
+    """Return the effects whose visible columns nearly contain what a law explains, (rows,), with the cosine.
+
+    Each is at its best place and with its best scanned values; the nearest comes first.
+    """
+    size, nearest = float(shown @ shown), dict[str, tuple[Candidate, float]]()
+    for family in (pair for pair in state.measurement.families if not pair.unknown):
+        inside, _ = quadratic(family.gram, family.columns.products(shown[:, None])[:, :, 0], family.raw)
+        best = int(np.argmax(inside))
+        cosine = float(np.sqrt(min(inside[best] / max(size, 1e-300), 1.0)))
+        before = nearest[family.name][1] if family.name in nearest else _LEAST
+        if cosine > before:
+            nearest[family.name] = family.alternatives[best], cosine
+    return tuple(sorted(nearest.values(), key=lambda pair: -pair[1])[:_MOST])

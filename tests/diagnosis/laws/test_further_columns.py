@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from metrocli.diagnosis.laws.further_columns import kept
+from metrocli.diagnosis.laws.library import kept
 
 Metrocli = Callable[..., Any]
 MACHINE = """metrocli: 1

@@ -14,8 +14,7 @@ from metrocli.errors import UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments.tracker import cartesian
 from metrocli.tasks.adjust_network.readings import NetworkReadings
-from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, disagreement, list_offset, must_agree
-from metrocli.tasks.adjust_network.starts.rough_poses import fitted
+from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, disagreement, fitted, list_offset, must_agree
 from metrocli.words import listed
 
 _ENOUGH = 200
