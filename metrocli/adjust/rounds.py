@@ -62,7 +62,7 @@ def adjust_with_iterated_weights(
                 sigma = noise[group.name](group, state)
                 change = max(change, float(np.max(np.abs(sigma / group.observations.sigma - 1), initial=0.0)))
                 group, moved = with_aspects(group, aspects or {}, state)
-                group, turned = _with_sigma(group, sigma), max(turned, moved)
+                group, turned = group.with_observations(replace(group.observations, sigma=sigma)), max(turned, moved)
             renewed.append(group)
         groups = renewed
         failed = solution.outcome not in (Outcome.CONVERGED, Outcome.ITERATION_LIMIT)
@@ -81,10 +81,6 @@ def with_aspects(group: Group, aspects: Mapping[str, Aspect], blocks: Mapping[st
     return replace(group, observations=replace(observations, conditions={**before, **conditions})), max(
         changes, default=0.0
     )
-
-
-def _with_sigma(group: Group, sigma: Array) -> Group:
-    return group.with_observations(replace(group.observations, sigma=sigma))
 
 
 P = TypeVar("P")

@@ -168,7 +168,7 @@ def _factored(
     # once more, so that rounding does not leave a part of the local columns
     before.take_from(left, before.coordinates(left))
     gram = left.T @ left
-    reduced = _unscaled(gram, sizes)
+    reduced = gram * sizes * sizes[:, None]
     frame = None if model.datum is None else open_frame(model.datum, model.blocks, layout, reduced, sizes**2)
     # a free network leaves as many directions open as its frame has movements
     open_ones = 0 if frame is None else frame.reduced.shape[1]
@@ -222,10 +222,6 @@ def _orthonormal(columns: Array, rank: int) -> tuple[Array, Array]:
         u, s, vt = thin_svd(columns)
         unit, turn = u[:, :rank], vt[:rank].T / s[:rank]
     return unit, turn
-
-
-def _unscaled(gram: Array, sizes: Array) -> Array:
-    return gram * sizes * sizes[:, None]
 
 
 def _datum_of(frame: Frame | None, layout: Layout, blocks: Mapping[str, Block]) -> tuple[Array, Array]:

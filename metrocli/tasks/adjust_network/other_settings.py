@@ -60,13 +60,8 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[_Other]:
         yield from _exchanged(job, readings, rough)
         yield from _heights(job, readings, rough)
     yield from _stations(job, readings)
-    if rough is None or not _agrees(readings, rough):
+    if rough is None or not (max(disagreement(readings, rough)[0], list_offset(readings, rough)) < _RIGHT):
         yield from _angles(job)
-
-
-def _agrees(readings: NetworkReadings, rough: NetworkStart) -> bool:
-    """Return whether set-ups agree with each other and with the list, as none does with angles of another sort."""
-    return max(disagreement(readings, rough)[0], list_offset(readings, rough)) < _RIGHT
 
 
 def _started(readings: NetworkReadings) -> NetworkStart | None:

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, sizes
-from metrocli.effects.links.images import LensChange, TargetEccentricity
+from metrocli.effects.links.images import LensChange
 from metrocli.effects.links.points import Growth, Stretch
 from metrocli.effects.links.shifts import CouplingTilt, MachineAngles, MachineBow, MachineError, Shift
-from metrocli.tasks.shared.images.places import IMAGE, PERSPECTIVE_BLUR, image_point, rolling_shutter
+from metrocli.tasks.shared.images.places import (
+    IMAGE,
+    PERSPECTIVE_BLUR,
+    image_point,
+    moved_target,
+    rolling_shutter,
+    target_eccentricity,
+)
 
 _MENDIKUTE = "Mendikute et al."
 _PART, _MACHINE, _TAPER = Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_TAPER
@@ -106,20 +113,7 @@ EFFECTS: tuple[Effect, ...] = (
         reveal="the targets measured again, or calibrated lengths in several directions",
         source="affine distortion of a list; VDI/VDE 2634 part 1: calibrated lengths in several directions",
     ),
-    Effect(
-        "moved-target",
-        "a target is not at its listed position: it was knocked, mistaken for another, or measured wrongly",
-        sizes("dx dy dz", "length", "5 mm"),
-        lambda block, where: Shift(block, _PART),
-        where=("target",),
-        confused_with=("bad-pose",),
-        of_all="the list of targets is uncertain throughout: printed, or measured less well than it states",
-        formula="X_target += (dx, dy, dz)    # in the frame of the list",
-        note="Where the images of a target show no other, bad-pose is exactly the same change.",
-        usual="0.01 to 5 mm",
-        reveal="this target in more images from other sides, or measured again",
-        source="Baarda 1968 (test of a group of readings)",
-    ),
+    moved_target(_PART, "bad-pose", "Where the images of a target show no other, bad-pose is exactly the same change."),
     Effect(
         "bad-pose",
         "in one image the machine was not at the position in the file: not settled, or a wrong line in the file",
@@ -239,18 +233,7 @@ EFFECTS: tuple[Effect, ...] = (
         reveal="targets up to the corners of the image",
         source="Brown 1971, Close-range camera calibration",
     ),
-    Effect(
-        "target-eccentricity",
-        "the measured centre of a circle's image is not the image of the circle's centre",
-        (Parameter("factor", plausible=2.0),),
-        lambda block, where: TargetEccentricity(block),
-        needs=("radius",),
-        confused_with=("focal-change",),
-        formula="X <- X - factor r²/Z (e_z - n_z n)    # in the camera frame; n: normal of the circle, r: its radius",
-        usual="0.5 to 1",
-        reveal="larger tilts of the targets; the radius of every target in the list",
-        source="Ahn, Warnecke and Kotowski 1999, Systematic geometric image measurement errors of circular targets",
-    ),
+    target_eccentricity("focal-change"),
     PERSPECTIVE_BLUR,
     rolling_shutter("spindle", "bad-pose"),
 )

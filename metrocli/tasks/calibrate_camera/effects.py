@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, sizes
-from metrocli.effects.links.images import LensChange, TargetEccentricity
+from metrocli.effects.links.images import LensChange
 from metrocli.effects.links.points import Growth, PlaneBend, Stretch
-from metrocli.effects.links.shifts import Shift
 from metrocli.tasks.calibrate_camera.image_groups import SERIES, TURN
 from metrocli.tasks.calibrate_camera.shape.effect import LENS_SHAPE
-from metrocli.tasks.shared.images.places import IMAGE, PERSPECTIVE_BLUR, image_point, rolling_shutter
+from metrocli.tasks.shared.images.places import (
+    IMAGE,
+    PERSPECTIVE_BLUR,
+    image_point,
+    moved_target,
+    rolling_shutter,
+    target_eccentricity,
+)
 
 _LENS = "lens"
+_SEEN_ONCE = "A target seen in one image only is a wrong reading, not an effect."
 _FOCAL = ("f", "fx", "fy")
 _IMAGE_VARIANT = "Hastedt, Luhmann and Tecklenburg 2002, Image-variant interior orientation of digital cameras"
 
@@ -58,23 +65,6 @@ def _principal_point_of(what: str, kind: str, cause: str, confused: tuple[str, .
         usual="0.5 to 30 px",
         reveal=reveal,
         source=_IMAGE_VARIANT,
-    )
-
-
-def _moved_target(frame: Quantity) -> Effect:
-    return Effect(
-        "moved-target",
-        "a target is not at its listed position: it was knocked, mistaken for another, or measured wrongly",
-        sizes("dx dy dz", "length", "5 mm"),
-        lambda block, where: Shift(block, frame),
-        where=("target",),
-        confused_with=("target-plane-bend",),
-        of_all="the list of targets is uncertain throughout: printed, or measured less well than it states",
-        formula="X_target += (dx, dy, dz)    # in the frame of the list",
-        note="A target seen in one image only is a wrong reading, not an effect.",
-        usual="0.01 to 5 mm",
-        reveal="this target measured again, or seen in more views from other sides",
-        source="Baarda 1968 (test of a group of readings)",
     )
 
 
@@ -220,19 +210,10 @@ EFFECTS: tuple[Effect, ...] = (
         reveal="all images in one series with a fixed focus; views with much depth",
         source=_IMAGE_VARIANT,
     ),
-    Effect(
-        "target-eccentricity",
-        "the measured centre of a circle's image is not the image of the circle's centre",
-        (Parameter("factor", plausible=2.0),),
-        lambda block, where: TargetEccentricity(block),
-        needs=("radius",),
-        confused_with=("radial-distortion",),
-        formula="X <- X - factor r²/Z (e_z - n_z n)    # in the camera frame; n: normal of the circle, r: its radius",
-        note="1 where nothing corrects it, 0 where the job (`eccentricity: correct`) or the detection does; in "
+    target_eccentricity(
+        "radial-distortion",
+        "1 where nothing corrects it, 0 where the job (`eccentricity: correct`) or the detection does; in "
         "pixels f (r/Z)² times sine and cosine of the tilt. One flat board absorbs nearly all of it.",
-        usual="0.5 to 1",
-        reveal="larger tilts of the targets; the radius of every target in the list",
-        source="Ahn, Warnecke and Kotowski 1999, Systematic geometric image measurement errors of circular targets",
     ),
     PERSPECTIVE_BLUR,
     Effect(
@@ -263,8 +244,8 @@ EFFECTS: tuple[Effect, ...] = (
         source="Smith and Cope 2010; Elias et al. 2020",
     ),
     rolling_shutter("view", "axis-skew", "aspect-ratio"),
-    _moved_target(Quantity.POINT_ON_BOARD),
-    _moved_target(Quantity.POINT_ON_TARGETS),
+    moved_target(Quantity.POINT_ON_BOARD, "target-plane-bend", _SEEN_ONCE),
+    moved_target(Quantity.POINT_ON_TARGETS, "target-plane-bend", _SEEN_ONCE),
     LENS_SHAPE,
     _scale_of_targets(Quantity.POINT_ON_BOARD),
     _scale_of_targets(Quantity.POINT_ON_TARGETS),

@@ -95,11 +95,6 @@ def _unit(axis: str) -> str:
     return "rad" if axis in ANGLES else "mm"
 
 
-def _degrees(axis: str) -> str:
-    """Return the unit of the targets of an axis."""
-    return "deg" if axis in ANGLES else "mm"
-
-
 def _whole(runs: Sequence[Run]) -> tuple[list[_LineRuns], list[str]]:
     """Return the lines that were run more than once, over common targets, and warnings of what is left out of them."""
     whole, warnings = [], []
@@ -124,7 +119,7 @@ def _whole(runs: Sequence[Run]) -> tuple[list[_LineRuns], list[str]]:
         )
         warnings += [
             f"{where}: {one}; the figures of ISO 230-2 leave it out"
-            for one in _left_out(targets, rare, places, _degrees(axis))
+            for one in _left_out(targets, rare, places, "deg" if axis in ANGLES else "mm")
         ]
         if max(len(up), len(down)) > 1 or min(len(up), len(down)) > 0:
             size = (-1, len(targets))

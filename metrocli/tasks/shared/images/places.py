@@ -10,9 +10,10 @@ from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
 from metrocli.effects.acting import PLACE, TIMED, Acting, Variable, components, condition, point, seen_from
-from metrocli.effects.effect import Effect, Parameter
+from metrocli.effects.effect import Effect, Parameter, sizes
 from metrocli.effects.links.images import TargetEccentricity
 from metrocli.effects.links.points import RowShear
+from metrocli.effects.links.shifts import Shift
 from metrocli.effects.model import Model
 from metrocli.instruments.camera import LENS
 from metrocli.tasks.shared.images.settings import ROLLING
@@ -122,3 +123,38 @@ PERSPECTIVE_BLUR = Effect(
     reveal="larger tilts of the targets, nearer, in all directions; the width of an edge on the targets themselves",
     source="Mallon and Whelan 2007, Which pattern? Biasing aspects of planar calibration patterns",
 )
+
+
+def moved_target(frame: Quantity, confused: str, note: str) -> Effect:
+    """Return the effect of a target that is not where its list has it, in the frame of the list."""
+    return Effect(
+        "moved-target",
+        "a target is not at its listed position: it was knocked, mistaken for another, or measured wrongly",
+        sizes("dx dy dz", "length", "5 mm"),
+        lambda block, where: Shift(block, frame),
+        where=("target",),
+        confused_with=(confused,),
+        of_all="the list of targets is uncertain throughout: printed, or measured less well than it states",
+        formula="X_target += (dx, dy, dz)    # in the frame of the list",
+        note=note,
+        usual="0.01 to 5 mm",
+        reveal="this target in more images from other sides, or measured again",
+        source="Baarda 1968 (test of a group of readings)",
+    )
+
+
+def target_eccentricity(confused: str, note: str = "") -> Effect:
+    """Return the effect of the centre of a circle's image, which is not the image of the circle's centre."""
+    return Effect(
+        "target-eccentricity",
+        "the measured centre of a circle's image is not the image of the circle's centre",
+        (Parameter("factor", plausible=2.0),),
+        lambda block, where: TargetEccentricity(block),
+        needs=("radius",),
+        confused_with=(confused,),
+        formula="X <- X - factor r²/Z (e_z - n_z n)    # in the camera frame; n: normal of the circle, r: its radius",
+        note=note,
+        usual="0.5 to 1",
+        reveal="larger tilts of the targets; the radius of every target in the list",
+        source="Ahn, Warnecke and Kotowski 1999, Systematic geometric image measurement errors of circular targets",
+    )
