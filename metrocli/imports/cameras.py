@@ -12,9 +12,9 @@ from xml.etree import ElementTree
 
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
-from metrocli.imports import Imported, Wishes
-from metrocli.imports.lines import Lines, is_number
-from metrocli.instruments.lenses.forms import PROGRAMS, Form
+from metrocli.imports import Imported, ImportOptions
+from metrocli.imports.lines import TextLines, is_number
+from metrocli.instruments.lenses.forms import PROGRAMS, LensForm
 from metrocli.instruments.lenses.lens import UNITS
 
 _FIELD_OF_VIEW = 0.05
@@ -23,7 +23,7 @@ _CENTRE = (0.02, 0.98)
 """Principal points beyond these shares of the image are not plausible, or in other units"""
 
 
-def files(lines: Lines, wishes: Wishes) -> Imported:
+def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     """Return camera.yaml; raises InputError for what the file lacks, and for models that are not known here."""
     text = as_yaml(lines)
     if text is None:
@@ -32,53 +32,53 @@ def files(lines: Lines, wishes: Wishes) -> Imported:
     return {"camera.yaml": text}
 
 
-def as_yaml(lines: Lines) -> str | None:
+def as_yaml(lines: TextLines) -> str | None:
     """Return the text of camera.yaml; None for a file that is no camera of another program. Raises as `files`."""
     text = "\n".join(lines.lines)
     for program, (sign, reader) in _READERS.items():
         if re.search(sign, text, re.MULTILINE):
-            found = reader(lines, text)
-            _must_be_pixels(lines, found)
-            return _written(lines, program, found)
+            camera = reader(lines, text)
+            _must_be_pixels(lines, camera)
+            return _written(lines, program, camera)
     return None
 
 
 @dataclass(frozen=True)
-class _Read:
-    form: Form
+class _ReadCamera:
+    form: LensForm
     size: tuple[int, int]
     values: Mapping[str, str]
     """As the file has them, but cx and cy from the centre of the first pixel"""
 
 
-def _written(lines: Lines, program: str, found: _Read) -> str:
-    model = "fisheye" if found.form.fisheye else "opencv"
-    head = [f"# from {lines.file} (camera)", f"program: {program}", f"image_size: [{found.size[0]}, {found.size[1]}]"]
+def _written(lines: TextLines, program: str, camera: _ReadCamera) -> str:
+    model = "fisheye" if camera.form.fisheye else "opencv"
+    head = [f"# from {lines.file} (camera)", f"program: {program}", f"image_size: [{camera.size[0]}, {camera.size[1]}]"]
     values = [
         f"{name}: {value}{f' {UNITS[name]}' if name in UNITS else ''}"
-        for name, value in found.values.items()
+        for name, value in camera.values.items()
         if name in ("f", "fx", "fy", "cx", "cy") or float(value)
     ]
     return "\n".join([*head, f"model: {model}", *values, ""])
 
 
-def _must_be_pixels(lines: Lines, found: _Read) -> None:
+def _must_be_pixels(lines: TextLines, camera: _ReadCamera) -> None:
     """Raise InputError if focal lengths or principal point cannot be pixels of an image of this size."""
     faults = []
-    for name, value in found.values.items():
-        extent = found.size[0] if name == "cx" else found.size[1]
+    for name, value in camera.values.items():
+        extent = camera.size[0] if name == "cx" else camera.size[1]
         number = float(value)
-        if name in ("f", "fx", "fy") and not _FIELD_OF_VIEW * max(found.size) < number:
+        if name in ("f", "fx", "fy") and not _FIELD_OF_VIEW * max(camera.size) < number:
             faults.append(lines.fault(f"{name} = {value} is no focal length in pixels of this image"))
         if name in ("cx", "cy") and not _CENTRE[0] * extent < number < _CENTRE[1] * extent:
             faults.append(lines.fault(f"{name} = {value} is no principal point in pixels of this image"))
     if faults:
-        width, height = found.size
+        width, height = camera.size
         hint = f"expected pixels: the file states an image of {width} x {height} px"
-        raise InputError([Fault(one.message, one.file, hint=hint) for one in faults])
+        raise InputError([Fault(fault.message, fault.file, hint=hint) for fault in faults])
 
 
-def _form(lines: Lines, program: str, name: str, count: int | None = None) -> Form:
+def _form(lines: TextLines, program: str, name: str, count: int | None = None) -> LensForm:
     """Return the model of a program by its name, and where names stand for several, by its number of coefficients."""
     forms = PROGRAMS[program].forms
     named = [form for form in forms if form.name == name]
@@ -94,27 +94,29 @@ def _form(lines: Lines, program: str, name: str, count: int | None = None) -> Fo
     return counts[count]
 
 
-def _coefficients(form: Form) -> tuple[str, ...]:
+def _coefficients(form: LensForm) -> tuple[str, ...]:
     return tuple(name for name in form.terms if name not in ("f", "fx", "fy", "cx", "cy", "skew"))
 
 
-def _read(lines: Lines, program: str, form: Form, size: Sequence[str], values: Mapping[str, str]) -> _Read:
+def _read(
+    lines: TextLines, program: str, form: LensForm, size: Sequence[str], values: Mapping[str, str]
+) -> _ReadCamera:
     """Return what was read; raises InputError for values that are no numbers."""
     wrong = [f"{name} = '{value}'" for name, value in values.items() if not is_number(value)]
     if wrong:
         raise InputError([lines.fault(f"not a number: {', '.join(wrong)}")])
     pixel = PROGRAMS[program].pixel
     centre = {name: repr(float(values[name]) - pixel) for name in ("cx", "cy")} if pixel else {}
-    return _Read(form, (int(size[0]), int(size[1])), {**values, **centre})
+    return _ReadCamera(form, (int(size[0]), int(size[1])), {**values, **centre})
 
 
-def _must_have(lines: Lines, what: str, fields: Mapping[str, object]) -> None:
+def _must_have(lines: TextLines, what: str, fields: Mapping[str, object]) -> None:
     lacking = [name for name, value in fields.items() if not value]
     if lacking:
         raise InputError([lines.fault(f"the file lacks {', '.join(lacking)}", None, f"expected a camera of {what}")])
 
 
-def _of_opencv(lines: Lines, text: str) -> _Read:
+def _of_opencv(lines: TextLines, text: str) -> _ReadCamera:
     """Return the camera of OpenCV's FileStorage or of ROS, which share their keys."""
     size = [_after(rf"image_?{side}\s*:\s*([0-9]+)", text, re.IGNORECASE) for side in ("width", "height")]
     matrix = _numbers(rf"(?:camera_matrix|cameraMatrix|Camera_Matrix)\s*:[^\[]*?{_DATA}", text)
@@ -137,10 +139,10 @@ def _of_opencv(lines: Lines, text: str) -> _Read:
         raise InputError([lines.fault("the camera matrix has a skew, which OpenCV does not use", None, "set it to 0")])
     if float(skew):
         values["skew"] = repr(float(skew) / float(fx))
-    return _read(lines, program, form, [str(one) for one in size], {**values, **_named(form, shift)})
+    return _read(lines, program, form, [str(name) for name in size], {**values, **_named(form, shift)})
 
 
-def _of_colmap(lines: Lines, text: str) -> _Read:
+def _of_colmap(lines: TextLines, text: str) -> _ReadCamera:
     """Return the camera of cameras.txt; raises InputError unless it is one."""
     rows = [(number, line.split()) for number, line in lines.without("#")]
     if len(rows) != 1:
@@ -154,7 +156,7 @@ def _of_colmap(lines: Lines, text: str) -> _Read:
     return _read(lines, "colmap", form, [width, height], dict(zip(form.terms, numbers, strict=True)))
 
 
-def _of_kalibr(lines: Lines, text: str) -> _Read:
+def _of_kalibr(lines: TextLines, text: str) -> _ReadCamera:
     """Return the camera of a camchain; raises InputError unless it is one, of the model pinhole."""
     names = re.findall(r"^(cam[0-9]+)\s*:", text, re.MULTILINE)
     if len(names) > 1:
@@ -174,7 +176,7 @@ def _of_kalibr(lines: Lines, text: str) -> _Read:
     return _read(lines, "kalibr", form, numbers["resolution"], {**intrinsics, **_named(form, shift)})
 
 
-def _of_mrcal(lines: Lines, text: str) -> _Read:
+def _of_mrcal(lines: TextLines, text: str) -> _ReadCamera:
     """Return the camera of a .cameramodel."""
     model = _after(r"'lensmodel'\s*:\s*'([^']*)'", text)
     intrinsics = _numbers(r"'intrinsics'\s*:\s*\[([^\]]*)\]", text)
@@ -187,14 +189,14 @@ def _of_mrcal(lines: Lines, text: str) -> _Read:
     return _read(lines, "mrcal", form, size, dict(zip(form.terms, intrinsics, strict=True)))
 
 
-def _of_metashape(lines: Lines, text: str) -> _Read:
+def _of_metashape(lines: TextLines, text: str) -> _ReadCamera:
     """Return the camera of a calibration XML; parameters that it lacks are 0, as in Metashape."""
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise InputError([lines.fault(f"this is not XML: {error}", error.position[0])]) from error
-    found = root if root.tag == "calibration" else root.find(".//calibration")
-    held = {one.tag: (one.text or "").strip() for one in found} if found is not None else {}
+    element = root if root.tag == "calibration" else root.find(".//calibration")
+    held = {entry.tag: (entry.text or "").strip() for entry in element} if element is not None else {}
     names = ("projection", "width", "height", "f")
     _must_have(lines, "Metashape", {name: held.get(name) for name in names})
     form = _form(lines, "metashape", held["projection"])
@@ -213,11 +215,11 @@ def _of_metashape(lines: Lines, text: str) -> _Read:
     values |= {"skew": value["b2"] / fx if fx else 0.0, "p1": value["p2"], "p2": value["p1"]}
     values |= {name: value[name] for name in form.terms if name[0] == "k"}
     return _read(
-        lines, "metashape", form, [str(one) for one in size], {name: repr(one) for name, one in values.items()}
+        lines, "metashape", form, [str(entry) for entry in size], {name: repr(entry) for name, entry in values.items()}
     )
 
 
-def _of_matlab(lines: Lines, text: str) -> _Read:
+def _of_matlab(lines: TextLines, text: str) -> _ReadCamera:
     """Return the camera of a call of cameraIntrinsics."""
     plain = text.replace("...", " ").replace("\n", " ")
     lists = re.search(r"cameraIntrinsics\(\s*\[([^\]]*)\]\s*,\s*\[([^\]]*)\]\s*,\s*\[([^\]]*)\]", plain)
@@ -236,13 +238,13 @@ def _of_matlab(lines: Lines, text: str) -> _Read:
     return _read(lines, "matlab", form, [read[2][1], read[2][0]], values)
 
 
-def _named(form: Form, numbers: Sequence[str]) -> dict[str, str]:
+def _named(form: LensForm, numbers: Sequence[str]) -> dict[str, str]:
     return dict(zip(_coefficients(form), numbers, strict=True))
 
 
 def _after(pattern: str, text: str, flags: int = 0) -> str | None:
-    found = re.search(pattern, text, flags)
-    return found[1] if found else None
+    match = re.search(pattern, text, flags)
+    return match[1] if match else None
 
 
 _DATA = r"data\s*:\s*\[([^\]]*)\]"
@@ -250,13 +252,13 @@ _DATA = r"data\s*:\s*\[([^\]]*)\]"
 
 def _numbers(pattern: str, text: str) -> list[str]:
     """Return the numbers of a list as written; an empty list if one is no number."""
-    found = re.search(pattern, text, re.DOTALL)
-    parts = re.split(r"[\s,]+", found[1].strip().strip(",")) if found and found[1].strip() else []
+    match = re.search(pattern, text, re.DOTALL)
+    parts = re.split(r"[\s,]+", match[1].strip().strip(",")) if match and match[1].strip() else []
     parts = [part.rstrip(".") for part in parts]
     return parts if all(map(is_number, parts)) else []
 
 
-_READERS: Mapping[str, tuple[str, Callable[[Lines, str], _Read]]] = {
+_READERS: Mapping[str, tuple[str, Callable[[TextLines, str], _ReadCamera]]] = {
     "kalibr": (r"^cam[0-9]+\s*:|^\s*distortion_coeffs\s*:\s*\[", _of_kalibr),
     "mrcal": (r"'lensmodel'|'imagersize'", _of_mrcal),
     "metashape": (r"<calibration\b|<projection>", _of_metashape),

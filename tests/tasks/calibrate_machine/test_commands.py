@@ -258,12 +258,12 @@ def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) 
         ("x: {range", "u: {range", "unknown key 'u'"),
     ],
 )
-def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, said: str, metrocli: Metrocli) -> None:
+def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, listed_at: str, metrocli: Metrocli) -> None:
     (folder / "job.yaml").write_text(STANDSTILL.replace(old, new, 1))
     (folder / "points.csv").write_text("point,x_mm,y_mm,z_mm,mx_mm,my_mm,mz_mm,tool\na,0,0,0,0,0,0,T1\n")
     ran = metrocli("check", "job.yaml")
     assert ran.code == 3
-    assert said in ran.err
+    assert listed_at in ran.err
     assert "job.yaml:" in ran.err
 
 
@@ -309,12 +309,12 @@ def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, said: str, m
         ),
     ],
 )
-def test_wrong_points_are_told(folder: Path, change, code: int, said: str, metrocli: Metrocli) -> None:  # type: ignore[no-untyped-def]
+def test_wrong_points_are_told(folder: Path, change, code: int, listed_at: str, metrocli: Metrocli) -> None:  # type: ignore[no-untyped-def]
     job = made(folder, STANDSTILL, metrocli)
     lines = (folder / "points.csv").read_text().split("\n")
     (folder / "points.csv").write_text("\n".join(change(lines)))
     ran = metrocli("calibrate-machine", job)
-    assert (ran.code, said in ran.err) == (code, True), ran.err
+    assert (ran.code, listed_at in ran.err) == (code, True), ran.err
     assert not (folder / "result.h5").exists()
 
 

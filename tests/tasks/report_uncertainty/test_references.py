@@ -36,11 +36,11 @@ def others(kind: str) -> list[Any]:
 
 def quantity(given: dict[str, Any]) -> dict[str, Any]:
     """One input of a case in the words of a job."""
-    said: dict[str, Any] = {"value": given["mean"], "distribution": SHAPES[given["dist"]]}
+    listed_at: dict[str, Any] = {"value": given["mean"], "distribution": SHAPES[given["dist"]]}
     spread = given.get("sd", given.get("scale"))
-    said |= {} if spread is None else {"std": spread}
-    said |= {key: given[key] for key in ("half_width", "dof") if key in given}
-    return said | ({"inexactness": given["d"]} if "d" in given else {})
+    listed_at |= {} if spread is None else {"std": spread}
+    listed_at |= {key: given[key] for key in ("half_width", "dof") if key in given}
+    return listed_at | ({"inexactness": given["d"]} if "d" in given else {})
 
 
 def job(case: dict[str, Any], probability: float | None, k: float | None = None) -> dict[str, Any]:
