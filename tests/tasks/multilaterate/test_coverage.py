@@ -10,6 +10,7 @@ from simulated.lengths import network, places, settings
 
 from metrocli.tasks.multilaterate import task as multilaterate
 
+
 @pytest.mark.parametrize(
     ("m", "scale", "runs"),
     [(4, None, 40), *(pytest.param(*case, 100, marks=pytest.mark.slow) for case in ((4, None), (6, 5e-7)))],
