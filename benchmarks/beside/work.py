@@ -1,6 +1,6 @@
 """Run one function of this folder once, and print its CPU seconds, peak memory [MB] and values as JSON.
 
-    python -m benchmarks.beside.work MODULE FUNCTION SIZE
+python -m benchmarks.beside.work MODULE FUNCTION SIZE
 """
 
 from __future__ import annotations

@@ -9,7 +9,9 @@ from metrocli.frozen import dataclass
 from metrocli.plots.style import Canvas
 from metrocli.result import Result
 
-_PER_MM = 1e3
+_ROTARY = "ABC"
+_MILLIONTHS = {False: 1e3, True: 1e6}
+"""um in mm, or urad in rad, by whether the axis is rotary"""
 _FIGURES = ("A", "R", "E", "B", "M")
 _ONE_WAY = ("A_up", "R_up", "E_up", "A_down", "R_down", "E_down")
 
@@ -21,15 +23,20 @@ class Line:
     axis: str
     name: str
     position: Array
-    """(n,) mm"""
+    """(n,) mm, or deg of a rotary axis"""
     up: Array
     down: Array
-    """(n,) µm: mean deviation in each direction"""
+    """(n,) µm or µrad: mean deviation in each direction"""
     s_up: Array
     s_down: Array
-    """(n,) µm: standard deviation; nan with one run"""
+    """(n,) µm or µrad: standard deviation; nan with one run"""
     figures: tuple[tuple[str, float], ...]
-    """A, R, E, B, M in µm, nan where a direction has one run; those of one direction if there is no other"""
+    """A, R, E, B, M in µm or µrad, nan where a direction has one run; those of one direction if there is no other"""
+
+    @property
+    def units(self) -> tuple[str, str]:
+        """Units of position and deviation."""
+        return ("deg", "µrad") if self.axis in _ROTARY else ("mm", "µm")
 
 
 def data(result: Result, about: str) -> tuple[Line, ...] | None:
@@ -42,12 +49,15 @@ def data(result: Result, about: str) -> tuple[Line, ...] | None:
     for row in range(len(table)):
         key = [table.texts(name)[row] for name in ("axis", "at", "line")]
         own = np.logical_and.reduce([column == one for column, one in zip(names, key, strict=True)])
-        up, down, s_up, s_down = (targets.numbers(name)[own] * _PER_MM for name in ("up", "down", "s_up", "s_down"))
+        turns = key[0] in _ROTARY
+        size = _MILLIONTHS[turns]
+        position = np.degrees(targets.numbers("angle")) if turns else targets.numbers("position")
+        up, down, s_up, s_down = (targets.numbers(name)[own] * size for name in ("up", "down", "s_up", "s_down"))
         both = np.isfinite(up).all() and np.isfinite(down).all()
         letters = _FIGURES if both else _ONE_WAY
-        figures = tuple((letter, float(table.numbers(letter)[row]) * _PER_MM) for letter in letters)
+        figures = tuple((letter, float(table.numbers(letter)[row]) * size) for letter in letters)
         name = ", ".join(filter(None, key[1:]))
-        lines.append(Line(key[0], name, targets.numbers("position")[own], up, down, s_up, s_down, figures))
+        lines.append(Line(key[0], name, position[own], up, down, s_up, s_down, figures))
     return tuple(lines) or None
 
 
@@ -68,10 +78,11 @@ def draw(canvas: Canvas, lines: tuple[Line, ...]) -> str:
             if np.isfinite(spread).all():
                 axes.fill_between(line.position, mean - 2 * spread, mean + 2 * spread, color=colour, alpha=0.18, lw=0)
         axes.axhline(0, color=theme.muted, lw=0.6)
-        axes.set_xlabel(f"{line.axis} (mm)")
-        axes.set_ylabel("deviation (µm)")
+        of_position, unit = line.units
+        axes.set_xlabel(f"{line.axis} ({of_position})")
+        axes.set_ylabel(f"deviation ({unit})")
         numbers = ", ".join(f"{letter} {value:.3g}" for letter, value in line.figures if np.isfinite(value))
-        axes.set_title(f"{line.axis}, {line.name}: {numbers} µm", fontsize=8.5)
+        axes.set_title(f"{line.axis}, {line.name}: {numbers} {unit}", fontsize=8.5)
         axes.legend(loc="best", ncols=2)
     return (
         "Bands: mean ± 2 s of each direction. A: accuracy, R: repeatability, E: systematic deviation, each of both "

@@ -43,7 +43,7 @@ from metrocli.progress import SILENT, Named, Progress, counted
 from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import JobFile, Wishes, load
-from metrocli.project.runner import content, counting, simulate
+from metrocli.project.runner import counting, simulate
 from metrocli.record import InputFile
 from metrocli.simulation import SimulationOptions
 
@@ -193,7 +193,7 @@ def _adjusts(path: Path) -> bool:
     """Return whether an extended job can be adjusted: a law in the linearised readings need not hold in the model."""
     job = load(path, Wishes(accept_doubtful=True))
     with suppress(NotConvergedError, UndeterminedError), allowance(_STEPS):
-        tasks.KINDS[job.kind].task().run(content(job))
+        adjusted_job_of(job)
         return True
     return False
 

@@ -49,6 +49,10 @@ class Lattice:
         return full.reshape(*chosen.shape[:-1], self.shape[0] * self.shape[1])
 
 
+_FEW = 3
+"""Components of a reading that are decorrelated row by row"""
+
+
 @dataclass(frozen=True)
 class Observations:
     """n readings of d components each.
@@ -74,13 +78,14 @@ class Observations:
     lattice: Lattice | None = None
     """The regular order of the readings of a tile; it stands for the `index` of blocks that are not in `index`"""
     _whitening: Array | None = field(default=None, init=False, repr=False)
-    """Inverse Cholesky factor of `covariance`, (n, d, d)"""
+    """Inverse Cholesky factor of `covariance`, (d, d, n)"""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sigma", np.broadcast_to(np.asarray(self.sigma, dtype=float), self.readings.shape))
         inverse = None
         if self.covariance is not None:
             inverse = np.linalg.inv(np.linalg.cholesky(np.moveaxis(self.covariance, -1, 0)))
+            inverse = np.ascontiguousarray(np.moveaxis(inverse, 0, -1))
         object.__setattr__(self, "_whitening", inverse)
 
     @property
@@ -96,8 +101,14 @@ class Observations:
     def whitened(self, values: Array) -> Array:
         """Return values (d, ..., n) decorrelated and in units of their standard deviations."""
         if self._whitening is not None:
-            decorrelated: Array = np.einsum("nab,b...n->a...n", self._whitening, values)
-            return decorrelated
+            if len(values) > _FEW:
+                return np.asarray(np.einsum("abn,b...n->a...n", self._whitening, values))
+            # lower triangular; whole rows are several times faster than einsum
+            rows = [
+                sum(self._whitening[row, column] * values[column] for column in range(row + 1))
+                for row in range(len(values))
+            ]
+            return np.stack(rows)
         between = (1,) * (values.ndim - 2)
         scaled: Array = values / self.sigma.reshape(self.sigma.shape[0], *between, self.sigma.shape[1])
         return scaled

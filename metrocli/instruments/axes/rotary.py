@@ -15,7 +15,7 @@ from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
-from metrocli.adjust.model.quantities import OfBlock, Quantity
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.joints import Motion, turn
@@ -180,18 +180,24 @@ class RotaryAxis(Axis):
 
 
 @dataclass(frozen=True)
-class Combinations(OfBlock):
-    """The forward model of conditions: linear combinations of all entries of a block."""
+class Combinations:
+    """The forward model of conditions: linear combinations of all entries of some blocks."""
 
-    weights: Array
-    """(conditions, members, columns)"""
+    weights: Mapping[str, Array]
+    """Those of each block, (conditions, members, columns)"""
     takes = None
     gives = Quantity.PARAMETERS
 
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Names of the blocks."""
+        return tuple(self.weights)
+
     def step(self, value: Array, local: Local) -> Step:
         """Return the combinations (conditions, 1) and their derivatives by each member."""
-        found = np.einsum("cmk,mk->c", self.weights, local.members(self.block))
-        return Step(found[:, None], by_block={self.block: np.swapaxes(self.weights, 0, 1)[..., None]})
+        found = sum(np.einsum("cmk,mk->c", own, local.members(name)) for name, own in self.weights.items())
+        derivatives = {name: np.swapaxes(own, 0, 1)[..., None] for name, own in self.weights.items()}
+        return Step(np.asarray(found)[:, None], by_block=derivatives)
 
 
 def gauge(machine: Machine, blocks: Mapping[str, Block]) -> tuple[Group, ...]:
@@ -205,7 +211,7 @@ def gauge(machine: Machine, blocks: Mapping[str, Block]) -> tuple[Group, ...]:
                 scale = np.where((np.abs(weights[:, :, 3:]) > 0).any(axis=(1, 2)), 1e-3 * _HELD, _HELD)
                 index = {axis.block: np.arange(len(block.members))[:, None]}
                 held = Observations(np.zeros((len(weights), 1)), scale[:, None], index)
-                groups.append(Group(f"gauge of {axis.letter}", Chain((Combinations(axis.block, weights),)), held))
+                groups.append(Group(f"gauge of {axis.letter}", Chain((Combinations({axis.block: weights}),)), held))
     return tuple(groups)
 
 

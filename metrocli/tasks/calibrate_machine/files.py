@@ -88,6 +88,9 @@ REFLECTORS = Columns(
 DISTANCES = Columns(
     columns("from to [text]", "length sigma [length]"), ("from", "to"), "calibrated distances of balls or reflectors"
 )
+PATHS = Columns(
+    columns("path [text]", *AXES, "tool? [text]"), (), "positions of kinematic tests, in the order of travel"
+)
 
 
 @dataclass(frozen=True)
@@ -107,6 +110,12 @@ class Files:
     probing: Table | None = content(TableFile(PROBING), "probing: poses, and what the probe found", needed=False)
     balls: Table | None = content(TableFile(BALLS), "probing: approximate places of the balls", needed=False)
     distances: Table | None = content(TableFile(DISTANCES), "calibrated distances of balls", needed=False)
+    paths: Table | None = content(
+        TableFile(PATHS), "paths of kinematic tests, whose errors are predicted", needed=False
+    )
+    machine: Result | None = content(
+        FileOf(("calibrate-machine",)), "an earlier result of the machine, for what is not estimated", needed=False
+    )
     reflectors: Table | None = content(TableFile(REFLECTORS), "reflectors, on workpiece or tool", needed=False)
 
     @property

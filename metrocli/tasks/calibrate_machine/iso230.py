@@ -9,15 +9,18 @@ import numpy as np
 
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
+from metrocli.instruments.machine import ANGLES, AXES
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.acceptance.positioning import FIGURES, Measured, at_each_target, expanded, figures
 from metrocli.words import in_a_row, listed
 
 _SAME = 0.01
-"""Targets of two runs are the same within this [mm]"""
+"""Targets of two runs are the same within this [mm, deg]"""
 _RUNS, _TARGETS, _LONG = 5, 5, 2000.0
 """Runs in each direction, and targets per metre and at least, that ISO 230-2:2014 asks for on axes up to this travel"""
 _PER_METRE = 1000.0
+_OF_TURNS = ((90.0, 3), (180.0, 5), (360.0, 8))
+"""Fewest targets of a rotary axis by its range [deg]"""
 _ASKS = "ISO 230-2:2014 asks for"
 
 
@@ -27,9 +30,11 @@ class Run:
 
     axis: str
     targets: Array
+    """[mm, deg]"""
     deviation: Array
-    at: tuple[float, ...] = ()
-    """Positions of the other axes [mm]"""
+    """[mm, rad]"""
+    at: str = ""
+    """Positions of the other axes, in words"""
     line: str = ""
     """Runs of one line have one zero"""
 
@@ -44,10 +49,10 @@ class _Line:
     """The runs of one line over the same targets."""
 
     axis: str
-    at: tuple[float, ...]
+    at: str
     name: str
     up: Array
-    """(runs, targets) [mm]; no rows if no run goes up"""
+    """(runs, targets) [mm, rad]; no rows if no run goes up"""
     down: Array
     targets: Array
 
@@ -57,6 +62,7 @@ def positioning(runs: Sequence[Run], known: Measured) -> tuple[Table | None, tup
 
     Without such a line there is no table. Runs of several lines are not pooled, since each line has its own zero. The
     figures need all runs at each target: targets that most runs lack, and then runs that lack a target, are left out.
+    The runs are all of linear axes, or all of rotary ones.
     """
     whole, left_out = _whole(runs)
     warnings = (*left_out, *_too_few(whole), *_apart(_lines(runs)))
@@ -67,15 +73,25 @@ def positioning(runs: Sequence[Run], known: Measured) -> tuple[Table | None, tup
     table = Table.of(
         {
             "axis": [one.axis for one in whole],
-            "at": [_named(one.axis, one.at) for one in whole],
+            "at": [one.at for one in whole],
             "line": [one.name for one in whole],
             "runs_up": [len(one.up) for one in whole],
             "runs_down": [len(one.down) for one in whole],
-            **{f"{name} [mm]": [one[name] for one in found] for name in FIGURES},
-            **{f"U_{name} [mm]": [one[name] for one in spread] for name in FIGURES},
+            **{f"{name} [{_unit(whole[0].axis)}]": [one[name] for one in found] for name in FIGURES},
+            **{f"U_{name} [{_unit(whole[0].axis)}]": [one[name] for one in spread] for name in FIGURES},
         }
     )
     return table, warnings
+
+
+def _unit(axis: str) -> str:
+    """Return the internal unit of the deviation of an axis."""
+    return "rad" if axis in ANGLES else "mm"
+
+
+def _degrees(axis: str) -> str:
+    """Return the unit of the targets of an axis."""
+    return "deg" if axis in ANGLES else "mm"
 
 
 def _whole(runs: Sequence[Run]) -> tuple[list[_Line], list[str]]:
@@ -101,7 +117,8 @@ def _whole(runs: Sequence[Run]) -> tuple[list[_Line], list[str]]:
             for to in (True, False)
         )
         warnings += [
-            f"{where}: {one}; the figures of ISO 230-2 leave it out" for one in _left_out(targets, rare, places)
+            f"{where}: {one}; the figures of ISO 230-2 leave it out"
+            for one in _left_out(targets, rare, places, _degrees(axis))
         ]
         if max(len(up), len(down)) > 1 or min(len(up), len(down)) > 0:
             size = (-1, len(targets))
@@ -130,22 +147,23 @@ def _places(run: Run, targets: Array) -> Index:
     return np.where(gap.min(axis=0) <= _SAME, gap.argmin(axis=0), -1)
 
 
-def _left_out(targets: Array, rare: Array, places: Sequence[Index]) -> Iterator[str]:
+def _left_out(targets: Array, rare: Array, places: Sequence[Index], unit: str) -> Iterator[str]:
     """Yield what the figures of a line leave out: targets, and runs."""
     if len(rare):
-        yield f"at most half of the runs in one direction have the target at {_in_mm(rare)}"
+        yield f"at most half of the runs in one direction have the target at {_listed(rare, unit)}"
     for number, at in enumerate(places, 1):
         if (at < 0).any():
             lacked = targets[at < 0]
-            yield f"run {number} lacks the target{'s' * (len(lacked) > 1)} {_in_mm(lacked)}"
+            yield f"run {number} lacks the target{'s' * (len(lacked) > 1)} {_listed(lacked, unit)}"
 
 
-def _in_mm(targets: Array) -> str:
-    return in_a_row([f"{target:g} mm" for target in targets.tolist()])
+def _listed(targets: Array, unit: str) -> str:
+    return in_a_row([f"{target:g} {unit}" for target in targets.tolist()])
 
 
-def _named(axis: str, at: Sequence[float]) -> str:
-    others = [other for other in "XYZ" if other != axis]
+def others_at(axis: str, at: Sequence[float]) -> str:
+    """Return the positions of the other linear axes [mm], in words."""
+    others = [other for other in AXES if other != axis]
     return ", ".join(f"{other} = {place:g} mm" for other, place in zip(others, at, strict=False))
 
 
@@ -153,27 +171,30 @@ def at_targets(runs: Sequence[Run]) -> Table | None:
     """Return mean and standard deviation (nan of one run) in each direction at each target of the same lines."""
     parts = []
     for one in _whole(runs)[0]:
-        texts = {"axis": one.axis, "at": _named(one.axis, one.at), "line": one.name}
+        texts = {"axis": one.axis, "at": one.at, "line": one.name}
         labels = {name: np.full(len(one.targets), text) for name, text in texts.items()}
         numbers = np.concatenate(at_each_target(one.up, one.down))
-        parts.append(Table.of({**labels, "position [mm]": one.targets, "up down s_up s_down [mm]": numbers.T}))
+        places = {"position [mm]": one.targets} if one.axis in AXES else {"angle [rad]": np.radians(one.targets)}
+        parts.append(Table.of({**labels, **places, f"up down s_up s_down [{_unit(one.axis)}]": numbers.T}))
     return Table.stack(parts) if parts else None
 
 
-def _lines(runs: Sequence[Run]) -> list[tuple[str, tuple[float, ...], str]]:
+def _lines(runs: Sequence[Run]) -> list[tuple[str, str, str]]:
     """Return axis, place and name of each line, in the order of the axes."""
-    return list(dict.fromkeys((axis, run.at, run.line) for axis in "XYZ" for run in runs if run.axis == axis))
+    return list(
+        dict.fromkeys((axis, run.at, run.line) for axis in (*AXES, *ANGLES) for run in runs if run.axis == axis)
+    )
 
 
 def _too_few(lines: Sequence[_Line]) -> list[str]:
-    """Return warnings of axes of up to 2 m with fewer runs in a direction, or fewer targets, than the standard asks."""
+    """Return warnings of axes of up to 2 m or one turn with fewer runs in a direction, or targets, than are asked."""
     runs: dict[tuple[str, int, int], list[str]] = {}
     targets: dict[tuple[str, int, float], list[str]] = {}
     for one in lines:
         travel, up, down, count = float(np.ptp(one.targets)), len(one.up), len(one.down), len(one.targets)
         if travel <= _LONG and min(up, down) < _RUNS:
             runs.setdefault((one.axis, up, down), []).append(f"'{one.name}'")
-        if travel <= _LONG and count < max(_TARGETS, ceil(_TARGETS * travel / _PER_METRE)):
+        if one.axis in AXES and travel <= _LONG and count < max(_TARGETS, ceil(_TARGETS * travel / _PER_METRE)):
             targets.setdefault((one.axis, count, travel), []).append(f"'{one.name}'")
     return [
         *(
@@ -186,12 +207,23 @@ def _too_few(lines: Sequence[_Line]) -> list[str]:
             "at least five"
             for (axis, count, travel), names in targets.items()
         ),
+        *(
+            f"axis {one.axis}, at {one.at or 'rest'}: {len(one.targets)} targets over {np.ptp(one.targets):g} deg; "
+            f"{_ASKS} {_fewest(one.targets)}"
+            for one in lines
+            if one.axis in ANGLES and len(one.targets) < _fewest(one.targets)
+        ),
     ]
 
 
-def _apart(lines: Iterable[tuple[str, tuple[float, ...], str]]) -> list[str]:
+def _fewest(targets: Array) -> int:
+    """Return the fewest targets [deg] of a rotary axis (ISO 230-2:2014, 4.3.3)."""
+    return next((count for range_, count in _OF_TURNS if np.ptp(targets) <= range_ + _SAME), _OF_TURNS[-1][1])
+
+
+def _apart(lines: Iterable[tuple[str, str, str]]) -> list[str]:
     """Return a warning for each place of an axis that has several lines."""
-    names: dict[tuple[str, tuple[float, ...]], list[str]] = {}
+    names: dict[tuple[str, str], list[str]] = {}
     for axis, at, line in lines:
         names.setdefault((axis, at), []).append(f"'{line}'")
     return [

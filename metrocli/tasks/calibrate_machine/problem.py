@@ -64,6 +64,8 @@ class Problem(Modelled):
     """Whether only positioning along single axes was read, so that nothing is known of the volume"""
     sees_bed: bool = False
     """Whether the instrument stands on the bed of a machine with rotary axes"""
+    given: tuple[str, ...] = ()
+    """Errors of the linear axes that an earlier calibration gives with their covariance"""
     said: Array | None = None
     """Listed places of the stations of lengths, (stations, 3), nan where not listed; None for other readings"""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -17,9 +17,10 @@ from metrocli.instruments.machine import SQUARENESS, SQUARENESS_NAMES, TOOL
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
-from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
+from metrocli.tasks.calibrate_machine.acceptance.paths import paths
+from metrocli.tasks.calibrate_machine.acceptance.rotary_motion import rotary_motion
+from metrocli.tasks.calibrate_machine.acceptance.runs import positioning_of
 from metrocli.tasks.calibrate_machine.beside_tables import entries, lines, on_workpiece, rotary_axes, stations, tracker
-from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
 from metrocli.tasks.calibrate_machine.problem import PLACES_OF_AXES
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.settings import Settings
@@ -55,20 +56,21 @@ from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 SIGN = "actual minus commanded"
 
 
-def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
-    """Return the result of a solved calibration."""
+def report(solved: Solved, settings: Settings, noise: NoiseFound, listed: Table | None = None) -> Result:
+    """Return the result of a solved calibration; `listed` are the positions of kinematic tests."""
     solution, added = noise.solution, solved.problem.effects
     tables = tables_of(solved.problem.machine, solution, settings.scales)
     identified = solved.identified
     effect_tables, effect_arrays = effect_results(added, solution)
     hidden = uncontrolled(solved, tables, settings)
+    turning, along = rotary_motion(tables, _known(identified)), paths(tables, solved, settings, listed)
     volume = {}
     if not solved.problem.displacement_only:
         volume = volume_tables(tables, identified, settings.volume, solved.problem.tools_used)
     tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
     found = (*_estimates(solution), *effect_estimates(added, solution))
     doubts, far_off = misplaced(solved)
-    figures, of_figures = _positioning(solved.problem.runs, settings, noise.factor)
+    figures, of_figures = positioning_of(tables, solved, settings, noise.factor)
     return Result(
         kind=KIND.name,
         title="",
@@ -81,6 +83,8 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
             "squareness": _squareness(tables, identified),
             "axes": _axes(tables),
             **rotary_axes(tables.machine),
+            **turning,
+            **along,
             "tools": _tools(solved, solution),
             **on_workpiece(solution),
             **tracker(solution),
@@ -101,25 +105,13 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
         shown=(
             ShownTable("errors", ("error", "status", "with", "largest", "largest_std", "unit")),
             ShownTable("volumetric"),
-            *map(ShownTable, figures),
+            *map(ShownTable, (*turning, *list(along)[:1], *figures)),
             *([ShownTable("suspects")] if len(solved.suspects.rows) else []),
         ),
         notes=(*_notes(solved, settings, noise), *in_words(hidden)),
         details=noise.details([one.name for one in found]),
         plain=("dof",),
     )
-
-
-def _positioning(runs: Sequence[Run], settings: Settings, factor: float) -> tuple[dict[str, Table], tuple[str, ...]]:
-    """Return the figures of ISO 230-2 and the means at their targets, of runs along single axes, and warnings."""
-    if not runs:
-        return {}, ()
-    # readings scatter evenly over the range at rest (ISO 230-2:2014, annex A: E_VE)
-    own = factor * (settings.noise.displacement or 0.0)
-    reading = float(np.hypot(own, settings.positioning.environment / np.sqrt(12)))
-    figures, warnings = positioning(runs, Measured(reading, settings.positioning.scale))
-    tables = {"positioning": figures, "positioning_targets": at_targets(runs)}
-    return {name: one for name, one in tables.items() if one is not None}, warnings
 
 
 def _notes(solved: Solved, settings: Settings, noise: NoiseFound) -> Iterator[str]:
@@ -144,6 +136,11 @@ def _at_20_degrees(settings: Settings) -> Iterator[str]:
 def _wanted(identified: Identifiability) -> list[str]:
     """Return the names of the errors with tables that the job estimates."""
     return [name for name in identified.tables if identified.status[name] != Determination.NOT_ESTIMATED]
+
+
+def _known(identified: Identifiability) -> list[str]:
+    """Return the names of the errors whose values the readings determine, alone or with others."""
+    return [name for name in _wanted(identified) if identified.status[name] != Determination.UNDETERMINED]
 
 
 def _estimates(solution: Solution) -> tuple[Estimate, ...]:

@@ -29,7 +29,13 @@ _INPUTS = {
     PROBING: ("probing", "balls"),
 }
 """Inputs that each method needs"""
-_OPTIONAL = {"stations": (LENGTHS,), "reflectors": (STANDSTILL, LENGTHS), "distances": TURNING}
+_OPTIONAL = {
+    "stations": (LENGTHS,),
+    "reflectors": (STANDSTILL, LENGTHS),
+    "distances": TURNING,
+    "machine": TURNING,
+    "paths": TURNING,
+}
 """Further inputs, and the methods that take them"""
 _NOISE = {
     STANDSTILL: ("beam",),

@@ -31,6 +31,8 @@ class Determination(StrEnum):
     UNDETERMINED = "undetermined"
     """Held at zero"""
     NOT_ESTIMATED = "not estimated"
+    GIVEN = "given"
+    """By an earlier calibration, with its covariance"""
 
 
 NO_SCALES: Mapping[str, Warm] = {}

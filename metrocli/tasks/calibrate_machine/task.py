@@ -16,11 +16,9 @@ from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.calibrate_machine.diagnosis import adjusted_job, noise_of
 from metrocli.tasks.calibrate_machine.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_machine.files import Files
-from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import measurement, on_the_fly
-from metrocli.tasks.calibrate_machine.methods.probing import probing
+from metrocli.tasks.calibrate_machine.methods.poses import problem_at
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
-from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.other_settings import other_settings
 from metrocli.tasks.calibrate_machine.plans.planned import plan_of_path
 from metrocli.tasks.calibrate_machine.plans.poses import plan_of_poses
@@ -48,7 +46,8 @@ def run(job: Job[Settings, Files]) -> Result:
 def with_adjustment(job: Job[Settings, Files]) -> tuple[Result, Adjustment]:
     """Return the result of `run`, and what gives its adjustment in the form that diagnosis works on."""
     solved, factor = _solved(job)
-    found = report(solved, job.settings, noise_of(solved, job.settings.noise.model, factor))
+    noise = noise_of(solved, job.settings.noise.model, factor)
+    found = report(solved, job.settings, noise, job.files.paths)
     return found, partial(adjusted_job, solved)
 
 
@@ -68,14 +67,11 @@ def _solved(job: Job[Settings, Files]) -> tuple[Solved, float]:
 
 def problem_of(job: Job[Settings, Files]) -> Problem:
     """Return the adjustment problem of a job; a track (on-the-fly) needs alignment first."""
-    if job.files.points is not None:
-        return standstill(job.settings, job.files.points, job.files)
     if job.files.lines is not None:
         return six_dof(job.settings, job.files.lines)
-    if job.files.lengths is not None:
-        return lengths(job.settings, job.files.lengths, job.files)
-    if job.files.probing is not None:
-        return probing(job.settings, job.files.probing, job.files)
+    for table in (job.files.points, job.files.lengths, job.files.probing):
+        if table is not None:
+            return problem_at(job.settings, table, job.files)
     raise InputError(f"method {job.settings.method} has no readings")
 
 

@@ -124,7 +124,9 @@ def test_a_job_with_a_shape_of_stated_size_has_it(tmp_path: Path, metrocli: Metr
     assert ran.code == 0 and off(tmp_path / "camera.h5") < 0.15  # as with the spline; without 0.55
     adjusted = adjusted_job_of(load(path))
     given = [name for kind, name, _ in variance_groups(adjusted, linearised(adjusted.model)) if kind == DECLARED_SIGMA]
-    assert any("lens-shape" in name for name in given), "its stated size may be wrong apart from the noise of the corners"
+    assert any("lens-shape" in name for name in given), (
+        "its stated size may be wrong apart from the noise of the corners"
+    )
 
 
 def test_a_fisheye_given_as_a_pinhole_is_named_and_extended(tmp_path: Path) -> None:

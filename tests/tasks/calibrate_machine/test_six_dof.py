@@ -211,7 +211,7 @@ def test_runs_with_zeros_of_their_own_are_not_pooled() -> None:
 
     def runs(lines: list[str], zeros: np.ndarray) -> list[Run]:  # type: ignore[type-arg]
         made = zip(up, deviation + zeros[:, None], lines, strict=True)
-        return [Run("X", *((targets, one) if to else (targets[::-1], one[::-1])), (), name) for to, one, name in made]
+        return [Run("X", *((targets, one) if to else (targets[::-1], one[::-1])), "", name) for to, one, name in made]
 
     one_line, none = positioning(runs(["L1"] * 10, np.zeros(10)))
     assert one_line is not None and none == ()
@@ -225,8 +225,8 @@ def test_runs_with_zeros_of_their_own_are_not_pooled() -> None:
 
 def test_a_run_without_a_target_is_left_out_and_named() -> None:
     targets = np.arange(0.0, 401.0, 100.0)
-    runs = [Run("X", targets[:: 1 - 2 * (n % 2)], np.full(5, 0.001 * n), (), "L1") for n in range(10)]
-    runs[4] = Run("X", np.delete(targets, 2), np.full(4, 0.004), (), "L1")
+    runs = [Run("X", targets[:: 1 - 2 * (n % 2)], np.full(5, 0.001 * n), "", "L1") for n in range(10)]
+    runs[4] = Run("X", np.delete(targets, 2), np.full(4, 0.004), "", "L1")
     found, warnings = positioning(runs)
     assert found is not None and (found.numbers("runs_up")[0], found.numbers("runs_down")[0]) == (4, 5)
     assert warnings == (
@@ -239,7 +239,7 @@ def drawn_runs(rng: np.random.Generator, targets: np.ndarray) -> list[Run]:  # t
     """Ten runs to and fro whose deviations scatter by 1 um."""
     deviation = 0.01 * np.sin(targets / 80) + 0.001 * rng.normal(size=(10, len(targets)))
     ways = [slice(None, None, 1 - 2 * (n % 2)) for n in range(10)]
-    return [Run("X", targets[way], one[way], (), "L1") for way, one in zip(ways, deviation, strict=True)]
+    return [Run("X", targets[way], one[way], "", "L1") for way, one in zip(ways, deviation, strict=True)]
 
 
 def test_a_target_of_one_run_does_not_cost_the_others() -> None:
@@ -247,7 +247,7 @@ def test_a_target_of_one_run_does_not_cost_the_others() -> None:
     targets = np.arange(0.0, 401.0, 50.0)
     runs = drawn_runs(np.random.default_rng(1), targets)
     whole, none = positioning(runs)
-    runs[3] = Run("X", np.insert(runs[3].targets, 2, 312.0), np.insert(runs[3].deviation, 2, 0.5), (), "L1")
+    runs[3] = Run("X", np.insert(runs[3].targets, 2, 312.0), np.insert(runs[3].deviation, 2, 0.5), "", "L1")
     found, warnings = positioning(runs)
     assert whole is not None and found is not None and none == ()
     assert all(found.numbers(name) == pytest.approx(whole.numbers(name)) for name in ("A", "R", "E", "B_mean", "U_A"))
@@ -260,9 +260,9 @@ def test_a_target_of_one_run_does_not_cost_the_others() -> None:
 def test_a_turn_that_is_read_once_leaves_the_targets_between_the_turns() -> None:
     targets = np.arange(0.0, 401.0, 50.0)
     runs = drawn_runs(np.random.default_rng(2), targets)
-    once = [runs[0], *(Run("X", run.targets[1:], run.deviation[1:], (), "L1") for run in runs[1:])]
+    once = [runs[0], *(Run("X", run.targets[1:], run.deviation[1:], "", "L1") for run in runs[1:])]
     found, warnings = positioning(once)
-    inner = [Run("X", run.targets[1:-1], run.deviation[1:-1], (), "L1") for run in runs]
+    inner = [Run("X", run.targets[1:-1], run.deviation[1:-1], "", "L1") for run in runs]
     expected, _ = positioning(inner)
     assert found is not None and expected is not None
     assert (found.numbers("runs_up")[0], found.numbers("runs_down")[0]) == (5, 5)
@@ -320,14 +320,14 @@ def test_runs_in_different_places_are_not_mixed() -> None:
     """Pitch and yaw make positioning another one elsewhere: each place has its own figures."""
     targets = np.array([0.0, 1.0, 2.0])
     runs = [
-        Run("X", targets, np.zeros(3), (0.0, 0.0)),
-        Run("X", targets[::-1], np.full(3, 1.0), (0.0, 0.0)),
-        Run("X", targets, np.full(3, 50.0), (100.0, 0.0)),
+        Run("X", targets, np.zeros(3), "Y = 0 mm, Z = 0 mm"),
+        Run("X", targets[::-1], np.full(3, 1.0), "Y = 0 mm, Z = 0 mm"),
+        Run("X", targets, np.full(3, 50.0), "Y = 100 mm, Z = 0 mm"),
     ]
     found, _ = positioning(runs)
     assert found is not None and found.texts("at") == ["Y = 0 mm, Z = 0 mm"]
     assert found.numbers("B").tolist() == [1.0] and found.numbers("E").tolist() == [1.0]
-    both, _ = positioning([*runs, Run("X", targets[::-1], np.full(3, 47.0), (100.0, 0.0))])
+    both, _ = positioning([*runs, Run("X", targets[::-1], np.full(3, 47.0), "Y = 100 mm, Z = 0 mm")])
     assert both is not None and both.numbers("B").tolist() == [1.0, 3.0]
 
 
@@ -352,9 +352,9 @@ def test_deviations_at_targets_by_hand() -> None:
     """Two runs up and one down: means and standard deviations at each target, in ascending order."""
     targets = np.array([0.0, 10.0])
     runs = [
-        Run("Y", targets, np.array([0.001, 0.004]), (5.0, 0.0), "L"),
-        Run("Y", targets[::-1], np.array([0.009, 0.002]), (5.0, 0.0), "L"),
-        Run("Y", targets, np.array([0.003, 0.004]), (5.0, 0.0), "L"),
+        Run("Y", targets, np.array([0.001, 0.004]), "X = 5 mm, Z = 0 mm", "L"),
+        Run("Y", targets[::-1], np.array([0.009, 0.002]), "X = 5 mm, Z = 0 mm", "L"),
+        Run("Y", targets, np.array([0.003, 0.004]), "X = 5 mm, Z = 0 mm", "L"),
     ]
     found = at_targets(runs)
     assert found is not None and found.texts("at") == ["X = 5 mm, Z = 0 mm"] * 2

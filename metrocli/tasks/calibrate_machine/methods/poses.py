@@ -16,6 +16,7 @@ from metrocli.instruments.machine_path import last_sides
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of
 from metrocli.tasks.calibrate_machine.files import Files
+from metrocli.tasks.calibrate_machine.known_axes import with_known_axes
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.methods.probing import probing
 from metrocli.tasks.calibrate_machine.methods.standstill import CARTESIAN, standstill
@@ -40,6 +41,14 @@ PROBLEMS: Mapping[str, Callable[[Settings, Table, Files], Problem]] = {
     PROBING: probing,
 }
 """The adjustment problem of a table, by the method that reads rotary axes in any pose"""
+
+
+def problem_at(settings: Settings, table: Table, files: Files) -> Problem:
+    """Return the adjustment problem of a table, with the errors that an earlier calibration gives.
+
+    Raises InputError if the files do not belong together.
+    """
+    return with_known_axes(PROBLEMS[settings.method](settings, table, files), settings, files.machine)
 
 
 def poses_at(settings: Settings, files: Files, shares: Array, margin: float = 1.0) -> Table:

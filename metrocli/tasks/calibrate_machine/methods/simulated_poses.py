@@ -30,11 +30,12 @@ from metrocli.simulation import Simulation
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, machine_of
 from metrocli.tasks.calibrate_machine.files import Files
+from metrocli.tasks.calibrate_machine.known_axes import known_axes
 from metrocli.tasks.calibrate_machine.methods.poses import (
-    PROBLEMS,
     clock,
     in_degrees,
     poses_at,
+    problem_at,
     sides_of,
     without_errors,
 )
@@ -63,10 +64,13 @@ def simulated_turning(job: Job[Settings, Files], simulation: MachineSimulation, 
     """
     settings = job.settings
     truth = truth_of(settings, simulation, rng)
+    if job.files.machine is not None:
+        known = known_axes(truth.machine, settings, job.files.machine)
+        truth = replace(truth, blocks=known.drawn(truth.blocks, rng))
     turn = rotation_from_euler(rng.normal() * 0.05, rng.normal() * 0.05, rng.uniform(-np.pi, np.pi))
     tracker = poses.pose(turn, np.array(simulation.tracker))
     table, files = without_errors(settings, _poses(job, simulation, rng), job.files, tracker)
-    problem = PROBLEMS[settings.method](settings, table, files)
+    problem = problem_at(settings, table, files)
     drawn = _drawn(problem, rng)
     machine = {name: block for name, block in warmed(truth, settings.scales, rng).blocks.items() if name != TOOL}
     instruments = _instruments(problem, drawn, files, tracker)

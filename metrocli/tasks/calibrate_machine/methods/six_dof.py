@@ -28,7 +28,7 @@ from metrocli.instruments.six_dof import (
 )
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support, tool_prior
-from metrocli.tasks.calibrate_machine.iso230 import Run
+from metrocli.tasks.calibrate_machine.iso230 import Run, others_at
 from metrocli.tasks.calibrate_machine.problem import SIDES, Problem, conditions, model_of, since_turns
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.words import listed, suggestion
@@ -229,8 +229,9 @@ def runs_of(lines: Lines, table: Table) -> list[Run]:
     for rows in np.split(np.arange(len(lines.of)), turns):
         direction, name = lines.axis[lines.of[rows[0]]], lines.names[lines.of[rows[0]]]
         if len(DIRECTIONS[direction]) == 1 and len(rows) > 1:
-            at = tuple(np.delete(lines.position[:, rows[0]], DIRECTIONS[direction]).round(2).tolist())
-            found.append(Run(direction.upper(), lines.distance[rows], table.numbers(f"e{direction}")[rows], at, name))
+            at = np.delete(lines.position[:, rows[0]], DIRECTIONS[direction]).round(2).tolist()
+            axis, where = direction.upper(), others_at(direction.upper(), at)
+            found.append(Run(axis, lines.distance[rows], table.numbers(f"e{direction}")[rows], where, name))
     return found
 
 

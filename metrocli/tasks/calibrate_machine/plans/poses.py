@@ -17,7 +17,7 @@ from metrocli.result import Estimate
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import machine_of
 from metrocli.tasks.calibrate_machine.files import Files
-from metrocli.tasks.calibrate_machine.methods.poses import PROBLEMS, in_degrees, places_read, poses_at, without_errors
+from metrocli.tasks.calibrate_machine.methods.poses import in_degrees, places_read, poses_at, problem_at, without_errors
 from metrocli.tasks.calibrate_machine.plans.planned import Worth, planned, tracker_pose, worth_of
 from metrocli.tasks.calibrate_machine.plans.stops import judged
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
@@ -124,7 +124,7 @@ def _problem(settings: Settings, table: Table, files: Files) -> Callable[[], Pro
             places = places_read(settings, table, files)
             tracker = tracker_pose(places.min(axis=1), places.max(axis=1), settings.plan or PathPlan())
         read, known = without_errors(settings, table, files, tracker)
-        return PROBLEMS[settings.method](settings, read, known)
+        return problem_at(settings, read, known)
 
     return problem
 

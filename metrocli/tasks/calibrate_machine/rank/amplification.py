@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, unit_noise, unknowns_of
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array
 from metrocli.instruments.axes.rotary import Combinations
@@ -24,9 +26,10 @@ def worst_ratio(problem: Problem) -> float:
 
     `max |G v| / |J v|` over all errors v that the tables can describe. G maps v to the error in the volume after the
     best rigid motion, J to the readings after the fit of the tracker's frame. What only a prior
-    holds, such as the index of the air, stays as it is. Returns inf if J is rank deficient.
+    holds, such as the index of the air, stays as it is, and so do the errors that an earlier calibration gives. Returns
+    inf if J is rank deficient.
     """
-    blocks = problem.blocks
+    blocks = {name: _without(block, problem.given) for name, block in problem.blocks.items()}
     names = [name for name, block in blocks.items() if block.free.any() and name not in (TOOL, STOP, AIR)]
     unknowns = unknowns_of(blocks, names)
     if unknowns.size == 0:
@@ -41,6 +44,11 @@ def worst_ratio(problem: Problem) -> float:
     except np.linalg.LinAlgError:
         return float("inf")
     return float(np.sqrt(max(np.linalg.eigvalsh(root @ volume @ root.T)[-1], 0.0)))
+
+
+def _without(block: Block, given: Collection[str]) -> Block:
+    """Return a block in which some of its columns are no unknowns."""
+    return replace(block, free=block.free & ~np.isin(block.columns, list(given))) if given else block
 
 
 def _loose(held: Sequence[Group]) -> list[Group]:

@@ -73,7 +73,10 @@ class Identifiability:
     def status(self) -> Mapping[str, Determination]:
         """Whether an error is determined, by its name."""
         shares = self.opened.shares(self.opened.directions)
-        return {name: _status(name, shares, self.held, self.opened.blocks) for name in self.names}
+        found = {name: _status(name, shares, self.held, self.opened.blocks) for name in self.names}
+        return found | {
+            name: Determination.GIVEN for name in self.problem.given if found[name] == Determination.DETERMINED
+        }
 
     @cached_property
     def partners(self) -> Mapping[str, tuple[str, ...]]:

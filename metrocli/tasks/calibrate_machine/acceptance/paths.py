@@ -1,0 +1,123 @@
+"""Kinematic tests of machines with rotary axes: the range of the tip against the workpiece along listed paths.
+
+The paths are the user's, such as those of ISO 10791-6. The range is predicted from tables and locations, and measured
+where an R-test has readings at all positions of a path.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.arrays import Array, Index
+from metrocli.errors import InputError
+from metrocli.frozen import dataclass
+from metrocli.instruments.axes.kinematics import OF_TOOL, ON_WORKPIECE, axes_of
+from metrocli.instruments.machine import TOOL, Machine
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.acceptance.positioning import COVERAGE
+from metrocli.tasks.calibrate_machine.described import commanded
+from metrocli.tasks.calibrate_machine.problem import tools_of
+from metrocli.tasks.calibrate_machine.settings import Settings
+from metrocli.tasks.calibrate_machine.solve import Solved
+from metrocli.tasks.calibrate_machine.tables import Tables, unit_of_position
+from metrocli.tasks.calibrate_machine.volume import predict
+
+_SAME = 1e-4
+"""Positions of a path and of a reading are the same within this [mm, rad]"""
+
+
+def paths(tables: Tables, solved: Solved, settings: Settings, listed: Table | None) -> dict[str, Table]:
+    """Return the ranges along each path in the axes of the workpiece with U (k = 2), and the error at each position.
+
+    The predicted range is that of the error of the tip; U is propagated from tables and locations, at the two positions
+    that it lies between. The measured one adds the residuals of an R-test, where it followed the path.
+    Raises InputError if positions are out of range, or if a path has one position.
+    """
+    if listed is None:
+        return {}
+    machine, names = tables.machine, np.array(listed.texts("path"))
+    position, tool = commanded(machine, listed), tools_of(listed, settings)
+    _refuse_short(listed, names)
+    error, design = _predicted(tables, position, tool)
+    measured = error + _left(solved, machine, position, tool)
+    sigma = settings.noise.probing or 0.0
+    rows = []
+    for name in dict.fromkeys(names.tolist()):
+        at = np.flatnonzero(names == name)
+        for axis in range(3):
+            low, high = (int(at[pick(error[axis, at])]) for pick in (np.argmin, np.argmax))
+            change = design[axis, high] - design[axis, low]
+            u = COVERAGE * float(np.sqrt(max(change @ tables.raw @ change, 0.0)))
+            read = measured[axis, at]
+            rows.append((name, "xyz"[axis], error[axis, high] - error[axis, low], u, np.ptp(read)))
+    columns = list(zip(*rows, strict=True))
+    followed = np.where(np.isnan(columns[4]), np.nan, COVERAGE * np.sqrt(2) * sigma)
+    units = {axis.letter.lower(): unit_of_position(axis) for axis in machine.axes}
+    places = {f"{key} [{unit}]": own for (key, unit), own in zip(units.items(), position, strict=True)}
+    return {
+        "paths": Table.of(
+            {
+                "path": columns[0],
+                "direction": columns[1],
+                "range U_range [mm]": np.array(columns[2:4]).T,
+                "measured U_measured [mm]": np.stack([columns[4], followed], axis=1),
+            }
+        ),
+        "path_errors": Table.of(
+            {"path": names, **places, "ex ey ez [mm]": error.T, "measured_x measured_y measured_z [mm]": measured.T}
+        ),
+    }
+
+
+def _refuse_short(listed: Table, names: np.typing.NDArray[np.str_]) -> None:
+    found, count = np.unique(names, return_counts=True)
+    if (count < 2).any():
+        name = str(found[np.argmin(count)])
+        row = int(np.argmax(names == name))
+        raise InputError([listed.fault_at(row, f"path {name} has one position", "a path has two positions or more")])
+
+
+def _predicted(tables: Tables, position: Array, tool: Index) -> tuple[Array, Array]:
+    """Return the error of the tip (3, n), and its derivatives by the unknowns (3, n, unknowns)."""
+    error = np.zeros((3, position.shape[1]))
+    design = np.zeros((3, position.shape[1], tables.unknowns.size))
+    for number in np.unique(tool).tolist():
+        at = tool == number
+        found, own = predict(tables.machine, tables.blocks, (tables.unknowns, tables.raw), position[:, at], number)
+        error[:, at], design[:, at] = found.error, own
+    return error, design
+
+
+@dataclass(frozen=True)
+class _Read:
+    """What an R-test read beside what is predicted, in the axes of the workpiece."""
+
+    position: Array
+    """(axes, n)"""
+    tool: Index
+    left: Array
+    """(3, n)"""
+
+
+def _left(solved: Solved, machine: Machine, position: Array, tool: Index) -> Array:
+    """Return what readings at the positions of paths show beyond the prediction (3, n); nan without a reading."""
+    read, found = _read(solved, machine), np.full((3, position.shape[1]), np.nan)
+    if read is None:
+        return found
+    for i in range(position.shape[1]):
+        off = np.abs(read.position - position[:, [i]]).max(axis=0)
+        off = np.where(read.tool == tool[i], off, np.inf)
+        if off.min() <= _SAME:
+            found[:, i] = read.left[:, off <= _SAME].mean(axis=1)
+    return found
+
+
+def _read(solved: Solved, machine: Machine) -> _Read | None:
+    """Return the residuals of probing as errors of the tip on the workpiece; None for other readings."""
+    observations = solved.problem.readings.observations
+    if ON_WORKPIECE not in observations.index or (observations.conditions[OF_TOOL] >= 0).any():
+        return None
+    position = np.stack([observations.conditions[axis.coordinate] for axis in machine.axes])
+    # the reading is ball less probe in the axes of the bed, the error is that of the probe against the workpiece
+    own = np.einsum("abn,an->bn", axes_of(machine, position, "workpiece"), solved.residuals.values)
+    return _Read(position, observations.index[TOOL], -own)

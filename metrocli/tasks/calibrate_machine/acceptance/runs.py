@@ -1,0 +1,114 @@
+"""Runs along single axes with their figures of ISO 230-2; those of rotary axes are among the readings of poses.
+
+A run of a rotary axis is a row of readings in the order of time, in which it goes one way and the other rotary axes
+stand. The deviation at a target is that of the table, with what the readings there show beyond it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from metrocli.arrays import Array, Index
+from metrocli.frozen import dataclass
+from metrocli.instruments.axes.rotary import RotaryAxis
+from metrocli.instruments.machine import errors_of
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
+from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
+from metrocli.tasks.calibrate_machine.settings import Settings
+from metrocli.tasks.calibrate_machine.solve import Solved
+from metrocli.tasks.calibrate_machine.tables import Tables
+
+_FEWEST = 3
+"""Fewest targets of a run: of scattered poses some stand in a row by chance"""
+_ROUNDED = 3
+"""Decimals of targets and of the places of other axes [deg]"""
+
+
+def positioning_of(
+    tables: Tables, solved: Solved, settings: Settings, factor: float
+) -> tuple[dict[str, Table], tuple[str, ...]]:
+    """Return the figures of ISO 230-2 and the means at their targets, of runs along single axes, and warnings."""
+    if tables.machine.turns:
+        turning = _rotary_runs(tables, solved)
+        runs, own = turning.runs, factor * turning.reading
+    else:
+        runs, own = solved.problem.runs, factor * (settings.noise.displacement or 0.0)
+    if not runs:
+        return {}, ()
+    # readings scatter evenly over the range at rest (ISO 230-2:2014, annex A: E_VE)
+    reading = float(np.hypot(own, settings.positioning.environment / np.sqrt(12)))
+    figures, warnings = positioning(runs, Measured(reading, settings.positioning.scale))
+    found = {"positioning": figures, "positioning_targets": at_targets(runs)}
+    return {name: one for name, one in found.items() if one is not None}, warnings
+
+
+@dataclass(frozen=True)
+class _RotaryRuns:
+    """Runs of rotary axes, and the standard uncertainty of a reading of an angle [rad]."""
+
+    runs: tuple[Run, ...]
+    reading: float
+
+
+def _rotary_runs(tables: Tables, solved: Solved) -> _RotaryRuns:
+    """Return the runs of all rotary axes with several runs; readings need the side from which the axis came.
+
+    The readings y of a target, with the derivatives j by the angle, show `E + j'(y - f)/(j'j)` with the standard
+    uncertainty `1/sqrt(j'j)`, all whitened. E is interpolated in the table of the axis.
+    """
+    observations = solved.problem.readings.observations
+    axes = [axis for axis in tables.machine.axes if isinstance(axis, RotaryAxis)]
+    time = observations.conditions.get("t", np.arange(observations.count))
+    order, runs, uncertain = np.argsort(time, kind="stable"), list[Run](), list[float]()
+    for axis in axes:
+        side = observations.conditions.get(f"from_{axis.letter.lower()}")
+        if side is None:
+            continue
+        others = [observations.conditions[other.coordinate] for other in axes if other is not axis]
+        there = np.degrees(np.array([*others, observations.conditions[axis.coordinate]]))[:, order].round(_ROUNDED)
+        parts = [order[own] for own in _parts(there, side[order])]
+        rows = [own for own in parts if _several(axis, observations.conditions[axis.coordinate][own])]
+        if len(rows) > 1:
+            found = [_run(tables, solved, axis, own) for own in rows]
+            names = [other.letter for other in axes if other is not axis]
+            at = [np.degrees([place[own[0]] for place in others]).round(_ROUNDED) for own in rows]
+            words = [", ".join(f"{n} = {v:g} deg" for n, v in zip(names, one, strict=True)) for one in at]
+            runs += [Run(axis.letter, *one[:2], where) for one, where in zip(found, words, strict=True)]
+            uncertain += [one[2] for one in found]
+    return _RotaryRuns(tuple(runs), max(uncertain, default=0.0))
+
+
+def _several(axis: RotaryAxis, positions: Array) -> bool:
+    return len(np.unique(np.degrees(positions).round(_ROUNDED))) >= _FEWEST
+
+
+def _parts(there: Array, side: Array) -> Iterator[Index]:
+    """Yield the readings of each run: the axis, the last of `there` (k, n), goes to its side, and the others stay."""
+    n = there.shape[1]
+    stays = (np.diff(there[:-1], axis=1) == 0).all(axis=0)
+    goes = np.diff(there[-1]) * side[1:] >= 0
+    begins = np.flatnonzero(~(stays & goes & (side[1:] == side[:-1]))) + 1
+    for own in np.split(np.arange(n), begins):
+        if side[own[0]]:
+            yield own
+
+
+def _run(tables: Tables, solved: Solved, axis: RotaryAxis, rows: Index) -> tuple[Array, Array, float]:
+    """Return the targets [deg], the deviations and the largest standard uncertainty [rad] of a run."""
+    blocks, name = solved.solution.blocks, solved.problem.readings.name
+    group = next(one for one in solved.solution.groups if one.name == name)
+    name = errors_of(axis.letter)[axis.number + 3]
+    linear = group.selected(rows).linear(blocks, frozenset({axis.block}))
+    column = blocks[axis.block].column(name)
+    by_angle = np.sum([one.jacobian[:, column] for one in linear.touches if one.block == axis.block], axis=0)
+    position = group.observations.conditions[axis.coordinate][rows]
+    targets, of = np.unique(np.degrees(position).round(_ROUNDED), return_inverse=True)
+    weight = np.bincount(of, (by_angle**2).sum(axis=0))
+    left = np.bincount(of, (by_angle * linear.residual).sum(axis=0)) / weight
+    knots, values, _ = tables.of(name)
+    deviation = np.interp(axis.wrapped(np.radians(targets)), knots, values) + left
+    way = slice(None) if position[-1] > position[0] else slice(None, None, -1)
+    return targets[way], deviation[way], float(1 / np.sqrt(weight.min()))
