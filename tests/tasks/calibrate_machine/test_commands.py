@@ -137,7 +137,11 @@ PLANTED = {
 
 
 IN_MOTION = {"servo-lag:axis=y,tau=1.5ms": ("servo-lag, axis: y", {"servo-lag.y.tau": 1.5e-3})}
-AT_REST = [(STANDSTILL, key, *PLANTED[key]) for key in PLANTED]
+SHORT = ("backlash", "machine-drift")
+AT_REST = [
+    pytest.param(STANDSTILL, key, *found, marks=() if key.startswith(SHORT) else pytest.mark.slow)
+    for key, found in PLANTED.items()
+]
 MOVING = [pytest.param(FLIGHT, key, *found, marks=pytest.mark.slow) for key, found in (PLANTED | IN_MOTION).items()]
 
 
