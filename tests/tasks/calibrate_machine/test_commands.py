@@ -242,7 +242,7 @@ def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) 
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("chain: wXbYZt", "chain: wXbYt", "'wXbYt' is not a chain of the axes X, Y and Z"),
         ("range: [0 mm, 600 mm]", "range: [600 mm, 0 mm]", "the range does not ascend"),
@@ -262,17 +262,17 @@ def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) 
         ("x: {range", "u: {range", "unknown key 'u'"),
     ],
 )
-def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, listed_at: str, metrocli: Metrocli) -> None:
+def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, message: str, metrocli: Metrocli) -> None:
     (folder / "job.yaml").write_text(STANDSTILL.replace(old, new, 1))
     (folder / "points.csv").write_text("point,x_mm,y_mm,z_mm,mx_mm,my_mm,mz_mm,tool\na,0,0,0,0,0,0,T1\n")
     ran = metrocli("check", "job.yaml")
     assert ran.code == 3
-    assert listed_at in ran.err
+    assert message in ran.err
     assert "job.yaml:" in ran.err
 
 
 @pytest.mark.parametrize(
-    ("change", "code", "said"),
+    ("change", "code", "message"),
     [
         (lambda lines: [lines[0], lines[1].replace(",T", ",X"), *lines[2:]], 3, "points.csv:2: error: tool 'X"),
         (lambda lines: [lines[0].replace("mx_mm,my_mm,mz_mm", "mx_m,my_m,mz_m"), *lines[1:]], 3, "1000 times as large"),
