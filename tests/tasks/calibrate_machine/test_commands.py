@@ -313,12 +313,12 @@ def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, message: str
         ),
     ],
 )
-def test_wrong_points_are_told(folder: Path, change, code: int, listed_at: str, metrocli: Metrocli) -> None:  # type: ignore[no-untyped-def]
+def test_wrong_points_are_told(folder: Path, change, code: int, message: str, metrocli: Metrocli) -> None:  # type: ignore[no-untyped-def]
     job = made(folder, STANDSTILL, metrocli)
     lines = (folder / "points.csv").read_text().split("\n")
     (folder / "points.csv").write_text("\n".join(change(lines)))
     ran = metrocli("calibrate-machine", job)
-    assert (ran.code, listed_at in ran.err) == (code, True), ran.err
+    assert (ran.code, message in ran.err) == (code, True), ran.err
     assert not (folder / "result.h5").exists()
 
 
