@@ -13,8 +13,8 @@ from hypothesis import settings
 
 from metrocli import tasks
 
-# The outcome of the suite depends on the change alone. New draws: HYPOTHESIS_PROFILE=default, and `make fuzz`.
-settings.register_profile("repeatable", derandomize=True)
+# The outcome of the suite depends on the change alone. More and new draws: HYPOTHESIS_PROFILE=default, and `make fuzz`.
+settings.register_profile("repeatable", derandomize=True, max_examples=40)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 LONGEST = 8.0

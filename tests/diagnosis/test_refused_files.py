@@ -46,7 +46,7 @@ SPOILT = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if "tracers" in name else ()) for name in SPOILT]
+    "name", [pytest.param(name, marks=() if name == "y and z of the points" else pytest.mark.slow) for name in SPOILT]
 )
 def test_a_list_with_a_wrong_heading_is_refused(name: str, network: Path, metrocli: Callable[..., object]) -> None:
     file, old, new, words, write = SPOILT[name]

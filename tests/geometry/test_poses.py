@@ -23,27 +23,27 @@ def apart(one: Array, other: Array) -> float:
     return float(max(turn, np.abs(one[..., :3] - other[..., :3]).max() / 2000))
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None)
 @given(POSES, POSES, SHIFTS)
 def test_composed_poses_act_one_after_the_other(outer: Array, inner: Array, point: Array) -> None:
     once = poses.apply(poses.compose(outer, inner), point)
     assert np.allclose(once, poses.apply(outer, poses.apply(inner, point)), rtol=0, atol=1e-10)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None)
 @given(POSES, SHIFTS)
 def test_inverse_undoes(pose: Array, point: Array) -> None:
     assert np.allclose(poses.apply(poses.inverse(pose), poses.apply(pose, point)), point, rtol=0, atol=1e-10)
     assert apart(poses.compose(pose, poses.inverse(pose)), np.zeros(6)) < 1e-14
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None)
 @given(POSES, POSES)
 def test_difference_is_the_step_between(pose: Array, reference: Array) -> None:
     assert apart(poses.moved(reference, poses.difference(pose, reference)), pose) < 1e-13
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None)
 @given(POSES, POSES)
 def test_difference_changes_as_the_derivative_says(pose: Array, reference: Array) -> None:
     if np.linalg.norm(poses.difference(pose, reference)[3:]) > 3.1:
@@ -56,7 +56,7 @@ def test_difference_changes_as_the_derivative_says(pose: Array, reference: Array
         assert np.allclose(poses.difference_by_step(pose, reference)[:, k], expected, rtol=1e-4, atol=1e-6)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None)
 @given(SHIFTS, st.floats(-3, 3), st.floats(-1.5, 1.5), st.floats(-3, 3))
 def test_euler_form_and_its_derivative(shift: Array, alpha: float, beta: float, gamma: float) -> None:
     angles = np.array([alpha, beta, gamma])
@@ -71,7 +71,7 @@ def test_euler_form_and_its_derivative(shift: Array, alpha: float, beta: float, 
         assert np.allclose(poses.euler_form_by_step(pose)[:, k], difference, rtol=1e-5, atol=1e-6)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None)
 @given(POSES, st.integers(0, 2**32 - 1), st.integers(3, 8))
 def test_fit_finds_the_pose(pose: Array, seed: int, count: int) -> None:
     points = np.random.default_rng(seed).normal(size=(count, 3)) * 300

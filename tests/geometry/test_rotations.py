@@ -43,7 +43,7 @@ def axis_turn(axis: int, angle: float) -> Array:
     )
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None)
 @given(VECTORS)
 def test_vector_to_matrix_and_back(vector: Array) -> None:
     rotation = rotation_from_vector(vector)
@@ -57,7 +57,7 @@ def test_vector_to_matrix_and_back(vector: Array) -> None:
     assert np.linalg.norm(back) <= PI * (1 + 1e-15)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None)
 @given(VECTORS)
 def test_rotation_vector_keeps_its_axis_and_turns_by_its_length(vector: Array) -> None:
     rotation = rotation_from_vector(vector)
@@ -70,7 +70,7 @@ def test_a_quarter_turn_about_z_carries_x_to_y() -> None:
     assert np.allclose(quarter @ [1, 0, 0], [0, 1, 0], atol=1e-15)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None)
 @given(FULL_TURN, BETA, FULL_TURN)
 def test_euler_to_matrix_and_back(alpha: float, beta: float, gamma: float) -> None:
     rotation = rotation_from_euler(alpha, beta, gamma)
@@ -84,7 +84,7 @@ def test_euler_to_matrix_and_back(alpha: float, beta: float, gamma: float) -> No
         assert np.allclose(turn, 0, atol=1e-12)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None)
 @given(FULL_TURN, st.floats(-1.5, 1.5), FULL_TURN)
 def test_euler_angles_change_as_the_derivative_says(alpha: float, beta: float, gamma: float) -> None:
     rotation = rotation_from_euler(alpha, beta, gamma)
@@ -96,7 +96,7 @@ def test_euler_angles_change_as_the_derivative_says(alpha: float, beta: float, g
         assert np.allclose(euler_by_vector(rotation)[:, axis], difference, rtol=1e-5, atol=1e-7)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None)
 @given(
     st.builds(lambda d, a: d * a, DIRECTIONS, st.one_of(st.sampled_from([0.0, 1e-9, 9e-4, 1.1e-3]), st.floats(0, 3.1)))
 )
@@ -123,7 +123,7 @@ def test_left_turn_is_smooth_up_to_half_a_turn() -> None:
         assert np.allclose(found, np.eye(3) - cross / 2 + cross @ cross / angle**2, atol=1e-8)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None)
 @given(arrays(float, (3, 3), elements=UNIT), VECTORS)
 def test_nearest_rotation_is_nearer_than_others(matrix: Array, vector: Array) -> None:
     nearest = nearest_rotation(matrix)

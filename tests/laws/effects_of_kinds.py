@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -114,19 +115,25 @@ def selfcal_grid(effect: Effect) -> Model:
 
 
 def calibrate_machine(effect: Effect) -> Model:
-    """120 points with three tools known to 1 um, from all sides, times and speeds at random; or lines, or lengths to 80 points."""
+    """Points, lines, lengths to points, or a machine with rotary axes: the sort in which the effect is seen."""
     if effect in LENGTH_EFFECTS or effect.throughout:
-        return machine_from_lengths(effect)
+        return machine_from_lengths(effect.throughout, effect.name not in ("length-offset", "reflector-incidence"))
     if effect in OF_THE_LASER:
         return machine_from_lines()
     if effect in OF_ROTARY_AXES:
-        return machine_with_tables(effect)
+        return machine_with_tables("head-table" if effect.among == ("b",) else "table-table")
+    return machine_from_points(in_faces=effect.needs == (FACE,))
+
+
+@cache
+def machine_from_points(in_faces: bool) -> Model:
+    """120 points with three tools known to 1 um, from all sides, times and speeds at random."""
     rng = np.random.default_rng(6)
     tools = simulated_machine.THREE
     machine = simulated_machine.random_machine(rng)
     table = simulated_machine.points(machine, rng, 120, tools, noise=0.0)
     more = {f"from_{axis}": rng.choice([-1.0, 1.0], 120) for axis in "xyz"} | {"t": rng.uniform(100.0, 2000.0, 120)}
-    more |= {"face": rng.choice([1.0, 2.0], 120)} if effect.needs == (FACE,) else {}
+    more |= {"face": rng.choice([1.0, 2.0], 120)} if in_faces else {}
     table = replace(table, columns={**table.columns, **more})
     settings = simulated_machine.settings(tools=tools, tool_uncertainty=0.001)
     problem = standstill(settings, table)
@@ -139,10 +146,11 @@ def calibrate_machine(effect: Effect) -> Model:
     return with_conditions(problem.model.with_blocks(solved.blocks))
 
 
-def machine_from_lengths(effect: Effect) -> Model:
-    """80 points with three tools from five stations, which read at once where an effect is of a stop.
+@cache
+def machine_from_lengths(of_stops: bool, free: bool) -> Model:
+    """80 points with three tools from five stations, which read at once where an effect is `of_stops`.
 
-    Known stations, where these would absorb it.
+    The stations are `free`, unless these would absorb the effect.
     """
     rng = np.random.default_rng(16)
     machine = simulated_machine.random_machine(rng, knots=(3, 3, 3))
@@ -151,20 +159,20 @@ def machine_from_lengths(effect: Effect) -> Model:
         machine, rng, 80, simulated_machine.THREE, simulated_lengths_of_machine.STATIONS, none
     )
     columns = {**table.columns, "t": rng.uniform(100.0, 2000.0, 400), "temp": 20 + rng.uniform(0, 1, 400)}
-    if effect.throughout:
+    if of_stops:
         columns["t"] = 10.0 * np.unique(table.texts("point"), return_inverse=True)[1]
     settings = simulated_lengths_of_machine.settings(simulated_machine.THREE, (3, 3, 3))
     problem = machine_lengths(settings, replace(table, columns=columns))
     solved = adjust(problem.blocks.values(), problem.groups)
     stations = solved.blocks["tracer"]
-    free = stations.free & (effect.name not in ("length-offset", "reflector-incidence"))
-    return with_conditions(problem.model.with_blocks({**solved.blocks, "tracer": replace(stations, free=free)}))
+    stations = replace(stations, free=stations.free & free)
+    return with_conditions(problem.model.with_blocks({**solved.blocks, "tracer": stations}))
 
 
-def machine_with_tables(effect: Effect) -> Model:
+@cache
+def machine_with_tables(kind: str) -> Model:
     """Three balls probed 100 times with a known probe, on a table A that carries a table C, or with a head B; all sides."""
     rng = np.random.default_rng(18)
-    kind = "head-table" if effect.among == ("b",) else "table-table"
     machine = simulated_five_axes.drawn(simulated_five_axes.KINDS[kind], rng, linear=False)
     machine.tables = {}
     with TemporaryDirectory() as folder:
@@ -178,6 +186,7 @@ def machine_with_tables(effect: Effect) -> Model:
     return with_conditions(problem.model.with_blocks(solved.blocks))
 
 
+@cache
 def machine_from_lines() -> Model:
     """Lines along the axes and the face diagonals; times and temperatures at random."""
     rng = np.random.default_rng(17)

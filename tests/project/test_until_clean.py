@@ -34,6 +34,8 @@ def test_one_effect_makes_the_job_clean(hall: Path, capsys: pytest.CaptureFixtur
     result, _ = hdf5.read(Path(step["result"]))
     assert step["chi2"] == pytest.approx(result.statistics["chi2"])
     assert Path(step["job"]) == hall / "jobs" / "hall.step1.yaml"
+    pull = next(one for one in result.estimates if one.name == "cable-wrap.LT5.pull")
+    assert abs(pull.value - 0.9e-3) < 2 * pull.std
 
 
 @pytest.mark.slow

@@ -8,10 +8,12 @@ from scipy.stats import chi2
 
 from benchmarks import ranges
 
+FIRST, *MORE = ranges.DRIVES
+DRIVES = pytest.mark.parametrize("drive", [FIRST, *(pytest.param(one, marks=pytest.mark.slow) for one in MORE)])
 pytestmark = pytest.mark.skipif(not ranges.DATA.is_dir(), reason=f"no measured data at {ranges.DATA}")
 
 
-@pytest.mark.parametrize("drive", ranges.DRIVES)
+@DRIVES
 def test_beacons_are_where_they_were_surveyed(drive: str) -> None:
     """Within the stated uncertainty with the common scale in the model: each, and all eight coordinates together."""
     found = ranges.adjusted(drive)
@@ -22,7 +24,7 @@ def test_beacons_are_where_they_were_surveyed(drive: str) -> None:
     assert scale["value"] == pytest.approx(0.069, abs=3e-3) and scale["std"] < 1e-3
 
 
-@pytest.mark.parametrize("drive", ranges.DRIVES)
+@DRIVES
 def test_without_the_scale_they_are_not(drive: str) -> None:
     """Or the test above would pass without the effect; sigma0 tells that the model is wrong."""
     found = ranges.adjusted(drive, "[]")

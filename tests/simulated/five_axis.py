@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -52,6 +53,10 @@ KINDS = {
 }
 
 
+ROUNDING = 1e-12
+"""Gap [mm] below which a tip has met a ball"""
+
+
 def move(vector: Array) -> Array:
     """Trans."""
     matrix = np.eye(4)
@@ -63,8 +68,9 @@ def about(axis: int, angle: float) -> Array:
     """Rotation about x, y or z."""
     j, k = (axis + 1) % 3, (axis + 2) % 3
     matrix = np.eye(4)
-    matrix[j, j] = matrix[k, k] = np.cos(angle)
-    matrix[k, j], matrix[j, k] = np.sin(angle), -np.sin(angle)
+    c, s = math.cos(angle), math.sin(angle)
+    matrix[j, j] = matrix[k, k] = c
+    matrix[k, j], matrix[j, k] = s, -s
     return matrix
 
 
@@ -283,6 +289,8 @@ def probed(
                 gap = (workpiece @ np.append(places[number], 1) - spindle @ np.append(true_tools[tool], 1))[:3]
                 for axis, letter in enumerate(LINEAR):
                     met[letter] += gap[axis]
+                if np.abs(gap).max() < ROUNDING:
+                    break
             noise = rng.normal(size=3) * sigma
             for axis, letter in enumerate(LINEAR):
                 met[letter] += noise[axis]
@@ -305,6 +313,8 @@ def _meeting(machine: Machine, pose: dict[str, float], ball: Array, tool: Array)
         gap = (workpiece @ np.append(ball, 1) - spindle @ np.append(tool, 1))[:3]
         for axis, letter in enumerate(LINEAR):
             met[letter] += gap[axis]
+        if np.abs(gap).max() < ROUNDING:
+            break
     return met
 
 

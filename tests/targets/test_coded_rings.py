@@ -42,7 +42,14 @@ def test_the_list_of_codes() -> None:
     assert all(bits ^ 1 << place not in turned for bits in turned for place in range(BITS))
 
 
-@pytest.mark.parametrize("look", [Look(noise=2.0), Look(ink=220, paper=20, background=20, noise=2.0), RETRO_REFLECTIVE])
+@pytest.mark.parametrize(
+    "look",
+    [
+        pytest.param(Look(noise=2.0), marks=pytest.mark.slow),
+        Look(ink=220, paper=20, background=20, noise=2.0),
+        RETRO_REFLECTIVE,
+    ],
+)
 def test_codes_at_six_pixels_ring_width_up_to_sixty_degrees(look: Look) -> None:
     rng = np.random.default_rng(7)
     errors = []
@@ -130,6 +137,7 @@ def test_no_code_in_noise_or_chessboards_or_dots() -> None:
         assert len(found) == 0 and "no coded target" in found.reason
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there")
 def test_no_code_in_real_images() -> None:
     for path in sorted(DATA.glob("*/*.jpg"))[::3]:

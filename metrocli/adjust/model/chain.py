@@ -106,9 +106,19 @@ class Link(Protocol):
         """Return the value (out, n) and its derivatives at the input `value` (in, n)."""
 
 
+_MANY = 6
+"""Rows of a derivative from which it is looked for those that are zero"""
+
+
 def through(outer: Array, inner: Array) -> Array:
     """Return the product of derivatives reading by reading: (a, b, n), (b, c, n) -> (a, c, n)."""
     n = outer.shape[-1] if inner.shape[-1] == 1 else inner.shape[-1]
+    if len(inner) > _MANY:
+        # an effect on one axis changes few of the errors of all axes
+        used = np.flatnonzero(inner.any(axis=(1, 2)))
+        outer, inner = outer[:, used], inner[used]
+        if not len(used):
+            return np.zeros((len(outer), inner.shape[1], n))
     product = np.empty((outer.shape[0], inner.shape[1], n))
     for a, row in enumerate(outer):
         for c in range(inner.shape[1]):

@@ -98,7 +98,7 @@ def scanned_columns(
             full, block, chosen = columns
             products = seen.T @ full
             some = itertools.islice(of_places(model, block, chosen, places), _PLACES)
-            sketches[scanned[parameter.name]] = [products[:, own] for _, _, own in some]
+            sketches[scanned[parameter.name]] = [_orthonormal(products[:, own]) for _, _, own in some]
             yield scanned, columns
         between = _between(sketches, grid)[: max(left, 0)]
         wanted, left = [{parameter.name: value} for value in between], left - len(between)
@@ -127,7 +127,10 @@ def sketch_vectors(system: Linearised) -> Array:
 
 
 def _between(sketches: Mapping[float, Sequence[Array]], grid: Array) -> list[float]:
-    """Return the grid values halfway between neighbours whose columns differ at any place, the widest gaps first."""
+    """Return the grid values halfway between neighbours whose columns differ at any place, the widest gaps first.
+
+    `sketches` are orthonormal bases of the columns at each place, by value.
+    """
     tried = sorted(sketches)
     at = np.searchsorted(grid, tried)
     cosines = [
@@ -140,14 +143,13 @@ def _between(sketches: Mapping[float, Sequence[Array]], grid: Array) -> list[flo
 
 def any_apart(products: Array) -> bool:
     """Return whether a form between any two neighbours can be missed, from their sketches (alternatives, q, draws)."""
-    return any(_alike(a.T, b.T) < _APART for a, b in itertools.pairwise(products))
+    return any(_alike(*both) < _APART for both in itertools.pairwise(_orthonormal(one.T) for one in products))
 
 
-def _alike(values: Array, other: Array) -> float:
-    """Return the mean squared cosine between the spans of two sets of columns (n, q); 1 where one has none."""
-    bases = [_orthonormal(columns) for columns in (values, other)]
-    fewest = min(basis.shape[1] for basis in bases)
-    return float(((bases[0].T @ bases[1]) ** 2).sum() / fewest) if fewest else 1.0
+def _alike(basis: Array, other: Array) -> float:
+    """Return the mean squared cosine between the spans of two orthonormal bases (n, q); 1 where one has none."""
+    fewest = min(basis.shape[1], other.shape[1])
+    return float(((basis.T @ other) ** 2).sum() / fewest) if fewest else 1.0
 
 
 def _orthonormal(columns: Array) -> Array:

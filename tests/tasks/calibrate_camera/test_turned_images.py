@@ -77,7 +77,7 @@ def test_the_principal_point_of_turned_images_is_found_and_estimated(tmp_path: P
     assert json.loads(metrocli("diagnose", extended, "--json").out)["verdict"] == "clean"
 
 
-@pytest.mark.parametrize("rolls", [[0.0], [0.0, 0.7, 1.3, 2.4, 3.3, 4.6, 5.5]])
+@pytest.mark.parametrize("rolls", [pytest.param([0.0], marks=pytest.mark.slow), [0.0, 0.7, 1.3, 2.4, 3.3, 4.6, 5.5]])
 def test_where_no_image_is_turned_in_steps_of_90_degrees_the_effect_has_no_place(
     rolls: list[float], tmp_path: Path, metrocli: Metrocli
 ) -> None:

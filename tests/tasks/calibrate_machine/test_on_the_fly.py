@@ -172,12 +172,12 @@ def test_points_off_the_path_while_the_beam_is_lost_are_cut(machine: sim.Machine
 
 
 @pytest.mark.parametrize(
-    ("factor", "said"), [(1e-3, "0.001 times as large"), (1e3, "1000 times as large"), (1 / 25.4, "0.03937 times")]
+    ("factor", "message"), [(1e-3, "0.001 times as large"), (1e3, "1000 times as large"), (1 / 25.4, "0.03937 times")]
 )
-def test_a_wrong_unit_is_told(machine: sim.Machine, vertices: Array, factor: float, listed_at: str) -> None:
+def test_a_wrong_unit_is_told(machine: sim.Machine, vertices: Array, factor: float, message: str) -> None:
     flight = sim.flight(machine, vertices, np.random.default_rng(38), spacing=4.0)
     track = changed(flight.track, flight.track.stacked("xyz") * factor)
-    with pytest.raises(InputError, match=listed_at) as told:
+    with pytest.raises(InputError, match=message) as told:
         calibrate_machine.run(calibrate_machine.TASK.job(job(), path=flight.path, track=track))
     assert "is their unit right?" in str(told.value)
 

@@ -25,7 +25,10 @@ from metrocli.tasks.calibrate_machine.settings import MachineNoise, MachineSimul
 NOISE = MachineNoise(beam=1e-3, lateral=5e-3)
 
 
-@pytest.mark.parametrize("knots", [(13, 11, 11), (11, 11, 11), (25, 21, 21)])
+@pytest.mark.parametrize(
+    "knots",
+    [(11, 11, 11), *(pytest.param(knots, marks=pytest.mark.slow) for knots in ((13, 11, 11), (25, 21, 21)))],
+)
 def test_the_path_reaches_the_ratio_within_the_length(knots: tuple[int, int, int]) -> None:
     settings = sim.settings("on-the-fly", knots=knots, noise=NOISE)
     plan = calibrate_machine.plan(calibrate_machine.TASK.job(settings))

@@ -133,7 +133,7 @@ def test_one_missing_axis_is_told(machine: sim.Machine) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (
             lambda t: {"axis": np.where(np.arange(len(t)) == 3, "u", t.columns["axis"])},
@@ -153,12 +153,12 @@ def test_one_missing_axis_is_told(machine: sim.Machine) -> None:
         ),
     ],
 )
-def test_wrong_rows_are_told(machine: sim.Machine, change, listed_at: str) -> None:  # type: ignore[no-untyped-def]
+def test_wrong_rows_are_told(machine: sim.Machine, change, message: str) -> None:  # type: ignore[no-untyped-def]
     whole = line_table([line(machine, axis, np.random.default_rng(56)) for axis in AXES])
     bad = Table({**whole.columns, **change(whole)}, whole.units, whole.file, whole.lines)
     with pytest.raises(InputError) as told:
         calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=bad))
-    assert listed_at in str(told.value)
+    assert message in str(told.value)
 
 
 def test_one_run_each_way_has_no_repeatability() -> None:

@@ -198,10 +198,8 @@ def test_an_entry_beside_its_column_is_said_to_be_unused() -> None:
     net = network(30, 5)
     lengths = in_air(net, 1.0)
     warm = replace(lengths, columns={**lengths.columns, "temp": np.full(len(lengths), 21.0)})
-    listed_at = [line for line in run(net, warm, environment(25.0)).warnings if "environment: the value of" in line]
-    assert listed_at == [
-        f"environment: the value of temperature is not used, since {warm.file} has the column temp_degC"
-    ]
+    words = [line for line in run(net, warm, environment(25.0)).warnings if "environment: the value of" in line]
+    assert words == [f"environment: the value of temperature is not used, since {warm.file} has the column temp_degC"]
     only_std = replace(environment(), temperature=KnownQuantity(float("nan"), 0.1))
     for table, air in ((warm, only_std), (lengths, environment(25.0))):
         assert "is not used, since" not in " ".join(run(net, table, air).warnings)
