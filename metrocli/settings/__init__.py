@@ -1,4 +1,9 @@
-"""Specifications of job files: they read nodes into frozen dataclasses and describe themselves as JSON schema."""
+"""Specifications of job files: they read nodes into frozen dataclasses and describe themselves as JSON schema.
+
+`sections` reads a mapping by the fields of a dataclass, each field by its specification: `values` (one text), `files`
+(a path), `composites` (lists, alternatives, a value with its std). Faults are collected, none is raised: a job with
+five mistakes lists five. The same specifications give the schema, so both cannot differ.
+"""
 
 from metrocli.settings.composites import UNKNOWN, At, Either, KnownQuantity, ListOf, LocatedValue, MapOf, Uncertain
 from metrocli.settings.files import (

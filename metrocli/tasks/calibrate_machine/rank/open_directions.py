@@ -16,8 +16,8 @@ from metrocli.frozen import dataclass
 from metrocli.instruments.axes.kinematics import OF_WORKPIECE, ON_WORKPIECE
 from metrocli.instruments.machine import ANGLES, Machine
 from metrocli.instruments.tracer import TRACER
-from metrocli.tasks.calibrate_machine.layout import cure_of, line_of
 from metrocli.tasks.calibrate_machine.problem import MachineProblem
+from metrocli.tasks.calibrate_machine.rank.layout import cure_of, line_of
 
 _NAMED = 0.2
 """Errors with at least this share of the largest entry of a direction are named in it"""
