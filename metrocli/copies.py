@@ -49,6 +49,7 @@ def faults(table: Table, columns: Columns) -> list[Fault]:
     alike = _share_alike(readings)
     if alike > _MOST_ALIKE:
         return []
+    # a few equal readings are chance, however finely they are resolved (docs/decisions/054-copied-readings.md)
     least = max(_ROWS, -(-_CELLS // len(measured)))
     what = ", ".join(name for name in (*columns.alike, *measured) if name in table)
     hint = "one measurement that counts twice makes the uncertainty too small: remove the copy"
@@ -104,6 +105,7 @@ def _share_alike(readings: Hashes) -> float:
 
 def _by_chance(blocks: int, alike: float) -> int:
     """Return the number of rows from which chance does not repeat a block, of so many blocks."""
+    # each of n²/2 pairs of blocks repeats with alike^rows: rows such that their sum is below _CHANCE
     return int(np.ceil(np.log(2 * _CHANCE / blocks**2) / np.log(alike))) if alike > 0 else 0
 
 

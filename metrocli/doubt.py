@@ -33,6 +33,7 @@ def _misfit(
     statistics: Mapping[str, Scalar | Mapping[str, float]], verdicts: Sequence[CriterionVerdict]
 ) -> tuple[str, ...]:
     sigma0, dof = _number(statistics.get("sigma0")), _number(statistics.get("dof"))
+    # estimated noise makes sigma0 fit by construction: then only the checks of the kind can doubt
     if not (sigma0 > 0 and dof > 0) or statistics.get("noise_estimated"):
         return ()
     limits = [
@@ -41,6 +42,7 @@ def _misfit(
         if verdict.name.removeprefix("statistics.") == "sigma0" and verdict.condition.lstrip().startswith("<")
     ]
     beyond = any(not limit.met for limit in limits) if limits else sigma0 > MOST
+    # with few degrees of freedom chance alone exceeds 2, so the 99.9 % bound has to be passed, too
     if not beyond or sigma0 <= (bound := chi_bound(dof, _LEVEL)):
         return ()
     allowed = " and ".join(limit.condition.strip() for limit in limits) or f"<= {MOST:g}"

@@ -118,6 +118,8 @@ def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
     """
     readings = job.model.readings
     size = {group.name: np.median(group.observations.deviations, axis=1) for group in readings}
+    # sizes are fixed: an estimated noise would grow with the wrong chain and hide it
+    # (docs/decisions/134-other-settings.md)
     before, dof = _mean_square(job, size), _redundant(job)
     fits = before <= _LARGER_NOISE**2
     if sum(group.observations.count for group in readings) > (_MOST_FITTING if fits else _MOST_ROWS):
@@ -230,6 +232,8 @@ def misread(
         ]
     if not misfits:
         return None
+    # a mirrored list of points and one of tracers give the same solution: nothing decides between them
+    # (docs/decisions/019-mistakes-are-not-effects.md)
     (_, first, fits), *alike = _as_good(misfits)
     rest = [f"{mistake.file or mistake.input}: {mistake.words}" for _, mistake, _ in alike]
     how = (

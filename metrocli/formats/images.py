@@ -103,6 +103,8 @@ def read(path: Path, digest: str = "") -> Picture:
         faults = [_fault(path, "the image changed while the job ran; run it again")]
     if faults:
         raise InputError(faults)
+    # pixels are those of the sensor: EXIF orientation flips at random for a camera that looks down
+    # (docs/decisions/001-pixel-grid.md)
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)

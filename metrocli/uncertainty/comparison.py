@@ -141,6 +141,7 @@ def compare(first: Result, second: Result) -> Comparison:
         for i in alive.tolist()
     ]
     points = _coordinates(first), _coordinates(second)
+    # one by one and as independent: results keep no covariance of two points
     compared += list(_points(*points))
     if not common and not compared:
         raise InputError("the results have nothing in common: no estimate, table or point of the same name")

@@ -80,6 +80,8 @@ class Dependent:
                 except UnreachableError as error:
                     error.between = (indices[i], indices[j])
                     raise
+        # correlations found pair by pair need not be those of one distribution: the factor takes the nearest
+        # semi-definite matrix, whose rows are scaled back to variance 1
         root = factor(normal)
         root /= np.linalg.norm(root, axis=1)[:, None]
         return cls(indices, tuple(distributions), root)

@@ -71,6 +71,7 @@ class TrialsPlan:
                 values[self.names[index]] = deviations
         drawn = np.empty((len(self.models), count))
         for row, model, centre in zip(drawn, self.models, self.centres, strict=True):
+            # deviations from the centre keep the digits that a large best estimate would cost
             np.subtract(evaluate(model, values), centre, out=row)
         return drawn
 

@@ -77,9 +77,11 @@ def _tiled(
 ) -> list[Tile]:
     orders = [_Order.of(groups[i], i, blocks, eliminated) for i in touching]
     kept = [order for order in orders if order is not None]
+    # a member is eliminated with all of its readings at once: one group without an order leaves no tiles
     if len(kept) < len(orders) or not kept:
         return []
     alike = _alike(kept)
+    # small tiles cost more in calls than the cache gains (docs/decisions/011-tiles-and-lattices.md)
     if len(alike) > 2 and sum(len(order.rows) for order in kept) < WORTH_TILES * len(alike):
         return []
     return [tile for members in alike for tile in _tiles(kept, groups, members, eliminated)]

@@ -92,6 +92,8 @@ def scanned_columns(
     assert parameter.grid is not None
     grid = np.sort(parameter.grid(model.readings[0].observations.conditions))
     seen, sketches = sketch_vectors(system), dict[float, list[Array]]()
+    # the values of the user are only where it begins: a wave between two of them would be missed
+    # (docs/decisions/130-dense-scans.md)
     wanted, left = start, most_tried(effect, system.rows) - len(start)
     while wanted:
         for scanned, columns in _with_values(model, system, effect, places, wanted, first=wanted is start):

@@ -41,6 +41,8 @@ def size_found(grams: Array, ranks: Array, level: float, dof: int, wanted: float
     The power at `a` is the mean of `P(F'(r, dof - r, a^2 d'Ad) > F_level)` over all forms and directions. Forms have
     Gram matrices A, `grams` (k, q, q), and ranks r, `ranks` (k,). Directions d are unit vectors of the q parameters.
     """
+    # the mean over directions, not the least visible one, which can need ten times the usual size
+    # (docs/decisions/068-stated-sizes.md)
     towards = directions(grams.shape[1])
     strengths = np.sqrt(np.maximum(np.einsum("da,kab,db->kd", towards, grams, towards), 0.0))
     curves = {int(r): _curve(level, int(r), max(dof - int(r), 1)) for r in np.unique(ranks[ranks > 0])}

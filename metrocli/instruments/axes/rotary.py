@@ -172,6 +172,8 @@ class RotaryAxis(Axis):
         angles[-2][:, i] = 1.0
         index, weight = self.places(np.array([self.reference]))
         angles[-1][index[:, 0], i + 3] = weight[:, 0, 0]
+        # conditions of near-zero std take these ten out, rather than a choice of unknowns that would couple all
+        # knots (docs/decisions/190-conditions-hold-the-gauge.md)
         held = [unit / np.linalg.norm(unit) for unit in angles if free[np.abs(unit) > 0].all()]
         return np.array(held).reshape(-1, n, 6)
 

@@ -81,6 +81,8 @@ def principal_point(problem: CameraProblem, adjusted: AdjustedImages) -> Princip
     lens = solution.blocks[camera.LENS]
     at = [lens.columns.index(name) for name in _AXES]
     held = np.where(lens.free[0, at], np.nan, lens.values[0, at])
+    # a wrong image size holds the principal point wrongly and no residual shows it: it is freed and compared
+    # (docs/decisions/101-principal-point-against-image-size.md)
     if not lens.free[0, at].all():
         free = [name for name, is_free in zip(lens.columns, lens.free[0], strict=True) if is_free]
         model = problem.with_blocks(solution.blocks).with_estimate([*free, *_AXES])

@@ -147,6 +147,8 @@ def _wrong(sight: _Sight, bound: float) -> list[int]:
             for chosen in combinations(everything, size)
             if sight.misfit([i for i in everything if i not in chosen]) <= bound
         ]
+        # two sets that serve equally well identify neither, so the whole point is left out
+        # (docs/decisions/013-points-that-lost-lengths.md)
         if serving:
             return list(serving[0]) if len(serving) == 1 else everything
     return everything
@@ -168,6 +170,7 @@ def quick_start(network: TracerNetwork) -> dict[str, Block]:
         return undisturbed_start(network)
     kept = np.ones(len(seen), dtype=bool)
     kept[ours] = False
+    # always the same sample: a job has one result (docs/decisions/062-starts-from-a-sample.md)
     kept[Random(0).sample(ours.tolist(), _SAMPLE)] = True
     if not network.unknown[seen].all():  # other groups use the numbers of the points
         return undisturbed_start(network.only(kept[network.lengths.observations.index[t.POINT]]))

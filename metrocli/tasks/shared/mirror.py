@@ -196,10 +196,12 @@ def mirrored(sights: NetworkLengths, noise: float = 1.0) -> list[Mirrored]:
     if not tried.any():
         return []
     few = sights.selected(tried)
+    # ends are never exactly in one plane, so the mirrored place is a start and not yet the second solution
     start = few.places - 2 * (height[:, None] * normal)[tried] * few.free
     other, gain = _refined(few, start, noise)
     apart = np.linalg.norm(other - few.places, axis=1)
     away, from_other = (np.linalg.norm(few.listed - place, axis=1) for place in (few.places, other))
+    # a place within the uncertainty of the first is the same one (docs/decisions/170-mirror-images.md)
     alike = (gain > -_ALIKE) & (apart > _APART * np.linalg.norm(few.std, axis=1)) & np.isfinite(apart)
     members = np.flatnonzero(tried)
     return [

@@ -46,6 +46,8 @@ def imaged(group: Group, blocks: Mapping[str, Block], radius: Array) -> tuple[Ar
     offsets = (
         np.stack([np.cos(turn), np.sin(turn), np.zeros(_RIM)], axis=1)[:, None, :] * np.nan_to_num(radius)[:, None]
     )
+    # through the whole chain: the formula for the centre of an ellipse leaves distortion out
+    # (docs/decisions/008-eccentricity-by-the-rim.md)
     rim = np.stack(
         [
             group.chain.predict({**blocks, TARGET: targets.with_values(targets.values + offset)}, group.observations)
@@ -110,7 +112,9 @@ def check_diameters(group: Group, predicted: Array, radius: Array) -> None:
         return
     ratio, expected, edge = size[known] / predicted[known], 2 * radius[known], _EDGE / predicted[known]
     middle = float(np.median(ratio))
+    # robust against targets that were taken for others: 1.48 MAD is the standard deviation of a normal sample
     scatter = 1.48 * float(np.median(np.abs(ratio - middle)))
+    # a test and not an observation, since prints have systematic errors (docs/decisions/055-imaged-size.md)
     allowed = _PRINT + float(np.median(edge)) + _LEVEL * 1.25 * scatter / np.sqrt(len(ratio))
     if scatter > _ONE_SIZE * middle + float(np.median(edge)):
         raise InputError(
