@@ -102,7 +102,7 @@ def test_a_levelled_way_has_the_noise_of_its_length(tmp_path: Path, metrocli: Me
     ways = '<dh from="A" to="B" val="1.25" dist="4"/><dh from="B" to="A" val="-1.25" stdev="2"/>'
     path.write_text(NET.format(f"{points}<height-differences>{ways}</height-differences>"))
     assert metrocli("import", path, "--from", "gama-xml", "--out", tmp_path).code == 0
-    rows = (tmp_path / "heights.csv").read_text().splitlines()[1:]
+    rows = (tmp_path / "heights.csv").read_text().splitlines()[2:]
     assert [float(row.split(",")[3]) for row in rows] == [1.0, 2.0]
 
 
