@@ -97,6 +97,41 @@ def _of_opencv(lines: TextLines, text: str) -> ReadCamera:
     return _read(lines, program, form, [str(name) for name in size], {**values, **_named(form, shift)})
 
 
+def _of_ini(lines: TextLines, text: str) -> ReadCamera:
+    """Return the camera of the text file of ROS's calibrator (oST), whose values stand below their names."""
+    held = {name: _after(rf"^{name}\s*\n((?:\s*[-+.0-9eE]+)+)", text, re.MULTILINE) for name in _OF_INI}
+    width, height, matrix, shift = ((held[name] or "").split() for name in _OF_INI)
+    fields = {"width": width, "height": height, "camera matrix with 9 numbers": len(matrix) == 9, "distortion": shift}
+    _must_have(lines, "ROS", fields)
+    form = _form(lines, "ros", "plumb_bob" if len(shift) == 5 else "rational_polynomial", len(shift))
+    values = dict(zip(("fx", "cx", "fy", "cy"), (matrix[0], matrix[2], matrix[4], matrix[5]), strict=True))
+    return _read(lines, "ros", form, [width[0], height[0]], {**values, **_named(form, shift)})
+
+
+_OF_INI = ("width", "height", "camera matrix", "distortion")
+
+
+def _of_slam(lines: TextLines, text: str) -> ReadCamera:
+    """Return the pinhole of a file with a value a key: `projection_parameters` of camodocal, Camera.fx of ORB-SLAM."""
+    model = _after(r"^(?:model_type|Camera\.type)\s*:\s*['\"]?(\w+)", text, re.MULTILINE) or "PinHole"
+    if model.lower() != "pinhole":
+        raise InputError(
+            [lines.fault(f"the model {model} is not known here", None, "expected a pinhole with k1 k2 p1 p2")]
+        )
+    value = r"^\s*(?:Camera1?\.)?{0}\s*:\s*([-+.0-9eE]+)"
+    read = {name: _after(value.format(name), text, re.MULTILINE) for name in (*_SLAM, "k3")}
+    size = [_after(rf"(?:image_|Camera\.){side}\s*:\s*([0-9]+)", text) for side in ("width", "height")]
+    _must_have(
+        lines, "camodocal or ORB-SLAM", {**{name: read[name] for name in _SLAM}, "width": size[0], "height": size[1]}
+    )
+    form = _form(lines, "opencv", "opencv", 4 if read["k3"] is None else 5)
+    values = {name: str(number) for name, number in read.items() if number is not None}
+    return _read(lines, "opencv", form, [str(side) for side in size], values)
+
+
+_SLAM = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+
+
 def _of_colmap(lines: TextLines, text: str) -> ReadCamera:
     """Return the camera of a line of cameras.txt."""
     _, model, width, height, *numbers = text.split()
@@ -207,12 +242,14 @@ def _numbers(pattern: str, text: str) -> list[str]:
     return parts if all(map(is_number, parts)) else []
 
 
-READERS: Mapping[str, tuple[str, Callable[[TextLines, str], ReadCamera]]] = {
-    "kalibr": (r"^cam[0-9]+\s*:|^\s*distortion_coeffs\s*:", _of_kalibr),
-    "mrcal": (r"'lensmodel'|'imagersize'", _of_mrcal),
-    "metashape": (r"<calibration\b|<projection>", _of_metashape),
-    "matlab": (r"cameraIntrinsics\(", _of_matlab),
-    "opencv": (r"(?i:camera_?matrix)\s*:|distortion_coefficients\s*:|image_width\s*:|^[Kk]\s*:\s*(?:\[|$)", _of_opencv),
-    "colmap": (r"^\s*[0-9]+\s+[A-Z_]+\s+[0-9]+\s+[0-9]+(\s|$)", _of_colmap),
-}
-"""What only files of a program have, and their reader"""
+READERS: Sequence[tuple[str, str, Callable[[TextLines, str], ReadCamera]]] = (
+    ("kalibr", r"^cam[0-9]+\s*:|^\s*distortion_coeffs\s*:", _of_kalibr),
+    ("mrcal", r"'lensmodel'|'imagersize'", _of_mrcal),
+    ("metashape", r"<calibration\b|<projection>", _of_metashape),
+    ("matlab", r"cameraIntrinsics\(", _of_matlab),
+    ("ros", r"^camera matrix\s*$", _of_ini),
+    ("opencv", r"^projection_parameters\s*:|^Camera1?\.fx\s*:", _of_slam),
+    ("opencv", r"(?i:camera_?matrix)\s*:|distortion_coefficients\s*:|image_width\s*:|^[Kk]\s*:\s*(?:\[|$)", _of_opencv),
+    ("colmap", r"^\s*[0-9]+\s+[A-Z_]+\s+[0-9]+\s+[0-9]+(\s|$)", _of_colmap),
+)
+"""Programs, what only their files have, and the reader"""

@@ -47,7 +47,7 @@ def as_yaml(lines: TextLines) -> str | None:
 def _cameras(lines: TextLines) -> dict[str, str]:
     """Return the cameras of a file as YAML by their names; none if it is no camera of another program."""
     text = "\n".join(lines.lines)
-    for program, (sign, reader) in READERS.items():
+    for program, sign, reader in READERS:
         if re.search(sign, text, re.MULTILINE):
             read = {name: reader(lines, part) for name, part in _parts(lines, program, text).items()}
             for camera in read.values():

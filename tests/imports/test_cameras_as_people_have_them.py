@@ -72,6 +72,51 @@ dist_coeff: !!opencv-matrix
    dt: d
    data: [ -0.1, 0.02, 1.0e-03, -2.0e-03 ]
 """
+OST = """# oST version 5.0 parameters
+
+[image]
+
+width
+640
+
+height
+480
+
+[narrow]
+
+camera matrix
+500.0 0.0 321.0
+0.0 501.0 242.0
+0.0 0.0 1.0
+
+distortion
+-0.1 0.02 0.001 -0.002 0.0
+
+rectification
+1.0 0.0 0.0
+"""
+CAMODOCAL = """%YAML:1.0
+---
+model_type: PINHOLE
+image_width: 640
+image_height: 480
+distortion_parameters:
+   k1: -0.1
+   k2: 0.02
+   p1: 0.001
+   p2: -0.002
+projection_parameters:
+   fx: 500.0
+   fy: 501.0
+   cx: 321.0
+   cy: 242.0
+"""
+ORB = "Camera.type: \"PinHole\"\n" + "".join(
+    f"Camera.{name}: {value}\n" for name, value in {
+        "fx": 500.0, "fy": 501.0, "cx": 321.0, "cy": 242.0, "k1": -0.1, "k2": 0.02, "p1": 0.001, "p2": -0.002,
+        "width": 640, "height": 480,
+    }.items()
+)  # fmt: skip
 LENS = {"fx": 500.0, "fy": 501.0, "cx": 321.0, "cy": 242.0, "k1": -0.1, "k2": 0.02, "p1": 0.001, "p2": -0.002}
 
 
@@ -85,8 +130,11 @@ def imported(folder: Path, text: str, program: str, metrocli: Metrocli) -> Any:
     return metrocli("import", folder / "their.yaml", "--from", program, "--out", folder / "out")
 
 
-@pytest.mark.parametrize("text", [MESSAGE, ONE_A_LINE], ids=["message", "an entry a line"])
-def test_other_forms_of_ros_are_read(text: str, tmp_path: Path, metrocli: Metrocli) -> None:
+FORMS = {"message": MESSAGE, "an entry a line": ONE_A_LINE, "oST": OST, "camodocal": CAMODOCAL, "ORB-SLAM": ORB}
+
+
+@pytest.mark.parametrize("text", FORMS.values(), ids=FORMS)
+def test_other_forms_are_read(text: str, tmp_path: Path, metrocli: Metrocli) -> None:
     assert imported(tmp_path, text, "ros", metrocli).code == 0
     assert lens(tmp_path / "out" / "camera.yaml") == LENS
 
@@ -115,3 +163,8 @@ def test_coefficients_of_a_fisheye_under_another_name_are_refused(tmp_path: Path
     assert ran.code == 3 and "p1 = 2.4, p2 = 3.3: no lens is decentred so much" in ran.err
     right = imported(tmp_path, wrong.replace("plumb_bob", "equidistant"), "ros", metrocli)
     assert right.code == 0 and "model: fisheye" in (tmp_path / "out" / "camera.yaml").read_text()
+
+
+def test_another_model_with_the_same_keys_is_refused(tmp_path: Path, metrocli: Metrocli) -> None:
+    ran = imported(tmp_path, CAMODOCAL.replace("PINHOLE", "KANNALA_BRANDT"), "opencv", metrocli)
+    assert ran.code == 3 and "the model KANNALA_BRANDT is not known here" in ran.err
