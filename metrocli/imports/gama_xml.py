@@ -92,7 +92,9 @@ class _NetworkSections:
             self.axes = "en"
 
     def _refuse(self, message: str, hint: str = _HINT) -> None:
-        self.faults.append(self.lines.fault(message, None, hint))
+        fault = self.lines.fault(message, None, hint)
+        if fault not in self.faults:
+            self.faults.append(fault)
 
     def read(self) -> Mapping[str, tuple[tuple[str, ...], list[tuple[str, ...]]]]:
         """Return header and rows of each file."""
@@ -130,6 +132,11 @@ class _NetworkSections:
     def _point(self, element: Element) -> Iterator[tuple[str, ...]]:
         """Yield a listed point: a fixed coordinate has the standard deviation 0, an adjusted one none."""
         if not all(element.get(axis) for axis in "xyz"):
+            if element.get("fix"):
+                name = element.get("id", "")
+                self._refuse(
+                    f"point {name} is fixed and lacks a coordinate", "give it, an approximate one if it is free"
+                )
             return
         place, sigma = {"z": element.get("z", "")}, {"z": "0" if "z" in element.get("fix", "").lower() else ""}
         for axis, letter in zip("xy", self.axes, strict=True):
@@ -181,10 +188,17 @@ class _NetworkSections:
 
     def _heights(self, group: Element) -> Iterator[tuple[str, ...]]:
         for element in group:
-            if element.tag != "dh" or not element.get("stdev"):
-                self._refuse(f"<{element.tag}> of height differences without stdev is not read")
+            spread = element.get("stdev") or self._of_way(element)
+            if element.tag != "dh" or not spread:
+                self._refuse(f"<{element.tag}> of height differences without stdev and dist is not read")
                 continue
-            yield element.get("from", ""), element.get("to", ""), element.get("val", ""), element.get("stdev", "")
+            yield element.get("from", ""), element.get("to", ""), element.get("val", ""), spread
+
+    def _of_way(self, element: Element) -> str:
+        """Return the standard deviation of a levelled way of some km, `sigma_apr sqrt(dist)` mm; empty without one."""
+        way, parameters = element.get("dist"), self.network.find("parameters")
+        apriori = "10" if parameters is None else parameters.get("sigma-apr", "10")
+        return str(self._number(way, element).sqrt() * self._number(apriori, element)) if way else ""
 
     def _number(self, text: str, element: Element) -> Decimal:
         try:

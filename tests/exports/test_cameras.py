@@ -291,7 +291,7 @@ METASHAPE = "<calibration><projection>{}</projection><width>640</width><height>4
     [
         ("1 FOV 640 480 500 320 240 0.1\n", "the model FOV of colmap is not known here"),
         ("1 OPENCV 640 480 500 320 240 0.1\n", "4 parameters"),
-        (GOOD_COLMAP * 2, "the file has 2 cameras"),
+        (GOOD_COLMAP * 2, "camera 1 stands twice"),
         (GOOD_COLMAP.replace("500 500", "6.1 6.1"), "fx = 6.1 is no focal length in pixels"),
         (GOOD_COLMAP.replace("320", "0.5"), "is no principal point in pixels"),
         (GOOD_COLMAP.replace("0.1", "nan"), "not a number: k1 = 'nan'"),
