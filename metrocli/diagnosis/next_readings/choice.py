@@ -124,13 +124,12 @@ def revealing(job: AdjustedJob, design: Detectability, wanted: str, count: int) 
     """
     known: dict[str, Candidate] = {}
     for candidate in design.candidates:
-        known.setdefault(
-            _label(candidate.alternative), candidate.alternative
-        )  # of several forms of a cause the usual one is first
+        # of several forms of a cause the usual one is first
+        known.setdefault(_label(candidate.alternative), candidate.alternative)
     name, _, place = wanted.partition(":")
     label = f"{name}:{place.partition('=')[2]}"
-    wanted_candidate = known.get(wanted) or known.get(label)
-    if wanted_candidate is None:
+    revealed = known.get(wanted) or known.get(label)
+    if revealed is None:
         hint = suggestion(wanted, list(known)) if known else "this job has no candidates"
         reason = next(_reasons(design, name, place.rpartition("=")[2]), "")
         message = (
@@ -138,7 +137,7 @@ def revealing(job: AdjustedJob, design: Detectability, wanted: str, count: int) 
         )
         raise UsageError(f"--reveal: '{wanted}' {message}")
     proposed = proposals(job)
-    return _chosen([_of_candidate(job, wanted_candidate, proposed, KnownErrors())] if proposed else [], proposed, count)
+    return _chosen([_of_candidate(job, revealed, proposed, KnownErrors())] if proposed else [], proposed, count)
 
 
 def _reasons(design: Detectability, name: str, place: str) -> Iterator[str]:
@@ -163,12 +162,12 @@ def _is_unseen(candidate: DetectableCandidate) -> bool:
 def _of_indistinct(diagnosis: Diagnosis, proposed: Sequence[Proposal], known: KnownErrors) -> Iterator[_Test]:
     """Yield for each finding and rival the test whether the finding is needed beside the rival."""
     named = [finding.effect for finding in diagnosis.findings]
-    for one in named:
-        others = [other.alternative for other in named if other is not one]
-        for rival in one.rivals[:_RIVALS]:
-            why = f"separates {one.alternative} from {rival.alternative}"
-            pool = pool_of(diagnosis.job, proposed, [one.alternative, rival.alternative], others, known)
-            yield _Test(why, int(one.seen.sum()), one.values, pool, rival.odds)
+    for effect in named:
+        others = [other.alternative for other in named if other is not effect]
+        for rival in effect.rivals[:_RIVALS]:
+            why = f"separates {effect.alternative} from {rival.alternative}"
+            pool = pool_of(diagnosis.job, proposed, [effect.alternative, rival.alternative], others, known)
+            yield _Test(why, int(effect.seen.sum()), effect.values, pool, rival.odds)
 
 
 def _of_candidate(job: AdjustedJob, alternative: Candidate, proposed: Sequence[Proposal], known: KnownErrors) -> _Test:
@@ -186,6 +185,7 @@ def _chosen(tests: Sequence[_Test], proposed: Sequence[Proposal], count: int) ->
         with_each = [t.powers(p, p.gram + p.gains()) for t, p in zip(tests, pools, strict=True)]
         reached = np.stack([powers for powers, _ in with_each])
         even = sum(np.log1p(noncentralities) for _, noncentralities in with_each)
+        # far below the noise all powers are the level: then the information decides, not the order of the proposals
         best = int(np.argmax(reached.sum(axis=0) + _EVEN * even))
         so_far = [t.powers(p, p.gram[None])[0][0] for t, p in zip(tests, pools, strict=True)]
         most = int(np.argmax(reached[:, best] - so_far))

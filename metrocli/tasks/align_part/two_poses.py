@@ -38,10 +38,12 @@ def mirrored_pose(problem: AlignmentProblem, adjusted: AdjustedImages) -> Alignm
     centre = points.mean(axis=0)
     sight = (poses.apply(part.values, centre) - held[:, :3].mean(axis=0)).reshape(1, 3)
     mirrored = part.with_values(poses.mirrored_about(part.values, sight, centre, axes[2]))
+    # mirrored about the mean line of sight only a start: the adjustment finds the second minimum, if there is one
     turned = {**solution.blocks, spindle.PART: mirrored}
     other = adjust(turned.values(), solution.groups, problem.datum, StoppingRule(limit=60, covariance=False))
     step = poses.difference(other.blocks[spindle.PART].values, part.values)[0]
     apart = float(np.linalg.norm(step[3:])) > _APART * float(np.linalg.norm(solution.std(spindle.PART)[0, 3:]))
+    # in units of the noise that the residuals show, if that is larger: a wrong sigma must not decide between poses
     change = (other.cost - solution.cost) / max(1.0, float(np.nan_to_num(solution.sigma0, nan=1.0))) ** 2
     if not apart or not np.isfinite(other.cost) or change > _ALIKE:
         return None

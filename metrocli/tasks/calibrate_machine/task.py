@@ -47,8 +47,7 @@ def with_adjustment(job: Job[Settings, Files]) -> tuple[Result, Adjustment]:
     """Return the result of `run`, and what gives its adjustment in the form that diagnosis works on."""
     solved, factor = _solved(job)
     noise = noise_of(solved, job.settings.noise.model, factor)
-    found = report(solved, job.settings, noise, job.files.paths)
-    return found, partial(adjusted_job, solved)
+    return report(solved, job.settings, noise, job.files.paths), partial(adjusted_job, solved)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:

@@ -30,6 +30,7 @@ from metrocli.words import suggestion
 _EXACT = 1e-2
 """Standard deviation of a datum condition written as a reading, relative to that of the readings"""
 _DEPENDENT = 1e-9
+"""Singular value of the open directions, relative to the largest, below which a direction repeats others"""
 READINGS, LENGTHS = "views", "lengths"
 """Names of the groups: readings of the views, and calibrated distances between balls"""
 
@@ -63,6 +64,7 @@ class GridProblem(Modelled):
         _, sizes, rows = np.linalg.svd(
             np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1), full_matrices=False
         )
+        # several open directions can have the same part in the fields: a condition twice would make the datum singular
         rows = rows[sizes > _DEPENDENT * sizes.max()]
         split = np.split(rows, [parts[0][0].size], axis=1)
         conditions = {name: part.reshape(-1, *at.shape) for (name, at), part in zip(places.items(), split, strict=True)}
