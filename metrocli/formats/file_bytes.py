@@ -106,8 +106,10 @@ def _replacing(path: Path) -> Iterator[Path]:
         handle = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
         _lock(handle)
         yield temporary
+        # before the rename: after a loss of power the new name could else stand for an empty file
         os.fsync(handle)
         temporary.replace(path)
+        # the rename is an entry of the folder, which has to reach the disk as well
         _flush(path.parent)
     finally:
         with suppress(OSError):

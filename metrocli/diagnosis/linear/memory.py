@@ -48,6 +48,8 @@ def as_fits(job: AdjustedJob) -> AdjustedJob:
     # few readings take what the program takes anyhow, so that fewer of them would not help
     if need <= max(most, 2 * _FIXED) and dense >= 1:
         return job
+    # whole members, so that none is known worse than in the whole; detectable sizes grow as the root of the share
+    # (docs/decisions/127-a-part-of-the-points.md)
     part = part_of(job, min((most - _FIXED) / (need - _FIXED), dense))
     if part is None:
         readings = sum(group.observations.readings.size for group in job.model.readings)

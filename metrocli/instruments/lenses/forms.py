@@ -122,6 +122,7 @@ def nearest(
     known = np.isfinite(seen[0])
     seen, uv = seen[:, known], uv[:, known]
     start = form.of(lens)
+    # the coefficients of the other convention mean something else, and may put a fold between start and solution
     if form.fisheye != (convention == "fisheye"):
         start |= {name: 0.0 for name in start if name not in ("f", *_TWO)}
 

@@ -119,5 +119,6 @@ def _regular(joint: Array) -> Array:
     """Return a joint covariance (m, 3, m, 3) that has an inverse."""
     rows = np.arange(len(joint))
     mean = float(np.einsum("iaia->", joint)) / (3 * len(joint))
+    # points of one fit share six motions, so their covariance is singular where their own errors are 0
     joint[rows, :, rows, :] += _NO_ERROR**2 * mean * np.eye(3)
     return joint

@@ -166,6 +166,7 @@ def unmodelled(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]:
     for i in np.flatnonzero(np.bincount(view) >= _FEW).tolist():
         mine = view == i
         x, y = observations.readings[0, mine] / w - 0.5, observations.readings[1, mine] / h - 0.5
+        # at least twice as many points as coefficients, or the polynomial would take the noise, too
         degree = next(d for d in range(_SMOOTH, 0, -1) if (d + 1) * (d + 2) <= mine.sum())
         smooth = np.stack([x**a * y**b for a in range(degree + 1) for b in range(degree + 1 - a)], axis=1)
         values = residuals[:, mine].T
@@ -173,6 +174,8 @@ def unmodelled(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]:
         scatters.append(float((left**2).sum()) / (2 * (len(left) - smooth.shape[1])))
         whole += float((values**2).sum())
         used += 2 * int(mine.sum())
+    # fitting lenses have ratios of 1.0 to 2.3, lenses without their distortion 7 to 10
+    # (docs/decisions/171-lenses-that-do-not-fit.md)
     if not scatters or whole / used <= _MISFIT**2 * np.median(scatters):
         return []
     size, scatter = np.sqrt(2 * whole / used), np.sqrt(2 * np.median(scatters))

@@ -90,6 +90,8 @@ def _of_views(rotations: Array) -> _Groups:
     even = np.exp(4j * angles).mean(axis=0)
     best = int(np.argmax(np.abs(even)))
     one_direction: _Groups = (("0",), np.zeros(len(angles), dtype=np.intp))
+    # single images have no state of their own: no held-out image could confirm it
+    # (docs/decisions/147-states-of-groups-of-images.md)
     if len(angles) < _FEWEST_IMAGES or np.abs(even[best]) < _EVEN:
         return one_direction
     number = np.round((angles[:, best] - np.angle(even[best]) / 4) / (np.pi / 2)).astype(np.intp)

@@ -119,6 +119,8 @@ def identify(problem: MachineProblem) -> Identifiability:
     reach = unknowns.reach(blocks)
     matrix = normal_matrix(at_knots(problem), blocks, unknowns)
     values, vectors = np.linalg.eigh(matrix * reach[:, None] * reach)
+    # in units of what is plausible: below 1 a combination is known worse than without any reading
+    # (docs/decisions/035-harmless-and-harmful.md)
     opened = OpenDirections(vectors[:, values < 1.0], reach, unknowns, blocks, error_names(problem.machine))
     _refuse_harmful(problem, opened)
     held, undetermined = _hold(opened, problem.machine)
@@ -137,6 +139,8 @@ def at_knots(problem: MachineProblem) -> tuple[Group, ...]:
     if not turning:
         return problem.groups
     copies = []
+    # the nearest knot alone is not enough: it may have two reflectors where its neighbours have the third
+    # (docs/decisions/191-rank-at-the-knots.md)
     for side in (0, 1):
         given, index = dict(readings.observations.conditions), dict(readings.observations.index)
         for axis in turning:

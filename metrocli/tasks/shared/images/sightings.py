@@ -104,7 +104,10 @@ def sightings(
 
 
 def _refuse_few(sighted: Sighted, names: Sequence[str], pattern: Pattern | None, images: ImageSet | None) -> None:
-    """Raise InputError if more than a third of the images would be left out: the job does not describe them."""
+    """Raise InputError if more than a third of the images would be left out: the job does not describe them.
+
+    A wrong size of the pattern otherwise gives a result from the few images that happen to fit it.
+    """
     lost, whole = sorted(set(names) - set(sighted.images)), len(set(names))
     if len(lost) <= _MOST_LOST * whole:
         return
