@@ -97,6 +97,7 @@ def remember(
     packages = {package.file for step in steps for package in step.job.packages}
     sought = {path for step in steps for path in step.job.own.sought}
     read = sought & steps[0].job.wishes.files.held.keys() if steps else sought
+    # a nearer project file that came meanwhile would define other effects for the same job
     if any(path.exists() for path in sought - read):
         return
     with suppress(OSError, InputError):
@@ -105,6 +106,8 @@ def remember(
         files |= {os.path.relpath(path, folder): _seen(os.fspath(path), path not in packages) for path in looked_at}
         young = {name: digest for name, (seen, digest) in files.items() if not _settled(seen, begun_ns)}
         judged = _judged(folder, steps, labels, young) if young and labels else {}
+        # a file that changed within the resolution of its time stamp looks unchanged: of young files only bytes count
+        # (docs/decisions/082-memo-of-a-run.md)
         if any(judged.get(name) != {digest} for name, digest in young.items()):
             return
         jobs = [[step.name, os.path.relpath(step.job.output, folder)] for step in steps]

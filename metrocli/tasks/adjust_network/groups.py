@@ -166,6 +166,7 @@ def heights(readings: NetworkReadings, settings: Settings) -> Iterator[Group]:
     if measured is not None:
         curved = settings.vertical is not None
         keys = {end: tuple(measured.table.texts(end)) for end in ("from", "to")}
+        # there and back is one pair: levelled twice, its lines need keys of their own
         pair = np.minimum(measured.first, measured.second) * readings.points.count + np.maximum(
             measured.first, measured.second
         )

@@ -98,6 +98,7 @@ def _climb(problem: CameraProblem) -> Iterator[FittedLens]:
     ladder = FISHEYES if problem.convention == "fisheye" else LADDER
     lens = problem.blocks[camera.LENS]
     plain = [name for name in lens.columns if name not in DISTORTION and lens.free[0, lens.column(name)]]
+    # from the plainest lens upwards: a higher term of the job would start the plain models elsewhere
     here = problem.with_lens(dict.fromkeys(ladder[-1][1], 0.0))
     for name, terms in ladder:
         here = here.with_estimate([*plain, *terms])

@@ -126,6 +126,7 @@ def problem_at(whole: TrackMeasurement, state: Mapping[str, Block]) -> MachinePr
     """Return the adjustment problem of the condensed track, linearised at the blocks of `state`."""
     path, track = whole.path, whole.track
     blocks = {**state, LEG: leg_block(_across(whole, state))}
+    # a point on a vertex belongs to two legs: it is kept off both ends, in its own
     inside = np.clip(ways(whole, state), _INSIDE, path.lengths[track.leg] - _INSIDE)
     way = path.before[track.leg] + inside
     few = condense(way, _channels(whole, state), np.searchsorted(whole.cells, way, side="right"))

@@ -119,6 +119,7 @@ def _by_linear(ideal: Ideal, points: Array, wanted: list[int], gain: float) -> I
         reached = _level(trial, points)
         promised = level * (1 + least)
         if reached < level:
+            # a trust region: it grows where the programme kept more than half of what it promised
             reach *= 2 if level - reached > promised / 2 else 0.5
             ideal, level = trial, reached
         else:
