@@ -149,13 +149,36 @@ class OneOfSeveral(Camera):
             yield "model", "the model spline is for a single camera: calibrate that alone, or give another model"
 
 
+def _without_focal(lens: LensValues) -> Iterable[tuple[str, str]]:
+    given = set(lens.given())
+    if not ("f" in given or {"fx", "fy"} <= given):
+        yield "lens", "the focal length is missing: give f, or fx and fy"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrueCamera:
+    """The truth of one of several cameras."""
+
+    lens: LensValues = setting(Section(LensValues), "true lens parameters")
+    extrinsics: Extrinsics | None = setting(
+        Section(Extrinsics), "the camera in the frame of the first; not for the first itself", default=None
+    )
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield (key, message) if the focal length is missing."""
+        yield from _without_focal(self.lens)
+
+
 @dataclass(frozen=True, kw_only=True)
 class CameraSimulation:
     """The truth that `metrocli simulate` starts from."""
 
-    lens: LensValues = setting(Section(LensValues), "true lens parameters")
+    lens: LensValues | None = setting(Section(LensValues), "true lens parameters of a single camera", default=None)
+    cameras: dict[str, TrueCamera] | None = setting(
+        MapOf(Section(TrueCamera)), "the truth of each of several cameras, by its name", default=None
+    )
     extrinsics: Extrinsics | None = setting(
-        Section(Extrinsics), "rig cmm: the camera in the reference frame", default=None
+        Section(Extrinsics), "rig cmm: the camera, or the first of several, in the reference frame", default=None
     )
     images: int = setting(Whole(minimum=1, maximum=100_000), "rigs board and network: number of images", default=15)
     distance: float = setting(
@@ -172,10 +195,11 @@ class CameraSimulation:
     )
 
     def faults(self) -> Iterable[tuple[str, str]]:
-        """Yield (key, message) if the focal length is missing."""
-        given = set(self.lens.given())
-        if not ("f" in given or {"fx", "fy"} <= given):
-            yield "lens", "the focal length is missing: give f, or fx and fy"
+        """Yield (key, message) if the lens is missing, or its focal length."""
+        if (self.lens is None) is (self.cameras is None):
+            yield "lens", "give the lens of a single camera, lens: {...}, or that of each under cameras"
+        elif self.lens is not None:
+            yield from _without_focal(self.lens)
 
 
 @dataclass(frozen=True)
@@ -238,6 +262,7 @@ class Settings:
         """Yield (key, message) for inputs that are missing or contradict each other."""
         yield from image_faults(self.inputs.observations, self.inputs.images, self.pattern, self.inputs.targets)
         yield from self._of_cameras()
+        yield from self._of_simulation()
         if self.cameras is None and self.inputs.observations is not None and self.camera.image_size is None:
             yield (
                 "camera",
@@ -270,6 +295,23 @@ class Settings:
         for name, one in self.cameras.items():
             if self.inputs.observations is not None and one.image_size is None:
                 yield f"cameras.{name}", "image_size is missing: a table of observations does not contain it"
+
+    def _of_simulation(self) -> Iterable[tuple[str, str]]:
+        """Yield (key, message) for a truth that is not that of the cameras."""
+        if self.simulation is None:
+            return
+        truth, names = self.simulation.cameras, list(self.cameras or {})
+        if list(truth or {}) != names:
+            yield "simulation.cameras", f"the truth is that of {', '.join(names) or 'a single camera: write lens'}"
+            return
+        for number, (name, one) in enumerate((truth or {}).items()):
+            if (one.extrinsics is None) is (number > 0):
+                where = (
+                    "needs extrinsics, its place in the frame of the first"
+                    if number
+                    else "is the frame: leave extrinsics out"
+                )
+                yield f"simulation.cameras.{name}", f"{name} {where}"
 
 
 def job_of(images: str, board: str, output: str) -> str:
