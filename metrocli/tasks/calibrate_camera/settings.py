@@ -74,6 +74,8 @@ class LengthLimit:
             yield "constant", "the limit is zero for every length: give constant or proportional"
 
 
+FEWEST = {"board": 4, "cmm": 1, "network": 4}
+"""Fewest targets of an image, for each rig"""
 _USUAL = {"fisheye": ("k1", "k2", "k3", "k4"), "division": ("k4",)}
 """Distortion that is estimated unless the job names others"""
 

@@ -29,7 +29,7 @@ from metrocli.tasks.calibrate_camera.multi_camera.simulation import simulate as 
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.report import report
-from metrocli.tasks.calibrate_camera.settings import Files, Settings
+from metrocli.tasks.calibrate_camera.settings import FEWEST, Files, Settings
 from metrocli.tasks.calibrate_camera.shape.effect import beside_base
 from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_targets, simulated_views, true_model
@@ -50,9 +50,6 @@ from metrocli.tasks.shared.images.simulation import (
 )
 from metrocli.tasks.shared.images.tables import root_mean_square
 from metrocli.tasks.shared.lists import listed_places
-
-_FEWEST = {"board": 4, "cmm": 1, "network": 4}
-"""Fewest targets of an image, for each rig"""
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -105,7 +102,7 @@ def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
         _must_have_size(images, settings)
         settings = replace(settings, camera=replace(settings.camera, image_size=images.size))
     sigma = float("nan") if settings.targets == ESTIMATE else 0.0
-    needs = Needs(_FEWEST[settings.rig], float("nan") if settings.rig == "network" else sigma, sigma)
+    needs = Needs(FEWEST[settings.rig], float("nan") if settings.rig == "network" else sigma, sigma)
     sighted = sightings(settings, files.observations, files.targets, images, needs)
     must_not_be_used(files.test_lengths, files.scale_bars)
     problem = build(settings.rig, settings.camera, sighted, files.scale_bars)

@@ -171,6 +171,24 @@ def test_what_is_simulated_is_found_again(tmp_path: Path, metrocli: Metrocli) ->
     assert np.sqrt(np.mean([((v - truth.get(name, 0.0)) / std) ** 2 for name, (v, std) in found.items()])) < 1.5
 
 
+def test_cameras_that_see_one_target_an_image_are_placed_in_the_frame_of_the_machine(
+    tmp_path: Path, metrocli: Metrocli
+) -> None:
+    path = job(tmp_path, {})
+    place = "  extrinsics: {x: 1 mm, y: 2 mm, z: -3 mm, alpha: 1 deg, beta: 2 deg, gamma: 3 deg}\n"
+    text = SIMULATED.replace("  images: 12\n  distance: 400 mm\n", place).replace("rig: board", "rig: cmm")
+    path.write_text(text.replace("960]}", "960], estimate: [f, k1]}"))
+    rng = np.random.default_rng(2)
+    points = rng.uniform([-60, -90, 350], [130, 90, 600], (40, 3)).tolist()
+    listed = [f"T{i},{x},{y},{z}" for i, (x, y, z) in enumerate(points)]
+    (tmp_path / "targets.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm", *listed]))
+    assert metrocli("simulate", path, "--out", tmp_path / "new", "--seed", "4").code == 0
+    assert metrocli("calibrate-camera", path).code == 0
+    found, truth = estimates(tmp_path / "rig.h5"), json.loads((tmp_path / "new" / "truth.json").read_text())
+    assert {"left.alpha", "right.alpha"} < set(found)
+    assert np.sqrt(np.mean([((v - truth[name]) / std) ** 2 for name, (v, std) in found.items()])) < 1.5
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
