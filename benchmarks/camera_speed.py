@@ -21,10 +21,10 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.geometry import poses
 from metrocli.instruments.lenses.lens import image_point
 from metrocli.tasks.calibrate_camera.build import build
-from metrocli.tasks.calibrate_camera.settings import Camera
-from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images
+from metrocli.tasks.calibrate_camera.settings import CameraSettings
+from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images
 from metrocli.tasks.shared.images.sightings import Sighted
-from metrocli.tasks.shared.images.target_list import Targets
+from metrocli.tasks.shared.images.target_list import TargetCoordinates
 
 SIZE = (2448, 2048)
 TRUTH = {
@@ -51,12 +51,14 @@ def pinhole(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> tuple[obj
     return u, v
 
 
-def scene(views: int, seed: int, project: Projection = pinhole) -> tuple[Sighted, Targets]:
+def scene(views: int, seed: int, project: Projection = pinhole) -> tuple[Sighted, TargetCoordinates]:
     """Return the image points of a 10 x 10 board in `views` random poses, with noise."""
     rng = np.random.default_rng(seed)
     grid = np.stack(np.meshgrid(np.arange(10) * 25.0, np.arange(10) * 25.0), axis=-1).reshape(-1, 2)
     points = np.column_stack([grid, np.zeros(100)])
-    targets = Targets(tuple(f"T{i:03d}" for i in range(100)), points, np.zeros((100, 3)), np.full(100, np.nan))
+    targets = TargetCoordinates(
+        tuple(f"T{i:03d}" for i in range(100)), points, np.zeros((100, 3)), np.full(100, np.nan)
+    )
     angles = np.column_stack([rng.uniform(-0.6, 0.6, (views, 2)), rng.uniform(-3.1, 3.1, views)])
     aim = np.column_stack([rng.uniform(-40, 40, (views, 2)), rng.uniform(480, 700, views)])
     board = poses.pose_from_euler(np.zeros((views, 3)), angles)
@@ -75,7 +77,7 @@ def scene(views: int, seed: int, project: Projection = pinhole) -> tuple[Sighted
 
 def ours(sighted: Sighted) -> tuple[float, float]:
     """Return f and its standard uncertainty."""
-    problem = build("board", Camera(image_size=SIZE, estimate=tuple(TRUTH)), sighted)
+    problem = build("board", CameraSettings(image_size=SIZE, estimate=tuple(TRUTH)), sighted)
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, Options(started=True))
     adjusted.known_residuals()
     adjusted.solution.std("view")
@@ -93,20 +95,20 @@ def spoilt(sighted: Sighted, share: float, seed: int) -> tuple[Sighted, set[int]
     return replace(sighted, observations=observations.with_readings(readings)), set(wrong.tolist())
 
 
-def cleaned(sighted: Sighted) -> Adjusted:
+def cleaned(sighted: Sighted) -> AdjustedImages:
     """Return the adjustment without the points that it finds wrong."""
-    problem = build("board", Camera(image_size=SIZE, estimate=tuple(TRUTH)), sighted)
+    problem = build("board", CameraSettings(image_size=SIZE, estimate=tuple(TRUTH)), sighted)
     return adjust_images(problem.blocks, problem.images, problem.others, None, Options(True, True, SIZE, started=True))
 
 
-def left_out(sighted: Sighted, adjusted: Adjusted) -> set[int]:
+def left_out(sighted: Sighted, adjusted: AdjustedImages) -> set[int]:
     """Return the numbers of the points that were left out."""
     keys, rejected = sighted.observations.keys, adjusted.rejected
     numbers = {key: i for i, key in enumerate(zip(keys["image"], keys["target"], strict=True))}
     return {numbers[key] for key in zip(rejected.texts("image"), rejected.texts("target"), strict=True)}
 
 
-def opencv(sighted: Sighted, targets: Targets) -> float:
+def opencv(sighted: Sighted, targets: TargetCoordinates) -> float:
     """Return f."""
     import cv2
 

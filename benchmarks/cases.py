@@ -14,7 +14,7 @@ from typing import Any
 
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.errors import UndeterminedError
 from metrocli.project.diagnosed import adjusted_job_of
 from metrocli.project.job import load
@@ -105,7 +105,7 @@ def _place(name: str, where: dict[str, Any]) -> frozenset[tuple[str, str]]:
     return frozenset((key, one) for key, one in named.items() if key != "by")
 
 
-def _spot(alternative: Alternative) -> tuple[str, frozenset[tuple[str, str]]]:
+def _spot(alternative: Candidate) -> tuple[str, frozenset[tuple[str, str]]]:
     """Cause and place, with the view from which a ball moved; time or temperature is no place."""
     where = (
         alternative.where | dict(alternative.named) if alternative.effect.name == "moved-ball" else alternative.where

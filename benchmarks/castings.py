@@ -33,7 +33,7 @@ from metrocli.table import Table
 from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION, MOST
 from metrocli.tasks.fit_part.report import report
 from metrocli.tasks.fit_part.settings import Inputs, NominalFile, Overstock, Settings
-from metrocli.tasks.fit_part.solve import Solved, prepare, solve
+from metrocli.tasks.fit_part.solve import FittedPart, prepare, solve
 
 Array = npt.NDArray[np.float64]
 MINIMUM, BOUND = 0.5, 12.5916
@@ -97,7 +97,7 @@ def worse_than_dense(one: Casting, aim: str, pose: Array, least: float) -> float
     return value(pose) - value(best) if one.overstock_at(best).min() >= least - 1e-7 else float("nan")
 
 
-def solved(part: NominalFile, one: Casting, points: Array, aim: str, least: float = MINIMUM) -> Solved:
+def solved(part: NominalFile, one: Casting, points: Array, aim: str, least: float = MINIMUM) -> FittedPart:
     """Return what a job of these points gives, start, chips and flash included."""
     table = Table(
         {

@@ -21,7 +21,7 @@ import numpy.typing as npt
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from simulated.lengths import network, settings
 
-from metrocli.settings import Known
+from metrocli.settings import KnownQuantity
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.settings import Correction
@@ -31,7 +31,7 @@ Array = npt.NDArray[np.float64]
 OFFSETS = np.array([[0.0, 0.0, -120.0], [90.0, 0.0, -60.0]])
 PLACES, TRACERS = 30, 6
 RETURN, PROBE, SEAT = 0.5e-3, 0.3e-3, 1e-3
-STEEL = Part(Known(24.0, 0.3), Known(11.5e-6, 1e-6))
+STEEL = Part(KnownQuantity(24.0, 0.3), KnownQuantity(11.5e-6, 1e-6))
 LIMIT = 7.815
 """95 % of a chi-square of three degrees of freedom lie below"""
 

@@ -25,7 +25,7 @@ from metrocli.tasks.align_part import settings as part_job
 from metrocli.tasks.align_part import task as align_part
 from metrocli.tasks.calibrate_camera import settings as camera_job
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
-from metrocli.tasks.calibrate_camera.settings import Camera, CameraSimulation
+from metrocli.tasks.calibrate_camera.settings import CameraSettings, CameraSimulation
 from metrocli.tasks.shared.images.settings import CameraFile, Extrinsics, LensValues
 
 Array = npt.NDArray[np.float64]
@@ -120,7 +120,7 @@ def camera_settings(rig: str, noise: float = 0.05, images: int = 10) -> camera_j
         rig=rig,
         inputs=camera_job.Inputs(observations=NOWHERE, targets=NOWHERE),
         noise=noise,
-        camera=Camera(image_size=SIZE, pixel_size=PIXEL, estimate=ESTIMATED),
+        camera=CameraSettings(image_size=SIZE, pixel_size=PIXEL, estimate=ESTIMATED),
         simulation=CameraSimulation(
             lens=LensValues(**TRUE_LENS), extrinsics=TRUE_MOUNTING, images=images, distance=330.0, tilt=0.6
         ),

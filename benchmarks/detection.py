@@ -21,7 +21,7 @@ from metrocli.targets import blobs, ellipses
 from metrocli.targets.drawings import board
 from metrocli.targets.find import find
 from metrocli.targets.pattern import Pattern, names, pattern_points
-from metrocli.targets.render import Look, Placed, render
+from metrocli.targets.render import Look, PlacedDrawing, render
 
 Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
@@ -169,7 +169,7 @@ def _rendered() -> tuple[list[Grey], Pattern]:
         rotation = rotation_from_euler(*rng.uniform(-0.5, 0.5, 2), rng.uniform(-0.4, 0.4))
         centre = np.array([*rng.uniform(-50, 50, 2), rng.uniform(320, 420)])
         origin = centre - rotation @ pattern_points(pattern)[1].mean(0)
-        placed = Placed(board(pattern), rotation, origin)
+        placed = PlacedDrawing(board(pattern), rotation, origin)
         image = render((640, 480), rays, [placed], Look(noise=2.0), rng).astype(np.uint8)
         if all(corners_of(method, pattern, image) for method in ("metrocli", "SB", "window 3")):
             images.append(image)

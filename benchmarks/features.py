@@ -25,8 +25,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from simulated.features import cloud
 
 from metrocli.errors import NotConvergedError
-from metrocli.tasks.multilaterate.features.fit import Fit, least_squares
-from metrocli.tasks.multilaterate.features.ideal import Shape
+from metrocli.tasks.multilaterate.features.fit import FeatureFit, least_squares
+from metrocli.tasks.multilaterate.features.ideal import IdealFeature
 from metrocli.tasks.multilaterate.features.minimum_zone import minimum_zone
 
 Array = npt.NDArray[np.float64]
@@ -34,12 +34,12 @@ ZONE, POINTS, MANY, FIRST = 0.005, 25, 1000, 2
 """Half the zone [mm], points, points of the times, and the seed of the first cloud"""
 
 
-def numbers(fit: Fit, points: Array) -> Array:
+def numbers(fit: FeatureFit, points: Array) -> Array:
     """Return place, direction, radius, half angle and form of a feature."""
     return np.append(np.real(fit.ideal.numbers(points.mean(axis=0))), fit.form)
 
 
-def times(shape: Shape) -> tuple[float, float]:
+def times(shape: IdealFeature) -> tuple[float, float]:
     """Return the CPU times of both fits [s]."""
     points = cloud(shape, MANY, ZONE, np.random.default_rng(1))
     found = []
@@ -50,7 +50,7 @@ def times(shape: Shape) -> tuple[float, float]:
     return found[0], found[1]
 
 
-def scatter(shape: Shape, noise: float, measurements: int, seed: int) -> tuple[Array, float, float]:
+def scatter(shape: IdealFeature, noise: float, measurements: int, seed: int) -> tuple[Array, float, float]:
     """Return scatter over stated of each number, by how many of them the form is too large, and the coverage."""
     rng = np.random.default_rng(seed)
     points = cloud(shape, POINTS, ZONE, rng)
@@ -69,7 +69,7 @@ def scatter(shape: Shape, noise: float, measurements: int, seed: int) -> tuple[A
     return ratios, float((np.mean(found, axis=0)[8] - true.form) / stated[8]), inside
 
 
-def proven(number: int, clouds: int, shapes: list[Shape]) -> None:
+def proven(number: int, clouds: int, shapes: list[IdealFeature]) -> None:
     """Print how many clouds have a proven minimum zone, and the seeds of those that have none."""
     for shape in shapes:
         without, began = [], time.process_time()
@@ -82,7 +82,7 @@ def proven(number: int, clouds: int, shapes: list[Shape]) -> None:
         print(f"{shape}, {number} points: {clouds - len(without)} of {clouds} are proven, {took:.0f} s CPU", *without)
 
 
-def main(measurements: int, clouds: int, shapes: list[Shape]) -> None:
+def main(measurements: int, clouds: int, shapes: list[IdealFeature]) -> None:
     """Print both tables."""
     print(f"{MANY} points, CPU s: least squares, minimum zone")
     for shape in shapes:
@@ -102,7 +102,7 @@ def main(measurements: int, clouds: int, shapes: list[Shape]) -> None:
 if __name__ == "__main__":
     given = sys.argv[1:]
     counts = [int(word) for word in given if word.isdigit()]
-    chosen = [shape for shape in Shape if shape in given] or list(Shape)
+    chosen = [shape for shape in IdealFeature if shape in given] or list(IdealFeature)
     if "proven" in given:
         proven(counts[0] if counts else POINTS, counts[1] if len(counts) > 1 else 100, chosen)
     else:

@@ -28,7 +28,7 @@ from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid.determination.undetermined import opened
 from metrocli.tasks.selfcal_grid.lengths import largest
-from metrocli.tasks.selfcal_grid.problem import Problem, build
+from metrocli.tasks.selfcal_grid.problem import GridProblem, build
 from metrocli.tasks.selfcal_grid.readings import read
 from metrocli.tasks.selfcal_grid.sequence import noise_gains
 from metrocli.tasks.selfcal_grid.settings import (
@@ -68,7 +68,7 @@ simulation: {{machine_error: 17 um, artefact_error: 0.1 mm, shift: 0.2 mm, tilt:
 """
 
 
-def measured(n: int, views: str = "1234", noise: float = 0.0) -> tuple[Problem, dict[str, Array]]:
+def measured(n: int, views: str = "1234", noise: float = 0.0) -> tuple[GridProblem, dict[str, Array]]:
     """Return a simulated self-calibration and its true fields."""
     truth = GridSimulation(machine_error=0.017, artefact_error=0.1, shift=0.2, tilt=2e-3)
     some = tuple(VIEWS[name] for name in views)
@@ -133,7 +133,7 @@ def command(n: int) -> None:
     print(f"        metrocli selfcal-grid: {cpu:.2f} s [{wall:.2f}], {memory} MB", flush=True)
 
 
-def _lsmr(problem: Problem, jacobian: object) -> int:
+def _lsmr(problem: GridProblem, jacobian: object) -> int:
     from scipy.sparse.linalg import lsmr
 
     at_start = problem.readings.residuals(problem.fields.blocks) / NOISE

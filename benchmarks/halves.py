@@ -26,7 +26,7 @@ from metrocli.table import Table
 from metrocli.targets.find import find
 from metrocli.targets.pattern import Pattern, pattern_points
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
-from metrocli.tasks.calibrate_camera.settings import Camera, Files, Inputs, Settings
+from metrocli.tasks.calibrate_camera.settings import CameraSettings, Files, Inputs, Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
@@ -65,7 +65,7 @@ def board_job(observations: Table, targets: Table, size: tuple[int, int]) -> Job
         rig="board",
         inputs=Inputs(observations=NOWHERE, targets=NOWHERE),
         noise="estimated",
-        camera=Camera(image_size=size),
+        camera=CameraSettings(image_size=size),
     )
     return calibrate_camera.TASK.job(settings, observations=observations, targets=targets)
 

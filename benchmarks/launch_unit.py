@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.tasks.locate_launch_unit.lines import Line, Reach, across, commanded, measurable
+from metrocli.tasks.locate_launch_unit.lines import Reach, ReceiverLine, across, commanded, measurable
 from metrocli.tasks.locate_launch_unit.margin import Margin, Uncertainty, Window, beam_position
 from metrocli.tasks.locate_launch_unit.plan import planned_measurement
-from metrocli.tasks.locate_launch_unit.readings import Readings
-from metrocli.tasks.locate_launch_unit.settings import Axes, Noise, Planned
+from metrocli.tasks.locate_launch_unit.readings import AlignedPoses
+from metrocli.tasks.locate_launch_unit.settings import Axes, LaunchUnitNoise, PlannedLines
 from metrocli.tasks.locate_launch_unit.solve import How, Located, locate
 from metrocli.units import find_unit
 
@@ -25,7 +25,7 @@ ARCSEC = find_unit("arcsec", "angle").inside(1.0)
 UM = find_unit("um", "length")
 PAPER = np.array([0.0, 1000.0, 1500.0, 0.3])
 PAPER_RECEIVERS = np.array([[-1200.0, 200.0, 500.0], [0.0, 200.0, 500.0], [1200.0, 200.0, 500.0]])
-PAPER_NOISE = Noise(50e-6)
+PAPER_NOISE = LaunchUnitNoise(50e-6)
 TABLE_2 = np.array([0.08, 0.01, -0.04])
 EVERYWHERE = Reach(np.array([[-5000.0, 5000.0]] * 3), 50.0, 300.0, 4000.0)
 WINDOW = Window(0.25, 500e-6)
@@ -41,7 +41,7 @@ class Truth:
     receivers: Array
     distances: bool
 
-    def read(self, noise: Noise, rng: np.random.Generator) -> Readings:
+    def read(self, noise: LaunchUnitNoise, rng: np.random.Generator) -> AlignedPoses:
         """Return aligned poses as read."""
         n = len(self.receivers)
         beam = self.receivers - self.unit[:3]
@@ -51,7 +51,7 @@ class Truth:
         angles = (angles + rng.normal(size=angles.shape) * noise.encoder + np.pi) % (2 * np.pi) - np.pi
         distance = length + rng.normal(size=n) * (noise.distance or 0.0) if self.distances else np.full(n, np.nan)
         names = tuple(f"P{i}" for i in range(n))
-        return Readings(names, self.receivers, np.zeros((n, 3)), np.zeros(n), angles, distance, {})
+        return AlignedPoses(names, self.receivers, np.zeros((n, 3)), np.zeros(n), angles, distance, {})
 
 
 def somewhere(n: int, distances: bool) -> Truth:
@@ -70,8 +70,8 @@ def error(located: Located, truth: Truth) -> Array:
 def ideal() -> None:
     """Kuprin et al., table 1."""
     paper = Truth(PAPER, PAPER_RECEIVERS, True)
-    still = Noise(5 * ARCSEC, 1e-3)
-    readings = paper.read(Noise(0.0, 0.0), np.random.default_rng(0))
+    still = LaunchUnitNoise(5 * ARCSEC, 1e-3)
+    readings = paper.read(LaunchUnitNoise(0.0, 0.0), np.random.default_rng(0))
     for method in ("adjustment", "lines", "closed-loop"):
         off = np.abs(error(locate(readings, still, How(method)), paper))
         print(f"ideal scenario (table 1), {method}: off by at most {off[:3].max():.1e} mm, {off[3]:.1e} rad")
@@ -80,7 +80,7 @@ def ideal() -> None:
 def scatter(draws: int = 1000) -> None:
     """Kuprin et al., table 2: encoders of 50 urad."""
     paper, rng = Truth(PAPER, PAPER_RECEIVERS, False), np.random.default_rng(1)
-    exact = paper.read(Noise(0.0), rng)
+    exact = paper.read(LaunchUnitNoise(0.0), rng)
     for method in ("adjustment", "lines"):
         stated = locate(exact, PAPER_NOISE, How(method)).covariance
         located = [locate(paper.read(PAPER_NOISE, rng), PAPER_NOISE, How(method)) for _ in range(draws)]
@@ -98,7 +98,7 @@ def scatter(draws: int = 1000) -> None:
 
 def coverage(draws: int = 1000) -> None:
     """Share of the true places inside the stated 95 % ellipsoid."""
-    noise, rng = Noise(5 * ARCSEC, 1e-3), np.random.default_rng(2)
+    noise, rng = LaunchUnitNoise(5 * ARCSEC, 1e-3), np.random.default_rng(2)
     for n in (2, 3, 5, 20):
         for distances in (False, True):
             truth = somewhere(n, distances)
@@ -118,12 +118,12 @@ def coverage(draws: int = 1000) -> None:
 
 def methods() -> None:
     """What the paper's methods give away."""
-    noise = Noise(5 * ARCSEC, 1e-3)
+    noise = LaunchUnitNoise(5 * ARCSEC, 1e-3)
     for n in (3, 8, 20):
         truth = somewhere(n, True)
-        exact = truth.read(Noise(0.0, 0.0), np.random.default_rng(0))
+        exact = truth.read(LaunchUnitNoise(0.0, 0.0), np.random.default_rng(0))
         best = np.sqrt(np.diag(locate(exact, noise).covariance))
-        without = Truth(truth.unit, truth.receivers, False).read(Noise(0.0), np.random.default_rng(0))
+        without = Truth(truth.unit, truth.receivers, False).read(LaunchUnitNoise(0.0), np.random.default_rng(0))
         angles = np.sqrt(np.diag(locate(without, noise).covariance))
         for method in ("lines", "closed-loop"):
             worse = np.sqrt(np.diag(locate(exact, noise, How(method)).covariance))
@@ -136,7 +136,7 @@ def methods() -> None:
             )
 
 
-def beam_off(truth: Truth, line: Line, azimuth: float, tilt: float, distance: float) -> Array:
+def beam_off(truth: Truth, line: ReceiverLine, azimuth: float, tilt: float, distance: float) -> Array:
     """Return how far a beam passes beside and above a receiver at a distance along a line from the located unit."""
     w = np.array([np.cos(tilt) * np.cos(azimuth), np.cos(tilt) * np.sin(azimuth), np.sin(tilt)])
     start = line.points[0] - line.distance[0] * line.beam
@@ -150,7 +150,7 @@ def beams(draws: int = 1000) -> None:
     """Locate, command, aim, all with noise: the beam at 4 m against what is stated."""
     truth, rng = Truth(PAPER, PAPER_RECEIVERS, False), np.random.default_rng(3)
     for encoder, name in ((50e-6, "50 urad"), (5 * ARCSEC, "5 arcsec")):
-        noise = Noise(encoder)
+        noise = LaunchUnitNoise(encoder)
         inside, stays = np.zeros(len(NAMES)), np.zeros(len(NAMES))
         for _ in range(draws):
             located = locate(truth.read(noise, rng), noise)
@@ -175,10 +175,10 @@ def beams(draws: int = 1000) -> None:
 
 def margins() -> None:
     """What `plan` reports on the paper's poses, with its encoders and with better ones."""
-    planned = Planned(Axes((-1200.0, 4200.0), (0.0, 1200.0), (0.0, 1600.0)), 50.0, 300.0)
+    planned = PlannedLines(Axes((-1200.0, 4200.0), (0.0, 1200.0), (0.0, 1600.0)), 50.0, 300.0)
     for encoder, name in ((50e-6, "50 urad"), (5 * ARCSEC, "5 arcsec")):
-        noise = Noise(encoder)
-        readings = Truth(PAPER, PAPER_RECEIVERS, False).read(Noise(0.0), np.random.default_rng(5))
+        noise = LaunchUnitNoise(encoder)
+        readings = Truth(PAPER, PAPER_RECEIVERS, False).read(LaunchUnitNoise(0.0), np.random.default_rng(5))
         start = time.process_time()
         plan = planned_measurement(locate(readings, noise), planned, noise)
         print(f"plan with encoders of {name} ({time.process_time() - start:.2f} s of CPU): {'; '.join(plan.notes[1:])}")
@@ -190,7 +190,7 @@ def margins() -> None:
 
 def speed() -> None:
     """CPU time of a location."""
-    noise, rng = Noise(5 * ARCSEC, 1e-3), np.random.default_rng(4)
+    noise, rng = LaunchUnitNoise(5 * ARCSEC, 1e-3), np.random.default_rng(4)
     for n in (3, 20, 200):
         readings = somewhere(n, True).read(noise, rng)
         locate(readings, noise)

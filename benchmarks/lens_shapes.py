@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from benchmarks.hidden.rates import Rate
-from metrocli.adjust.model.chain import Local
+from metrocli.adjust.model.chain import LinkContext
 from metrocli.adjust.model.observations import Observations
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.effects.links.lens_shape import LensShape
@@ -160,7 +160,7 @@ def fitted(path: Path) -> Project:
     def project(points: Array) -> Array:
         value = points.T
         for link in links:
-            local = Local(blocks, Observations(np.zeros((2, len(points))), np.ones(1), {}), frozenset())
+            local = LinkContext(blocks, Observations(np.zeros((2, len(points))), np.ones(1), {}), frozenset())
             value = link.step(value, local).value
         return np.nan_to_num(value.T, nan=1e6)
 

@@ -33,15 +33,15 @@ from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagona
 from metrocli.tasks.calibrate_machine.plans.planned import planned_problem
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.rank.identifiability import identify
-from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Noise, Settings
+from metrocli.tasks.calibrate_machine.settings import MachineNoise, MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.simulation import simulated
-from metrocli.tasks.calibrate_machine.truth import Truth, blocks_of, truth_of
+from metrocli.tasks.calibrate_machine.truth import TrueMachine, blocks_of, truth_of
 from metrocli.tasks.calibrate_machine.volume import grid_of, rigid_motions
 
 Array = npt.NDArray[np.float64]
 NOWHERE = File("-")
 UM = 1000.0
-LEAST = Noise(beam=1e-9, lateral=1e-9)
+LEAST = MachineNoise(beam=1e-9, lateral=1e-9)
 THREE = {"T1": (0.0, 0.0, 120.0), "T2": (110.0, 20.0, 150.0), "T3": (-30.0, 100.0, 210.0)}
 
 
@@ -52,7 +52,7 @@ def settings(
         *(AxisSettings(span, n) for span, n in zip(((0.0, 600.0), (-260.0, 260.0), (-500.0, 0.0)), knots, strict=True))
     )
     machine = MachineSettings("wXbYZt", axes, tools=tools or {"": (0.0, 0.0, 120.0)})
-    noise = Noise(beam=1e-3, lateral=5e-3)
+    noise = MachineNoise(beam=1e-3, lateral=5e-3)
     return Settings(
         "on-the-fly",
         machine,
@@ -81,7 +81,7 @@ class Measured:
     """A simulated measurement and its result."""
 
     result: Result
-    truth: Truth
+    truth: TrueMachine
     path: Table
     job: Settings
 
@@ -109,7 +109,7 @@ class Measured:
         return sizes[0], sizes[1]
 
 
-def tables_as_truth(result: Result, job: Settings) -> Truth:
+def tables_as_truth(result: Result, job: Settings) -> TrueMachine:
     """A machine with the tables of a result; what was not determined is zero."""
     machine = machine_of(job)
     tables = {
@@ -119,7 +119,7 @@ def tables_as_truth(result: Result, job: Settings) -> Truth:
         for name in [key[7:]]
     }
     square = {estimate.name: estimate.value for estimate in result.estimates}
-    return Truth(machine, blocks_of(job, machine, tables, square))
+    return TrueMachine(machine, blocks_of(job, machine, tables, square))
 
 
 def mean_length(error: Array, position: Array) -> float:
@@ -226,7 +226,7 @@ def other_tool() -> None:
         for one in (found.truth, machine):
             block = replace(one.blocks["tool"], values=np.array([vector]))
             errors.append(
-                Truth(one.machine, {**one.blocks, "tool": block}).error(
+                TrueMachine(one.machine, {**one.blocks, "tool": block}).error(
                     position, np.zeros(position.shape[1], dtype=int)
                 )[:3]
             )

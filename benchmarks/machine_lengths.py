@@ -33,7 +33,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
-from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Noise, Settings
+from metrocli.tasks.calibrate_machine.settings import MachineNoise, MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.volume import rigid_motions
 from metrocli.uncertainty.comparison import Comparison, compare
 from metrocli.uncertainty.predicted import reached
@@ -45,7 +45,7 @@ SPANS = ((0.0, 600.0), (-260.0, 260.0), (-500.0, 0.0))
 
 def settings(knots: tuple[int, int, int], points: int, repeatability: float | str | None) -> Settings:
     axes = AxesSettings(*(AxisSettings(span, n) for span, n in zip(SPANS, knots, strict=True)))
-    noise = Noise(constant=0.3e-3, proportional=1e-7, repeatability=repeatability)
+    noise = MachineNoise(constant=0.3e-3, proportional=1e-7, repeatability=repeatability)
     machine = MachineSettings("wXbYZt", axes, tools=THREE)
     simulation = MachineSimulation(error=0.1, points=points)
     return Settings("lengths", machine, Inputs(lengths=File("-")), noise, simulation=simulation)

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution, residuals_of
@@ -139,7 +139,7 @@ def measured(n: int, m: int, runs: int, covariance: bool) -> dict[str, float]:
     problem = Problem.draw(n, m).ours()
     seconds = []
     for _ in range(runs):
-        solution, used = timed(lambda: adjust(**problem, control=Control(covariance=False)))
+        solution, used = timed(lambda: adjust(**problem, control=StoppingRule(covariance=False)))
         seconds.append(used)
     taken = {"first": seconds[0], "solve": min(seconds), "cost": solution.cost, "steps": solution.iterations}
     taken["peak"] = peak()

@@ -23,7 +23,7 @@ from benchmarks.hidden import lengths
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.next_readings.choice import next_readings
-from metrocli.diagnosis.next_readings.pool import Known, pool_of
+from metrocli.diagnosis.next_readings.pool import KnownErrors, pool_of
 from metrocli.diagnosis.next_readings.proposals import Proposal, proposals
 from metrocli.diagnosis.next_readings.separation import chance_to_separate
 from metrocli.effects.effect import ELAPSED, WARMING
@@ -164,7 +164,7 @@ def predicted(case: Case, made: Sequence[Proposal]) -> float:
     """Return the chance that readings separate the cause that is named from its first rival."""
     effect = case.diagnosis.findings[0].effect
     rival = effect.rivals[0]
-    known = Known.from_diagnosis(case.diagnosis)
+    known = KnownErrors.from_diagnosis(case.diagnosis)
     now = then = pool_of(case.diagnosis.job, made, [effect.alternative, rival.alternative], (), known)
     for number in range(len(made)):
         then = then.with_proposal(number)

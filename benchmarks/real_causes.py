@@ -28,7 +28,7 @@ from benchmarks.real.boards import COLUMNS, OF_TARGET, Board, Model
 from benchmarks.real.sets import BOARDS, DATA, DRIVES, LENS, BoardSet, ranges_job
 from metrocli.diagnosis.verdict import as_data
 from metrocli.project.diagnosed import carry_out, write_extended
-from metrocli.project.job import Wishes, load
+from metrocli.project.job import JobOptions, load
 
 TIMES = (1.0, 2.0, 4.0)
 PLANTED = ("thin-prism", "axis-skew", "stretched-targets", OF_TARGET)
@@ -115,13 +115,13 @@ def _named(one: Mapping[str, Any]) -> Named:
 
 def diagnosed(path: Path, extend: bool = True) -> tuple[dict[str, Any], float, str]:
     """Return the diagnosis of a job as plain data, its CPU seconds, and the verdict on the extended job."""
-    job = load(path, Wishes(accept_doubtful=True))
+    job = load(path, JobOptions(accept_doubtful=True))
     start = time.process_time()
     found = carry_out(job)
     seconds, after = time.process_time() - start, ""
     extended = write_extended(job, found, force=True) if extend else None
     if extended is not None:
-        after = str(carry_out(load(extended.path, Wishes(accept_doubtful=True))).verdict)
+        after = str(carry_out(load(extended.path, JobOptions(accept_doubtful=True))).verdict)
     return as_data(found), seconds, after
 
 

@@ -16,7 +16,7 @@ from metrocli.formats import csv
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
-from metrocli.tasks.calibrate_camera.settings import SCALE_BARS, Camera, Files, Inputs, Settings
+from metrocli.tasks.calibrate_camera.settings import SCALE_BARS, CameraSettings, Files, Inputs, Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
@@ -54,7 +54,7 @@ AFFINITY = (-7.00801e-5, -3.12627e-5)
 
 def board_settings(terms: tuple[str, ...]) -> Settings:
     """Return the job of a chessboard with these terms of distortion."""
-    camera = Camera(image_size=(640, 480), estimate=(*ORDER[:4], *terms))
+    camera = CameraSettings(image_size=(640, 480), estimate=(*ORDER[:4], *terms))
     inputs = Inputs(observations=NOWHERE, targets=NOWHERE)
     return Settings(rig="board", inputs=inputs, noise="estimated", camera=camera)
 
@@ -94,7 +94,7 @@ def network_job() -> Job[Settings, Files]:
     """Return the network of 115 images."""
     folder = DATA / "aicon-network"
     g = 1 - PUBLISHED["A1"][0] * R0**2 - PUBLISHED["A2"][0] * R0**4
-    camera = Camera(
+    camera = CameraSettings(
         image_size=(8688, 5792), pixel_size=PIXEL, reference_radius=R0, aspect=AFFINITY[0] / g, skew=-AFFINITY[1] / g
     )
     settings = Settings(

@@ -25,7 +25,7 @@ from simulated import five_axis as sim
 from metrocli.errors import UndeterminedError
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import load
-from metrocli.tasks.calibrate_machine.solve import Solved, solve
+from metrocli.tasks.calibrate_machine.solve import AdjustedMachine, solve
 from metrocli.tasks.calibrate_machine.tables import tables_of
 from metrocli.tasks.calibrate_machine.task import TASK, problem_of
 from metrocli.tasks.calibrate_machine.volume import predict
@@ -51,7 +51,7 @@ def measured(folder: Path, kind: str, method: str, seed: int, sigma: float) -> t
     return machine, sim.tracked(folder, machine, rng, 200 if stations else 400, noise, on, stations, fixed)
 
 
-def adjusted(path: Path) -> tuple[Solved, float]:
+def adjusted(path: Path) -> tuple[AdjustedMachine, float]:
     """Return the solved calibration and its CPU time."""
     job = load(path)
     held = TASK.job(job.settings, **read_inputs(job))
@@ -59,7 +59,7 @@ def adjusted(path: Path) -> tuple[Solved, float]:
     return solve(problem_of(held), False), time.process_time() - start
 
 
-def scores(machine: sim.Machine, found: Solved, seed: int) -> tuple[Array, Array, Array]:
+def scores(machine: sim.Machine, found: AdjustedMachine, seed: int) -> tuple[Array, Array, Array]:
     """Return errors of all entries over their uncertainty, of the predictions (mm), and their uncertainty."""
     tables = tables_of(found.problem.machine, found.solution)
     z = []

@@ -100,7 +100,7 @@ def outcome(kind: str, number: int) -> Outcome:
     else:
         just = least
     found = noticed(least) if candidate.testable else None
-    hides, hidden = candidate.hides.size, None
+    hides, hidden = candidate.undetected.size, None
     by_least = moved(least * _SMALL) / _SMALL
     if candidate.testable and by_least > 0:
         hidden = not noticed(least * hides / by_least)

@@ -25,13 +25,13 @@ from benchmarks.coverage import PART, aligned
 from metrocli.expressions.expression import parse
 from metrocli.geometry import poses
 from metrocli.result import Estimate, Result
-from metrocli.settings import Placed
+from metrocli.settings import LocatedValue
 from metrocli.tasks.report_uncertainty import volume_problem
-from metrocli.tasks.report_uncertainty.entries import Contributor, Expansion, MonteCarlo, Volume
+from metrocli.tasks.report_uncertainty.entries import Contributor, Expansion, MonteCarlo, VolumeEntry
 from metrocli.tasks.report_uncertainty.settings import Settings
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.distributions import Arcsine, CurvilinearTrapezoid, Normal, Uniform
-from metrocli.uncertainty.inputs import Inputs, Quantity, join
+from metrocli.uncertainty.inputs import InputQuantity, Inputs, join
 from metrocli.uncertainty.trials import plan_of
 from metrocli.uncertainty.volume import extremes
 from metrocli.uncertainty.workers import Workers
@@ -61,10 +61,13 @@ monte_carlo: {{trials: TRIALS, seed: 1}}
 def gauge() -> Inputs:
     """Return the inputs of JCGM 101, 9.5."""
     known = [("Ls", 50000623.0, 25.0, 18), ("D", 215.0, 6.0, 24), ("d1", 0.0, 4.0, 5), ("d2", 0.0, 7.0, 8)]
-    quantities = [Quantity(name, value, Normal(std), dof) for name, value, std, dof in known]
-    quantities += [Quantity("as_", 11.5e-6, Uniform(2e-6)), Quantity("t0", -0.1, Normal(0.2))]
-    quantities += [Quantity("Delta", 0.0, Arcsine(0.5)), Quantity("da", 0.0, CurvilinearTrapezoid(1e-6, 1e-7))]
-    return join([*quantities, Quantity("dt", 0.0, CurvilinearTrapezoid(0.05, 0.025))])
+    quantities = [InputQuantity(name, value, Normal(std), dof) for name, value, std, dof in known]
+    quantities += [InputQuantity("as_", 11.5e-6, Uniform(2e-6)), InputQuantity("t0", -0.1, Normal(0.2))]
+    quantities += [
+        InputQuantity("Delta", 0.0, Arcsine(0.5)),
+        InputQuantity("da", 0.0, CurvilinearTrapezoid(1e-6, 1e-7)),
+    ]
+    return join([*quantities, InputQuantity("dt", 0.0, CurvilinearTrapezoid(0.05, 0.025))])
 
 
 def plain_numpy(trials: int) -> tuple[float, float, float]:
@@ -136,17 +139,17 @@ def large_volume(points: int = 50, contributors: int = 20, parameters: int = 12)
     result = Result("align-part", "", estimates, root @ root.T, {})
     turns = [[f"m.e{n}*{'XYZ'[(n + axis) % 3]}" for n in range(3, parameters)] for axis in range(3)]
     sums = [" + ".join([f"m.e{axis}", *terms]) for axis, terms in enumerate(turns)]
-    from metrocli.expressions.written import Model
+    from metrocli.expressions.written import WrittenExpression
     from metrocli.nodes import Node, Source
 
     nowhere = Node("scalar", Source("", (), Path()))
-    models = tuple(Model(parse(text), nowhere) for text in sums)
+    models = tuple(WrittenExpression(parse(text), nowhere) for text in sums)
     parts = [Contributor("m", model=models)]  # type: ignore[arg-type]
     parts += [Contributor(f"c{n}", std=(1e-3, 2e-3, 3e-3)) for n in range(contributors - 2)]
     parts += [Contributor("warmth", expansion=Expansion(ALPHA, WARMTH))]
     settings = Settings(
-        volume=Volume((0.0, 0.0, 0.0), (1500.0, 1000.0, 500.0), (points,) * 3),
-        contributors=tuple(Placed(part, nowhere) for part in parts),
+        volume=VolumeEntry((0.0, 0.0, 0.0), (1500.0, 1000.0, 500.0), (points,) * 3),
+        contributors=tuple(LocatedValue(part, nowhere) for part in parts),
     )
 
     def once() -> None:
@@ -177,8 +180,8 @@ def repeats(count: int) -> Repeats:
     nowhere = Node("scalar", Source("", (), Path()))
     parts = (Contributor("part", result="part"), Contributor("temperature", expansion=Expansion(ALPHA, WARMTH)))
     settings = Settings(
-        volume=Volume((0.0, 0.0, 0.0), (1500.0, 1000.0, 500.0), (2, 2, 2)),
-        contributors=tuple(Placed(part, nowhere) for part in parts),
+        volume=VolumeEntry((0.0, 0.0, 0.0), (1500.0, 1000.0, 500.0), (2, 2, 2)),
+        contributors=tuple(LocatedValue(part, nowhere) for part in parts),
         monte_carlo=MonteCarlo(trials=0),
     )
     truth = poses.pose_from_euler(np.array([PART.x, PART.y, PART.z]), np.array([PART.alpha, PART.beta, PART.gamma]))

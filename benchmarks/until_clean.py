@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 from metrocli.cli.diagnosis_report.loop import of_loop
-from metrocli.project.job import Wishes, load
+from metrocli.project.job import JobOptions, load
 from metrocli.project.until_clean import until_clean
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -56,7 +56,7 @@ def main(wanted: list[str]) -> int:
         with tempfile.TemporaryDirectory() as folder:
             job = Path(folder) / f"{name}.yaml"
             job.write_text(JOBS[name])
-            loop = until_clean(load(job, Wishes(accept_doubtful=True)))
+            loop = until_clean(load(job, JobOptions(accept_doubtful=True)))
             table = of_loop(loop).replace(f"{folder}/", "")
         print(f"-- {name}, {time.process_time() - before:.0f} s of CPU time\n{table}\n", flush=True)
     return 0

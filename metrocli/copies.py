@@ -52,9 +52,9 @@ def faults(table: Table, columns: Columns) -> list[Fault]:
     least = max(_ROWS, -(-_CELLS // len(measured)))
     what = ", ".join(name for name in (*columns.alike, *measured) if name in table)
     hint = "one measurement that counts twice makes the uncertainty too small: remove the copy"
-    found = list(_groups(table, columns, rows, least, alike))
-    if found:
-        return [table.fault(f"{text} (equal: {what})", hint) for text in found]
+    names = list(_groups(table, columns, rows, least, alike))
+    if names:
+        return [table.fault(f"{text} (equal: {what})", hint) for text in names]
     run = first_run(rows, max(least, columns.fewest_copied, _by_chance(len(rows), alike)))
     if run is None:
         return []

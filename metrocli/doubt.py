@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from metrocli.record import Verdict
+from metrocli.record import CriterionVerdict
 from metrocli.result import Result, Scalar
 
 MOST = 2.0
@@ -15,7 +15,7 @@ _CORNER = 0.05
 _MOST_REJECTED = 1 / 3
 
 
-def doubts_of(result: Result, verdicts: Sequence[Verdict], strict: bool = False) -> tuple[str, ...]:
+def doubts_of(result: Result, verdicts: Sequence[CriterionVerdict], strict: bool = False) -> tuple[str, ...]:
     """Return why a result must not be used, one sentence for each reason.
 
     The reasons are those of the kind's own checks (`Result.doubts`), and residuals that contradict the declared noise:
@@ -29,7 +29,9 @@ def doubts_of(result: Result, verdicts: Sequence[Verdict], strict: bool = False)
     return (*own, *result.warnings) if strict else own
 
 
-def _misfit(statistics: Mapping[str, Scalar | Mapping[str, float]], verdicts: Sequence[Verdict]) -> tuple[str, ...]:
+def _misfit(
+    statistics: Mapping[str, Scalar | Mapping[str, float]], verdicts: Sequence[CriterionVerdict]
+) -> tuple[str, ...]:
     sigma0, dof = _number(statistics.get("sigma0")), _number(statistics.get("dof"))
     if not (sigma0 > 0 and dof > 0) or statistics.get("noise_estimated"):
         return ()
@@ -60,7 +62,9 @@ def _thinned(statistics: Mapping[str, Scalar | Mapping[str, float]]) -> tuple[st
     )
 
 
-def _uncovered(statistics: Mapping[str, Scalar | Mapping[str, float]], verdicts: Sequence[Verdict]) -> tuple[str, ...]:
+def _uncovered(
+    statistics: Mapping[str, Scalar | Mapping[str, float]], verdicts: Sequence[CriterionVerdict]
+) -> tuple[str, ...]:
     corner = _number(statistics.get("corner_std"))
     most = _CORNER * max(_number(statistics.get("image_width")), _number(statistics.get("image_height")))
     if not corner > most or any(verdict.name.removeprefix("statistics.") == "corner_std" for verdict in verdicts):

@@ -63,7 +63,9 @@ else:
 
     @recursive_repr()
     def _repr(self):
-        shown = ", ".join(f"{one.name}={getattr(self, one.name)!r}" for one in dataclasses.fields(self) if one.repr)
+        shown = ", ".join(
+            f"{field.name}={getattr(self, field.name)!r}" for field in dataclasses.fields(self) if field.repr
+        )
         return f"{type(self).__qualname__}({shown})"
 
     def _eq(self, other):

@@ -9,7 +9,7 @@ from metrocli.units import find_unit
 
 
 @dataclass(frozen=True)
-class Control:
+class NcDialect:
     """Conventions of a control where ISO 6983-1 leaves a choice."""
 
     dwell: str
@@ -21,9 +21,9 @@ class Control:
 
 
 CONTROLS = {
-    "linuxcnc": Control("P"),
-    "fanuc": Control("X"),
-    "siemens": Control("F", metric="G710", comment=("; ", ""), frame=()),
+    "linuxcnc": NcDialect("P"),
+    "fanuc": NcDialect("X"),
+    "siemens": NcDialect("F", metric="G710", comment=("; ", ""), frame=()),
 }
 """Controls by name.
 
@@ -86,7 +86,7 @@ def written(value: float) -> float:
     return round(value, _DIGITS) + 0.0  # no -0.0000
 
 
-def _words(block: Block, control: Control) -> list[str]:
+def _words(block: Block, control: NcDialect) -> list[str]:
     match block:
         case Rapid(to):
             return [f"G0 {_position(to)}"]
@@ -103,7 +103,7 @@ def _position(to: Mapping[str, float]) -> str:
     return " ".join(f"{axis.upper()}{written(value):.{_DIGITS}f}" for axis, value in to.items())
 
 
-def _comment(text: str, control: Control) -> str:
+def _comment(text: str, control: NcDialect) -> str:
     """Return a comment in ASCII, since controls read nothing else; parentheses in it become brackets."""
     plain = text.translate({ord("("): "[", ord(")"): "]"}).encode("ascii", "replace").decode()
     begin, end = control.comment

@@ -31,7 +31,7 @@ class InputFile:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CriterionVerdict:
     """One acceptance criterion of a job (`require:`), the value it was applied to, and whether it is met."""
 
     name: str
@@ -63,7 +63,7 @@ class Record:
     metrocli_version: str
     created: str
     """Date and time in UTC, ISO 8601."""
-    verdicts: tuple[Verdict, ...] = ()
+    verdicts: tuple[CriterionVerdict, ...] = ()
     doubts: tuple[str, ...] = ()
     """Why the result must not be used; empty if nothing speaks against it."""
     meaning: str = ""
@@ -84,7 +84,7 @@ class Record:
         """
         stated: Mapping[str, str] = self.certificate.get("references", {})
         paths = [file.path for file in self.inputs]
-        return [(name, stated.get(name, "")) for name in (*paths, *(one for one in stated if one not in paths))] + [
+        return [(name, stated.get(name, "")) for name in (*paths, *(name for name in stated if name not in paths))] + [
             *self.below
         ]
 

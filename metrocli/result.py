@@ -66,7 +66,7 @@ class Result:
     """Further figures of an estimate, by its name: U, k, ...; in the unit of the estimate, except those in `plain`."""
     plain: tuple[str, ...] = ()
     """Names of details that are plain numbers without a unit."""
-    astray: float = 0.0
+    list_offset: float = 0.0
     """Distance of places from where the files list them, relative to what is plausible; not written to the file."""
     made_from: tuple[InputFile, ...] = ()
     """For a result that is the input of another job: its own file, and the files it was made from."""

@@ -38,12 +38,12 @@ def columns(*headings: str, allowed: Range | None = None) -> tuple[Column, ...]:
 
     A column with `?` may be absent, cells of one with `*` may be empty. Without a dimension there are plain numbers.
     """
-    found = []
+    declared = []
     for heading in headings:
         names, _, dimension = heading.removesuffix("]").partition(" [")
         for name in names.split(" "):
-            found.append(Column(name.rstrip("?*"), dimension or NUMBER, "?" not in name, "*" in name, allowed))
-    return tuple(found)
+            declared.append(Column(name.rstrip("?*"), dimension or NUMBER, "?" not in name, "*" in name, allowed))
+    return tuple(declared)
 
 
 @dataclass(frozen=True)
@@ -114,16 +114,16 @@ class Table:
         """Return the table with further columns, or others in place of its own, under headings as in `of`."""
         import numpy as np
 
-        found, units = dict(self.columns), dict(self.units)
+        merged, units = dict(self.columns), dict(self.units)
         for heading, values in columns.items():
             names, _, unit = heading.removesuffix("]").partition(" [")
             array = np.asarray(values, dtype=str if unit == TEXT else None)
             several = names.split(" ")
             for name, column in zip(several, array.T if len(several) > 1 else [array], strict=True):
-                found[name] = column
+                merged[name] = column
                 if unit not in ("", TEXT):
                     units[name] = unit
-        return replace(self, columns=found, units=units)
+        return replace(self, columns=merged, units=units)
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.columns else 0

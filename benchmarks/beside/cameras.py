@@ -18,18 +18,18 @@ FISHEYE = {"f": 1500.0, "cx": 1230.0, "cy": 1015.0, "k1": 0.04, "k2": -0.01, "k3
 def ours(views: int) -> Work:
     """metrocli, with the full covariance, redundancy numbers and w-tests of every reading."""
     from benchmarks.camera_speed import SIZE, TRUTH, scene
-    from metrocli.tasks.calibrate_camera.settings import Camera
+    from metrocli.tasks.calibrate_camera.settings import CameraSettings
 
-    return _calibrated(scene(views, views)[0], Camera(image_size=SIZE, estimate=tuple(TRUTH)))
+    return _calibrated(scene(views, views)[0], CameraSettings(image_size=SIZE, estimate=tuple(TRUTH)))
 
 
 def ours_fisheye(views: int) -> Work:
     """The same of a fisheye (equidistant, k1 to k4)."""
     from benchmarks.camera_speed import SIZE, scene
-    from metrocli.tasks.calibrate_camera.settings import Camera
+    from metrocli.tasks.calibrate_camera.settings import CameraSettings
 
     estimate = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
-    camera = Camera(model="fisheye", image_size=SIZE, estimate=estimate)
+    camera = CameraSettings(model="fisheye", image_size=SIZE, estimate=estimate)
     return _calibrated(scene(views, views, equidistant)[0], camera)
 
 

@@ -32,10 +32,10 @@ def ours(points: int) -> Work:
 def engine(points: int) -> Work:
     """metrocli's adjustment alone."""
     from benchmarks.network_speed import Problem
-    from metrocli.adjust.adjustment import Control, adjust
+    from metrocli.adjust.adjustment import StoppingRule, adjust
 
     problem = Problem.draw(points, TRACERS).ours()
-    return lambda: [(adjust(**problem, control=Control(covariance=False)).cost, 0.0)]
+    return lambda: [(adjust(**problem, control=StoppingRule(covariance=False)).cost, 0.0)]
 
 
 def ceres(points: int) -> Work:

@@ -20,7 +20,7 @@ from metrocli.tasks.align_part import settings as part_job
 from metrocli.tasks.align_part import task as align_part
 from metrocli.tasks.calibrate_camera import settings as camera_job
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
-from metrocli.tasks.calibrate_camera.settings import Camera
+from metrocli.tasks.calibrate_camera.settings import CameraSettings
 from metrocli.tasks.shared.images.settings import CameraFile, Extrinsics
 
 Array = npt.NDArray[np.float64]
@@ -53,7 +53,7 @@ class Images:
             inputs=camera_job.Inputs(observations=NOWHERE, targets=NOWHERE),
             noise=noise,
             shutter="rolling" if scene.rolling else "global",
-            camera=Camera(image_size=scene.image_size, estimate=scene.lens_free),
+            camera=CameraSettings(image_size=scene.image_size, estimate=scene.lens_free),
         )
         units = {"u": "px", "v": "px", "t": "s", "temp": "degC"}
         return calibrate_camera.diagnosed(

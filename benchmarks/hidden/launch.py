@@ -15,7 +15,7 @@ from benchmarks.hidden.stated import stated
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
-from metrocli.tasks.locate_launch_unit.settings import Inputs, Noise, Settings
+from metrocli.tasks.locate_launch_unit.settings import Inputs, LaunchUnitNoise, Settings
 
 Array = npt.NDArray[np.float64]
 ENCODER, DISTANCE = 2.4240684e-5, 1e-3
@@ -91,7 +91,7 @@ class Measurement:
         columns = {"pose": poses(self), **dict(zip("xyz", self.receivers.T, strict=True)), "spindle": self.psi}
         columns |= dict(zip(READINGS, [*angles, *self.read[4:]], strict=False))
         table = Table(columns | {"t": self.t, "temp": self.temp}, {})
-        noise = Noise(ENCODER / self.noise, DISTANCE / self.noise)
+        noise = LaunchUnitNoise(ENCODER / self.noise, DISTANCE / self.noise)
         return locate_launch_unit.diagnosed(locate_launch_unit.TASK.job(Settings(Inputs(Path("-")), noise), table))
 
 

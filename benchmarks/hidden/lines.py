@@ -17,7 +17,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
-from metrocli.tasks.calibrate_machine.settings import Noise, Settings
+from metrocli.tasks.calibrate_machine.settings import MachineNoise, Settings
 
 Array = npt.NDArray[np.float64]
 LOW, HIGH, KNOTS = np.array([0.0, -260.0, -500.0]), np.array([600.0, 260.0, 0.0]), 5
@@ -80,7 +80,7 @@ class Measurement:
         columns |= dict(zip(("ex", "ey", "ez", "ea", "eb", "ec"), self.read.T, strict=True))
         columns |= {"t": self.t, "temp": self.temp}
         axes = AxesSettings(*(AxisSettings((low, high), KNOTS) for low, high in zip(LOW, HIGH, strict=True)))
-        noise = Noise(displacement=5e-4 / self.noise, straightness=5e-4 / self.noise, angle=1e-6 / self.noise)
+        noise = MachineNoise(displacement=5e-4 / self.noise, straightness=5e-4 / self.noise, angle=1e-6 / self.noise)
         machine = MachineSettings("wXbYZt", axes, tools={"": (0.0, 0.0, 0.0)})
         settings = Settings("six-dof", machine, Inputs(lines=Path("-")), noise)
         return calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, lines=Table(columns, {})))

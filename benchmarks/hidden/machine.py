@@ -19,7 +19,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
-from metrocli.tasks.calibrate_machine.settings import LateralNoise, Noise, Settings
+from metrocli.tasks.calibrate_machine.settings import LateralNoise, MachineNoise, Settings
 
 Array = npt.NDArray[np.float64]
 LOW, HIGH = np.array([0.0, -260.0, -500.0]), np.array([600.0, 260.0, 0.0])
@@ -117,7 +117,9 @@ class Measurement:
         columns |= dict(zip("xyz", self.at.T, strict=True)) | dict(zip(("mx", "my", "mz"), self.read.T, strict=True))
         columns |= {f"from_{axis}": side for axis, side in zip("xyz", self.came.T, strict=True)}
         axes = AxesSettings(*(AxisSettings((low, high), self.knots) for low, high in zip(LOW, HIGH, strict=True)))
-        noise = Noise(beam=BEAM / self.noise, lateral=LateralNoise(CONSTANT / self.noise, PROPORTIONAL / self.noise))
+        noise = MachineNoise(
+            beam=BEAM / self.noise, lateral=LateralNoise(CONSTANT / self.noise, PROPORTIONAL / self.noise)
+        )
         settings = Settings("standstill", MachineSettings("wXbYZt", axes, tools=TOOLS), Inputs(Path("-")), noise)
         return calibrate_machine.diagnosed(
             calibrate_machine.TASK.job(settings, points=Table(columns, {}), effects=effects)

@@ -14,7 +14,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
-from metrocli.tasks.calibrate_machine.settings import Noise, Settings
+from metrocli.tasks.calibrate_machine.settings import MachineNoise, Settings
 
 Array = npt.NDArray[np.float64]
 CONSTANT, PROPORTIONAL = 2e-4, 2e-7
@@ -53,7 +53,7 @@ class Measurement:
         columns |= dict(zip("xyz", self.at[point].T, strict=True)) | {"length": self.length.ravel(), "t": t}
         columns["tool"] = np.array(list(machine.TOOLS))[self.tool[point]]
         axes = AxesSettings(*(AxisSettings((a, b), 4) for a, b in zip(machine.LOW, machine.HIGH, strict=True)))
-        noise = Noise(constant=CONSTANT, proportional=PROPORTIONAL, repeatability=repeatability)
+        noise = MachineNoise(constant=CONSTANT, proportional=PROPORTIONAL, repeatability=repeatability)
         settings = Settings(
             "lengths", MachineSettings("wXbYZt", axes, tools=machine.TOOLS), Inputs(lengths=Path("-")), noise
         )

@@ -13,7 +13,7 @@ import numpy as np
 
 from metrocli.adjust.allowance import take
 from metrocli.adjust.datum import Datum, Frame
-from metrocli.adjust.descent import Descent, Problem, cholesky_solve, held
+from metrocli.adjust.descent import Descent, IteratedSystem, cholesky_solve, held
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Combination, Outcome
@@ -29,7 +29,7 @@ from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)
-class Control:
+class StoppingRule:
     """When an adjustment stops, and whether it computes a covariance."""
 
     limit: int = 1000
@@ -41,7 +41,7 @@ class Control:
 
 
 def adjust(
-    blocks: Iterable[Block], groups: Sequence[Group], datum: Datum | None = None, control: Control | None = None
+    blocks: Iterable[Block], groups: Sequence[Group], datum: Datum | None = None, control: StoppingRule | None = None
 ) -> Solution:
     """Minimise the sum of squares of the whitened residuals over the free entries of the blocks.
 
@@ -51,11 +51,11 @@ def adjust(
     steps, Deuflhard: Newton Methods for Nonlinear Problems, 2004). A singular problem ends with an outcome, not with
     an exception. Raises ValueError only if blocks and groups do not fit together.
     """
-    control = control or Control()
+    control = control or StoppingRule()
     take()
     state = {block.name: block for block in blocks}
     layout = arrange(state, groups)
-    problem = Problem(groups, layout, datum, tiling_of(groups, state, layout))
+    problem = IteratedSystem(groups, layout, datum, tiling_of(groups, state, layout))
     unknowns = sum(int(block.free.sum()) for block in state.values())
     descent = Descent(problem, state, control.covariance)
     lost = Solution(Outcome.NO_START, state, tuple(groups), float("inf"), 0, unknowns)
@@ -74,10 +74,10 @@ def adjust(
 
 def covariance_at(blocks: Iterable[Block], groups: Sequence[Group], datum: Datum | None = None) -> Solution:
     """Return the covariance that an adjustment would have at these values, without changing them (for planning)."""
-    return adjust(blocks, groups, datum, Control(limit=0))
+    return adjust(blocks, groups, datum, StoppingRule(limit=0))
 
 
-def _with_covariance(solution: Solution, problem: Problem, normals: Normals) -> Solution:
+def _with_covariance(solution: Solution, problem: IteratedSystem, normals: Normals) -> Solution:
     blocks, layout = solution.blocks, problem.layout
     try:
         matrix = normals.reduced()[0]

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.groups import Group, Linear
+from metrocli.adjust.model.groups import Group, LinearGroup
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.adjust.sparse.bordered_factor import BorderedFactor, bordered_factor
@@ -49,7 +49,7 @@ class Fields:
 
 
 @dataclass(frozen=True)
-class Design:
+class FieldDesign:
     """Rank, null space and covariance of a design; they do not depend on the readings."""
 
     partition: Partition
@@ -115,7 +115,7 @@ class Design:
 
 
 @dataclass(frozen=True)
-class CorrelatedDesign(Design):
+class CorrelatedDesign(FieldDesign):
     """A design whose readings have correlated errors, with the covariance of all unknowns as one table."""
 
     matrix: Array
@@ -135,7 +135,7 @@ class FieldSolution:
     """The result of an adjustment of fields, with the same methods for covariances as `Solution`."""
 
     solution: Solution
-    design: Design
+    design: FieldDesign
 
     @property
     def blocks(self) -> Mapping[str, Block]:
@@ -179,7 +179,7 @@ class FieldSolution:
         return tuple(parts)
 
 
-def design_of(fields: Fields) -> Design:
+def design_of(fields: Fields) -> FieldDesign:
     """Return the design of fields.
 
     Raises OpenDesignError if more directions are undetermined than can be listed.
@@ -188,15 +188,15 @@ def design_of(fields: Fields) -> Design:
     at = fields.design(fields.blocks)
     rows = jacobian([group.linear(at, frozenset(fields.blocks)) for group in fields.groups], parts)
     reduction = bordered_factor(rows, parts, _places(fields, parts))
-    return Design(parts, rows, reduction, _constraint(_conditions(fields, parts), reduction.null))
+    return FieldDesign(parts, rows, reduction, _constraint(_conditions(fields, parts), reduction.null))
 
 
-def in_datum(fields: Fields, design: Design) -> Design:
+def in_datum(fields: Fields, design: FieldDesign) -> FieldDesign:
     """Return the design with the datum of these fields, which may differ from its own in their conditions only."""
     return replace(design, constraint=_constraint(_conditions(fields, design.partition), design.null))
 
 
-def adjust_fields(fields: Fields, design: Design | None = None) -> FieldSolution:
+def adjust_fields(fields: Fields, design: FieldDesign | None = None) -> FieldSolution:
     """Minimise the sum of squares of the whitened residuals under the conditions of the datum.
 
     The steps use the normal matrix of the design throughout (a fixed-matrix Newton iteration).
@@ -229,22 +229,22 @@ def adjust_fields(fields: Fields, design: Design | None = None) -> FieldSolution
 
 
 def _tried(
-    fields: Fields, state: Mapping[str, Block], move: tuple[Array, Design], cost: float
-) -> tuple[dict[str, Block], list[Linear], float] | None:
+    fields: Fields, state: Mapping[str, Block], move: tuple[Array, FieldDesign], cost: float
+) -> tuple[dict[str, Block], list[LinearGroup], float] | None:
     """Return the state after the step, or after a part of it that does not raise the cost; None if none is found."""
     step, design = move
     for _ in range(12):
         moved = design.partition.moved(state, step)
         linears = _linears(fields, moved)
-        found = sum(linear.cost for linear in linears)
+        total = sum(linear.cost for linear in linears)
         # the step that restores the datum is exact to first order only, so it may raise the cost by rounding
-        if found <= cost * (1 + 1e-9) + 1e-9 * design.partition.width:
-            return moved, linears, found
+        if total <= cost * (1 + 1e-9) + 1e-9 * design.partition.width:
+            return moved, linears, total
         step = step / 2
     return None
 
 
-def _linears(fields: Fields, state: Mapping[str, Block]) -> list[Linear]:
+def _linears(fields: Fields, state: Mapping[str, Block]) -> list[LinearGroup]:
     return [group.linear(state, frozenset(fields.blocks)) for group in fields.groups]
 
 

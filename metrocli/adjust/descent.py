@@ -35,7 +35,7 @@ _DAMPING_START, _DAMPING_END, _DAMPING_LIMIT = 1e-9, 1e-11, 1e8
 
 
 @dataclass(frozen=True)
-class Problem:
+class IteratedSystem:
     """What stays the same while an adjustment iterates."""
 
     groups: Sequence[Group]
@@ -68,7 +68,7 @@ class Problem:
 class Descent:
     """The iteration: the present values, the normal equations there, and the damping."""
 
-    def __init__(self, problem: Problem, state: Mapping[str, Block], wanted: bool) -> None:
+    def __init__(self, problem: IteratedSystem, state: Mapping[str, Block], wanted: bool) -> None:
         """Start at `state`; `wanted` is True if the normal equations are needed after the last step."""
         self.problem, self.state, self.damping, self.wanted = problem, dict(state), 0.0, wanted
         self.fall = 0.0  # decrease that the last step predicted; 0 before the first step and after a damped one
@@ -152,7 +152,7 @@ def _relaxed(damping: float) -> float:
     return damping / 10 if damping / 10 > _DAMPING_END else 0.0
 
 
-def _solve(problem: Problem, state: Mapping[str, Block], normals: Normals) -> tuple[Array, float, Frame | None]:
+def _solve(problem: IteratedSystem, state: Mapping[str, Block], normals: Normals) -> tuple[Array, float, Frame | None]:
     """Return the step of the reduced unknowns, the decrease `g' H^-1 g` that all predict, and the open movements."""
     matrix, right, alone = normals.reduced()
     frame = problem.frame(state, matrix, normals.diagonal)
@@ -197,7 +197,7 @@ def cholesky_solve(matrix: Array, right: Array) -> Array:
 
 
 def _moved(
-    problem: Problem, state: Mapping[str, Block], step_r: Array, step_e: Array, frame: Frame | None
+    problem: IteratedSystem, state: Mapping[str, Block], step_r: Array, step_e: Array, frame: Frame | None
 ) -> dict[str, Block]:
     layout = problem.layout
     moved = dict(state)

@@ -14,7 +14,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.outcome import Combination
 from metrocli.adjust.schur.layout import Layout
-from metrocli.adjust.schur.normals import Normals, Part
+from metrocli.adjust.schur.normals import EliminatedMembers, Normals
 from metrocli.arrays import Array
 
 _INFLATION = 1e6
@@ -83,7 +83,7 @@ def _open_members(blocks: Mapping[str, Block], layout: Layout, normals: Normals)
     return tuple(combination for part in normals.parts for combination in _open_in(blocks[layout.eliminated], part))
 
 
-def _open_in(block: Block, part: Part) -> list[Combination]:
+def _open_in(block: Block, part: EliminatedMembers) -> list[Combination]:
     matrices, free = part.normals(), block.free[part.members]
     diagonal = np.einsum("mii->mi", matrices)
     reach = np.where(free, _limited(np.broadcast_to(block.reach, diagonal.shape), np.where(free, diagonal, 0.0)), 1.0)
@@ -107,7 +107,7 @@ def _open_in(block: Block, part: Part) -> list[Combination]:
     return combinations
 
 
-def _all_determined(part: Part, reach: Array) -> bool:
+def _all_determined(part: EliminatedMembers, reach: Array) -> bool:
     """Return whether the trace of the inverse is below 1 for every member, so that none can be open."""
     try:
         inverse = part.inverse()

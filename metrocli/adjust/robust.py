@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.medians import median
 from metrocli.adjust.model.blocks import Block
@@ -55,7 +55,7 @@ def robust_start(
     state: Mapping[str, Block] = {block.name: block for block in blocks}
     group = next(group for group in groups if group.name == name)
     held = _reweighted(groups, name, _least_absolute(_share(group, state, within)))
-    first = adjust(state.values(), held, datum, Control(limit=15, covariance=False))
+    first = adjust(state.values(), held, datum, StoppingRule(limit=15, covariance=False))
     state = first.blocks
     if first.outcome is Outcome.NO_START or _share(group, state).max(initial=0.0) <= _GROSS:
         return dict(state)
@@ -64,7 +64,7 @@ def robust_start(
         # least absolute deviations first: the biweight ignores what is far off, so it needs a start that is near
         weights = _least_absolute(share) if turn < _ROUNDS // 2 else np.maximum(1 - (share / _TUKEY) ** 2, 0.0) ** 2
         held = _reweighted(groups, name, weights)
-        control = Control(limit=8, covariance=False)
+        control = StoppingRule(limit=8, covariance=False)
         near = control if turn == _ROUNDS - 1 else replace(control, tolerance=_NEAR)
         state = adjust(state.values(), held, datum, near).blocks
         share = _share(group, state, within)
@@ -179,7 +179,7 @@ def apart(suspected: Suspects, residuals: Residuals, members: Index) -> Index:
 
 
 @dataclass(frozen=True)
-class Fit:
+class FitQuality:
     """How well an adjustment fits: the reference for the tests of single readings."""
 
     cost: float
@@ -188,7 +188,7 @@ class Fit:
     """Whether the noise is declared, not estimated: then sigma0 counts as at least 1"""
 
 
-def suspects(residuals: Residuals, fit: Fit) -> Suspects:
+def suspects(residuals: Residuals, fit: FitQuality) -> Suspects:
     """Return the readings whose largest |w| is too large to be due to chance, at 5 % over all readings.
 
     Each reading is compared with the noise of the others, `s_i^2 = (v'Pv - w_i'w_i) / (dof - d)` (external

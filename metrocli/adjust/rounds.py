@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
@@ -53,7 +53,7 @@ def adjust_with_iterated_weights(
     """
     state = {block.name: block for block in blocks}
     for _ in range(_ROUNDS):
-        solution = adjust(state.values(), groups, datum, Control(1, covariance=False))
+        solution = adjust(state.values(), groups, datum, StoppingRule(1, covariance=False))
         state = dict(solution.blocks)
         change = turned = 0.0
         renewed = []
@@ -68,7 +68,7 @@ def adjust_with_iterated_weights(
         failed = solution.outcome not in (Outcome.CONVERGED, Outcome.ITERATION_LIMIT)
         if failed or (change < _SETTLED and turned < _STILL):
             break
-    return adjust(state.values(), groups, datum, Control(_STEPS))
+    return adjust(state.values(), groups, datum, StoppingRule(_STEPS))
 
 
 def with_aspects(group: Group, aspects: Mapping[str, Aspect], blocks: Mapping[str, Block]) -> tuple[Group, float]:
@@ -144,13 +144,13 @@ def worst_of(suspects: Suspects) -> Index:
     return np.flatnonzero(suspects.tests >= suspects.tests.max(initial=0.0) / 2)
 
 
-def variance_component(found: Sequence[Residuals]) -> float:
+def variance_component(groups: Sequence[Residuals]) -> float:
     """Return how many times the declared noise readings have, `sqrt(v'Pv / sum r)` with their redundancy numbers r.
 
     Raises UndeterminedError if there are no more readings than unknowns.
     """
-    redundancy = np.concatenate([one.redundancy.ravel() for one in found])
-    w = np.concatenate([one.normalised.ravel() for one in found])
+    redundancy = np.concatenate([residuals.redundancy.ravel() for residuals in groups])
+    w = np.concatenate([residuals.normalised.ravel() for residuals in groups])
     if not redundancy.sum() > _CONTROLLED:
         raise UndeterminedError(
             "noise: the residuals do not show its size: there are no more readings than unknowns; "

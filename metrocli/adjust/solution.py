@@ -135,7 +135,7 @@ def _adjusted(solution: Solution, group: Group) -> tuple[Array, Array]:
 def place_in_tiles(solution: Solution, group: Group) -> int | None:
     """Return the number of a group whose readings are in tiles of the eliminated block; None for any other."""
     members = solution.covariance_or_raise().eliminated
-    places = (place for place, one in enumerate(solution.groups) if one is group and members.reads(place))
+    places = (place for place, other in enumerate(solution.groups) if other is group and members.reads(place))
     return next(places, None)
 
 

@@ -65,17 +65,17 @@ def condense(x: Array, values: Array, cell: Index) -> Condensed:
     fit = (counts > _NODES) & (_smallest_pivot(moments) > _SPREAD)
     few = counts <= _NODES
     pieces = [_parabolas(cells, parts, moments, fit), _as_they_are(cells, few), _means(cells, parts, ~fit & ~few)]
-    index, where, found, weight = (np.concatenate(kind, axis=-1) for kind in zip(*pieces, strict=True))
+    index, where, joined, weight = (np.concatenate(kind, axis=-1) for kind in zip(*pieces, strict=True))
     about = parts.mean[:, np.searchsorted(ordered[starts], index)]
     total = ((cells.values - np.repeat(parts.mean, counts, axis=1)) ** 2).sum(axis=1)
-    misfit = np.maximum(total - ((found - about) ** 2 * weight).sum(axis=1), 0.0)
+    misfit = np.maximum(total - ((joined - about) ** 2 * weight).sum(axis=1), 0.0)
     used = np.where(few, counts, np.where(fit, _NODES, 1)).sum()
     inside = np.lexsort((where, index))
-    return Condensed(index[inside], where[inside], found[:, inside], weight[inside], misfit, int(counts.sum() - used))
+    return Condensed(index[inside], where[inside], joined[:, inside], weight[inside], misfit, int(counts.sum() - used))
 
 
 @dataclass(frozen=True)
-class _Parts:
+class _ScaledCells:
     """Scaling of each cell to -1..1, `u = (x - centre) / half`, with moments of its readings."""
 
     centre: Array
@@ -86,7 +86,7 @@ class _Parts:
     """Means of u^k (y - mean), (channels, cells, 3)"""
 
 
-def _moments(cells: _Cells) -> tuple[_Parts, Array]:
+def _moments(cells: _Cells) -> tuple[_ScaledCells, Array]:
     """Return the scaling, and the means of u^0 ... u^5 in each cell, (cells, 6)."""
     counts = cells.counts
     low, high = (function.reduceat(cells.x, cells.starts) for function in (np.minimum, np.maximum))
@@ -101,7 +101,7 @@ def _moments(cells: _Cells) -> tuple[_Parts, Array]:
         if k < _NODES:
             right.append(cells.sums(left * power) / counts)
         power = power * u
-    return _Parts(centre, half, mean, np.stack(right, axis=-1)), np.stack(moments, axis=-1)
+    return _ScaledCells(centre, half, mean, np.stack(right, axis=-1)), np.stack(moments, axis=-1)
 
 
 def _hankel(moments: Array, first: int) -> Array:
@@ -121,7 +121,7 @@ def _smallest_pivot(moments: Array) -> Array:
 _Piece = tuple[Index, Array, Array, Array]
 
 
-def _parabolas(cells: _Cells, parts: _Parts, moments: Array, chosen: Mask) -> _Piece:
+def _parabolas(cells: _Cells, parts: _ScaledCells, moments: Array, chosen: Mask) -> _Piece:
     """Return the fitted parabolas of the chosen cells at their Gauss nodes, with the Gauss weights.
 
     With M = R R' the moment matrix, the nodes are the eigenvalues of `R^-1 M1 R^-T`, M1 the moments one power up.
@@ -145,7 +145,7 @@ def _as_they_are(cells: _Cells, chosen: Mask) -> _Piece:
     return cells.cell[rows], cells.x[rows], cells.values[:, rows], np.ones(len(rows))
 
 
-def _means(cells: _Cells, parts: _Parts, chosen: Mask) -> _Piece:
+def _means(cells: _Cells, parts: _ScaledCells, chosen: Mask) -> _Piece:
     """Return one reading for each chosen cell: the means of position and values."""
     numbers = np.flatnonzero(chosen)
     where = cells.sums(cells.x)[numbers] / cells.counts[numbers]

@@ -33,7 +33,7 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
     """
     from metrocli.cli.summary import as_json as json_text
     from metrocli.formats.hdf5 import refuse_foreign
-    from metrocli.project.job import Wishes, load_parts
+    from metrocli.project.job import JobOptions, load_parts
     from metrocli.project.named_files import absolute
     from metrocli.project.runner import verify
     from metrocli.project.staleness import states
@@ -47,7 +47,7 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
         jobs: list[JobFile] = [step.job for step in steps]
         renewed = {absolute(state.step.job.output) for state in states(steps) if state.reason and not state.waits}
     else:
-        jobs = load_parts(place, Wishes(overrides, accept_doubtful=accept_doubtful))
+        jobs = load_parts(place, JobOptions(overrides, accept_doubtful=accept_doubtful))
     faults: list[Fault] = []
     for job in jobs:
         foreign = partial(refuse_foreign, job.output, job.kind)

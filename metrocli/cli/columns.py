@@ -63,7 +63,7 @@ def _by_unit(table: Table) -> Iterator[Table]:
         return
     each = table.texts(UNIT)
     for unit in dict.fromkeys(each):
-        rows = [row for row, one in enumerate(each) if one == unit]
+        rows = [row for row, name in enumerate(each) if name == unit]
         columns = {name: values[rows] for name, values in table.columns.items() if name != UNIT}
         yield Table(columns, {**table.units, **dict.fromkeys(in_unit_of_row(table), unit)})
 
@@ -76,11 +76,11 @@ def _text(table: Table) -> str:
 def _column(table: Table, name: str) -> tuple[str, list[str]]:
     """Return the head of a column, with its unit, and its cells."""
     unit, values = table.units.get(name, ""), table.columns[name].tolist()
-    stds = {*filter(None, (_std_of(table, one) for one in table)), *({_ALONE} & set(table))}
+    stds = {*filter(None, (_std_of(table, other) for other in table)), *({_ALONE} & set(table))}
     if name in stds:
         # all uncertainties of one kind in one unit: sx, sy, sz
         alike = [std for std in stds if table.units.get(std, "") == unit]
-        least = _least([std for one in alike for std in table.numbers(one).tolist()])
+        least = _least([std for other in alike for std in table.numbers(other).tolist()])
         size, symbol = units.column_unit(least, unit)
     else:
         beside = _std_of(table, name)

@@ -20,7 +20,7 @@ from metrocli.tasks import KINDS
 if TYPE_CHECKING:
     from metrocli.diagnosis.findings import Diagnosis
     from metrocli.project.diagnosed import Extended
-    from metrocli.project.job import JobFile, Wishes
+    from metrocli.project.job import JobFile, JobOptions
 
 CLEAN = "clean"
 
@@ -58,7 +58,7 @@ def command(
 
     Where the extended job cannot be written, the report is printed with a warning; with `--output` it is an error.
     """
-    from metrocli.project.job import Wishes, load
+    from metrocli.project.job import JobOptions, load
 
     if design and wanted["scheduler"]:
         raise UsageError("--design has no parts that a cluster could compute: leave --scheduler out")
@@ -67,7 +67,7 @@ def command(
     if wanted["quick"] and (design or wanted["until_clean"] or following is not None or wanted["full"]):
         raise UsageError("--quick is the first answer alone: leave --design, --until-clean, --next and --full out")
     console = Console(wanted["quiet"] or as_json, wanted["verbose"])
-    asked = Wishes(wanted["overrides"], accept_doubtful=wanted["accept_doubtful"])
+    asked = JobOptions(wanted["overrides"], accept_doubtful=wanted["accept_doubtful"])
     if design:
         return _design(job, asked, as_json, console)
     if wanted["until_clean"]:
@@ -75,7 +75,7 @@ def command(
     return _once(load(job, asked), wanted, output, following, force, as_json)
 
 
-def _design(path: Path, asked: Wishes, as_json: bool, console: Console) -> int:
+def _design(path: Path, asked: JobOptions, as_json: bool, console: Console) -> int:
     """Print what a measurement can detect."""
     from metrocli.cli import summary
     from metrocli.cli.diagnosis_report import findings
@@ -85,10 +85,10 @@ def _design(path: Path, asked: Wishes, as_json: bool, console: Console) -> int:
 
     kind = kind_of_job(path)
     wished = replace(asked, not_needed=KINDS[kind].measured if kind else ())
-    adjusted, found = diagnosed.design_of(load(path, wished), console)
+    adjusted, detectability = diagnosed.design_of(load(path, wished), console)
     if as_json:
-        echo(summary.as_json(verdict.design_data(adjusted, found)))
-    console.print(findings.of_design(adjusted, found))
+        echo(summary.as_json(verdict.design_data(adjusted, detectability)))
+    console.print(findings.of_design(adjusted, detectability))
     return 0
 
 
@@ -169,7 +169,7 @@ def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> i
     from metrocli.cli import summary
     from metrocli.cli.diagnosis_report.loop import loop_data, of_loop
     from metrocli.project.diagnosed import carry_out
-    from metrocli.project.job import Wishes, load
+    from metrocli.project.job import JobOptions, load
     from metrocli.project.own_effects import alike_for
     from metrocli.project.until_clean import until_clean
     from metrocli.uncertainty.workers.dask_cluster import ordered_on
@@ -183,10 +183,10 @@ def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> i
         echo(summary.as_json(loop_data(loop)))
     console.print(of_loop(loop))
     if not as_json:
-        steps = [one.job for one in loop.extensions]
+        steps = [extension.job for extension in loop.extensions]
         _keep(job, _data(job, loop.first, steps[0] if steps else None), force, console)
         if steps:
-            last = load(steps[-1], Wishes(accept_doubtful=job.accept_doubtful))
+            last = load(steps[-1], JobOptions(accept_doubtful=job.accept_doubtful))
             _keep(last, _data(last, loop.last, None), force, console)
     return 0 if _is_met(wanted["require"], loop.last) else NOT_MET
 

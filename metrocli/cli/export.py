@@ -54,21 +54,21 @@ def command(
     from metrocli.formats import csv, hdf5
     from metrocli.formats.own_files import inside, write_all
 
-    found, record = hdf5.read(result)
+    stored, record = hdf5.read(result)
     if record.reasons and not accept_doubtful:
         hint = "correct its job and run it again, or export it as it is by --accept-doubtful"
         reasons = "; ".join(record.reasons)
         raise InputError([Fault(f"not fit for use ({record.status}): {reasons}", str(result), hint=hint)])
-    found = replace(found, doubts=record.reasons)
+    stored = replace(stored, doubts=record.reasons)
     folder_of_job = os.path.dirname(result.parent / record.job_file)
-    inputs = {os.path.realpath(os.path.join(folder_of_job, one.path)) for one in record.inputs}
+    inputs = {os.path.realpath(os.path.join(folder_of_job, file.path)) for file in record.inputs}
     if record.job_file:  # messages name it from the working folder, the result from its own
         record = replace(record, job_file=Path(os.path.relpath(result.parent / record.job_file)).as_posix())
     from metrocli.project.provenance.comparison import with_standards
 
     record = with_standards(result, record)
     contents = {}
-    for name, content in export(form, found, record, _pixels(form, within)).items():
+    for name, content in export(form, stored, record, _pixels(form, within)).items():
         path = inside(out, name) if out is not None else inside(result.parent, f"{result.stem}.{name}")
         text = csv.to_text(content) if isinstance(content, Table) else content
         contents[path] = text.encode()

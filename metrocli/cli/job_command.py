@@ -44,7 +44,7 @@ def make(kind: str) -> click.Command:
 
 def _job_file(kind: str, job: Path | None, wanted: dict[str, Any]) -> Path:
     """Return the job file of the command, which is written beside the result if options describe the job."""
-    options_given = {one.name: wanted.pop(one.name) for one in KINDS[kind].described}
+    options_given = {question.name: wanted.pop(question.name) for question in KINDS[kind].described}
     values = [value for value in options_given.values() if value]
     names = " and ".join(f"--{name}" for name in options_given)
     if job is not None and values:
@@ -70,12 +70,12 @@ def _carry_out(kind: str, path: Path, console: Console, wanted: dict[str, Any]) 
     """Load the job; then check it (--dry-run), answer a question about it or run it; print the outcome."""
     from metrocli.formats.hdf5 import refuse_foreign
     from metrocli.project import runner
-    from metrocli.project.job import Wishes, load
+    from metrocli.project.job import JobOptions, load
 
     if wanted["output"] is not None and wanted["output"].suffix != ".h5":
         raise UsageError(f"--output {wanted['output']}: the name of a result file ends in .h5")
     accept = wanted["accept_doubtful"]
-    job = load(path, Wishes(wanted["overrides"], wanted["output"], kind, accept_doubtful=accept))
+    job = load(path, JobOptions(wanted["overrides"], wanted["output"], kind, accept_doubtful=accept))
     question = next((question.name for question in KINDS[kind].questions if wanted[question.name]), None)
     if wanted["dry_run"]:
         if not wanted["force"]:

@@ -42,14 +42,14 @@ def command(
     from metrocli.cli.diagnosis_report.next_readings import next_lines
     from metrocli.diagnosis.next_readings.choice import as_data
     from metrocli.project import planned, runner
-    from metrocli.project.job import Wishes, kind_of_job, load
+    from metrocli.project.job import JobOptions, kind_of_job, load
 
     console = Console(quiet)
     folder = out if out is not None else job.with_name(f"{job.stem}.plan")
     planned.refuse_foreign(folder, force)
     kind = kind_of_job(job)
     not_needed, accept = KINDS[kind].planned if kind else (), wishes["accept_doubtful"]
-    loaded = load(job, Wishes(wishes["overrides"], not_needed=not_needed, accept_doubtful=accept))
+    loaded = load(job, JobOptions(wishes["overrides"], not_needed=not_needed, accept_doubtful=accept))
     plan = runner.plan(loaded)
     revealed = None if reveal is None else _revealing(job, reveal, wishes)
     text = summary.json_of_plan(plan, folder, {} if revealed is None else as_data(revealed))
@@ -70,10 +70,10 @@ def _revealing(job: Path, effect: str, wishes: dict[str, Any]) -> Next:
     """Return the further readings that best show an effect; readings that do not exist yet are simulated."""
     from metrocli.diagnosis.next_readings.choice import revealing
     from metrocli.project import diagnosed
-    from metrocli.project.job import Wishes, kind_of_job, load
+    from metrocli.project.job import JobOptions, kind_of_job, load
 
     kind = kind_of_job(job)
     not_needed, accept = KINDS[kind].measured if kind else (), wishes["accept_doubtful"]
-    loaded = load(job, Wishes(wishes["overrides"], not_needed=not_needed, accept_doubtful=accept))
+    loaded = load(job, JobOptions(wishes["overrides"], not_needed=not_needed, accept_doubtful=accept))
     adjusted, design = diagnosed.design_of(loaded)
     return revealing(adjusted, design, effect, _READINGS)

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from metrocli.project.pipeline import Order, Report
     from metrocli.project.running.executor import Executor
-    from metrocli.project.staleness import State
-    from metrocli.project.steps import Step
+    from metrocli.project.staleness import Staleness
+    from metrocli.project.steps import ProjectStep
 
 
 @click.command(
@@ -98,7 +98,7 @@ def nothing_to_do(jobs: Sequence[Sequence[str]], folder: Path, console: Console,
     return 0
 
 
-def _run(steps: Sequence[Step], order: Order, console: Console, jobs: int, scheduler: str) -> list[Report]:
+def _run(steps: Sequence[ProjectStep], order: Order, console: Console, jobs: int, scheduler: str) -> list[Report]:
     """Run the jobs and print the line of each, on a terminal above a table of those in work; then the counts."""
     from metrocli.project import pipeline
 
@@ -116,7 +116,9 @@ def _run(steps: Sequence[Step], order: Order, console: Console, jobs: int, sched
     return reports
 
 
-def _executor(console: Console, jobs: int, scheduler: str, steps: Sequence[Step]) -> AbstractContextManager[Executor]:
+def _executor(
+    console: Console, jobs: int, scheduler: str, steps: Sequence[ProjectStep]
+) -> AbstractContextManager[Executor]:
     from metrocli.project.running.executor import InThisProcess, processes
 
     if scheduler:
@@ -126,12 +128,12 @@ def _executor(console: Console, jobs: int, scheduler: str, steps: Sequence[Step]
     return nullcontext(InThisProcess(console)) if jobs == 1 else processes(jobs)
 
 
-def _dry_run(found: Sequence[State], console: Console, as_json: bool) -> int:
+def _dry_run(states: Sequence[Staleness], console: Console, as_json: bool) -> int:
     if as_json:
         from metrocli.cli.summary import as_json as json_text
 
-        echo(json_text({"jobs": [state_data(state) for state in found]}))
-    for state in found:
+        echo(json_text({"jobs": [state_data(state) for state in states]}))
+    for state in states:
         console.print(f"{state.step.name}: {state_text(state)}")
     return 0
 
@@ -178,7 +180,7 @@ _UNFIT = {
 }
 
 
-def state_text(state: State) -> str:
+def state_text(state: Staleness) -> str:
     """Return whether a job would run, and why, in words."""
     if state.waits:
         return f"would not run: {state.reason}"
@@ -187,7 +189,7 @@ def state_text(state: State) -> str:
     return f"would run: {state.reason}" if state.reason else "up to date"
 
 
-def state_data(state: State) -> dict[str, Any]:
+def state_data(state: Staleness) -> dict[str, Any]:
     """Return the same for --json."""
     word = "waits" if state.waits else "depends" if state.depends else "runs" if state.reason else "up to date"
     return {

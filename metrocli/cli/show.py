@@ -34,7 +34,7 @@ def command(result: Path, name: str | None, units: str, as_json: bool, **asked: 
     from metrocli.formats import csv, hdf5
 
     stored, record = hdf5.read(result)
-    wanted = [f"--{one}" for one in QUESTIONS if asked[one] is not None] + ["--table"] * (name is not None)
+    wanted = [f"--{option}" for option in QUESTIONS if asked[option] is not None] + ["--table"] * (name is not None)
     if len(wanted) > 1:
         raise UsageError(f"{' and '.join(wanted)}: one question at a time")
     if units == INCHES and as_json:
@@ -48,7 +48,7 @@ def command(result: Path, name: str | None, units: str, as_json: bool, **asked: 
         table = stated.tables[name]
         echo(summary.json_of_table(table) if as_json else csv.to_text(table), nl=as_json, as_is=True)
         return 0
-    question = next((one for one in QUESTIONS if asked[one] is not None), None)
+    question = next((option for option in QUESTIONS if asked[option] is not None), None)
     if question is not None:
         echo(_answer(stored, question, asked[question] or (), units, as_json))
         return 0
@@ -67,7 +67,7 @@ def _answer(result: Result, question: str, values: tuple[str, ...], units: str, 
     from metrocli.cli import summary, terminal
     from metrocli.cli.look.inches import estimates_in
 
-    answering = [kind.name for kind in KINDS.values() if question in {one.name for one in kind.result_questions}]
+    answering = [kind.name for kind in KINDS.values() if question in {option.name for option in kind.result_questions}]
     if result.kind not in answering:
         raise UsageError(f"--{question} is for results of {' and '.join(answering)}; this is a result of {result.kind}")
     estimates = KINDS[result.kind].task().result_answers[question](result, values)

@@ -35,7 +35,7 @@ def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: b
     """Simulate; write tables, images and truth.json; print their paths."""
     from metrocli.cli.summary import as_json as json_text
     from metrocli.project import runner
-    from metrocli.project.job import Wishes, kind_of_job, load
+    from metrocli.project.job import JobOptions, kind_of_job, load
     from metrocli.project.simulated import write
 
     if out.exists() and not force and (not out.is_dir() or any(out.iterdir())):
@@ -43,7 +43,7 @@ def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: b
     kind = kind_of_job(job)
     not_needed = KINDS[kind].measured if kind else ()
     accept, effects = wishes["accept_doubtful"], wishes["effects"]
-    asked = Wishes(wishes["overrides"], not_needed=not_needed, effects=effects, accept_doubtful=accept)
+    asked = JobOptions(wishes["overrides"], not_needed=not_needed, effects=effects, accept_doubtful=accept)
     loaded = load(job, asked)
     written = list(write(runner.simulate(loaded, SimulationOptions(seed, images)), out))
     if wishes["as_json"]:

@@ -87,7 +87,7 @@ def _unit(group: Sequence[Estimate], job_text: str) -> tuple[float, str]:
     if not dimension:
         return compound_unit(group[0], job_text)
     symbol = units.written_unit(job_text, dimension, group[0].name.rpartition(".")[2])
-    stds = [one.std for one in group if 0 < one.std < math.inf]
+    stds = [estimate.std for estimate in group if 0 < estimate.std < math.inf]
     symbol = symbol or units.readable(min(stds, default=abs(group[0].value)), dimension)[1]
     return (1.0, unit) if symbol in ("", "1") else (units.find_unit(symbol, dimension).inside(1.0), symbol)
 

@@ -92,7 +92,7 @@ class Standing:
 
 
 @dataclass(frozen=True)
-class Part:
+class MemberSubset:
     """The local members whose readings are diagnosed, where all would take more memory than there is."""
 
     kind: str
@@ -158,7 +158,7 @@ class AdjustedJob:
     """Unit and dimension in which errors of held-out readings are reported"""
     replicates: Mapping[str, Index] = field(default_factory=dict)
     """For each group a label (n,) that is shared by readings repeated under the same conditions"""
-    astray: float = 0.0
+    list_offset: float = 0.0
     """Distance of places from where the files list them, relative to what is plausible; above 1 a file is wrong"""
     fewest: int = 3
     """Fewest components of readings that an effect must change; what changes fewer is an outlier"""
@@ -194,7 +194,7 @@ class AdjustedJob:
     """How readings could be made again otherwise than before: in words, with their changed conditions"""
     offers: Callable[[Model], Iterable[tuple[str, Model]]] = field(default=lambda model: ())
     """Further measurements that the kind of job proposes: in words, with the model of that measurement"""
-    part: Part | None = None
+    part: MemberSubset | None = None
     """The part of a larger job that this is; None if it is whole"""
 
 
@@ -232,10 +232,10 @@ class Misfit:
 
 def misfit_of(job: AdjustedJob) -> Misfit:
     """Return how far the residuals and the places of an adjusted job are from the plausible."""
-    found = [_whitened(group, job) for group in job.model.readings]
-    medians = [float(np.median(np.abs(one))) for one in found]
-    spreads = [float(np.sqrt(np.mean(one**2))) for one in found]
-    return Misfit(max(medians, default=0.0) / ABSURD, job.astray, max(spreads, default=0.0))
+    whitened = [_whitened(group, job) for group in job.model.readings]
+    medians = [float(np.median(np.abs(values))) for values in whitened]
+    spreads = [float(np.sqrt(np.mean(values**2))) for values in whitened]
+    return Misfit(max(medians, default=0.0) / ABSURD, job.list_offset, max(spreads, default=0.0))
 
 
 def _whitened(group: Group, job: AdjustedJob) -> np.typing.NDArray[np.float64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from metrocli import units
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.frozen import dataclass
 
 _MOSTLY = 0.5
@@ -33,7 +33,7 @@ class CorrelatedError:
     """By how much it raises the log-likelihood, against readings that are all noisier by one factor"""
     place: str = ""
     """The unit that alone has it; empty for all"""
-    instead_of: tuple[Alternative, ...] = ()
+    instead_of: tuple[Candidate, ...] = ()
     """The effects that are named without it, and not beside it"""
 
     def shown(self, unit: str, dimension: str) -> tuple[float, float, str]:

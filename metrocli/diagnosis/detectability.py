@@ -15,15 +15,15 @@ from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import CORRELATED, READINGS
 from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.hidden_change import POWER, HiddenChange, forms_for, hidden_by_readings, hidden_change
-from metrocli.diagnosis.linear.candidates import Alternative, NotTested
+from metrocli.diagnosis.hidden_change import POWER, UndetectedBias, forms_for, hidden_by_readings, undetected_bias
+from metrocli.diagnosis.linear.candidates import Candidate, NotTested
 from metrocli.diagnosis.linear.distributions import noncentrality, single_level
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.quadratics import ranks_of, roots
 from metrocli.diagnosis.linear.scans import thinned
 from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.power.alike import Pair, pairs_of
 from metrocli.diagnosis.power.average_power import ScatterCandidate, scatter_candidates, size_found
+from metrocli.diagnosis.power.collinear import Pair, pairs_of
 from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass
 
@@ -39,10 +39,10 @@ _PART = 0.1
 
 
 @dataclass(frozen=True)
-class Candidate:
+class DetectableCandidate:
     """What the measurement can detect of one form of a cause at one place."""
 
-    alternative: Alternative
+    alternative: Candidate
     family: int
     number: int
     """Number of its alternative of median visibility, if it was scanned"""
@@ -53,10 +53,10 @@ class Candidate:
 
     It is counted over all that is tried; inf if nothing is visible.
     """
-    hides: HiddenChange
+    undetected: UndetectedBias
     """Largest change of the delivered result by an effect that is not found with 95 % power"""
     assumed: float
-    """Largest size that `hides` counts with: the largest usual one, or that found with 95 % power if it is larger"""
+    """Largest size that `undetected` counts with: the largest usual one, or that found with 95 % power if larger"""
     absorbed_by: tuple[str, ...]
     missed: bool = False
     """Whether its scan is too coarse for the readings, so that a form between two of its values can be missed"""
@@ -100,7 +100,7 @@ class WrongReading:
     """Median over all readings of the smallest error that is found, in their unit; inf if none shows its own error"""
     between: tuple[float, float]
     """The smallest and the largest of these errors over the readings that are checked"""
-    hides: HiddenChange
+    undetected: UndetectedBias
     """Largest change of the delivered result by an error of one reading that is not found with 95 % power"""
     unchecked: int
     """Number of readings whose errors no other reading shows"""
@@ -112,10 +112,10 @@ class WrongReading:
 
 
 @dataclass(frozen=True)
-class Design:
+class Detectability:
     """What a measurement can detect."""
 
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[DetectableCandidate, ...]
     not_tested: tuple[NotTested, ...]
     pairs: tuple[Pair, ...]
     readings: tuple[WrongReading, ...] = ()
@@ -124,15 +124,15 @@ class Design:
     """Covariates of the correlated errors beside which all this holds"""
 
 
-def design(state: State, noise: float = 1.0) -> Design:
+def design(state: State, noise: float = 1.0) -> Detectability:
     """Return what a measurement can detect beside a state, for a noise in units of the declared one."""
     job = state.measurement.job
     candidates = tuple(_candidate(state, *spot, noise) for spot in _spots(state))
     readings = tuple(_wrong_reading(state, e, noise) for e in job.effects if e.of_one_reading)
     pairs, scatters = tuple(pairs_of(state, candidates, noise)), scatter_candidates(state, noise)
-    number = (one.key[0] for one in state.random if one.kind == CORRELATED)
+    number = (part.key[0] for part in state.random if part.kind == CORRELATED)
     structure = tuple(dict.fromkeys(state.measurement.knots[one].functions.name for one in number))
-    return Design(candidates, tuple(state.measurement.not_tested), pairs, readings, scatters, structure)
+    return Detectability(candidates, tuple(state.measurement.not_tested), pairs, readings, scatters, structure)
 
 
 def _wrong_reading(state: State, effect: Effect, noise: float) -> WrongReading:
@@ -165,7 +165,7 @@ def _spots(state: State) -> Iterable[tuple[int, Sequence[int]]]:
             yield number, chosen
 
 
-def _candidate(state: State, family: int, chosen: Sequence[int], noise: float) -> Candidate:
+def _candidate(state: State, family: int, chosen: Sequence[int], noise: float) -> DetectableCandidate:
     m = state.measurement
     own, gram = m.families[family], state.left(family)[0]
     ranks = ranks_of(roots(gram[list(chosen)], own.raw[list(chosen)]))
@@ -184,11 +184,11 @@ def _candidate(state: State, family: int, chosen: Sequence[int], noise: float) -
     farthest = np.sqrt(own.columns.parameters) * assumed / alternative.effect.plausible
     reach = np.array([(power[q], farthest) for q in ranks.tolist()])
     some = thinned(np.arange(float(len(chosen))), forms_for(m.system, own.columns.parameters)).astype(int)
-    hides = hidden_change(m.job, m.system, own, np.array(chosen)[some].tolist(), gram, reach[some])
+    hides = undetected_bias(m.job, m.system, own, np.array(chosen)[some].tolist(), gram, reach[some])
     absorbers = () if rank else _absorbers(m.system, _full(m.job, m.system, alternative))
     missed = own.has_gaps(m.system, chosen)
     upper = _upper(state, family, at)
-    return Candidate(alternative, family, at, visible, size, hides, assumed, absorbers, missed, upper, share)
+    return DetectableCandidate(alternative, family, at, visible, size, hides, assumed, absorbers, missed, upper, share)
 
 
 def _upper(state: State, family: int, number: int) -> float:
@@ -208,11 +208,11 @@ def _upper(state: State, family: int, number: int) -> float:
     return float(np.sqrt(np.mean(theta**2)) + 1.645 * spread)
 
 
-def _full(job: AdjustedJob, system: System, alternative: Alternative) -> Array:
+def _full(job: AdjustedJob, system: Linearised, alternative: Candidate) -> Array:
     return signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
 
 
-def _size_found(state: State, family: int, chosen: Sequence[int], ranks: Array, median: Alternative) -> float:
+def _size_found(state: State, family: int, chosen: Sequence[int], ranks: Array, median: Candidate) -> float:
     """Return the size found with 80 % power, over the visible forms whose sizes mean the same as the median's."""
     m = state.measurement
     alternatives = m.families[family].alternatives
@@ -233,7 +233,7 @@ def _level(m: Measurement, family: int) -> float:
     return single_level(LEVEL, m.prices.tests[family])
 
 
-def _absorbers(system: System, full: Array) -> tuple[str, ...]:
+def _absorbers(system: Linearised, full: Array) -> tuple[str, ...]:
     """Return, in words, the unknowns that absorb most of a signature."""
     change = np.abs(system.absorbed(full / np.maximum(np.linalg.norm(full, axis=0), 1e-300))) * system.sizes[:, None]
     taken: dict[str, float] = {}

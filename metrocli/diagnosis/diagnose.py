@@ -14,7 +14,7 @@ import numpy as np
 from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
 from metrocli.diagnosis.correlated_error import CorrelatedError
-from metrocli.diagnosis.detectability import Design, design
+from metrocli.diagnosis.detectability import Detectability, design
 from metrocli.diagnosis.evidence.folds import gain_between, gains
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect, all_identified, identified
@@ -29,10 +29,10 @@ from metrocli.diagnosis.extended_fit import extended_fit, readings_kept, result_
 from metrocli.diagnosis.findings import Diagnosis, Finding, Unconfirmed
 from metrocli.diagnosis.laws.search import Law, with_laws
 from metrocli.diagnosis.linear.memory import as_fits
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.noise import Unit, noise_of
-from metrocli.diagnosis.power.alike import separations
+from metrocli.diagnosis.noise import VarianceGroup, noise_of
+from metrocli.diagnosis.power.collinear import separations
 from metrocli.diagnosis.residual_structure import REPEATS, PureError, RemainingStructure, pure_error
 from metrocli.diagnosis.rounds import searched
 from metrocli.diagnosis.wrong_readings import wrong_readings
@@ -77,15 +77,15 @@ def diagnose(
         laws: tuple[Law, ...] = ()
         if not quick:
             progress.doing("looking for a law in what no effect explains", job.budget.left())
-            found = with_laws(state, _in_white_noise(state), ordered)
-            state, laws = found.state, found.laws
+            result = with_laws(state, _in_white_noise(state), ordered)
+            state, laws = result.state, result.laws
     progress.doing("cross-validating: predicting parts of the readings from the others", job.budget.left())
     state, names, gained, unconfirmed = _confirmed(state, ordered, quick)
     kept = readings_kept(state)
     fit = extended_fit(first.measurement.job, names, kept) if names else None
     shifts = result_changes(first.measurement.job, names, fit, kept)
     correlated, repeats, scattered = correlated_errors(state), pure_error(state), random_effects(state)
-    parts: list[Fixed | Random] = [*state.named, *(one for one in state.random if one.kind == SCATTER)]
+    parts: list[Fixed | Random] = [*state.named, *(part for part in state.random if part.kind == SCATTER)]
     whole = gain_between(state.minus(parts), state) if scattered else None
     noise = noise_of(
         float(state.residual @ state.residual) if not state.random else state.white_squares, state.noise_freedoms
@@ -94,13 +94,13 @@ def diagnose(
     return Diagnosis(
         job=first.measurement.job,
         noise=noise,
-        noisier_units=_variance_groups(state),
+        variance_groups=_variance_groups(state),
         outliers=wrong_readings(state),
         findings=tuple(_findings(state, zip(names, gained, shifts, strict=False), noise.ratio)),
         left=_left(state, correlated, laws, repeats, whole or gained[-1] if names else whole),
         before=strongest(first),
         after=strongest(state),
-        design=Design((), (), ()) if quick else design(state, noise.ratio),
+        design=Detectability((), (), ()) if quick else design(state, noise.ratio),
         separate_by=_separate(state.measurement.job, names),
         adjusts=fit is not None or not names,
         together=gained[-1] if len(names) > 1 else None,
@@ -109,7 +109,7 @@ def diagnose(
         scatters=scattered,
         unconfirmed=unconfirmed,
         laws=laws,
-        processes=correlated,
+        correlated_errors=correlated,
         limited=limit if job.budget.ended else None,
         interrupted=job.budget.interrupted,
         quick=quick,
@@ -130,16 +130,16 @@ def _confirmed(
     while True:
         names = all_identified(state)
         gained = gains(state, names, ordered) if names else []
-        nets = dict(zip((one.key for one in state.fixed), state.without_fixed().tolist(), strict=True))
+        nets = dict(zip((part.key for part in state.fixed), state.without_fixed().tolist(), strict=True))
         against = [
-            (one, name, gain)
-            for one, name, gain in zip(state.named, names, gained, strict=False)
-            if gain.log_score + (0.0 if quick else nets[one.key]) <= 0
+            (part, name, gain)
+            for part, name, gain in zip(state.named, names, gained, strict=False)
+            if gain.log_score + (0.0 if quick else nets[part.key]) <= 0
         ]
         if not against:
             return state, names, gained, tuple(lost)
         lost += [Unconfirmed(str(name.alternative), gain.log_score) for _, name, gain in against]
-        state = state.minus([one for one, _, _ in against])
+        state = state.minus([part for part, _, _ in against])
 
 
 def _in_white_noise(state: State) -> State:
@@ -166,9 +166,9 @@ def strongest(state: State) -> float:
     return float(np.exp(-max(max(nets) + _LEVEL, 0.0)))
 
 
-def _variance_groups(state: State) -> tuple[Unit, ...]:
+def _variance_groups(state: State) -> tuple[VarianceGroup, ...]:
     m = state.measurement
-    return tuple(Unit(*m.units[number][:2], ratio) for number, ratio in m.noise.items())
+    return tuple(VarianceGroup(*m.units[number][:2], ratio) for number, ratio in m.noise.items())
 
 
 def _findings(
@@ -176,10 +176,10 @@ def _findings(
 ) -> Iterator[Finding]:
     """Yield the findings of identified effects, the one with the largest held-out log score first."""
     m = state.measurement
-    for name, gain, shift in sorted(named, key=lambda one: -one[1].log_score):
+    for name, gain, shift in sorted(named, key=lambda entry: -entry[1].log_score):
         change = _linear_change(m.job, m.system, name) if shift is None else shift
-        one = next(one for one in state.named if one.key == name.key)
-        instead = noise_instead(state, one)
+        part = next(entry for entry in state.named if entry.key == name.key)
+        instead = noise_instead(state, part)
         yield Finding(name, sizes(m.job, name), gain, change, _other_shape_from(state, name, noise), instead)
 
 
@@ -213,23 +213,23 @@ def _left(
         names = dict.fromkeys(name for term in law.terms for name in term.form.variables)
         where = tuple(name for _, name in law.terms[0].spot.where)
         return RemainingStructure(law.p_value, tuple(names), where, law.size, _share(law.size, misfit))
-    for one in state.unknown:
-        name = identified(state, one, with_rivals=False)
-        size = _size(state, one)
+    for part in state.unknown:
+        name = identified(state, part, with_rivals=False)
+        size = _size(state, part)
         return RemainingStructure(
             float(np.exp(name.log_level)),
-            (state.measurement.families[one.family].unknown,),
+            (state.measurement.families[part.family].unknown,),
             (),
             size,
             _share(size, misfit),
             job.noise_model == STRUCTURED,
         )
-    significant = [one for one in correlated if one.log_level < np.log(_CORRELATED)]
+    significant = [error for error in correlated if error.log_level < np.log(_CORRELATED)]
     if significant and job.noise_model != STRUCTURED:
-        best = min(significant, key=lambda one: one.log_level)
-        names = dict.fromkeys(one.covariate for one in significant)
+        best = min(significant, key=lambda error: error.log_level)
+        names = dict.fromkeys(error.covariate for error in significant)
         where = (best.place,) if best.place else ()
-        squares = sum((one.std * one.visible) ** 2 for one in correlated if one.unit == job.reading[0])
+        squares = sum((error.std * error.visible) ** 2 for error in correlated if error.unit == job.reading[0])
         return RemainingStructure(
             float(np.exp(best.log_level)),
             tuple(names),
@@ -248,15 +248,15 @@ def _share(size: float, misfit: float | None) -> float | None:
     return size**2 / misfit if size and misfit else None
 
 
-def _size(state: State, one: Fixed) -> float:
+def _size(state: State, part: Fixed) -> float:
     """Return the root mean square of what a fixed part explains in the readings whose unit is reported."""
     system = state.measurement.system
-    change = (state.beside(one).residual - state.residual) * system.scale
+    change = (state.beside(part).residual - state.residual) * system.scale
     shown = change[(change != 0) & system.alike]
     return float(np.sqrt((shown**2).mean())) if len(shown) else 0.0
 
 
-def what_can_be_seen(job: AdjustedJob) -> Design:
+def what_can_be_seen(job: AdjustedJob) -> Detectability:
     """Return what a measurement can detect; it does not depend on the residuals.
 
     Raises InputError if this needs more memory than there is.
@@ -265,7 +265,7 @@ def what_can_be_seen(job: AdjustedJob) -> Design:
     return design(State.of(replace(m, system=replace(m.system, residual=np.zeros(m.system.rows)))))
 
 
-def _linear_change(job: AdjustedJob, system: System, name: IdentifiedEffect) -> float:
+def _linear_change(job: AdjustedJob, system: Linearised, name: IdentifiedEffect) -> float:
     """Return the largest change of the delivered result by an effect, to first order."""
     alternative = name.alternative
     full = signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
@@ -277,4 +277,4 @@ def _linear_change(job: AdjustedJob, system: System, name: IdentifiedEffect) -> 
 def _separate(job: AdjustedJob, names: Sequence[IdentifiedEffect]) -> tuple[str, ...]:
     """Return, in words, what to measure to distinguish the identified effects from their best rivals."""
     pairs = [(name.alternative, rival.alternative) for name in names for rival in name.rivals[:2]]
-    return tuple(dict.fromkeys(words for found in separations(job, pairs) for words in found)) if pairs else ()
+    return tuple(dict.fromkeys(words for pair in separations(job, pairs) for words in pair)) if pairs else ()

@@ -41,20 +41,20 @@ def log_level_of(gain: float) -> float:
 
 def random_effects(state: State) -> tuple[RandomEffect, ...]:
     """Return the effects at all their places."""
-    return tuple(_random_effect(state, j) for j, one in enumerate(state.random) if one.kind == SCATTER)
+    return tuple(_random_effect(state, j) for j, part in enumerate(state.random) if part.kind == SCATTER)
 
 
 def _random_effect(state: State, number: int) -> RandomEffect:
-    m, one = state.measurement, state.random[number]
-    families = m.scatters[one.key[0]]
-    effect, less = families[0].alternatives[0].effect, state.minus([one])
-    std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * one.unit
+    m, part = state.measurement, state.random[number]
+    families = m.scatters[part.key[0]]
+    effect, less = families[0].alternatives[0].effect, state.minus([part])
+    std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * part.unit
     wider = with_random_effect(m.job, effect, std, readings_kept(state))
     return RandomEffect(
         effect,
         std,
         std * relative_spread(state, number),
-        log_level_of(state.score + one.price - less.score) + float(np.log(len(m.scatters))),
+        log_level_of(state.score + part.price - less.score) + float(np.log(len(m.scatters))),
         sum(family.columns.count for family in families),
         _as_likely(state, less),
         gain_between(less, state),
@@ -64,32 +64,32 @@ def _random_effect(state: State, number: int) -> RandomEffect:
 
 def _as_likely(state: State, less: State) -> tuple[Instead, ...]:
     """Return the noise of a group of readings that explains as much as a random effect, of which `less` is without."""
-    found = []
+    candidates = []
     for number, (key, name, _) in enumerate(state.measurement.units):
         if key == READING and number not in state.measurement.noise:
             ratio = less.ratio_of(number)
             other = less.at(with_noise(less.measurement, {number: ratio}))
             ahead = other.score - state.score
             if ahead > -AS_LIKELY:
-                found.append(Instead("noise", {READING: name}, float(np.exp(min(ahead, 700.0)))))
-    return tuple(found)
+                candidates.append(Instead("noise", {READING: name}, float(np.exp(min(ahead, 700.0)))))
+    return tuple(candidates)
 
 
-def noise_instead(state: State, one: Fixed) -> tuple[Instead, ...]:
+def noise_instead(state: State, part: Fixed) -> tuple[Instead, ...]:
     """Return the larger noise of the unit at which an effect acts, if it explains the readings as well.
 
     That of a unit of few readings, such as an image of three targets, can look like a bad pose of it.
     """
     m = state.measurement
-    where, found = m.alternative(one.key).where, list[Instead]()
+    where, noises = m.alternative(part.key).where, list[Instead]()
     for number, (key, name, rows) in enumerate(m.units):
-        if where.get(key) == name and rows.sum() <= _MOST_ROWS * one.rank and number not in m.noise:
-            less = state.minus([one])
+        if where.get(key) == name and rows.sum() <= _MOST_ROWS * part.rank and number not in m.noise:
+            less = state.minus([part])
             other = less.at(with_noise(m, {number: max(less.ratio_of(number), AS_OTHERS)}))
             ahead = other.score - state.score
             if ahead > -_OF_A_PLACE:
-                found.append(Instead("noise", {key: name}, float(np.exp(min(ahead, 700.0)))))
-    return tuple(found)
+                noises.append(Instead("noise", {key: name}, float(np.exp(min(ahead, 700.0)))))
+    return tuple(noises)
 
 
 def relative_spread(state: State, number: int) -> float:
@@ -100,29 +100,29 @@ def relative_spread(state: State, number: int) -> float:
 
 def correlated_errors(state: State) -> tuple[CorrelatedError, ...]:
     """Return the correlated errors of a state, those of the largest gain first."""
-    found = (_correlated(state, j) for j, one in enumerate(state.random) if one.kind == CORRELATED)
-    return tuple(sorted(found, key=lambda one: -one.gain))
+    errors = (_correlated(state, j) for j, part in enumerate(state.random) if part.kind == CORRELATED)
+    return tuple(sorted(errors, key=lambda error: -error.gain))
 
 
 def _correlated(state: State, number: int) -> CorrelatedError:
-    m, one = state.measurement, state.random[number]
-    less = state.minus([one])
-    gain = state.score + one.price - less.score
-    without = (found for found in effects(less) if found.net > 0)
-    functions = m.knots[one.key[0]].functions
+    m, component = state.measurement, state.random[number]
+    less = state.minus([component])
+    gain = state.score + component.price - less.score
+    without = (move for move in effects(less) if move.net > 0)
+    functions = m.knots[component.key[0]].functions
     unit, shown = _showing(state, less, list(functions.sigmas))
-    visible = _visible(state, one)
+    visible = _visible(state, component)
     std = float(np.sqrt(np.exp(state.logs[number]) * state.fit.squares / state.fit.dof)) * functions.sigmas[unit]
     if len(functions.sigmas) > 1:
         # one variance is for all, in units of their noise; what readings of one unit show is theirs
         std = shown / visible
-    count = m.tried * (functions.count if one.key[2] >= 0 else 1)
+    count = m.tried * (functions.count if component.key[2] >= 0 else 1)
     level = min(log_level_of(gain) + float(np.log(count)), 0.0)
-    place = m.job.model.places[functions.by].names[one.key[2]] if one.key[2] >= 0 else ""
+    place = m.job.model.places[functions.by].names[component.key[2]] if component.key[2] >= 0 else ""
     return CorrelatedError(
         functions.name,
         functions.by,
-        LENGTHS[one.key[1]],
+        LENGTHS[component.key[1]],
         std,
         std * relative_spread(state, number),
         visible,
@@ -130,7 +130,7 @@ def _correlated(state: State, number: int) -> CorrelatedError:
         level,
         gain,
         place,
-        tuple(m.alternative(part.key) for found in without for part in found.fixed if part.sort == EFFECT),
+        tuple(m.alternative(part.key) for move in without for part in move.fixed if part.sort == EFFECT),
     )
 
 
@@ -141,24 +141,24 @@ def _showing(state: State, less: State, units: Sequence[str]) -> tuple[str, floa
     for group in system.model.readings:
         rows[group.observations.unit] |= system.rows_of(group)
     change = less.residual - state.residual
-    unit = max(units, key=lambda one: float((change[rows[one]] ** 2).sum()))
+    unit = max(units, key=lambda kind: float((change[rows[kind]] ** 2).sum()))
     return unit, float(np.sqrt(((change * system.scale)[rows[unit]] ** 2).mean()))
 
 
-def _visible(state: State, one: Random) -> float:
+def _visible(state: State, part: Random) -> float:
     """Return the share of a correlated error that the unknowns leave in the readings (root mean square)."""
     m = state.measurement
     basis = replace(m.system.basis, shared=np.zeros((m.system.rows, 0)))
-    whole = float((one.columns**2).sum())
+    whole = float((part.columns**2).sum())
     order, begins = m.by_member
-    if one.local:
+    if part.local:
         inside = 0.0
         for a, b in pairwise(begins):
             rows = order[a:b]
             both = np.concatenate([basis.local[rows], m.system.basis.shared[rows]], axis=1)
-            inside += float(((both.T @ one.columns[rows]) ** 2).sum())
+            inside += float(((both.T @ part.columns[rows]) ** 2).sum())
     else:
-        inside = float((m.system.basis.coordinates(one.columns) ** 2).sum())
+        inside = float((m.system.basis.coordinates(part.columns) ** 2).sum())
     return float(np.sqrt(max(1 - inside / max(whole, 1e-300), 0.0)))
 
 
@@ -166,20 +166,20 @@ def with_shown(state: State) -> tuple[State, list[Unconfirmed]]:
     """Return the state without smooth effects whose gain held-out readings do not show, and these."""
     lost: list[Unconfirmed] = []
     for number in smooth(state):
-        one = state.random[number]
-        less = state.minus([one])
+        part = state.random[number]
+        less = state.minus([part])
         if not (gain := gain_between(less, state)).shown:
-            effect = _effect_of(state, one)
+            effect = _effect_of(state, part)
             lost.append(Unconfirmed(f"{effect.name} {effect.everywhere}", gain.log_score))
             state = less
     return state, lost
 
 
-def _effect_of(state: State, one: Random) -> Effect:
+def _effect_of(state: State, part: Random) -> Effect:
     """Return the effect that acts at all its places by a random part of a state."""
-    return state.measurement.scatters[one.key[0]][0].alternatives[0].effect
+    return state.measurement.scatters[part.key[0]][0].alternatives[0].effect
 
 
 def smooth(state: State) -> list[int]:
     """Return the numbers of the random parts of a state that are smooth effects."""
-    return [j for j, one in enumerate(state.random) if one.kind == SCATTER and _effect_of(state, one).is_smooth]
+    return [j for j, part in enumerate(state.random) if part.kind == SCATTER and _effect_of(state, part).is_smooth]

@@ -50,7 +50,7 @@ def _row(model: Model, added: Added, name: IdentifiedEffect) -> tuple[Block, int
 
 
 @dataclass(frozen=True)
-class Size:
+class EffectSize:
     """The estimate of one parameter of an effect."""
 
     parameter: Parameter
@@ -62,7 +62,7 @@ class Size:
     """Whether the readings determine it apart from the others; if not, `value` holds with the others taken as 0"""
 
 
-def sizes(job: AdjustedJob, name: IdentifiedEffect) -> tuple[Size, ...]:
+def sizes(job: AdjustedJob, name: IdentifiedEffect) -> tuple[EffectSize, ...]:
     """Return the estimated parameters of a named effect, with standard uncertainties for the noise that was found."""
     alternative = name.alternative
     block, row = _own_row(extended_model(job, [name]), name)
@@ -70,14 +70,17 @@ def sizes(job: AdjustedJob, name: IdentifiedEffect) -> tuple[Size, ...]:
     by_step = block.space.by_step(block.values)[row]
     std = np.sqrt(np.maximum(np.diag(name.covariance), 0.0))
     known = {p.name: p for p in alternative.effect.all_parameters}
-    found = []
+    estimated = []
     for at, key in enumerate(alternative.parameters):
         column = block.column(key)
         was = before.values[row, column] if before is not None and column < before.size else 0.0
         seen = bool(name.apart[at])
         spread = float(std[at] * by_step[column]) if seen else None
-        found.append(Size(known[key], float(block.values[row, column] - was), spread, seen))
-    return (*found, *(Size(known[key], value, None) for key, value in alternative.scanned if not known[key].place))
+        estimated.append(EffectSize(known[key], float(block.values[row, column] - was), spread, seen))
+    return (
+        *estimated,
+        *(EffectSize(known[key], value, None) for key, value in alternative.scanned if not known[key].place),
+    )
 
 
 def extended_fit(job: AdjustedJob, names: Sequence[IdentifiedEffect], kept: Mapping[str, Mask]) -> AdjustedJob | None:
@@ -115,12 +118,12 @@ def result_changes(
     """
     if fit is None or len(names) > _MOST_ADJUSTED:
         return [None] * len(names)
-    found: list[float | None] = []
+    changes: list[float | None] = []
     for name in names:
         others = [other for other in names if other is not name]
         without = extended_fit(job, others, kept) if others else _without_names(job, kept)
-        found.append(None if without is None else result_change(without, fit))
-    return found
+        changes.append(None if without is None else result_change(without, fit))
+    return changes
 
 
 def _without_names(job: AdjustedJob, kept: Mapping[str, Mask]) -> AdjustedJob | None:
@@ -140,14 +143,14 @@ def relinearised(job: AdjustedJob, names: Sequence[IdentifiedEffect], adjusted: 
     model, added = job.model, adjusted.model.added[len(job.model.added) :]
     moved = {key: _without(block, adjusted.model.blocks[key], added) for key, block in model.blocks.items()}
     model, standing = model.with_blocks(moved), []
-    for name, one in zip(names, added, strict=True):
-        if one.effect.link is not None:
+    for name, extra in zip(names, added, strict=True):
+        if extra.effect.link is not None:
             continue
-        block, row = _row(adjusted.model, one, name)
+        block, row = _row(adjusted.model, extra, name)
         before, parameters = job.model.blocks[block.name], name.alternative.parameters
         sizes = {key: float(block.values[row, block.column(key)]) - _value(before, row, key) for key in parameters}
-        model = with_effect(model, one.effect, [name.alternative.instance], sizes)
-        standing.append(Standing(one.effect, name.alternative.instance, tuple(sizes.values())))
+        model = with_effect(model, extra.effect, [name.alternative.instance], sizes)
+        standing.append(Standing(extra.effect, name.alternative.instance, tuple(sizes.values())))
     spots = frozenset(name.alternative.spot for name in names)
     return replace(job, model=model, adjusted=spots, standing=tuple(standing))
 
@@ -155,9 +158,9 @@ def relinearised(job: AdjustedJob, names: Sequence[IdentifiedEffect], adjusted: 
 def _without(block: Block, adjusted: Block, added: Sequence[Added]) -> Block:
     """Return a block at adjusted values, except for columns that were freed in it."""
     values = adjusted.values[:, : block.size].copy()
-    for one in added:
-        if one.block == block.name:
-            freed = [block.column(column) for column in one.columns if column in block.columns]
+    for extra in added:
+        if extra.block == block.name:
+            freed = [block.column(column) for column in extra.columns if column in block.columns]
             values[:, freed] = np.where(block.free[:, freed], values[:, freed], block.values[:, freed])
     return block.with_values(values)
 
@@ -168,12 +171,12 @@ def _value(block: Block, row: int, key: str) -> float:
 
 def readings_kept(state: State) -> dict[str, Mask]:
     """Return for each group a mask of the readings that are not wrong in any component."""
-    m, found = state.measurement, dict[str, Mask]()
+    m, kept = state.measurement, dict[str, Mask]()
     wrong = np.zeros(m.system.rows, dtype=bool)
-    for one in state.readings:
-        wrong[m.places[one.number][m.places[one.number] >= 0]] = True
+    for part in state.readings:
+        wrong[m.places[part.number][m.places[part.number] >= 0]] = True
     for group in m.job.model.readings:
         d, n = group.observations.readings.shape
         start = m.system.first[group.name]
-        found[group.name] = np.asarray(~wrong[start : start + n * d].reshape(n, d).any(axis=1))
-    return found
+        kept[group.name] = np.asarray(~wrong[start : start + n * d].reshape(n, d).any(axis=1))
+    return kept

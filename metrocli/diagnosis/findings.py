@@ -7,14 +7,14 @@ from enum import StrEnum
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
-from metrocli.diagnosis.detectability import Design
+from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
-from metrocli.diagnosis.extended_fit import Size
+from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.projection import READING
 from metrocli.diagnosis.mistakes import Mistaken
-from metrocli.diagnosis.noise import Noise, Unit
+from metrocli.diagnosis.noise import NoiseRatio, VarianceGroup
 from metrocli.diagnosis.residual_structure import PureError, RemainingStructure
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.effects.effect import Effect
@@ -91,7 +91,7 @@ class Finding:
     """One effect that was identified."""
 
     effect: IdentifiedEffect
-    sizes: tuple[Size, ...]
+    sizes: tuple[EffectSize, ...]
     gain: Gain
     shift: float
     """Largest change of the delivered result by it"""
@@ -108,7 +108,7 @@ class Finding:
     @property
     def instead(self) -> tuple[str, ...]:
         """What explains the readings as well, in words."""
-        return (*(str(one.alternative) for one in self.effect.rivals), *map(str, self.noise))
+        return (*(str(rival.alternative) for rival in self.effect.rivals), *map(str, self.noise))
 
 
 @dataclass(frozen=True)
@@ -116,8 +116,8 @@ class Diagnosis:
     """The findings about the model of a job."""
 
     job: AdjustedJob
-    noise: Noise
-    noisier_units: tuple[Unit, ...]
+    noise: NoiseRatio
+    variance_groups: tuple[VarianceGroup, ...]
     outliers: tuple[Outlier, ...]
     findings: tuple[Finding, ...]
     left: RemainingStructure | None
@@ -125,7 +125,7 @@ class Diagnosis:
     """Significance level of the strongest structure before anything was named, counted over all that was tried"""
     after: float
     """Significance level of the strongest smooth structure left"""
-    design: Design
+    design: Detectability
     separate_by: tuple[str, ...]
     adjusts: bool = True
     """Whether the job can be adjusted with the named effects"""
@@ -141,7 +141,7 @@ class Diagnosis:
     """Effects that held-out readings do not confirm; they are not in the model"""
     laws: tuple[Law, ...] = ()
     """The simplest sums of terms that explain what no effect does, one for each number of terms"""
-    processes: tuple[CorrelatedError, ...] = ()
+    correlated_errors: tuple[CorrelatedError, ...] = ()
     """Smooth random errors that belong to the noise; all effects are found beside them"""
     limited: float | None = None
     """The limit of CPU time [s], if the search ended there"""
@@ -155,12 +155,12 @@ class Diagnosis:
     @property
     def identified(self) -> tuple[Finding | RandomEffect, ...]:
         """The effects, at one place or at all of theirs, the one with the largest held-out log score first."""
-        return tuple(sorted([*self.findings, *self.scatters], key=lambda one: -one.gain.log_score))
+        return tuple(sorted([*self.findings, *self.scatters], key=lambda effect: -effect.gain.log_score))
 
     @property
     def law(self) -> Law | None:
         """The law with the most evidence, if any predicts held-out readings better."""
-        return next((one for one in self.laws if one.chosen), None)
+        return next((law for law in self.laws if law.chosen), None)
 
     @property
     def gain(self) -> Gain | None:
@@ -189,6 +189,6 @@ class Diagnosis:
             return Verdict.UNEXPLAINED
         if not self.findings and not self.scatters:
             return Verdict.CLEAN
-        instead = [one.instead for one in self.findings] + [one.rivals for one in self.scatters]
-        confirmed = self.scatters or any(one.confirmed for one in self.findings)
+        instead = [finding.instead for finding in self.findings] + [scatter.rivals for scatter in self.scatters]
+        confirmed = self.scatters or any(finding.confirmed for finding in self.findings)
         return Verdict.INDISTINCT if any(instead) or not confirmed else Verdict.EXPLAINED

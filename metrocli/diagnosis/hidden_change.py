@@ -12,8 +12,8 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array, Space
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.linear.candidates import Alternative, Family
-from metrocli.diagnosis.linear.projection import FLAT, VISIBLE, System
+from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup
+from metrocli.diagnosis.linear.projection import FLAT, VISIBLE, Linearised
 from metrocli.frozen import dataclass
 
 _WEIGHTS = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.97)
@@ -39,7 +39,7 @@ _NOTHING = 1e-9
 
 
 @dataclass(frozen=True)
-class HiddenChange:
+class UndetectedBias:
     """The largest change of the delivered result that is not found with 95 % power, and the member it moves."""
 
     size: float
@@ -48,9 +48,9 @@ class HiddenChange:
     """Name of the member that moves most, such as the point"""
 
 
-def hidden_change(
-    job: AdjustedJob, system: System, family: Family, chosen: Sequence[int], gram: Array, reach: Array
-) -> HiddenChange:
+def undetected_bias(
+    job: AdjustedJob, system: Linearised, family: CandidateGroup, chosen: Sequence[int], gram: Array, reach: Array
+) -> UndetectedBias:
     """Return the largest change of a delivered member by undetected sizes theta of some alternatives of a family.
 
     theta is undetected while `theta' A theta < lambda s^2`, with its Gram matrix A = G'MG and, in `reach`[:, 0]
@@ -67,13 +67,19 @@ def hidden_change(
     return _at_member(job, *best)
 
 
-def forms_for(system: System, parameters: int) -> int:
+def forms_for(system: Linearised, parameters: int) -> int:
     """Return how many forms of an effect of so many parameters are looked at: fewer where there are many unknowns."""
     return max(_MOST_OF_FORMS // (system.layout.width * parameters), _FEWEST_FORMS)
 
 
 def _of_some(
-    job: AdjustedJob, system: System, family: Family, chosen: Sequence[int], gram: Array, reach: Array, least: float
+    job: AdjustedJob,
+    system: Linearised,
+    family: CandidateGroup,
+    chosen: Sequence[int],
+    gram: Array,
+    reach: Array,
+    least: float,
 ) -> tuple[float, int]:
     """Return the largest change by some alternatives, and its member; 0 if it is not above `least`."""
     at = list(chosen)
@@ -99,7 +105,7 @@ def _of_some(
     return max(best, _largest(squares[rest], wide, max(best[0], least)))
 
 
-def hidden_by_readings(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:
+def hidden_by_readings(job: AdjustedJob, system: Linearised, rows: Index, errors: Array) -> UndetectedBias:
     """Return the largest change of the delivered result by one of some errors of single rows, in their sigma."""
     if len(rows) * system.layout.width > _MOST_NUMBERS and system.is_local(job.delivered.block):
         return _of_own_members(job, system, rows, errors)
@@ -109,7 +115,9 @@ def hidden_by_readings(job: AdjustedJob, system: System, rows: Index, errors: Ar
     return _at_member(job, float(np.sqrt(squares[at])) if squares.size else 0.0, int(at[0]))
 
 
-def hidden_by_scatter(job: AdjustedJob, system: System, families: Sequence[Family], std: float) -> HiddenChange:
+def hidden_by_scatter(
+    job: AdjustedJob, system: Linearised, families: Sequence[CandidateGroup], std: float
+) -> UndetectedBias:
     """Return the change of the delivered result that sizes at all places, which scatter by `std`, exceed in 5 %.
 
     It is of the member, and along its direction, of the largest variance.
@@ -124,17 +132,17 @@ def hidden_by_scatter(job: AdjustedJob, system: System, families: Sequence[Famil
     return _at_member(job, _TWO_SIDED * std * float(np.sqrt(max(largest[best], 0.0))), best)
 
 
-def _of_own_members(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:
+def _of_own_members(job: AdjustedJob, system: Linearised, rows: Index, errors: Array) -> UndetectedBias:
     """Return the largest change of the member that a row concerns, such as its point: others move far less."""
     moved = system.solver.own_change(system.basis, rows)[:, list(job.delivered.columns)] * errors[:, None]
     sizes = np.linalg.norm(moved, axis=1)
     best = int(np.argmax(sizes))
-    return HiddenChange(
+    return UndetectedBias(
         float(sizes[best]), job.model.blocks[job.delivered.block].members[system.basis.member[rows[best]]]
     )
 
 
-def _plausible(alternative: Alternative) -> Array:
+def _plausible(alternative: Candidate) -> Array:
     """Return the largest usual size of each column of an alternative, (parameters,)."""
     effect = alternative.effect
     if effect.space is Space.WAVE:
@@ -145,30 +153,30 @@ def _plausible(alternative: Alternative) -> Array:
     return np.array([known[name] for name in alternative.parameters])
 
 
-def _shifts(job: AdjustedJob, system: System, absorbed: Array) -> Array:
+def _shifts(job: AdjustedJob, system: Linearised, absorbed: Array) -> Array:
     """Return the change of the delivered members by unit parameters, (members, columns, alternatives, parameters)."""
     change = system.solver.change(absorbed)
 
     def moved(name: str) -> Array:
         places = system.entries(name)[:, list(job.delivered.columns)]
-        found = change[np.maximum(places, 0)]
-        found[places < 0] = 0.0
-        return np.asarray(found)
+        shifts = change[np.maximum(places, 0)]
+        shifts[places < 0] = 0.0
+        return np.asarray(shifts)
 
     return job.delivered.of(moved)
 
 
-def _without_moves(job: AdjustedJob, alternatives: Sequence[Alternative], scale: Array, shift: Array) -> None:
+def _without_moves(job: AdjustedJob, alternatives: Sequence[Candidate], scale: Array, shift: Array) -> None:
     """Take off, in place, what effects move itself: a result that follows the move of a target has no error by it."""
-    for number, one in enumerate(alternatives):
-        moved = job.delivered.moved(one.effect, one.where)
+    for number, candidate in enumerate(alternatives):
+        moved = job.delivered.moved(candidate.effect, candidate.where)
         if moved is not None:
             moved = moved / scale[number]
             off = shift[:, :, number] - moved
             shift[:, :, number] = np.where(np.abs(off) < _FOLLOWS * np.abs(moved).max(), 0.0, off)
 
 
-def _is_rounding(system: System, shift: Array, scale: Array) -> Array:
+def _is_rounding(system: Linearised, shift: Array, scale: Array) -> Array:
     size = np.sqrt(np.einsum("mckq,mckq->kq", shift, shift))
     return np.asarray(size < _NOTHING * system.typical_scale * scale)
 
@@ -217,11 +225,11 @@ def _eigenvalues(squares: Array, root: Array) -> Array:
     return np.asarray(np.linalg.eigvalsh(root.T @ squares @ root)[:, -1])
 
 
-def _at_member(job: AdjustedJob, change: float, member: int) -> HiddenChange:
+def _at_member(job: AdjustedJob, change: float, member: int) -> UndetectedBias:
     """Return a change with the name of its member."""
     if change == 0:
-        return HiddenChange(0.0)
-    return HiddenChange(change, _name_of(job, member))
+        return UndetectedBias(0.0)
+    return UndetectedBias(change, _name_of(job, member))
 
 
 def _name_of(job: AdjustedJob, number: int) -> str:

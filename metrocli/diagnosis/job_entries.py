@@ -18,29 +18,29 @@ MODEL = "model"
 """Key beside the declared parts of a noise"""
 
 
-def declares(noise: Node | None, one: RandomEffect) -> bool:
+def declares(noise: Node | None, scatter: RandomEffect) -> bool:
     """Whether the noise of a job can declare a scatter: it has parts, and this part is a number or absent."""
-    key = one.effect.noise
+    key = scatter.effect.noise
     if not key or noise is None or noise.kind != "mapping":
         return False
     known = noise.get(key)
     return known is None or known.text != ESTIMATED
 
 
-def with_declared(noise: Node, one: RandomEffect) -> Node:
+def with_declared(noise: Node, scatter: RandomEffect) -> Node:
     """Return the noise of a job with a scatter beside what it declares, `sqrt(declared^2 + std^2)`."""
-    effect, known = one.effect, noise.get(one.effect.noise)
+    effect, known = scatter.effect, noise.get(scatter.effect.noise)
     before = parse_quantity(known.text, effect.parameters[0].dimension) if known is not None else 0.0
-    text = _size(effect.parameters[0], float(np.hypot(before, one.std)))
+    text = _size(effect.parameters[0], float(np.hypot(before, scatter.std)))
     plain = replace(noise, kind="scalar", entries=(), items=())
     kept = tuple(entry for entry in noise.entries if entry[0].text != effect.noise)
     return replace(noise, entries=(*kept, (replace(plain, text=effect.noise), replace(plain, text=text))))
 
 
-def scatter_as_job(one: RandomEffect) -> Mapping[str, str]:
+def scatter_as_job(scatter: RandomEffect) -> Mapping[str, str]:
     """Return the entry of an effect at all places of a kind in a job."""
-    effect = one.effect
-    return {"name": effect.name, "std": _size(effect.parameters[0], one.std)}
+    effect = scatter.effect
+    return {"name": effect.name, "std": _size(effect.parameters[0], scatter.std)}
 
 
 def proposed_noise(diagnosis: Diagnosis) -> str:
@@ -49,7 +49,7 @@ def proposed_noise(diagnosis: Diagnosis) -> str:
     Left are structure and smooth errors that count as noise: uncertainties for white noise include neither.
     """
     job = diagnosis.job
-    left = diagnosis.left is not None or diagnosis.processes
+    left = diagnosis.left is not None or diagnosis.correlated_errors
     return STRUCTURED if left and job.sharing >= FEWEST and job.noise_model != STRUCTURED else ""
 
 
@@ -58,11 +58,11 @@ def as_job(name: IdentifiedEffect) -> Mapping[str, str]:
     alternative = name.alternative
     effect = alternative.effect
     known = {p.name: p for p in effect.all_parameters}
-    found = {"name": effect.name, **dict(zip(effect.keys, alternative.instance, strict=True))}
+    entry = {"name": effect.name, **dict(zip(effect.keys, alternative.instance, strict=True))}
     if effect.by:
-        found["by"] = effect.by
+        entry["by"] = effect.by
     numbers = {key: _written(value, known[key].unit) for key, value in name.known.items() if not known[key].place}
-    return found | dict(alternative.named) | numbers
+    return entry | dict(alternative.named) | numbers
 
 
 def _size(parameter: Parameter, size: float) -> str:
@@ -81,7 +81,9 @@ def declared_noise(node: Node | None) -> str:
         return ""
     if node.kind == "scalar":
         return node.text
-    return ", ".join(filter(None, (_declared_part(key.text, one) for key, one in node.entries if key.text != MODEL)))
+    return ", ".join(
+        filter(None, (_declared_part(key.text, entry) for key, entry in node.entries if key.text != MODEL))
+    )
 
 
 def _declared_part(key: str, node: Node) -> str:
@@ -91,5 +93,5 @@ def _declared_part(key: str, node: Node) -> str:
 
 def model_of(node: Node | None) -> str:
     """Return `estimated` or `structured` if the job has it, alone or beside declared parts; else ''."""
-    found = node.get(MODEL) if node is not None and node.kind == "mapping" else node
-    return found.text if found is not None and found.text in FROM_RESIDUALS else ""
+    text = node.get(MODEL) if node is not None and node.kind == "mapping" else node
+    return text.text if text is not None and text.text in FROM_RESIDUALS else ""

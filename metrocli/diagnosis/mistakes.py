@@ -62,7 +62,7 @@ class Mistaken:
     mistakes: tuple[Mistake, ...]
     job: AdjustedJob
     before: float
-    """`strangeness` of the job with the mistake, inf if it failed"""
+    """`misfit_ratio` of the job with the mistake, inf if it failed"""
     after: float
 
 
@@ -126,7 +126,7 @@ def with_other_setting(job: AdjustedJob, others: Others) -> Mistaken | None:
     tried = [(_mean_square(other, size), mistake, other) for mistake, _, other in _tried(others(fits, hopeless))]
     if not tried:
         return None
-    after, mistake, other = min(tried, key=lambda one: one[0])
+    after, mistake, other = min(tried, key=lambda trial: trial[0])
     ratio = before / max(after, 1e-12)
     if ratio < _OTHER_FITS or f_tail(dof, dof, ratio) > _BY_CHANCE:
         return None
@@ -147,7 +147,7 @@ def _cannot_fit(begun: Callable[[], Model], size: Mapping[str, Array], most: flo
 def _mean_square(job: AdjustedJob, size: Mapping[str, Array]) -> float:
     """Return the mean square of the residuals of a job, each over the size of its component."""
     rows = [group.residuals(job.model.blocks) / size[group.name][:, None] for group in job.model.readings]
-    return float(np.mean(np.concatenate([one.ravel() for one in rows]) ** 2))
+    return float(np.mean(np.concatenate([row.ravel() for row in rows]) ** 2))
 
 
 def _redundant(job: AdjustedJob) -> int:
@@ -156,7 +156,7 @@ def _redundant(job: AdjustedJob) -> int:
     return max(rows - sum(int(block.free.sum()) for block in job.model.blocks.values()), 1)
 
 
-def strangeness(job: AdjustedJob) -> float:
+def misfit_ratio(job: AdjustedJob) -> float:
     """Return how far a job is beyond the plausible: by its median residual, or by its places compared with the files.
 
     Above 1 it is absurd.
@@ -194,9 +194,9 @@ def _tried(
         yield mistake, misfit, job
 
 
-def suspicious(sigma0: float, astray: float) -> bool:
+def suspicious(sigma0: float, list_offset: float) -> bool:
     """Return whether a result is so far from plausible that other readings of its files are worth a try."""
-    return sigma0 > ABSURD or astray > _SUSPECT_PLACES
+    return sigma0 > ABSURD or list_offset > _SUSPECT_PLACES
 
 
 def misread(
@@ -215,23 +215,23 @@ def misread(
         before = misfit_of(adjust(inputs))
         if before.residuals < 1 and before.places < _SUSPECT_PLACES:
             return None
-    found = [
+    misfits = [
         (misfit.worst, mistake, misfit)
         for mistake, misfit, job in _tried(_readings_of(inputs, adjust, others))
         if _explains(misfit, job)
     ]
     if before is not None:
-        found = [
-            one
-            for one in found
-            if before.ratio(one[2], one[1].shrinks) >= _FAR_BETTER
-            and one[0] <= 1
-            and not before.spoilt_alike(one[2], one[1].shrinks)
+        misfits = [
+            misfit
+            for misfit in misfits
+            if before.ratio(misfit[2], misfit[1].shrinks) >= _FAR_BETTER
+            and misfit[0] <= 1
+            and not before.spoilt_alike(misfit[2], misfit[1].shrinks)
         ]
-    if not found:
+    if not misfits:
         return None
-    (_, first, fits), *alike = _as_good(found)
-    rest = [f"{one.file or one.input}: {one.words}" for _, one, _ in alike]
+    (_, first, fits), *alike = _as_good(misfits)
+    rest = [f"{mistake.file or mistake.input}: {mistake.words}" for _, mistake, _ in alike]
     how = (
         f"read so, the job has a solution that fits, which it has not as it stands ({_first_line(failure)})"
         if before is None
@@ -244,8 +244,8 @@ def misread(
 def _as_good(tried: list[tuple[float, Mistake, T]]) -> list[tuple[float, Mistake, T]]:
     """Return the mistakes that explain a job about as well as the best one, those of the fewest columns first."""
     best = min(value for value, _, _ in tried)
-    alike = [one for one in tried if one[0] <= max(_AS_GOOD * best, _AS_GOOD / ABSURD)]
-    return sorted(alike, key=lambda one: (one[1].columns, one[0]))
+    alike = [trial for trial in tried if trial[0] <= max(_AS_GOOD * best, _AS_GOOD / ABSURD)]
+    return sorted(alike, key=lambda trial: (trial[1].columns, trial[0]))
 
 
 def _unexplained(failure: MetrocliError) -> bool:

@@ -13,7 +13,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.distributions import chi_interval
-from metrocli.diagnosis.linear.projection import FEWEST, READING, System
+from metrocli.diagnosis.linear.projection import FEWEST, READING, Linearised
 from metrocli.frozen import dataclass
 
 AS_OTHERS = 1.4
@@ -23,7 +23,7 @@ DECLARED_SIGMA = "given"
 
 
 @dataclass(frozen=True)
-class Noise:
+class NoiseRatio:
     """The noise of the readings relative to the declared one, with its 95 % interval."""
 
     ratio: float
@@ -39,7 +39,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Unit:
+class VarianceGroup:
     """A variance group: a part of the readings, or of the prior values, that has a noise of its own."""
 
     key: str
@@ -49,14 +49,14 @@ class Unit:
     """Ratio of its standard deviation to that of the others"""
 
 
-def noise_of(squares: float, dof: float) -> Noise:
+def noise_of(squares: float, dof: float) -> NoiseRatio:
     """Return the noise of some squares with degrees of freedom, with its 95 % interval (chi-squared)."""
     dof = max(dof, 1.0)
     low, high = chi_interval(squares, dof)
-    return Noise(float(np.sqrt(squares / dof)), low, high, dof)
+    return NoiseRatio(float(np.sqrt(squares / dof)), low, high, dof)
 
 
-def variance_groups(job: AdjustedJob, system: System) -> Iterator[tuple[str, str, Mask]]:
+def variance_groups(job: AdjustedJob, system: Linearised) -> Iterator[tuple[str, str, Mask]]:
     """Yield kind, name and rows of all parts of a measurement that may have a noise of their own."""
     for key in job.units:
         for name in job.model.places[key].names:
@@ -70,7 +70,7 @@ def variance_groups(job: AdjustedJob, system: System) -> Iterator[tuple[str, str
             yield DECLARED_SIGMA, group.name, system.rows_of(group)
 
 
-def weights_of(job: AdjustedJob, units: Sequence[Unit]) -> Mapping[str, Array]:
+def weights_of(job: AdjustedJob, units: Sequence[VarianceGroup]) -> Mapping[str, Array]:
     """Return factors on whitened readings of each group that bring the noise of some units to that of the others."""
     weights: Mapping[str, Array] = {}
     for unit in units:
@@ -78,17 +78,17 @@ def weights_of(job: AdjustedJob, units: Sequence[Unit]) -> Mapping[str, Array]:
     return weights
 
 
-def _reweighted(job: AdjustedJob, weights: Mapping[str, Array], unit: Unit) -> dict[str, Array]:
+def _reweighted(job: AdjustedJob, weights: Mapping[str, Array], unit: VarianceGroup) -> dict[str, Array]:
     if unit.key in (DECLARED_SIGMA, READING):
         count = next(one.observations.count for one in job.model.groups if one.name == unit.name)
         return {**weights, unit.name: weights.get(unit.name, np.ones(count)) / unit.ratio}
     place = job.model.places[unit.key]
     number = place.names.index(unit.name)
-    found = dict(weights)
+    factors = dict(weights)
     for group in job.model.readings:
         factor = weights.get(group.name, np.ones(group.observations.count)).copy()
         index = group.observations.index.get(place.index)
         if index is not None:
             factor[index == number] /= unit.ratio
-        found[group.name] = factor
-    return found
+        factors[group.name] = factor
+    return factors

@@ -33,11 +33,11 @@ def is_dominated(state: State) -> bool:
     stops until the unknowns are adjusted with it.
     """
     m = state.measurement
-    new = [one for one in state.named if m.alternative(one.key).spot not in m.job.adjusted]
+    new = [part for part in state.named if m.alternative(part.key).spot not in m.job.adjusted]
     if not new or m.dof < _MANY:
         return False
-    old = [one for one in state.named if one not in new]
-    curved = any(m.alternative(one.key).effect.link is None for one in new)
+    old = [part for part in state.named if part not in new]
+    curved = any(m.alternative(part.key).effect.link is None for part in new)
     return State.of(m, old).variance > (_CURVED if curved else _DOMINANT) * State.of(m, state.named).variance
 
 

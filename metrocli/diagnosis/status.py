@@ -8,10 +8,10 @@ from typing import Any, Literal
 
 from metrocli import units
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
+from metrocli.diagnosis.detectability import Detectability, DetectableCandidate, WrongReading
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
-from metrocli.diagnosis.hidden_change import POWER, HiddenChange
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.hidden_change import POWER, UndetectedBias
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.power.average_power import ScatterCandidate
 from metrocli.effects.effect import Effect
 
@@ -39,7 +39,7 @@ _SMALLEST = 0.01
 """Smallest number to which a usual size with a unit of its own is converted"""
 
 
-def status(candidate: Candidate, named: Iterable[IdentifiedEffect], decided: bool = True) -> str:
+def status(candidate: DetectableCandidate, named: Iterable[IdentifiedEffect], decided: bool = True) -> str:
     """Return the status of a candidate; one in the confidence set of an identified effect counts as named.
 
     So does another form of a named cause only if it explains the readings as well. `decided` is whether the search came
@@ -55,12 +55,12 @@ def status(candidate: Candidate, named: Iterable[IdentifiedEffect], decided: boo
     return Status.EXCLUDED if seen else Status.CANNOT_SEE
 
 
-def excluded_above(candidate: Candidate) -> float:
+def excluded_above(candidate: DetectableCandidate) -> float:
     """Return the size above which an effect is excluded: the larger of that detected and its upper bound."""
     return max(candidate.detectable, candidate.upper)
 
 
-def is_swallowed(candidate: Candidate) -> bool:
+def is_swallowed(candidate: DetectableCandidate) -> bool:
     """Whether what was found besides the unknowns leaves too little of a signature to tell it apart."""
     return candidate.share < _SWALLOWED
 
@@ -86,16 +86,16 @@ def reason_of_scatter(candidate: ScatterCandidate, word: str) -> str:
     if word == Status.NOT_TESTABLE:
         return candidate.reason
     least = candidate.effect.parameters[0].sized(candidate.detectable)
-    said = "excluded above" if word == Status.EXCLUDED else "detected from"
-    return f"{said} a standard deviation of {least}"
+    message = "excluded above" if word == Status.EXCLUDED else "detected from"
+    return f"{message} a standard deviation of {least}"
 
 
-def _claims(name: IdentifiedEffect, alternative: Alternative) -> bool:
+def _claims(name: IdentifiedEffect, alternative: Candidate) -> bool:
     own = {name.alternative.form, *(other.alternative.form for other in name.forms)}
     return alternative.form in own or alternative.spot in spots(name) - {name.alternative.spot}
 
 
-def usual_seen(candidate: Candidate) -> bool | Literal["part"] | None:
+def usual_seen(candidate: DetectableCandidate) -> bool | Literal["part"] | None:
     """Return whether effects of usual sizes are detected; None if the usual sizes are not known."""
     usual = candidate.alternative.effect.usual_sizes
     if usual is None:
@@ -105,13 +105,13 @@ def usual_seen(candidate: Candidate) -> bool | Literal["part"] | None:
     return "part" if candidate.detectable <= usual[1] else False
 
 
-def reason(candidate: Candidate, word: str, structure: Sequence[str] = ()) -> str:
+def reason(candidate: DetectableCandidate, word: str, structure: Sequence[str] = ()) -> str:
     """Return the reason for a candidate's status, in words; `structure` are the covariates of correlated errors."""
     effect = candidate.alternative.effect
     parameter = effect.parameters[0]
     plausible, at = parameter.readable(candidate.plausible)
     if word == Status.NOT_TESTABLE:
-        return f"absorbed by {', '.join(candidate.absorbed_by)}; `hides` is for {plausible:.3g} {at}".rstrip()
+        return f"absorbed by {', '.join(candidate.absorbed_by)}; `undetected` is for {plausible:.3g} {at}".rstrip()
     if word == Status.NOT_DECIDED:
         return "the search ended before this was decided"
     size, unit = parameter.readable(excluded_above(candidate))
@@ -122,20 +122,20 @@ def reason(candidate: Candidate, word: str, structure: Sequence[str] = ()) -> st
         name = effect.scanned[0].name
         return f"missed between values of {name}, which are further apart than the readings tell: scan a smaller range"
     if word == Status.CANNOT_SEE:
-        hides = f"`hides` is for {parameter.sized(candidate.assumed)}"
+        hides = f"`undetected` is for {parameter.sized(candidate.assumed)}"
         return f"detected from {f'{size:.3g} {unit}'.strip()} on; {seen_in_words(candidate)}; {hides}"
     return "" if word == Status.NAMED else f"excluded above {f'{size:.3g} {unit}'.strip()}; {seen_in_words(candidate)}"
 
 
-def seen_in_words(candidate: Candidate) -> str:
+def seen_in_words(candidate: DetectableCandidate) -> str:
     """Return in words how far the usual sizes of a candidate are detected."""
     usual = candidate.alternative.effect.usual
     if not usual:
         size, unit = candidate.alternative.effect.parameters[0].readable(candidate.plausible)
         return f"larger than {f'{size:.3g} {unit}'.strip()} is not plausible"
-    found = {True: "are", "part": "are in part", False: "are not"}[usual_seen(candidate) or False]
+    verb = {True: "are", "part": "are in part", False: "are not"}[usual_seen(candidate) or False]
     least = candidate.detectable if candidate.testable else candidate.plausible
-    return f"usual sizes ({usual_beside(candidate.alternative.effect, least)}) {found} seen"
+    return f"usual sizes ({usual_beside(candidate.alternative.effect, least)}) {verb} seen"
 
 
 def usual_beside(effect: Effect, size: float) -> str:
@@ -146,13 +146,15 @@ def usual_beside(effect: Effect, size: float) -> str:
     if effect.usual_sizes is None:
         return ""
     dimension, unit = effect.parameters[0].dimension, effect.parameters[0].readable(size)[1]
-    low, high = (units.find_unit(unit, dimension).outside(one) if dimension else one for one in effect.usual_sizes)
+    low, high = (
+        units.find_unit(unit, dimension).outside(usual) if dimension else usual for usual in effect.usual_sizes
+    )
     if low < _SMALLEST and " " in effect.usual.partition(" to ")[0]:
         return effect.usual
     return f"{units.two_digits(low)} to {units.two_digits(high)} {'' if unit == '1' else unit}".strip()
 
 
-def _hides(job: AdjustedJob, hidden: HiddenChange) -> dict[str, Any]:
+def _hides(job: AdjustedJob, hidden: UndetectedBias) -> dict[str, Any]:
     return delivered(job, hidden.size) | {"where": hidden.member, "power": POWER}
 
 
@@ -164,54 +166,56 @@ def delivered(job: AdjustedJob, value: float) -> dict[str, Any]:
 
 def candidates(
     job: AdjustedJob,
-    design: Design,
+    design: Detectability,
     named: Iterable[IdentifiedEffect],
     scattered: Sequence[str] = (),
     decided: bool = True,
 ) -> list[dict[str, Any]]:
     """Return all candidates as plain data, tested or not; `scattered` are the effects named at all places."""
     names = list(named)
-    words = ((one, status(one, names, decided)) for one in design.candidates)
+    words = ((candidate, status(candidate, names, decided)) for candidate in design.candidates)
     tested = [_candidate(job, candidate, word, design.structure) for candidate, word in words]
-    readings = [_wrong_reading(job, one) for one in design.readings]
-    missing = [_open(one.effect, one.where, Status.NOT_TESTED, one.reason) for one in design.not_tested]
-    return tested + [_throughout(job, one, scattered) for one in design.scatters] + readings + missing
+    readings = [_wrong_reading(job, reading) for reading in design.readings]
+    missing = [
+        _open(untested.effect, untested.where, Status.NOT_TESTED, untested.reason) for untested in design.not_tested
+    ]
+    return tested + [_throughout(job, scatter, scattered) for scatter in design.scatters] + readings + missing
 
 
-def _throughout(job: AdjustedJob, one: ScatterCandidate, scattered: Sequence[str]) -> dict[str, Any]:
-    word = status_of_scatter(one, scattered)
-    found = _open(one.effect, {}, word, reason_of_scatter(one, word))
-    if not one.testable:
-        return found
-    least = {"value": one.detectable, "unit": one.effect.parameters[0].unit}
-    return found | {"minimal_detectable": least, "above": least, "hides": _hides(job, one.hides)}
+def _throughout(job: AdjustedJob, scatter: ScatterCandidate, scattered: Sequence[str]) -> dict[str, Any]:
+    word = status_of_scatter(scatter, scattered)
+    entry = _open(scatter.effect, {}, word, reason_of_scatter(scatter, word))
+    if not scatter.testable:
+        return entry
+    least = {"value": scatter.detectable, "unit": scatter.effect.parameters[0].unit}
+    return entry | {"minimal_detectable": least, "above": least, "hides": _hides(job, scatter.undetected)}
 
 
-def _wrong_reading(job: AdjustedJob, one: WrongReading) -> dict[str, Any]:
-    unchecked = f"; {one.unchecked} readings cannot be checked" if one.unchecked else ""
-    if not one.testable:
-        return _open(one.effect, {}, Status.NOT_TESTABLE, UNCHECKED)
+def _wrong_reading(job: AdjustedJob, reading: WrongReading) -> dict[str, Any]:
+    unchecked = f"; {reading.unchecked} readings cannot be checked" if reading.unchecked else ""
+    if not reading.testable:
+        return _open(reading.effect, {}, Status.NOT_TESTABLE, UNCHECKED)
     words = (
         "wrong readings are listed as outliers; minimal_detectable is that of the median reading, above that of the "
     )
     words += f"one that is checked least{unchecked}"
-    return _open(one.effect, {}, Status.EXCLUDED, words) | {
-        "minimal_detectable": {"value": one.detectable, "unit": one.effect.parameters[0].unit},
-        "above": {"value": one.between[1], "unit": one.effect.parameters[0].unit},
-        "hides": _hides(job, one.hides),
+    return _open(reading.effect, {}, Status.EXCLUDED, words) | {
+        "minimal_detectable": {"value": reading.detectable, "unit": reading.effect.parameters[0].unit},
+        "above": {"value": reading.between[1], "unit": reading.effect.parameters[0].unit},
+        "hides": _hides(job, reading.undetected),
     }
 
 
-def _candidate(job: AdjustedJob, candidate: Candidate, word: str, structure: Sequence[str]) -> dict[str, Any]:
+def _candidate(job: AdjustedJob, candidate: DetectableCandidate, word: str, structure: Sequence[str]) -> dict[str, Any]:
     own = candidate.alternative
     return _open(own.effect, own.where, word, reason(candidate, word, structure)) | {
         "visible_share": candidate.visible,
         **_sizes(candidate),
-        "hides": _hides(job, candidate.hides),
+        "hides": _hides(job, candidate.undetected),
     }
 
 
-def _sizes(candidate: Candidate) -> dict[str, Any]:
+def _sizes(candidate: DetectableCandidate) -> dict[str, Any]:
     """Return the size from which a candidate is excluded, and its usual sizes."""
     least = {"value": candidate.detectable, "unit": candidate.unit} if candidate.testable else None
     above = {"value": excluded_above(candidate), "unit": candidate.unit} if candidate.testable else None

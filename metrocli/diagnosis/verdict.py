@@ -12,13 +12,13 @@ from metrocli.adjust.clusters.robust import STRUCTURED
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.correlated_error import CorrelatedError
-from metrocli.diagnosis.detectability import Design
+from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
 from metrocli.diagnosis.evidence.identified import Rival
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
 from metrocli.diagnosis.laws.definition import written
 from metrocli.diagnosis.laws.search import Law
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.residual_structure import RemainingStructure
 from metrocli.diagnosis.status import candidates, delivered
@@ -35,7 +35,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             "ratio": noise.ratio,
             "interval": [noise.low, noise.high],
             "as_declared": noise.as_declared,
-            "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.noisier_units],
+            "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.variance_groups],
             "repeats": None if repeats is None else {"ratio": repeats.ratio, "lack_of_fit": repeats.lack_of_fit},
         },
         "part": _part(diagnosis.job),
@@ -43,22 +43,22 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
         "interrupted": diagnosis.interrupted,
         "quick": diagnosis.quick,
         "mistake": None if diagnosis.mistaken is None else _correction(diagnosis.mistaken),
-        "outliers": [_outlier(one) for one in diagnosis.outliers],
+        "outliers": [_outlier(outlier) for outlier in diagnosis.outliers],
         "effects": [
-            _effect(diagnosis.job, one) if isinstance(one, Finding) else _scatter(diagnosis.job, one)
-            for one in diagnosis.identified
+            _effect(diagnosis.job, effect) if isinstance(effect, Finding) else _scatter(diagnosis.job, effect)
+            for effect in diagnosis.identified
         ],
-        "unconfirmed": [asdict(one) for one in diagnosis.unconfirmed],
+        "unconfirmed": [asdict(unconfirmed) for unconfirmed in diagnosis.unconfirmed],
         "together": None if diagnosis.together is None else _gain(diagnosis.together, diagnosis.job),
         "structure": {"before": diagnosis.before, "after": diagnosis.after},
         "unexplained": None if left is None else _left(diagnosis.job, left),
-        "processes": [_process(diagnosis.job, one) for one in diagnosis.processes],
-        "laws": [_law(diagnosis.job, one) for one in diagnosis.laws],
+        "processes": [_process(diagnosis.job, error) for error in diagnosis.correlated_errors],
+        "laws": [_law(diagnosis.job, law) for law in diagnosis.laws],
         "candidates": candidates(
             diagnosis.job,
             diagnosis.design,
             [f.effect for f in diagnosis.findings],
-            [one.effect.name for one in diagnosis.scatters],
+            [scatter.effect.name for scatter in diagnosis.scatters],
             not diagnosis.ended_early,
         ),
         "alike": alike(diagnosis.design),
@@ -75,7 +75,7 @@ def _process(job: AdjustedJob, process: CorrelatedError) -> dict[str, Any]:
         "std": {"value": value, "std": std, "unit": symbol},
         "visible": process.visible,
         "p_value": float(np.exp(process.log_level)),
-        "instead_of": [{"name": one.effect.name, "where": _where(one)} for one in process.instead_of],
+        "instead_of": [{"name": candidate.effect.name, "where": _where(candidate)} for candidate in process.instead_of],
         "in_uncertainties": job.noise_model == STRUCTURED,
     }
 
@@ -95,7 +95,10 @@ def _law(job: AdjustedJob, law: Law) -> dict[str, Any]:
         "p_value": law.p_value,
         "gain": _gain(law.gain, job),
         "part_of_structure": law.part_of_structure,
-        "near": [{"name": one.effect.name, "where": _where(one), "correlation": cosine} for one, cosine in law.near],
+        "near": [
+            {"name": candidate.effect.name, "where": _where(candidate), "correlation": cosine}
+            for candidate, cosine in law.near
+        ],
         "chosen": law.chosen,
         "data": _shown(job, law) if law.chosen else None,
     }
@@ -103,17 +106,17 @@ def _law(job: AdjustedJob, law: Law) -> dict[str, Any]:
 
 def _shown(job: AdjustedJob, law: Law) -> dict[str, Any] | None:
     """Return a law at each reading, and the readings without it, over its variable."""
-    found = law.data
-    if found is None:
+    data = law.data
+    if data is None:
         return None
-    size, symbol = units.column_unit(float(np.abs(found.law).max()), found.adds_unit)
-    curve = found.curve and {"x": _short(found.curve[0]), "law": _short(found.curve[1] / size)}
+    size, symbol = units.column_unit(float(np.abs(data.law).max()), data.adds_unit)
+    curve = data.curve and {"x": _short(data.curve[0]), "law": _short(data.curve[1] / size)}
     return {
-        "variable": found.variable,
-        "variable_unit": found.unit,
-        "x": _short(found.x if found.variable else found.x / size),
-        "law": _short(found.law / size),
-        "residual": _short(found.residual / size),
+        "variable": data.variable,
+        "variable_unit": data.unit,
+        "x": _short(data.x if data.variable else data.x / size),
+        "law": _short(data.law / size),
+        "residual": _short(data.residual / size),
         "unit": symbol,
         "curve": curve,
     }
@@ -124,7 +127,7 @@ def _short(values: Array) -> list[float]:
     return [float(f"{value:.6g}") for value in values.tolist()]
 
 
-def design_data(job: AdjustedJob, design: Design) -> dict[str, Any]:
+def design_data(job: AdjustedJob, design: Detectability) -> dict[str, Any]:
     """Return what a measurement can detect, as plain data."""
     return {"part": _part(job), "candidates": candidates(job, design, []), "alike": alike(design)}
 
@@ -135,19 +138,22 @@ def _part(job: AdjustedJob) -> dict[str, Any] | None:
 
 def _correction(mistaken: Mistaken) -> dict[str, Any]:
     """Return the most likely mistake, what to write instead, and those that explain the job as well."""
-    found = [{"file": one.input, "what": one.words, "write": one.write} for one in mistaken.mistakes]
-    return found[0] | {"alternatives": found[1:]}
+    files = [{"file": mistake.input, "what": mistake.words, "write": mistake.write} for mistake in mistaken.mistakes]
+    return files[0] | {"alternatives": files[1:]}
 
 
 def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
     name, gain = finding.effect, finding.gain
-    units_of = {one.name: one.unit for one in name.alternative.effect.scanned}
+    units_of = {parameter.name: parameter.unit for parameter in name.alternative.effect.scanned}
     return {
         "name": name.alternative.effect.name,
         "where": _where(name.alternative),
         "parameters": _parameters(finding),
         "p_value": float(np.exp(name.log_level)),
-        "alternatives": [*map(_rival, name.rivals), *(asdict(one) | {"correlation": None} for one in finding.noise)],
+        "alternatives": [
+            *map(_rival, name.rivals),
+            *(asdict(noise) | {"correlation": None} for noise in finding.noise),
+        ],
         "by": name.alternative.effect.by or None,
         "forms": [{"by": form.alternative.effect.by, "odds": form.odds} for form in name.forms],
         "aliases": [
@@ -158,31 +164,31 @@ def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
     }
 
 
-def _outlier(one: Outlier) -> dict[str, Any]:
-    effects = [{"name": other.effect.name, "where": _where(other)} for other in one.effects]
+def _outlier(reading: Outlier) -> dict[str, Any]:
+    effects = [{"name": other.effect.name, "where": _where(other)} for other in reading.effects]
     return {
-        "observation": dict(one.keys),
-        "or": [dict(other) for other in one.others],
+        "observation": dict(reading.keys),
+        "or": [dict(other) for other in reading.others],
         "or_effects": effects,
-        "w": one.test,
+        "w": reading.test,
     }
 
 
-def _scatter(job: AdjustedJob, one: RandomEffect) -> dict[str, Any]:
+def _scatter(job: AdjustedJob, scatter: RandomEffect) -> dict[str, Any]:
     """Return an effect at all places of a kind: one entry without a place, with the standard deviation of its sizes."""
-    effect = one.effect
+    effect = scatter.effect
     return {
         "name": effect.name,
         "where": {},
-        "parameters": {"std": {"value": one.std, "std": one.spread, "unit": effect.parameters[0].unit}},
-        "p_value": float(np.exp(one.log_level)),
-        "alternatives": [asdict(rival) for rival in one.rivals],
+        "parameters": {"std": {"value": scatter.std, "std": scatter.spread, "unit": effect.parameters[0].unit}},
+        "p_value": float(np.exp(scatter.log_level)),
+        "alternatives": [asdict(rival) for rival in scatter.rivals],
         "other_shape_from": None,
-        "gain": _gain(one.gain, job) | {"result_shift": delivered(job, one.shift)},
+        "gain": _gain(scatter.gain, job) | {"result_shift": delivered(job, scatter.shift)},
     }
 
 
-def _where(alternative: Alternative) -> dict[str, str]:
+def _where(alternative: Candidate) -> dict[str, str]:
     return alternative.where | dict(alternative.named)
 
 
@@ -229,7 +235,7 @@ def _rival(rival: Rival) -> dict[str, Any]:
     }
 
 
-def alike(design: Design) -> list[dict[str, Any]]:
+def alike(design: Detectability) -> list[dict[str, Any]]:
     """Return the pairs of candidates that are hard to distinguish."""
     return [
         {

@@ -15,7 +15,7 @@ from metrocli.adjust.robust import as_likely
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.frozen import dataclass
 
 Places = Mapping[frozenset[tuple[str, str]], list[tuple[int, int]]]
@@ -30,24 +30,24 @@ class Outlier:
     """Its error in standard deviations, with all other findings in the model"""
     others: tuple[Mapping[str, str], ...] = ()
     """Readings whose error would explain the misfit about as well, the likeliest first"""
-    effects: tuple[Alternative, ...] = ()
+    effects: tuple[Candidate, ...] = ()
     """Effects at the place of the reading, such as a bad pose, that would explain it about as well"""
 
 
 def wrong_readings(state: State) -> tuple[Outlier, ...]:
     """Return the wrong readings of a state, the largest first, each with the test of it beside all else."""
     places = _places(state.measurement) if state.readings else {}
-    return tuple(sorted((_outlier(state, one, places) for one in state.readings), key=lambda one: -one.test))
+    return tuple(sorted((_outlier(state, part, places) for part in state.readings), key=lambda outlier: -outlier.test))
 
 
-def _outlier(state: State, one: Fixed, places: Places) -> Outlier:
+def _outlier(state: State, part: Fixed, places: Places) -> Outlier:
     """Return a wrong reading with what would explain as much, beside all else."""
-    m, taken = state.measurement, state.taken_by(one)
-    keys, variance = m.keys_of(one.number), state.variance
+    m, taken = state.measurement, state.taken_by(part)
+    keys, variance = m.keys_of(part.number), state.variance
     _, rank, explained = state.of_readings(taken)
     # an error of several components can always explain more: only readings of its rank compare
-    squares = np.where(rank == rank[one.number], explained, 0.0) / variance
-    own = float(squares[one.number])
+    squares = np.where(rank == rank[part.number], explained, 0.0) / variance
+    own = float(squares[part.number])
     known = {other.number for other in state.readings}
     rivals = [at for at in np.flatnonzero(as_likely(np.minimum(squares, own))).tolist() if at not in known]
     rivals.sort(key=lambda at: -squares[at])
@@ -58,17 +58,17 @@ def _outlier(state: State, one: Fixed, places: Places) -> Outlier:
 
 def _places(m: Measurement) -> Places:
     """Return the alternatives of each place: family and number, by the names of what they act on."""
-    found: dict[frozenset[tuple[str, str]], list[tuple[int, int]]] = {}
-    for family, one in enumerate(m.families):
-        for number, alternative in enumerate(() if one.unknown else one.alternatives):
+    places: dict[frozenset[tuple[str, str]], list[tuple[int, int]]] = {}
+    for family, candidates in enumerate(m.families):
+        for number, alternative in enumerate(() if candidates.unknown else candidates.alternatives):
             place = zip(alternative.effect.keys, alternative.instance, strict=True)
-            found.setdefault(frozenset(place), []).append((family, number))
-    return found
+            places.setdefault(frozenset(place), []).append((family, number))
+    return places
 
 
 def _at_its_place(
     state: State, taken: Array, places: Places, keys: Mapping[str, str], own: float
-) -> Iterator[Alternative]:
+) -> Iterator[Candidate]:
     """Yield the best form of each effect at the place of a reading that explains as much as the error of the reading.
 
     Where it also changes other readings, these contradict it unless they are much less certain.

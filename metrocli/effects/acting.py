@@ -8,14 +8,14 @@ from functools import partial
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.expressions.dimensions import Compound, base_unit
 from metrocli.frozen import dataclass
 
-Evaluate = Callable[[Array, Local], Step]
+Evaluate = Callable[[Array, LinkContext], Step]
 """Returns a variable (1, n) at the quantity's value (in, n), with its derivatives as a link has them"""
 NOMINAL = ("X", "Y", "Z")
 """Conditions: nominal coordinates of the point of a reading (`Model.nominal`)"""
@@ -102,7 +102,7 @@ class Acting:
 def condition(name: str, unit: str, key: str, *needs: str) -> Variable:
     """Return a variable that is a condition of the readings, a constant of the adjustment."""
 
-    def at(value: Array, local: Local) -> Step:
+    def at(value: Array, local: LinkContext) -> Step:
         return Step(local.observations.conditions[key][None])
 
     return Variable(name, unit, at, needs=needs or (key,))
@@ -111,7 +111,7 @@ def condition(name: str, unit: str, key: str, *needs: str) -> Variable:
 def measured(name: str, heading: str, unit: Compound) -> Variable:
     """Return a variable that is a column of the data, by its heading and its unit; its value is in base units."""
 
-    def at(value: Array, local: Local) -> Step:
+    def at(value: Array, local: LinkContext) -> Step:
         return Step(unit.factor * local.observations.conditions[heading][None])
 
     text = "K" if unit.point else unit.text
@@ -121,7 +121,7 @@ def measured(name: str, heading: str, unit: Compound) -> Variable:
 def component(name: str, unit: str, number: int) -> Variable:
     """Return the variable that is one component of the quantity itself."""
 
-    def at(value: Array, local: Local) -> Step:
+    def at(value: Array, local: LinkContext) -> Step:
         by_input = np.zeros((1, len(value), 1))
         by_input[0, number] = 1.0
         return Step(value[number : number + 1], by_input)
@@ -151,7 +151,7 @@ def of_pair(pair: str) -> tuple[Variable, ...]:
     return tuple(condition(name, "mm", axis.upper(), "X") for name, axis in zip(("first", "second"), pair, strict=True))
 
 
-def _beam(start: str, value: Array, local: Local) -> Array:
+def _beam(start: str, value: Array, local: LinkContext) -> Array:
     """Return the vector (3, n) from the origin, or from the place in the first columns of a block."""
     return value - (local.rows(start)[:3] if start else 0.0)
 
@@ -170,7 +170,7 @@ def _polar(beam: Array, what: str) -> tuple[Array, Array]:
     return distance, beam / distance
 
 
-def _seen_from(start: str, what: str, value: Array, local: Local) -> Step:
+def _seen_from(start: str, what: str, value: Array, local: LinkContext) -> Step:
     polar, by_beam = _polar(_beam(start, value, local), what)
     by_block = {}
     if start:
@@ -190,7 +190,7 @@ def seen_from(start: str = "", names: Sequence[str] = ("distance", "azimuth", "e
     return tuple(Variable(name, units[name], partial(_seen_from, start, name), blocks) for name in names)
 
 
-def _along_beam(start: str, number: int, value: Array, local: Local) -> Step:
+def _along_beam(start: str, number: int, value: Array, local: LinkContext) -> Step:
     by_input = np.zeros((1, 3, 1))
     by_input[0, number] = 1.0
     by_start = np.zeros((1, local.blocks[start].size, 1))

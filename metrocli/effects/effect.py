@@ -13,7 +13,7 @@ from metrocli.adjust.model.chain import Link
 from metrocli.arrays import Array
 from metrocli.expressions.written import OfUnit
 from metrocli.frozen import dataclass
-from metrocli.settings import Number, Quantity, Spec, Text
+from metrocli.settings import Number, Spec, Text, WithUnit
 from metrocli.units import parse_quantity
 
 ELAPSED, WARMING = "elapsed", "warming"
@@ -75,7 +75,7 @@ class Parameter:
             return Text()
         if self.base:
             return OfUnit(self.base)
-        return Quantity(self.dimension) if self.dimension else Number()
+        return WithUnit(self.dimension) if self.dimension else Number()
 
     @property
     def unit(self) -> str:

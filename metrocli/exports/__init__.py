@@ -24,7 +24,7 @@ Exported = Mapping[str, "Table | str"]
 
 
 @dataclass(frozen=True)
-class Format:
+class ExportFormat:
     """Name of the module of a format, and its summary for the help; the module is imported only when it is used."""
 
     module: str
@@ -37,19 +37,21 @@ class Format:
     """Whether it takes the largest difference [px] of a camera that its models can only approach"""
 
 
-FORMATS: dict[str, Format] = {
-    "csv": Format("metrocli.exports.csv_errors", "each table of the result, with units in the header"),
-    "siemens-lec": Format("metrocli.exports.siemens_lec", "positioning errors for $AA_ENC_COMP"),
-    "siemens-cec": Format("metrocli.exports.siemens_cec", "all other errors for $AN_CEC, with multiplied tables"),
-    "heidenhain": Format("metrocli.exports.heidenhain", "tables .COM and .CMA"),
-    "fanuc": Format("metrocli.exports.fanuc", "increments of pitch error compensation"),
-    "linuxcnc": Format("metrocli.exports.linuxcnc", "COMP_FILE of each joint"),
-    "isg-csv": Format("metrocli.exports.isg_csv", "volumetric compensation of ISG and Beckhoff"),
-    "kinematics": Format("metrocli.exports.pivots", "lines of rotary axes, with a test move", function="kinematics"),
-    "siemens-trafo5": Format("metrocli.exports.pivots", "5-axis transformation", function="siemens_trafo5"),
-    "etalon": Format("metrocli.exports.volumetric", "Etalon exchange format"),
+FORMATS: dict[str, ExportFormat] = {
+    "csv": ExportFormat("metrocli.exports.csv_errors", "each table of the result, with units in the header"),
+    "siemens-lec": ExportFormat("metrocli.exports.siemens_lec", "positioning errors for $AA_ENC_COMP"),
+    "siemens-cec": ExportFormat("metrocli.exports.siemens_cec", "all other errors for $AN_CEC, with multiplied tables"),
+    "heidenhain": ExportFormat("metrocli.exports.heidenhain", "tables .COM and .CMA"),
+    "fanuc": ExportFormat("metrocli.exports.fanuc", "increments of pitch error compensation"),
+    "linuxcnc": ExportFormat("metrocli.exports.linuxcnc", "COMP_FILE of each joint"),
+    "isg-csv": ExportFormat("metrocli.exports.isg_csv", "volumetric compensation of ISG and Beckhoff"),
+    "kinematics": ExportFormat(
+        "metrocli.exports.pivots", "lines of rotary axes, with a test move", function="kinematics"
+    ),
+    "siemens-trafo5": ExportFormat("metrocli.exports.pivots", "5-axis transformation", function="siemens_trafo5"),
+    "etalon": ExportFormat("metrocli.exports.volumetric", "Etalon exchange format"),
     **{
-        name: Format("metrocli.exports.camera_models", f"camera of {program}", function=name, nearest=True)
+        name: ExportFormat("metrocli.exports.camera_models", f"camera of {program}", function=name, nearest=True)
         for name, program in (
             ("opencv", "OpenCV (YAML)"),
             ("ros", "ROS (camera_info)"),
@@ -60,9 +62,9 @@ FORMATS: dict[str, Format] = {
             ("matlab", "MATLAB (cameraIntrinsics)"),
         )
     },
-    "opencv-yaml": Format("metrocli.exports.camera_models", "same as opencv", function="opencv", nearest=True),
-    "sa-ascii": Format("metrocli.exports.sa_ascii", "points for SpatialAnalyzer"),
-    "dcc": Format("metrocli.exports.dcc", "Digital Calibration Certificate of PTB (XML)", recorded=True),
+    "opencv-yaml": ExportFormat("metrocli.exports.camera_models", "same as opencv", function="opencv", nearest=True),
+    "sa-ascii": ExportFormat("metrocli.exports.sa_ascii", "points for SpatialAnalyzer"),
+    "dcc": ExportFormat("metrocli.exports.dcc", "Digital Calibration Certificate of PTB (XML)", recorded=True),
 }
 
 

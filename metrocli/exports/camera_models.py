@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.arrays import Array
-from metrocli.exports.expressed_cameras import Camera, expressed
+from metrocli.exports.expressed_cameras import ExpressedCamera, expressed
 from metrocli.geometry.rotations import vector_from_rotation
 from metrocli.result import Result
 from metrocli.units import find_unit
@@ -27,10 +27,10 @@ def opencv(result: Result, within: float) -> dict[str, str]:
 
     Of several cameras each has R and T [mm] of cv::stereoCalibrate, from the frame of the first.
     """
-    return {one.file("opencv.yml"): _of_opencv(one) for one in expressed("opencv", result, within, posed=True)}
+    return {camera.file("opencv.yml"): _of_opencv(camera) for camera in expressed("opencv", result, within, posed=True)}
 
 
-def _of_opencv(camera: Camera) -> str:
+def _of_opencv(camera: ExpressedCamera) -> str:
     def stored(name: str, rows: int, columns: int, values: Sequence[float]) -> list[str]:
         head = f"{name}: !!opencv-matrix"
         return [head, f"   rows: {rows}", f"   cols: {columns}", "   dt: d", f"   data: [ {_row(values)} ]"]
@@ -46,10 +46,10 @@ def _of_opencv(camera: Camera) -> str:
 
 def ros(result: Result, within: float) -> dict[str, str]:
     """Return the YAML of ROS camera_calibration (sensor_msgs/CameraInfo)."""
-    return {one.file("ros.yaml"): _of_ros(one) for one in expressed("ros", result, within)}
+    return {camera.file("ros.yaml"): _of_ros(camera) for camera in expressed("ros", result, within)}
 
 
-def _of_ros(camera: Camera) -> str:
+def _of_ros(camera: ExpressedCamera) -> str:
     fx, fy, cx, cy = camera.intrinsics
 
     def matrix(name: str, rows: int, columns: int, values: Sequence[float]) -> list[str]:
@@ -64,7 +64,7 @@ def _of_ros(camera: Camera) -> str:
     return camera.commented(lines)
 
 
-def _all_noted(cameras: Sequence[Camera], lines: Iterable[str]) -> str:
+def _all_noted(cameras: Sequence[ExpressedCamera], lines: Iterable[str]) -> str:
     """Return the text of lines behind the notes of all cameras."""
     notes = [f"{camera.name}: {note}" if camera.name else note for camera in cameras for note in camera.notes]
     return replace(cameras[0], notes=tuple(notes)).commented(lines)
@@ -112,7 +112,7 @@ def kalibr(result: Result, within: float) -> dict[str, str]:
         ]
         here = np.eye(4)
         here[:3, :3], shift = camera.from_first
-        here[:3, 3] = [metre.outside(one) for one in shift.tolist()]
+        here[:3, 3] = [metre.outside(coordinate) for coordinate in shift.tolist()]
         if number:
             step = here @ np.linalg.inv(before)
             lines += ["  T_cn_cnm1:", *(f"  - [{_row(row)}]" for row in step.tolist())]
@@ -122,13 +122,16 @@ def kalibr(result: Result, within: float) -> dict[str, str]:
 
 def mrcal(result: Result, within: float) -> dict[str, str]:
     """Return a camera model of mrcal, each of several with its extrinsics [m] from the frame of the first."""
-    return {one.file("camera.cameramodel"): _of_mrcal(one) for one in expressed("mrcal", result, within, posed=True)}
+    return {
+        camera.file("camera.cameramodel"): _of_mrcal(camera)
+        for camera in expressed("mrcal", result, within, posed=True)
+    }
 
 
-def _of_mrcal(camera: Camera) -> str:
+def _of_mrcal(camera: ExpressedCamera) -> str:
     turn, shift = camera.from_first
     metre = find_unit("m", "length")
-    place = [*vector_from_rotation(turn).tolist(), *(metre.outside(one) for one in shift.tolist())]
+    place = [*vector_from_rotation(turn).tolist(), *(metre.outside(coordinate) for coordinate in shift.tolist())]
     lines = [
         "{",
         f"    'lensmodel': '{camera.form.name}',",
@@ -145,10 +148,10 @@ def metashape(result: Result, within: float) -> dict[str, str]:
 
     Its p1, p2 are OpenCV's p2, p1.
     """
-    return {one.file("metashape.xml"): _of_metashape(one) for one in expressed("metashape", result, within)}
+    return {camera.file("metashape.xml"): _of_metashape(camera) for camera in expressed("metashape", result, within)}
 
 
-def _of_metashape(camera: Camera) -> str:
+def _of_metashape(camera: ExpressedCamera) -> str:
     fx, fy, cx, cy = camera.intrinsics
     values = {**camera.values, "f": fy, "b1": fx - fy, "b2": fx * camera.values["skew"]}
     values |= {"cx": cx - camera.size[0] / 2, "cy": cy - camera.size[1] / 2}
@@ -163,10 +166,10 @@ def _of_metashape(camera: Camera) -> str:
 
 def matlab(result: Result, within: float) -> dict[str, str]:
     """Return a script of MATLAB's Computer Vision Toolbox that makes a cameraIntrinsics."""
-    return {one.file("camera.m"): _of_matlab(one) for one in expressed("matlab", result, within)}
+    return {camera.file("camera.m"): _of_matlab(camera) for camera in expressed("matlab", result, within)}
 
 
-def _of_matlab(camera: Camera) -> str:
+def _of_matlab(camera: ExpressedCamera) -> str:
     fx, fy, cx, cy = camera.intrinsics
     k1, k2, k3, p1, p2 = camera.distortion
     lines = [

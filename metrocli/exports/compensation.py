@@ -20,7 +20,7 @@ Texts = Mapping[str, str]
 
 
 @dataclass(frozen=True)
-class Control:
+class CompensationFormat:
     """A compensation format, with a model of the control that reads it."""
 
     carried: Callable[[ErrorTables], ErrorTables]
@@ -74,14 +74,14 @@ def places_of(tables: ErrorTables) -> Array:
 
 def _along(tables: ErrorTables, axis: int) -> Array:
     """Return positions (n, 3) at all knots of an axis and midway between them, the other axes at their low ends."""
-    found = [curve.positions for name, curve in tables.curves.items() if name[2] == AXES[axis]]
-    knots = np.unique(np.concatenate(found)) if found else np.zeros(1)
+    positions = [curve.positions for name, curve in tables.curves.items() if name[2] == AXES[axis]]
+    knots = np.unique(np.concatenate(positions)) if positions else np.zeros(1)
     where = np.concatenate([knots, (knots[1:] + knots[:-1]) / 2])
     places = np.tile([tables.span(name)[0] for name in AXES], (len(where), 1))
     places[:, axis] = where
     return places
 
 
-def files_of(control: Control, result: Any) -> Texts:
+def files_of(control: CompensationFormat, result: Any) -> Texts:
     """Return the files of a result in a format; raises InputError if the result has no error tables."""
     return control.files(of(result))

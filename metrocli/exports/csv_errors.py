@@ -10,8 +10,8 @@ from metrocli import units
 from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports import Exported, error_tables
-from metrocli.exports.compensation import Control, Texts
-from metrocli.exports.error_tables import AXES, Curve, ErrorTables
+from metrocli.exports.compensation import CompensationFormat, Texts
+from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
 from metrocli.exports.volumetric import chain_note, moved_by_errors
 from metrocli.result import Result
 from metrocli.table import Table
@@ -62,15 +62,15 @@ def _rows(tables: ErrorTables, name: str, unit: units.Unit) -> Iterable[str]:
         yield f"{name},{at:.6f},{unit.outside(value):.6f},{unit.outside(spread):.6f}"
 
 
-def read(texts: Texts) -> tuple[dict[str, Curve], dict[str, float], list[str]]:
+def read(texts: Texts) -> tuple[dict[str, ErrorTable], dict[str, float], list[str]]:
     """Return the curves, the squareness errors and the comments of the files."""
-    curves: dict[str, Curve] = {}
+    curves: dict[str, ErrorTable] = {}
     for unit, (dimension, file) in _UNITS.items():
         cells = _cells(texts.get(file, ""))
         for name in dict.fromkeys(row[0] for row in cells):
             at, values, std = np.array([row[1:] for row in cells if row[0] == name], dtype=float).T
             inside = units.find_unit(unit, dimension).inside(1.0)
-            curves[name] = Curve(at, values * inside, std * inside)
+            curves[name] = ErrorTable(at, values * inside, std * inside)
     urad = units.find_unit("urad", "angle")
     squareness = {row[0]: urad.inside(float(row[1])) for row in _cells(texts.get(_SQUARENESS, ""))}
     comments = [line for line in next(iter(texts.values())).splitlines() if line.startswith("#")]
@@ -81,12 +81,12 @@ def _cells(text: str) -> list[list[str]]:
     return [line.split(",") for line in text.splitlines() if not line.startswith("#")][1:]
 
 
-def moved(held: tuple[dict[str, Curve], dict[str, float], list[str]], commanded: Array) -> Array:
+def moved(held: tuple[dict[str, ErrorTable], dict[str, float], list[str]], commanded: Array) -> Array:
     """Return the movement (n, 3) mm by a control that compensates these errors: the negative error."""
     return moved_by_errors(*held, commanded)
 
 
-CONTROL = Control(carried, written, read, moved, resolution=1e-6)
+CONTROL = CompensationFormat(carried, written, read, moved, resolution=1e-6)
 
 
 def files(result: Result) -> Exported:
@@ -96,14 +96,14 @@ def files(result: Result) -> Exported:
     InputError if the result has no tables.
     """
     own = _error_tables(result)
-    found: dict[str, Table | str] = {}
+    tables: dict[str, Table | str] = {}
     for name, table in result.tables.items():
         file = name.replace("/", "-")
         if len(table):
-            found[f"{file}-summary.csv" if f"{file}.csv" in own else f"{file}.csv"] = table
-    if not found:
+            tables[f"{file}-summary.csv" if f"{file}.csv" in own else f"{file}.csv"] = table
+    if not tables:
         raise InputError("the result has no tables")
-    return {**found, **own}
+    return {**tables, **own}
 
 
 def _error_tables(result: Result) -> Exported:

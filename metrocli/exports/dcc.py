@@ -44,12 +44,12 @@ def files(result: Result, record: Record) -> Exported:
     _administrative(add(root, "administrativeData"), result, record)
     measured = add(root, "measurementResults")
     _standards(measured, record)
-    one = add(measured, "measurementResult")
-    named(one, "name", result.title or result.kind)
-    _methods(add(one, "usedMethods"), result)
-    software_of(one, "usedSoftware", record)
-    _conditions(one, result)
-    results = add(one, "results")
+    element = add(measured, "measurementResult")
+    named(element, "name", result.title or result.kind)
+    _methods(add(element, "usedMethods"), result)
+    software_of(element, "usedSoftware", record)
+    _conditions(element, result)
+    results = add(element, "results")
     if known:
         add_estimates(results, result, known)
     for name, table in tables.items():
@@ -65,7 +65,7 @@ def _missing(record: Record) -> Iterator[Fault]:
         if not (stated.get(first, {}).get(second) if second else stated.get(first)):
             name = ": ".join(path.split("."))
             yield Fault(f"certificate: {name} is missing {job}", hint="add it and run the job again")
-    paths = [one.path for one in record.inputs]
+    paths = [file.path for file in record.inputs]
     for name in stated.get("references", {}):
         if name not in paths and _FILE.fullmatch(name):
             hint = f"its inputs are: {', '.join(paths)}" if paths else "it has no inputs; name the standard"
@@ -121,7 +121,7 @@ def _methods(to: ET.Element, result: Result) -> None:
 def _conditions(to: ET.Element, result: Result) -> None:
     """Add what influenced the readings, without which PTB's Schematron rules refuse a certificate."""
     held = add(to, "influenceConditions")
-    temperatures = [one.numbers("temp") for one in result.tables.values() if one.units.get("temp") == "degC"]
+    temperatures = [table.numbers("temp") for table in result.tables.values() if table.units.get("temp") == "degC"]
     known = np.concatenate([*temperatures, np.zeros(0)])
     known = known[np.isfinite(known)]
     if len(known):
@@ -136,9 +136,9 @@ def _conditions(to: ET.Element, result: Result) -> None:
 
 def _condition(to: ET.Element, name: str, **attributes: str) -> ET.Element:
     """Add a condition and return where its data go."""
-    one = add(to, "influenceCondition", **attributes)
-    named(one, "name", name)
-    return add(one, "data")
+    element = add(to, "influenceCondition", **attributes)
+    named(element, "name", name)
+    return add(element, "data")
 
 
 def _item(to: ET.Element, item: Mapping[str, str]) -> None:
@@ -165,11 +165,11 @@ def _statements(result: Result, record: Record) -> Iterator[tuple[str, list[str]
     """Yield name and lines of each statement: scope, traceability, what was required, and what forbids use."""
     yield "Scope", ["The results relate only to the item calibrated, as it was at the time of the measurement."]
     numbers = {name: number or "not given" for name, number in record.references()}
-    digests = {one.path: f"; SHA-256 {one.sha256}" for one in record.inputs}
+    digests = {file.path: f"; SHA-256 {file.sha256}" for file in record.inputs}
     rests = [f"{name}: certificate {number}{digests.get(name, '')}" for name, number in numbers.items()]
     yield "Traceability", ["The result rests on these references.", *rests] if rests else ["The job states all values."]
     if record.verdicts:
-        yield "Acceptance criteria", [str(one) for one in record.verdicts]
+        yield "Acceptance criteria", [str(verdict) for verdict in record.verdicts]
     if result.warnings:
         yield "Warnings", list(result.warnings)
     if result.doubts:
@@ -181,9 +181,9 @@ def _standards(to: ET.Element, record: Record) -> None:
     numbered = [(name, number) for name, number in record.references() if number]
     held = add(to, "measuringEquipments") if numbered else to
     for name, number in numbered:
-        one = add(held, "measuringEquipment", refType="basic_measurementStandard")
-        called(one, name)
-        certificate = add(one, "certificate")
+        element = add(held, "measuringEquipment", refType="basic_measurementStandard")
+        called(element, name)
+        certificate = add(element, "certificate")
         named(certificate, "referral", "Calibration certificate")
         for key, text in (("referralID", number), ("procedure", "analogue"), ("value", "noValue")):
             add(certificate, key, text)

@@ -43,14 +43,14 @@ def identified(to: ET.Element, numbers: Sequence[tuple[str, str | None, str]]) -
 
     What it is stands there twice, for people and as a refType of DKD: "serial number" is `basic_serialNumber`.
     """
-    given = [one for one in numbers if one[1]]
+    given = [number for number in numbers if number[1]]
     held = add(to, "identifications") if given else to
     for issuer, value, name in given:
         first, *others = name.split()
-        one = add(held, "identification", refType=f"basic_{first}{''.join(map(str.capitalize, others))}")
-        add(one, "issuer", issuer)
-        add(one, "value", value)
-        named(one, "name", name)
+        element = add(held, "identification", refType=f"basic_{first}{''.join(map(str.capitalize, others))}")
+        add(element, "issuer", issuer)
+        add(element, "value", value)
+        named(element, "name", name)
 
 
 def software_of(to: ET.Element, name: str, record: Record) -> None:
@@ -90,8 +90,10 @@ _PLAIN, _MOST_DIGITS = ".10g", 15
 def unit_of(symbol: str) -> str | None:
     """Return a unit such as "um/m" in D-SI notation, \\micro\\metre\\metre\\tothe{-1}; None for one that D-SI lacks."""
     above, *below = symbol.split("/")
-    found = [_factor(one, 1) for one in above.split()] + [_factor(one, -1) for part in below for one in part.split()]
-    return None if None in found else "".join(map(str, found)) or "\\one"
+    factors = [_factor(name, 1) for name in above.split()] + [
+        _factor(name, -1) for part in below for name in part.split()
+    ]
+    return None if None in factors else "".join(map(str, factors)) or "\\one"
 
 
 def _factor(text: str, sign: int) -> str | None:
@@ -114,9 +116,9 @@ def _factor(text: str, sign: int) -> str | None:
 
 def without_notation(symbols: Sequence[str]) -> list[Fault]:
     """Return a fault for each unit that D-SI has no notation for."""
-    unknown = sorted({one for one in symbols if unit_of(one) is None})
+    unknown = sorted({symbol for symbol in symbols if unit_of(symbol) is None})
     hint = "state the quantity in another unit of the same dimension"
-    return [Fault(f"the unit {one} has no notation in D-SI", hint=hint) for one in unknown]
+    return [Fault(f"the unit {name} has no notation in D-SI", hint=hint) for name in unknown]
 
 
 def real(to: Element, value: float, unit: str, spread: float = 0.0, k: float = 2.0, probability: float = 1.0) -> None:
@@ -173,7 +175,7 @@ def real_list(
 
 
 def _numbers(values: Array, form: str) -> str:
-    return " ".join(format(one, form) for one in values.tolist())
+    return " ".join(format(number, form) for number in values.tolist())
 
 
 def _form(values: Array, spreads: Array) -> str:

@@ -34,8 +34,10 @@ def certified(result: Result) -> tuple[list[Estimate], dict[str, Table]]:
     These are the first shown one with standard uncertainties, and curves of errors. Their rows are those in which every
     value and its uncertainty are determined.
     """
-    known = [one for one in result.estimates if np.isfinite([one.value, *result.expanded(one)]).all()]
-    shown = ((one.name, result.tables[one.name]) for one in result.shown if one.name in result.tables)
+    known = [
+        estimate for estimate in result.estimates if np.isfinite([estimate.value, *result.expanded(estimate)]).all()
+    ]
+    shown = ((table.name, result.tables[table.name]) for table in result.shown if table.name in result.tables)
     first = next(((name, table) for name, table in shown if _pairs(table)), None)
     curves = [(name, table) for name, table in result.tables.items() if name.startswith(_CURVES) and _pairs(table)]
     whole = ((name, _whole(table)) for name, table in ([first] if first else []) + curves)
@@ -45,7 +47,7 @@ def certified(result: Result) -> tuple[list[Estimate], dict[str, Table]]:
 def symbols_of(known: Sequence[Estimate], tables: Mapping[str, Table]) -> list[str]:
     """Return the symbols of the units in which estimates and tables are stated."""
     of_tables = (table.units.get(name) for table in tables.values() for name in (*_pairs(table), *_places(table)))
-    return [one.unit for one in known] + [unit or "1" for unit in of_tables]
+    return [estimate.unit for estimate in known] + [unit or "1" for unit in of_tables]
 
 
 def _whole(table: Table) -> Table:
@@ -67,11 +69,11 @@ def _places(table: Table) -> list[str]:
 
 def _result(to: ET.Element, name: str, *remarks: str) -> ET.Element:
     """Add a result and return where its data go."""
-    one = add(to, "result")
-    named(one, "name", name)
+    element = add(to, "result")
+    named(element, "name", name)
     if remarks:
-        named(one, "description", "\n".join(remarks))
-    return add(one, "data")
+        named(element, "description", "\n".join(remarks))
+    return add(element, "data")
 
 
 def _quantity(to: ET.Element, name: str, kind: str = "") -> ET.Element:
@@ -83,7 +85,7 @@ def _quantity(to: ET.Element, name: str, kind: str = "") -> ET.Element:
 
 def add_estimates(to: ET.Element, result: Result, known: Sequence[Estimate]) -> None:
     """Add the estimates that are determined, with a remark that names the others, and how they correlate."""
-    lacking = [one.name for one in result.estimates if one not in known]
+    lacking = [other.name for other in result.estimates if other not in known]
     remarks = [f"Not determined, so not certified: {', '.join(lacking)}."] if lacking else []
     if len(known) > _MOST_CORRELATED:
         remarks.append(
@@ -103,14 +105,14 @@ def add_estimates(to: ET.Element, result: Result, known: Sequence[Estimate]) -> 
 
 def _correlation(to: ET.Element, result: Result, known: Sequence[Estimate]) -> None:
     """Add the correlation matrix of estimates as a table of (n, n) coefficients (GUM 7.2.5); none if none correlate."""
-    rows = [result.estimates.index(one) for one in known]
+    rows = [result.estimates.index(estimate) for estimate in known]
     covariance = result.covariance[np.ix_(rows, rows)]
     spreads = np.sqrt(np.diag(covariance))
     matrix = covariance / np.outer(spreads, spreads).clip(np.finfo(float).tiny)
     np.fill_diagonal(matrix, 1.0)
     if not np.isfinite(matrix).all() or np.abs(matrix - np.eye(len(known))).max(initial=0.0) < _UNCORRELATED:
         return
-    names = [one.name for one in known]
+    names = [estimate.name for estimate in known]
     held = _list(_result(to, "Correlation", _CORRELATION), "estimate")
     _texts(held, "estimate", names, _INDEX)
     for name, column in zip(names, matrix.T, strict=True):
@@ -178,7 +180,7 @@ def _list(to: ET.Element, index: str | None) -> ET.Element:
 
 def _texts(to: ET.Element, name: str, texts: Sequence[str], kind: str) -> None:
     """Add a column of texts; XML lists are separated by blanks, so a text has none."""
-    cells = [re.sub(r"\s+", "_", one.strip()) or "-" for one in texts]
+    cells = [re.sub(r"\s+", "_", text.strip()) or "-" for text in texts]
     add(_quantity(to, name, kind), "charsXMLList", " ".join(cells))
 
 

@@ -26,7 +26,7 @@ SQUARENESS = (("C0Y", "Y", "X", -1), ("B0Z", "Z", "X", 1), ("A0Z", "Z", "Y", -1)
 
 
 @dataclass(frozen=True)
-class Curve:
+class ErrorTable:
     """A function of the position of one axis, linear between positions and constant beyond them."""
 
     positions: Array
@@ -39,21 +39,21 @@ class Curve:
         """Return the interpolated values at positions."""
         return np.interp(where, self.positions, self.values)
 
-    def times(self, factor: float) -> Curve:
+    def times(self, factor: float) -> ErrorTable:
         """Return the curve multiplied by a number."""
-        return Curve(self.positions, self.values * factor)
+        return ErrorTable(self.positions, self.values * factor)
 
-    def plus(self, other: Curve) -> Curve:
+    def plus(self, other: ErrorTable) -> ErrorTable:
         """Return the sum of two curves on the positions of both, so that it is exact."""
         grid = np.union1d(self.positions, other.positions)
-        return Curve(grid, self.at(grid) + other.at(grid))
+        return ErrorTable(grid, self.at(grid) + other.at(grid))
 
 
 @dataclass(frozen=True)
 class Product:
     """An error `angle(position of one axis) * (position of another)` in one direction."""
 
-    angle: Curve
+    angle: ErrorTable
     """Signed, rad"""
     moves: str
     """The axis that the angle depends on"""
@@ -66,7 +66,7 @@ class Product:
 class ErrorTables:
     """Errors of a machine with three linear axes, in the names of ISO 230-1, each actual minus commanded."""
 
-    curves: Mapping[str, Curve]
+    curves: Mapping[str, ErrorTable]
     """EXX, EYX, ... (mm) and EAX, ... (rad), over the position of the axis of their last letter"""
     squareness: Mapping[str, float]
     """C0Y, B0Z and A0Z, rad"""
@@ -103,18 +103,18 @@ class ErrorTables:
         kept = {name: self.curves[name] for name in curves if name in self.curves}
         return replace(self, curves=kept, squareness=self.squareness if squareness else {})
 
-    def of_one_axis(self) -> dict[tuple[str, str], Curve]:
+    def of_one_axis(self) -> dict[tuple[str, str], ErrorTable]:
         """Return the errors that depend on the position of one axis, by (axis that moves, direction of the error).
 
         Each is the sum of the table itself, the angles with the tool vector as lever, and the squareness.
         """
-        found: dict[tuple[str, str], Curve] = {}
+        tables: dict[tuple[str, str], ErrorTable] = {}
         for moves, direction, curve in self._parts():
             key = (moves, direction)
-            found[key] = found[key].plus(curve) if key in found else curve
-        return found
+            tables[key] = tables[key].plus(curve) if key in tables else curve
+        return tables
 
-    def _parts(self) -> Iterator[tuple[str, str, Curve]]:
+    def _parts(self) -> Iterator[tuple[str, str, ErrorTable]]:
         for name, curve in self.curves.items():
             if name[1] in AXES:
                 yield name[2], name[1], curve
@@ -128,7 +128,7 @@ class ErrorTables:
             angle_of = self.squareness.get(name, 0.0)
             if angle_of:
                 grid = self.span(moves)
-                yield moves, direction, Curve(grid, sign * angle_of * grid)
+                yield moves, direction, ErrorTable(grid, sign * angle_of * grid)
 
     def products(self) -> list[Product]:
         """Return the errors that depend on two axes: angles with an axis nearer to the tool as lever."""
@@ -176,7 +176,7 @@ def of(result: Result) -> ErrorTables:
     )
     left_out, together = (tuple(str(result.statistics.get(key, "")).split()) for key in ("undetermined", "together"))
     curves = {
-        name: Curve(table.numbers("position"), table.numbers("value"), table.numbers("std"))
+        name: ErrorTable(table.numbers("position"), table.numbers("value"), table.numbers("std"))
         for name, table in named.items()
         if name not in left_out and name[2] in AXES
     }
@@ -205,13 +205,13 @@ _BACKLASH = {f"backlash.{axis.lower()}": axis for axis in AXES}
 
 def _effects(result: Result) -> dict[str, Table]:
     """Return the parameters of the effects in a result by their names, such as `backlash.x`."""
-    found = {name: _EFFECT.fullmatch(name) for name in result.tables}
-    return {match[1]: result.tables[name] for name, match in found.items() if match}
+    matches = {name: _EFFECT.fullmatch(name) for name in result.tables}
+    return {match[1]: result.tables[name] for name, match in matches.items() if match}
 
 
 def _reversal(result: Result) -> dict[str, float]:
-    found = {_BACKLASH.get(name): table for name, table in _effects(result).items()}
-    return {axis: float(table.numbers("value")[0]) for axis, table in found.items() if axis}
+    tables = {_BACKLASH.get(name): table for name, table in _effects(result).items()}
+    return {axis: float(table.numbers("value")[0]) for axis, table in tables.items() if axis}
 
 
 def _others(result: Result) -> list[str]:

@@ -13,7 +13,7 @@ from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.lenses.conventions import Converted, projection_range
-from metrocli.instruments.lenses.forms import PROGRAMS, Form, nearest
+from metrocli.instruments.lenses.forms import PROGRAMS, LensForm, nearest
 from metrocli.result import Result
 from metrocli.units.people import two_digits
 
@@ -22,8 +22,8 @@ CAMERAS = "cameras"
 
 
 @dataclass(frozen=True)
-class Camera:
-    form: Form
+class ExpressedCamera:
+    form: LensForm
     values: dict[str, float]
     """Of the form's terms, cx and cy counted as the program does"""
     size: tuple[int, int]
@@ -63,7 +63,7 @@ class Camera:
         return "\n".join([*(f"{begin}note: {note}{end}" for note in self.notes), *lines, ""])
 
 
-def expressed(program: str, result: Result, within: float, posed: bool = False) -> list[Camera]:
+def expressed(program: str, result: Result, within: float, posed: bool = False) -> list[ExpressedCamera]:
     """Return each camera of a result in the first model of a program that holds it, else in the nearest.
 
     `posed` states whether the format holds where several cameras are. Raises InputError for a result that is no
@@ -77,7 +77,7 @@ def expressed(program: str, result: Result, within: float, posed: bool = False) 
         width, height = (int(float(result.statistics[name])) for name in _SIZE)  # type: ignore[arg-type]
         lens, base = dict(zip(*named, strict=True)), _base_of(result, (width, height))
         return [_of_program(program, (lens, convention), (width, height), within, base)]
-    cameras, found = result.tables[CAMERAS], list[Camera]()
+    cameras, expressed_ones = result.tables[CAMERAS], list[ExpressedCamera]()
     rows = list(zip(table.texts("camera"), *named, strict=True))
     for row, name in enumerate(cameras.texts("camera")):
         own = {key: value for camera, key, value in rows if camera == name}
@@ -85,9 +85,11 @@ def expressed(program: str, result: Result, within: float, posed: bool = False) 
         one = _of_program(program, (own, convention), (width, height), within, None)
         values = np.array([cameras.numbers(key)[row] for key in poses.EULER])
         pose = poses.pose_from_euler(values[:3], values[3:]) if row else None
-        lost = "" if posed or pose is None else f"the pose of {name} beside {found[0].name} is not in this format"
-        found.append(replace(one, name=name, pose=pose, notes=(*one.notes, *filter(None, [lost]))))
-    return found
+        lost = (
+            "" if posed or pose is None else f"the pose of {name} beside {expressed_ones[0].name} is not in this format"
+        )
+        expressed_ones.append(replace(one, name=name, pose=pose, notes=(*one.notes, *filter(None, [lost]))))
+    return expressed_ones
 
 
 def _of_program(
@@ -96,7 +98,7 @@ def _of_program(
     size: tuple[int, int],
     within: float,
     unshifted: Callable[[Array], Array] | None,
-) -> Camera:
+) -> ExpressedCamera:
     """Return a camera, of its lens parameters and their convention, as `expressed`."""
     lens, convention = lens_of
     forms, pixel = PROGRAMS[program].forms, PROGRAMS[program].pixel
@@ -105,13 +107,13 @@ def _of_program(
     if exact is not None:
         form, values = exact, exact.of(lens)
     else:
-        fitted = ((one, nearest(lens, convention, size, one, unshifted or np.asarray)) for one in forms)
-        form, fit = _near([(one, fit) for one, fit in fitted if fit is not None], program, within)
+        fitted = ((tried, nearest(lens, convention, size, tried, unshifted or np.asarray)) for tried in forms)
+        form, fit = _near([(tried, fit) for tried, fit in fitted if fit is not None], program, within)
         values, notes = dict(fit.values), (f"{form.title} is the nearest model of {program}: {_difference(fit)}",)
     if convention != "backward" and (fold := projection_range(lens, size, convention == "fisheye")):
         notes += (f"beyond {fold:.0f} px from its principal point the lens folds over and has no direction",)
     shifted = {name: value + pixel * (name in ("cx", "cy")) for name, value in values.items()}
-    return Camera(form, shifted, size, notes)
+    return ExpressedCamera(form, shifted, size, notes)
 
 
 def _base_of(result: Result, image_size: tuple[int, int]) -> Callable[[Array], Array] | None:
@@ -129,12 +131,12 @@ _AS_NEAR = 1.1
 """Ratio of largest differences up to which the model with fewer parameters is taken"""
 
 
-def _near(fitted: Sequence[tuple[Form, Converted]], program: str, within: float) -> tuple[Form, Converted]:
+def _near(fitted: Sequence[tuple[LensForm, Converted]], program: str, within: float) -> tuple[LensForm, Converted]:
     """Return the nearest, with few parameters; raises InputError with its difference if that is above `within` [px]."""
     if not fitted:
         raise InputError(f"no model of {program} sees all that this lens sees")
     least = min(fit.largest for _, fit in fitted)
-    form, fit = next(one for one in fitted if one[1].largest <= _AS_NEAR * least)
+    form, fit = next(pair for pair in fitted if pair[1].largest <= _AS_NEAR * least)
     if fit.largest <= within:
         return form, fit
     raise InputError(

@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, Curve, ErrorTables
+from metrocli.exports.compensation import CompensationFormat, Texts, files_of
+from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
 from metrocli.exports.volumetric import evenly
 from metrocli.frozen import dataclass
 from metrocli.result import Result
@@ -48,12 +48,12 @@ class Pitch:
     """Increments from the most negative point on; the first one is 0"""
 
     @property
-    def curve(self) -> Curve:
+    def curve(self) -> ErrorTable:
         """The compensation over the machine position, mm, zero at the reference point."""
         numbers = np.arange(len(self.increments)) + self.first - self.reference
         total = np.cumsum(self.increments) * (self.magnification * UNIT)
         grid = np.asarray(numbers * self.interval, dtype=float)
-        return Curve(grid, total - np.interp(0.0, grid, total))
+        return ErrorTable(grid, total - np.interp(0.0, grid, total))
 
 
 def carried(tables: ErrorTables) -> ErrorTables:
@@ -63,7 +63,7 @@ def carried(tables: ErrorTables) -> ErrorTables:
     return replace(held, curves=curves, remarks=(*held.remarks, *_remarks(held.curves, curves)))
 
 
-def _remarks(before: Mapping[str, Curve], after: Mapping[str, Curve]) -> Iterator[str]:
+def _remarks(before: Mapping[str, ErrorTable], after: Mapping[str, ErrorTable]) -> Iterator[str]:
     for name, curve in before.items():
         shift = curve.at(np.zeros(1))
         lost = float(np.abs(after[name].at(curve.positions) - curve.values + shift).max())
@@ -71,7 +71,7 @@ def _remarks(before: Mapping[str, Curve], after: Mapping[str, Curve]) -> Iterato
             yield f"{name}: no even grid contains its knots and 0; its corners are rounded by up to {lost:.4f} mm"
 
 
-def _even(name: str, curve: Curve) -> Curve:
+def _even(name: str, curve: ErrorTable) -> ErrorTable:
     """Return the error, relative to its value at 0, on points a whole number of intervals from 0.
 
     If no even grid contains the knots and 0, the finest grid is used, which rounds the corners of the table. Raises
@@ -82,22 +82,22 @@ def _even(name: str, curve: Curve) -> Curve:
             f"{name} has {len(curve.positions)} points; pitch error compensation takes at most {MOST_POINTS}"
         )
     grid = evenly(_with_zero(curve), MOST_POINTS) or _finest(curve)
-    return Curve(grid.positions, grid.values - grid.at(np.zeros(1)))
+    return ErrorTable(grid.positions, grid.values - grid.at(np.zeros(1)))
 
 
-def _finest(curve: Curve) -> Curve:
+def _finest(curve: ErrorTable) -> ErrorTable:
     low, high = min(curve.positions[0], 0.0), max(curve.positions[-1], 0.0)
     step = (high - low) / (MOST_POINTS - 2)
     places = np.arange(math.floor(low / step), math.ceil(high / step) + 1) * step
-    return Curve(places, curve.at(places))
+    return ErrorTable(places, curve.at(places))
 
 
-def _with_zero(curve: Curve) -> Curve:
+def _with_zero(curve: ErrorTable) -> ErrorTable:
     grid = np.union1d(curve.positions, [0.0])
-    return Curve(grid, curve.at(grid))
+    return ErrorTable(grid, curve.at(grid))
 
 
-def _pitch(axis: str, curve: Curve, first: int) -> Pitch:
+def _pitch(axis: str, curve: ErrorTable, first: int) -> Pitch:
     """Return the table of one axis, with enough points to keep increments small, and the smallest magnification.
 
     Raises InputError if a magnification above 100 is needed.
@@ -106,7 +106,7 @@ def _pitch(axis: str, curve: Curve, first: int) -> Pitch:
     best = curve
     for times in range(1, (MOST_POINTS - 1) // count + 1):
         grid = np.linspace(curve.positions[0], curve.positions[-1], count * times + 1)
-        best = Curve(grid, curve.at(grid))
+        best = ErrorTable(grid, curve.at(grid))
         if np.abs(np.diff(_rounded(best, 1))).max() <= MOST_STEP:
             break
     largest = np.abs(np.diff(best.values)).max() / UNIT
@@ -122,7 +122,7 @@ def _pitch(axis: str, curve: Curve, first: int) -> Pitch:
     return Pitch(axis, first, first - round(best.positions[0] / step), step, magnification, increments)
 
 
-def _rounded(curve: Curve, magnification: int) -> npt.NDArray[np.int64]:
+def _rounded(curve: ErrorTable, magnification: int) -> npt.NDArray[np.int64]:
     """Return the negative error in units of the magnified detection unit, each value rounded on its own."""
     return np.rint(-curve.values / (magnification * UNIT)).astype(np.int64)
 
@@ -142,7 +142,7 @@ def written(tables: ErrorTables) -> Texts:
 def _head(pitches: Sequence[Pitch], notes: list[str]) -> list[str]:
     """Return the comments, without parentheses, since comments of the control cannot be nested."""
     pitch, curve = pitches[0], pitches[0].curve
-    rounded = ", ".join(f"{one.axis} {one.magnification * UNIT:g} MM" for one in pitches)
+    rounded = ", ".join(f"{other.axis} {other.magnification * UNIT:g} MM" for other in pitches)
     k = int(np.argmax(np.abs(curve.values)))
     return [
         *(line.upper() for line in notes),
@@ -171,12 +171,12 @@ def read(texts: Texts) -> list[Pitch]:
     body = "\n".join(line for line in texts[_FILE].splitlines() if not line.startswith("("))
     data = {int(number): int(value) for number, value in _DATUM.findall(body)}
     settings = {(int(axis), int(key)): float(value) for key, axis, value in _PARAMETER.findall(body)}
-    found = []
+    tables = []
     for axis in sorted({axis for axis, _ in settings}):
         reference, first, last, magnification = (round(settings[axis, key]) for key in (3620, 3621, 3622, 3623))
         increments = np.array([data[k] for k in range(first, last + 1)])
-        found.append(Pitch(AXES[axis - 1], first, reference, settings[axis, 3624], magnification, increments))
-    return found
+        tables.append(Pitch(AXES[axis - 1], first, reference, settings[axis, 3624], magnification, increments))
+    return tables
 
 
 def moved(held: Mapping[str, Pitch] | list[Pitch], commanded: Array) -> Array:
@@ -193,7 +193,7 @@ def coarsened(held: list[Pitch]) -> float:
     return float(max(pitch.magnification for pitch in held))
 
 
-CONTROL = Control(carried, written, read, moved, UNIT, coarsened)
+CONTROL = CompensationFormat(carried, written, read, moved, UNIT, coarsened)
 
 
 def files(result: Result) -> Texts:

@@ -15,8 +15,8 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, Curve, ErrorTables
+from metrocli.exports.compensation import CompensationFormat, Texts, files_of
+from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
 from metrocli.result import Result
 
 MOST_POINTS = 256
@@ -73,7 +73,7 @@ def _note(tables: ErrorTables) -> str:
     return "\n".join([*lines, ""])
 
 
-def read(texts: Texts) -> dict[tuple[str, str], Curve]:
+def read(texts: Texts) -> dict[tuple[str, str], ErrorTable]:
     """Return the tables of the active line of config.CMA, by (axis that moves, axis corrected)."""
     rows = [line.split() for line in texts[_ASSIGNED].splitlines()]
     moving = rows[1][2:]
@@ -83,11 +83,11 @@ def read(texts: Texts) -> dict[tuple[str, str], Curve]:
         lines = [line.split() for line in texts[f"{name}.COM"].splitlines()[1:]]
         values = np.array([line[1:] for line in lines[1:-1]], dtype=float)
         for k, direction in enumerate(lines[0][3:], start=2):
-            held[moves, direction] = Curve(values[:, 0], values[:, k])
+            held[moves, direction] = ErrorTable(values[:, 0], values[:, k])
     return held
 
 
-def moved(held: Mapping[tuple[str, str], Curve], commanded: Array) -> Array:
+def moved(held: Mapping[tuple[str, str], ErrorTable], commanded: Array) -> Array:
     """Return the movement (n, 3) mm by the control: the negative error."""
     moves = np.zeros(commanded.shape)
     for (moving, direction), curve in held.items():
@@ -95,7 +95,7 @@ def moved(held: Mapping[tuple[str, str], Curve], commanded: Array) -> Array:
     return moves
 
 
-CONTROL = Control(carried, written, read, moved, resolution=1.6e-4)
+CONTROL = CompensationFormat(carried, written, read, moved, resolution=1.6e-4)
 
 
 def files(result: Result) -> Texts:

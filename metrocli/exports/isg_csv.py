@@ -11,8 +11,8 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, Curve, ErrorTables
+from metrocli.exports.compensation import CompensationFormat, Texts, files_of
+from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
 from metrocli.exports.volumetric import chain_note, moved_by_errors, trial_move
 from metrocli.result import Result
 
@@ -49,29 +49,29 @@ def _block(tables: ErrorTables, axis: str) -> list[str]:
     return [" ".join([axis, *names]), *rows]
 
 
-def read(texts: Texts) -> tuple[dict[str, Curve], dict[str, float], list[str]]:
+def read(texts: Texts) -> tuple[dict[str, ErrorTable], dict[str, float], list[str]]:
     """Return the curves, the squareness errors and the comments of the file."""
     lines = texts[_FILE].splitlines()
     comments = [line for line in lines if line.startswith("//")]
     body = "\n".join(line for line in lines if not line.startswith("//"))
-    curves: dict[str, Curve] = {}
+    curves: dict[str, ErrorTable] = {}
     squareness: dict[str, float] = {}
     for block in body.split("#"):
         names, *rows = [line.split() for line in block.strip().splitlines()]
         values = np.array(rows, dtype=float)
         if names[0] in AXES:
-            curves |= {name: Curve(values[:, 0], values[:, k]) for k, name in enumerate(names) if k}
+            curves |= {name: ErrorTable(values[:, 0], values[:, k]) for k, name in enumerate(names) if k}
         else:
             squareness |= dict(zip(names, values[0].tolist(), strict=True))
     return curves, squareness, comments
 
 
-def moved(held: tuple[dict[str, Curve], dict[str, float], list[str]], commanded: Array) -> Array:
+def moved(held: tuple[dict[str, ErrorTable], dict[str, float], list[str]], commanded: Array) -> Array:
     """Return the movement (n, 3) mm by the control: the negative error of the rigid-body model."""
     return moved_by_errors(*held, commanded)
 
 
-CONTROL = Control(carried, written, read, moved, resolution=1e-6)
+CONTROL = CompensationFormat(carried, written, read, moved, resolution=1e-6)
 
 
 def files(result: Result) -> Texts:

@@ -15,8 +15,8 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, Curve, ErrorTables
+from metrocli.exports.compensation import CompensationFormat, Texts, files_of
+from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
 from metrocli.result import Result
 
 MOST_POINTS = 256
@@ -55,7 +55,7 @@ def written(tables: ErrorTables) -> Texts:
     return {**texts, _NOTE: "\n".join([*note, ""])}
 
 
-def read(texts: Texts) -> dict[str, tuple[Curve, Curve]]:
+def read(texts: Texts) -> dict[str, tuple[ErrorTable, ErrorTable]]:
     """Return the stored trims of each joint, forward and reverse; like the loader, stop at the first invalid line."""
     held = {}
     for name, text in texts.items():
@@ -69,11 +69,11 @@ def read(texts: Texts) -> dict[str, tuple[Curve, Curve]]:
                 break
             rows.append((at, at - forward, at - reverse))
         grid = np.array(rows)
-        held[name[0].upper()] = Curve(grid[:, 0], grid[:, 1]), Curve(grid[:, 0], grid[:, 2])
+        held[name[0].upper()] = ErrorTable(grid[:, 0], grid[:, 1]), ErrorTable(grid[:, 0], grid[:, 2])
     return held
 
 
-def moved(held: Mapping[str, tuple[Curve, Curve]], commanded: Array) -> Array:
+def moved(held: Mapping[str, tuple[ErrorTable, ErrorTable]], commanded: Array) -> Array:
     """Return the movement (n, 3) mm by the control, the mean of both directions: the trims are added."""
     moves = np.zeros(commanded.shape)
     for axis, trims in held.items():
@@ -82,7 +82,7 @@ def moved(held: Mapping[str, tuple[Curve, Curve]], commanded: Array) -> Array:
     return moves
 
 
-CONTROL = Control(carried, written, read, moved, resolution=1e-6)
+CONTROL = CompensationFormat(carried, written, read, moved, resolution=1e-6)
 
 
 def files(result: Result) -> Texts:

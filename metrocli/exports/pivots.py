@@ -71,9 +71,9 @@ def pivots(result: Result) -> list[Pivot]:
     """
     if "rotary_axes" not in result.tables:
         raise InputError("the result has no rotary axes: this format needs a result of calibrate-machine with some")
-    known = {one.name: one for one in result.estimates}
+    known = {estimate.name: estimate for estimate in result.estimates}
     open_ones = set(f"{result.statistics.get('undetermined', '')} {result.statistics.get('together', '')}".split())
-    table, found = result.tables["rotary_axes"], []
+    table, axes = result.tables["rotary_axes"], []
     lacking: list[str] = []
     for row, letter in enumerate(table.texts("axis")):
         names = location_names(letter)
@@ -85,7 +85,7 @@ def pivots(result: Result) -> list[Pivot]:
         off, std, tilt, tilt_std = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
         off[across], std[across], tilt[across], tilt_std[across] = value[:2], spread[:2], value[2:4], spread[2:4]
         along = np.eye(3)[ANGLES.index(letter)]
-        found.append(
+        axes.append(
             Pivot(
                 letter,
                 nominal + off,
@@ -104,18 +104,18 @@ def pivots(result: Result) -> list[Pivot]:
             f"the readings do not determine {' '.join(lacking)}: nothing is written of where the axes lie; "
             "see /errors of the result for what is known only together"
         )
-    return sorted(found, key=lambda one: one.order)
+    return sorted(axes, key=lambda pivot: pivot.order)
 
 
-def _test_moves(result: Result, found: Sequence[Pivot], directions: bool) -> list[str]:
+def _test_moves(result: Result, axes: Sequence[Pivot], directions: bool) -> list[str]:
     """Return for each axis what a ball shows before and after the compensation."""
     ball = _ball(result)
     control = "tip control (TCPM, TRAORI, G43.4) on"
     lines = [f"test move: the tip on a ball at {_vector(ball)} mm, {control}, one axis from 0 to 90 deg;"]
     lines.append("  the ball minus the tip, in the axes of the bed:")
-    for one in found:
-        before, after = (one.moved(ball, np.pi / 2, known) for known in (np.zeros(5), one.known(directions)))
-        lines.append(f"  {one.letter}: {_vector(1e3 * before, 1)} um before, {_vector(1e3 * after, 1)} um after")
+    for pivot in axes:
+        before, after = (pivot.moved(ball, np.pi / 2, known) for known in (np.zeros(5), pivot.known(directions)))
+        lines.append(f"  {pivot.letter}: {_vector(1e3 * before, 1)} um before, {_vector(1e3 * after, 1)} um after")
     return lines
 
 
@@ -132,33 +132,33 @@ def _vector(values: Array, digits: int = 4) -> str:
     return "(" + ", ".join(f"{x:.{digits}f}" for x in values.tolist()) + ")"
 
 
-def _head(result: Result, found: Sequence[Pivot], comment: str, directions: bool = True) -> list[str]:
+def _head(result: Result, axes: Sequence[Pivot], comment: str, directions: bool = True) -> list[str]:
     lines = [
         f"rotary axes of the chain {result.statistics.get('chain', '')}",
         "place and direction: actual, machine coordinates in mm with all axes at 0",
         _CONVENTION,
-        *_test_moves(result, found, directions),
+        *_test_moves(result, axes, directions),
     ]
     return [f"{comment} {line}" for line in lines]
 
 
 def kinematics(result: Result) -> Texts:
     """Return the lines of the axes as a table, and as a text with the test move."""
-    found = pivots(result)
+    axes = pivots(result)
     heading = "axis,side,sense,x_mm,y_mm,z_mm,sx_mm,sy_mm,sz_mm,ux,uy,uz,s_ux,s_uy,s_uz"
     rows = [
         ",".join(
             [
-                one.letter,
-                "head" if one.head else "table",
-                str(one.sense),
-                *(f"{x:.6f}" for x in (*one.place, *one.std)),
-                *(f"{x:.9f}" for x in (*one.direction, *one.direction_std)),
+                pivot.letter,
+                "head" if pivot.head else "table",
+                str(pivot.sense),
+                *(f"{x:.6f}" for x in (*pivot.place, *pivot.std)),
+                *(f"{x:.9f}" for x in (*pivot.direction, *pivot.direction_std)),
             ]
         )
-        for one in found
+        for pivot in axes
     ]
-    return {"kinematics.csv": "\n".join([*_head(result, found, "#"), heading, *rows, ""])}
+    return {"kinematics.csv": "\n".join([*_head(result, axes, "#"), heading, *rows, ""])}
 
 
 def siemens_trafo5(result: Result) -> Texts:
@@ -167,10 +167,10 @@ def siemens_trafo5(result: Result) -> Texts:
     V1 is the axis next to the bed, of a head and a table the head. The chains of vectors are closed. A table is
     entered with its direction reversed.
     """
-    found = pivots(result)
-    if len(found) != 2:
+    axes = pivots(result)
+    if len(axes) != 2:
         raise InputError("the 5-axis transformation needs two rotary axes")
-    tables, heads = [one for one in found if not one.head], [one for one in found if one.head]
+    tables, heads = [pivot for pivot in axes if not pivot.head], [pivot for pivot in axes if pivot.head]
     zero = np.zeros(3)
     if len(heads) == 2:
         (first, second), number = heads, 24
@@ -188,12 +188,12 @@ def siemens_trafo5(result: Result) -> Texts:
             "JOINT_OFFSET_PART": second.place,
             "PART_OFFSET": -second.place,
         }
-    lines = _head(result, found, ";")
+    lines = _head(result, axes, ";")
     lines.append(f"$MC_TRAFO_TYPE_1={number}")
     for name, vector in offsets.items():
         lines += [f"$MC_TRAFO5_{name}_1[{k}]={value:.5f}" for k, value in enumerate(vector.tolist())]
-    for name, one in (("AXIS1", first), ("AXIS2", second)):
-        turned = one.direction * (1 if one.head else -1) * one.sense
+    for name, axis in (("AXIS1", first), ("AXIS2", second)):
+        turned = axis.direction * (1 if axis.head else -1) * axis.sense
         lines += [f"$MC_TRAFO5_{name}_1[{k}]={value:.9f}" for k, value in enumerate(turned.tolist())]
     return {"trafo5.ini": "\n".join([*lines, ""])}
 
@@ -203,18 +203,18 @@ def linuxcnc(result: Result) -> Texts:
 
     These modules know a table C on a tilting table A or B, and no directions.
     """
-    found = pivots(result)
-    letters = "".join(one.letter for one in found)
-    if letters not in ("CA", "CB") or any(one.head for one in found):
+    axes = pivots(result)
+    letters = "".join(pivot.letter for pivot in axes)
+    if letters not in ("CA", "CB") or any(pivot.head for pivot in axes):
         raise InputError("LinuxCNC's trt kinematics are for a table C on a tilting table A or B")
-    carried, tilting = found
+    carried, tilting = axes
     module = f"xyz{tilting.letter.lower()}c-trt-kins"
     across = 1 if tilting.letter == "A" else 0
     pins = {f"{axis}-rot-point": value for axis, value in zip("xyz", carried.place.tolist(), strict=True)}
     pins[f"{'xyz'[across]}-offset"] = float(tilting.place[across] - carried.place[across])
     pins["z-offset"] = float(tilting.place[2] - carried.place[2])
     lines = [
-        *_head(result, found, "#", directions=False),
+        *_head(result, axes, "#", directions=False),
         "# the control counts as ISO 841 with the pin conventional-directions at 1 (pull request 3482)",
         "# tool-offset is the length of the tool; directions of the axes (EA0C, EB0C ...) have no pins",
         f"setp {module}.conventional-directions 1",
@@ -225,12 +225,12 @@ def linuxcnc(result: Result) -> Texts:
 
 def fanuc(result: Result) -> Texts:
     """Return parameters 19680 ff. of a Fanuc control: type, points and vectors of the axes, senses (cncmanuals 609)."""
-    found = pivots(result)
-    tables, heads = [one for one in found if not one.head], [one for one in found if one.head]
+    axes = pivots(result)
+    tables, heads = [pivot for pivot in axes if not pivot.head], [pivot for pivot in axes if pivot.head]
     kind = 12 if not heads else 2 if not tables else 21
-    lines = [*_head(result, found, ";", directions=False), f"N19680 P{kind}"]
+    lines = [*_head(result, axes, ";", directions=False), f"N19680 P{kind}"]
     lines += [
-        f"N{number} P{0 if one.head else 1}" for number, one in zip((19684, 19689), _by_master(found), strict=False)
+        f"N{number} P{0 if pivot.head else 1}" for number, pivot in zip((19684, 19689), _by_master(axes), strict=False)
     ]
     if tables:
         first = tables[-1]
@@ -243,9 +243,9 @@ def fanuc(result: Result) -> Texts:
     return {"fanuc-kinematics.txt": "\n".join([*lines, ""])}
 
 
-def _by_master(found: Sequence[Pivot]) -> list[Pivot]:
+def _by_master(axes: Sequence[Pivot]) -> list[Pivot]:
     """Return the axes, the one next to the bed first."""
-    return [*(one for one in found if one.head), *(one for one in reversed(found) if not one.head)]
+    return [*(pivot for pivot in axes if pivot.head), *(pivot for pivot in reversed(axes) if not pivot.head)]
 
 
 def _numbered(first: int, vector: Array) -> list[str]:
@@ -254,18 +254,18 @@ def _numbered(first: int, vector: Array) -> list[str]:
 
 def heidenhain(result: Result) -> Texts:
     """Return the transformations before each rotary axis, each in the coordinates of the one before it."""
-    found = pivots(result)
-    lines, before = [*_head(result, found, ";"), "; side;axis;dX;dY;dZ;turn A;turn B;turn C [deg]"], np.zeros(3)
+    axes = pivots(result)
+    lines, before = [*_head(result, axes, ";"), "; side;axis;dX;dY;dZ;turn A;turn B;turn C [deg]"], np.zeros(3)
     for side in ("table", "head"):
-        own = [one for one in _by_master(found) if one.head == (side == "head")]
+        own = [pivot for pivot in _by_master(axes) if pivot.head == (side == "head")]
         before = np.zeros(3)
-        for one in own:
-            across = [i for i in range(3) if ANGLES[i] != one.letter]
+        for axis in own:
+            across = [i for i in range(3) if ANGLES[i] != axis.letter]
             turns = np.zeros(3)
-            turns[across] = np.degrees(one.location[2:4])
-            shift = ";".join(f"{x:.5f}" for x in (one.place - before).tolist())
-            lines.append(f"{side};{one.letter};{shift};" + ";".join(f"{x:.6f}" for x in turns.tolist()))
-            before = one.place
+            turns[across] = np.degrees(axis.location[2:4])
+            shift = ";".join(f"{x:.5f}" for x in (axis.place - before).tolist())
+            lines.append(f"{side};{axis.letter};{shift};" + ";".join(f"{x:.6f}" for x in turns.tolist()))
+            before = axis.place
     return {"heidenhain-kinematics.txt": "\n".join([*lines, ""])}
 
 

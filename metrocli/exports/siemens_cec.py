@@ -16,8 +16,8 @@ import numpy as np
 from metrocli import units
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, Curve, ErrorTables
+from metrocli.exports.compensation import CompensationFormat, Texts, files_of
+from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
 from metrocli.exports.volumetric import evenly
 from metrocli.frozen import dataclass
 from metrocli.result import Result
@@ -33,7 +33,7 @@ _SETTING = re.compile(r"\$AN_CEC_(INPUT_AXIS|OUTPUT_AXIS|STEP|MIN|MULT_BY_TABLE)
 class CecTable:
     """One compensation table of the control."""
 
-    curve: Curve
+    curve: ErrorTable
     input_axis: str
     output_axis: str
     times: int | None = None
@@ -48,7 +48,7 @@ def carried(tables: ErrorTables) -> ErrorTables:
 
 def tables_of(tables: ErrorTables) -> list[CecTable]:
     """Return the tables: one for each pair of axes, then an angle and its lever for each product."""
-    found = [
+    cec = [
         CecTable(_even(curve.times(-1)), moves, direction)
         for (moves, direction), curve in tables.of_one_axis().items()
         if np.any(curve.values)
@@ -58,10 +58,10 @@ def tables_of(tables: ErrorTables) -> list[CecTable]:
     for product in products:
         key = (product.lever, product.direction)
         if key not in levers:
-            levers[key] = len(found)
+            levers[key] = len(cec)
             ends = tables.span(product.lever)
-            found.append(CecTable(Curve(ends, ends / _METRE.inside(1.0)), *key))
-    found += [
+            cec.append(CecTable(ErrorTable(ends, ends / _METRE.inside(1.0)), *key))
+    cec += [
         CecTable(
             _even(product.angle.times(-_METRE.inside(1.0))),
             product.moves,
@@ -70,10 +70,10 @@ def tables_of(tables: ErrorTables) -> list[CecTable]:
         )
         for product in products
     ]
-    return found
+    return cec
 
 
-def _even(curve: Curve) -> Curve:
+def _even(curve: ErrorTable) -> ErrorTable:
     even = evenly(curve, MOST_POINTS)
     if even is None:
         raise InputError(
@@ -84,18 +84,18 @@ def _even(curve: Curve) -> Curve:
 
 def written(tables: ErrorTables) -> Texts:
     """Return the file of all tables; raises InputError if there is no table or if there are too many."""
-    found = tables_of(tables)
-    if not found:
+    cec = tables_of(tables)
+    if not cec:
         raise InputError("the result determines no error except positioning errors: nothing for $AN_CEC")
-    if len(found) > MOST_TABLES:
-        raise InputError(f"$AN_CEC takes at most {MOST_TABLES} tables; these errors need {len(found)}")
-    body = [line for index, table in enumerate(found) for line in _lines(index, table)]
-    return {"NC_CEC.INI": "\n".join(["%_N_NC_CEC_INI", *_head(tables, found), "CHANDATA(1)", *body, "M17", ""])}
+    if len(cec) > MOST_TABLES:
+        raise InputError(f"$AN_CEC takes at most {MOST_TABLES} tables; these errors need {len(cec)}")
+    body = [line for index, table in enumerate(cec) for line in _lines(index, table)]
+    return {"NC_CEC.INI": "\n".join(["%_N_NC_CEC_INI", *_head(tables, cec), "CHANDATA(1)", *body, "M17", ""])}
 
 
-def _head(tables: ErrorTables, found: Sequence[CecTable]) -> list[str]:
-    first = found[0]
-    most = max(len(table.curve.positions) for table in found)
+def _head(tables: ErrorTables, cec: Sequence[CecTable]) -> list[str]:
+    first = cec[0]
+    most = max(len(table.curve.positions) for table in cec)
     k = int(np.argmax(np.abs(first.curve.values)))
     where, value = first.curve.positions[k], first.curve.values[k]
     lines = [
@@ -106,7 +106,7 @@ def _head(tables: ErrorTables, found: Sequence[CecTable]) -> list[str]:
         "SD41310 $SN_CEC_TABLE_WEIGHT to -1 for all tables that are not multiplied by another table",
         "multiplied tables must act only by their product. If one of them moves its axis alone, disable all "
         "of these and use only the tables without MULT_BY_TABLE",
-        f"needs {len(found)} tables, MD18342 $MN_MM_CEC_MAX_POINTS >= {most}; an 828D has 8 tables of 200 points",
+        f"needs {len(cec)} tables, MD18342 $MN_MM_CEC_MAX_POINTS >= {most}; an 828D has 8 tables of 200 points",
         "load while MD32710 = 0, then SD41300 and MD32710 = 1; use with $AA_ENC_COMP for the positioning errors",
     ]
     return [f"; {line}" for line in lines]
@@ -135,14 +135,14 @@ def read(texts: Texts) -> list[CecTable]:
     for index, k, value in _ROW.findall(text):
         values.setdefault(int(index), {})[int(k)] = float(value)
     settings = {(key, int(index)): value for key, index, value in _SETTING.findall(text)}
-    found = []
+    entries = []
     for index, column in sorted(values.items()):
         grid = float(settings["MIN", index]) + float(settings["STEP", index]) * np.arange(float(len(column)))
-        curve = Curve(grid, np.array([column[k] for k in range(len(column))]))
+        curve = ErrorTable(grid, np.array([column[k] for k in range(len(column))]))
         number = int(settings["MULT_BY_TABLE", index])
         axes = settings["INPUT_AXIS", index][0], settings["OUTPUT_AXIS", index][0]
-        found.append(CecTable(curve, *axes, number - 1 if number else None))
-    return found
+        entries.append(CecTable(curve, *axes, number - 1 if number else None))
+    return entries
 
 
 def moved(held: Sequence[CecTable], commanded: Array) -> Array:
@@ -158,7 +158,7 @@ def moved(held: Sequence[CecTable], commanded: Array) -> Array:
     return moves
 
 
-CONTROL = Control(carried, written, read, moved, resolution=2e-6)
+CONTROL = CompensationFormat(carried, written, read, moved, resolution=2e-6)
 
 
 def files(result: Result) -> Texts:

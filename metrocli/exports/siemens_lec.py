@@ -13,8 +13,8 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, Curve, ErrorTables
+from metrocli.exports.compensation import CompensationFormat, Texts, files_of
+from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
 from metrocli.exports.volumetric import evenly
 from metrocli.result import Result
 
@@ -45,7 +45,7 @@ def written(tables: ErrorTables) -> Texts:
     return texts
 
 
-def _text(axis: str, curve: Curve, notes: list[str]) -> str:
+def _text(axis: str, curve: ErrorTable, notes: list[str]) -> str:
     count = len(curve.positions)
     step = (curve.positions[-1] - curve.positions[0]) / max(count - 1, 1)
     head = [
@@ -67,7 +67,7 @@ def _text(axis: str, curve: Curve, notes: list[str]) -> str:
     return "\n".join([*head, *values, *tail, ""])
 
 
-def read(texts: Texts) -> dict[str, Curve]:
+def read(texts: Texts) -> dict[str, ErrorTable]:
     """Return the table of each axis as the control stores it."""
     curves = {}
     for text in texts.values():
@@ -75,11 +75,11 @@ def read(texts: Texts) -> dict[str, Curve]:
         settings = {key: float(value) for key, _, value in _SETTING.findall(text)}
         axis = _VALUE.findall(text)[0][1]
         grid = settings["MIN"] + settings["STEP"] * np.arange(float(len(values)))
-        curves[axis] = Curve(grid, np.array([values[k] for k in range(len(values))]))
+        curves[axis] = ErrorTable(grid, np.array([values[k] for k in range(len(values))]))
     return curves
 
 
-def moved(held: Mapping[str, Curve], commanded: Array) -> Array:
+def moved(held: Mapping[str, ErrorTable], commanded: Array) -> Array:
     """Return the movement (n, 3) mm by the control: the negative value of the table."""
     moves = np.zeros(commanded.shape)
     for axis, curve in held.items():
@@ -88,7 +88,7 @@ def moved(held: Mapping[str, Curve], commanded: Array) -> Array:
     return moves
 
 
-CONTROL = Control(carried, written, read, moved, resolution=1e-6)
+CONTROL = CompensationFormat(carried, written, read, moved, resolution=1e-6)
 
 
 def files(result: Result) -> Texts:

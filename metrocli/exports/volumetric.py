@@ -9,15 +9,15 @@ import numpy as np
 
 from metrocli.arrays import Array
 from metrocli.errors import InputError
-from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, Curve, ErrorTables
+from metrocli.exports.compensation import CompensationFormat, Texts, files_of
+from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
 from metrocli.result import Result
 
 _EVEN = 1e-6
 """Largest distance [mm] of positions from an even grid"""
 
 
-def evenly(curve: Curve, most: int) -> Curve | None:
+def evenly(curve: ErrorTable, most: int) -> ErrorTable | None:
     """Return a curve on the coarsest even grid that contains all its positions.
 
     Returns None if this grid needs more than `most` points.
@@ -29,7 +29,7 @@ def evenly(curve: Curve, most: int) -> Curve | None:
     for count in range(max(first, 1), most):
         if _meets(curve.positions, start, (end - start) / count):
             grid = np.linspace(start, end, count + 1)
-            return Curve(grid, curve.at(grid))
+            return ErrorTable(grid, curve.at(grid))
     return None
 
 
@@ -64,18 +64,18 @@ def trial_move(tables: ErrorTables) -> list[str]:
 
 
 def moved_by_errors(
-    curves: Mapping[str, Curve], squareness: Mapping[str, float], comments: Iterable[str], commanded: Array
+    curves: Mapping[str, ErrorTable], squareness: Mapping[str, float], comments: Iterable[str], commanded: Array
 ) -> Array:
     """Return the movement, (n, 3) mm, by a control with the same rigid-body model: the negative error.
 
     Raises ValueError if the comments do not name the order of the axes and the tool.
     """
-    found = _CHAIN.search("\n".join(comments))
-    if found is None:
+    chain = _CHAIN.search("\n".join(comments))
+    if chain is None:
         raise ValueError("the comments do not name the chain")
-    tool = (float(found[2]), float(found[3]), float(found[4]))
+    tool = (float(chain[2]), float(chain[3]), float(chain[4]))
     ranges = {axis: (float(where.min()), float(where.max())) for axis, where in zip(AXES, commanded.T, strict=True)}
-    held = ErrorTables(dict(curves), dict(squareness), found[1], tool, ranges)
+    held = ErrorTables(dict(curves), dict(squareness), chain[1], tool, ranges)
     return -held.at(commanded)
 
 
@@ -99,28 +99,28 @@ def written(tables: ErrorTables) -> Texts:
     return {_FILE: "\n".join([*head, *blocks, *single, ""])}
 
 
-def _block(name: str, curve: Curve) -> str:
+def _block(name: str, curve: ErrorTable) -> str:
     rows = [f"  {at:.6f} {value:.12f}" for at, value in zip(curve.positions, curve.values, strict=True)]
     return "\n".join([f"[{name}]", "Gridpoints = {", *rows, f"}} // end of {name}"])
 
 
-def read(texts: Texts) -> tuple[dict[str, Curve], dict[str, float], list[str]]:
+def read(texts: Texts) -> tuple[dict[str, ErrorTable], dict[str, float], list[str]]:
     """Return the curves, the squareness errors and the comments of the file."""
     text = texts[_FILE]
     curves = {}
     for name, rows in _BLOCK.findall(text):
         values = np.array([row.split() for row in rows.strip().splitlines()], dtype=float)
-        curves[name] = Curve(values[:, 0], values[:, 1])
+        curves[name] = ErrorTable(values[:, 0], values[:, 1])
     squareness = {name: float(value) for name, value in _SINGLE.findall(text)}
     return curves, squareness, [line for line in text.splitlines() if line.startswith("//")]
 
 
-def moved(held: tuple[dict[str, Curve], dict[str, float], list[str]], commanded: Array) -> Array:
+def moved(held: tuple[dict[str, ErrorTable], dict[str, float], list[str]], commanded: Array) -> Array:
     """Return the movement (n, 3) mm by the control: the negative error of the rigid-body model."""
     return moved_by_errors(*held, commanded)
 
 
-CONTROL = Control(carried, written, read, moved, resolution=1e-6)
+CONTROL = CompensationFormat(carried, written, read, moved, resolution=1e-6)
 
 
 def files(result: Result) -> Texts:

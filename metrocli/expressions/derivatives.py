@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.expressions.expression import NEGATIVE, Expression, ExpressionError, Part
+from metrocli.expressions.expression import NEGATIVE, Expression, ExpressionError, Operation
 from metrocli.frozen import dataclass
 
 Array = npt.NDArray[Any]
@@ -53,7 +53,7 @@ class Jets:
         """Return a plain number: all its derivatives are 0."""
         return self._flat(value, 0.0)
 
-    def name(self, part: Part) -> Jet:
+    def name(self, part: Operation) -> Jet:
         """Return an input: its derivative by itself is 1."""
         value = self.values[part.name]
         if part.name not in self.names:
@@ -69,16 +69,16 @@ class Jets:
         curved = 0.0 if self.order > 1 else None
         return Jet(np.asarray(value, dtype=float)[()], gradient, curved, 0.0 if self.direction is not None else None)
 
-    def apply(self, part: Part, arguments: Sequence[Jet]) -> Jet:
+    def apply(self, part: Operation, arguments: Sequence[Jet]) -> Jet:
         """Return the outcome of one operation; raises NoValueError if it or a derivative is not finite."""
         with np.errstate(all="ignore"):
             jet = self._applied(part.operation, arguments)
         if not np.isfinite(jet.value).all():
-            said = f"'{self.expression.source(part)}' has no value at the best estimates"
-            raise NoValueError(said, part.start, "outside the range of the function, or a division by zero")
+            message = f"'{self.expression.source(part)}' has no value at the best estimates"
+            raise NoValueError(message, part.start, "outside the range of the function, or a division by zero")
         if not all(np.isfinite(item).all() for item in (jet.gradient, jet.hessian, jet.along) if item is not None):
-            said = f"'{self.expression.source(part)}' has no derivative at the best estimates"
-            raise _not_differentiable(said, part.start)
+            message = f"'{self.expression.source(part)}' has no derivative at the best estimates"
+            raise _not_differentiable(message, part.start)
         return jet
 
     def _applied(self, operation: str, arguments: Sequence[Jet]) -> Jet:

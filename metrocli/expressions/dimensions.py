@@ -12,7 +12,7 @@ from fractions import Fraction
 from functools import lru_cache
 
 from metrocli import units
-from metrocli.expressions.expression import NEGATIVE, NUMBER, Expression, ExpressionError, Part
+from metrocli.expressions.expression import NEGATIVE, NUMBER, Expression, ExpressionError, Operation
 from metrocli.frozen import dataclass
 
 Powers = tuple[tuple[str, Fraction], ...]
@@ -139,7 +139,7 @@ def base_unit(powers: Powers) -> str:
 @dataclass(frozen=True)
 class _Traced:
     unit: Compound
-    part: Part
+    part: Operation
     constant: float | None = None
 
 
@@ -151,12 +151,12 @@ class _Units:
     names: Mapping[str, Compound]
 
     def number(self, value: float) -> _Traced:
-        return _Traced(Compound("1", 1.0, ()), Part(NUMBER, 0, 0, 0, number=value), value)
+        return _Traced(Compound("1", 1.0, ()), Operation(NUMBER, 0, 0, 0, number=value), value)
 
-    def name(self, part: Part) -> _Traced:
+    def name(self, part: Operation) -> _Traced:
         return _Traced(self.names[part.name], part)
 
-    def apply(self, part: Part, arguments: Sequence[_Traced]) -> _Traced:
+    def apply(self, part: Operation, arguments: Sequence[_Traced]) -> _Traced:
         first, second = arguments[0], arguments[-1]
         if part.operation in ("+", "-"):
             return _Traced(self._sum(part, first, second), part)
@@ -164,7 +164,7 @@ class _Units:
             self._refuse_point(argument)
         return _Traced(self._other(part, first, second), part)
 
-    def _other(self, part: Part, first: _Traced, second: _Traced) -> Compound:
+    def _other(self, part: Operation, first: _Traced, second: _Traced) -> Compound:
         operation = part.operation
         if operation in (NEGATIVE, "abs"):
             return first.unit
@@ -180,7 +180,7 @@ class _Units:
         self._refuse_unit(first, f"the argument of {operation}")
         return Compound("1", 1.0, ())
 
-    def _sum(self, part: Part, first: _Traced, second: _Traced) -> Compound:
+    def _sum(self, part: Operation, first: _Traced, second: _Traced) -> Compound:
         """Return the unit of a sum: point - point gives a difference, point + difference gives a point."""
         if first.unit.powers != second.unit.powers:
             self._same(first, second)
@@ -198,32 +198,32 @@ class _Units:
         if base.unit.number:
             return base.unit
         if exponent.constant is None:
-            said = f"{self._said(base)} is raised to a power that is not a plain number"
-            raise ExpressionError(said, base.part.start, "only a plain number can have an uncertain exponent")
+            message = f"{self._said(base)} is raised to a power that is not a plain number"
+            raise ExpressionError(message, base.part.start, "only a plain number can have an uncertain exponent")
         power = Fraction(exponent.constant).limit_denominator(60)
         if abs(float(power) - exponent.constant) > 1e-12 or abs(power) > 20:
-            said = f"{self._said(base)} is raised to the power {exponent.constant:g}"
-            raise ExpressionError(said, base.part.start, "the power of a unit is a small whole number or a fraction")
+            message = f"{self._said(base)} is raised to the power {exponent.constant:g}"
+            raise ExpressionError(message, base.part.start, "the power of a unit is a small whole number or a fraction")
         return _to_the(base.unit, power)
 
     def _same(self, first: _Traced, second: _Traced) -> None:
         if first.unit.powers != second.unit.powers:
-            said = f"{self._said(first)}, {self._said(second)}: they cannot be added or compared"
-            raise ExpressionError(said, self._start(second, first), "each term of a sum has the same unit")
+            message = f"{self._said(first)}, {self._said(second)}: they cannot be added or compared"
+            raise ExpressionError(message, self._start(second, first), "each term of a sum has the same unit")
 
     def _start(self, second: _Traced, first: _Traced) -> int:
         return second.part.start if second.constant is None else first.part.start
 
     def _refuse_unit(self, argument: _Traced, what: str) -> None:
         if not argument.unit.number:
-            said = f"{self._said(argument)}, but {what} is a plain number or an angle"
-            raise ExpressionError(said, argument.part.start, "divide it by a quantity of the same unit")
+            message = f"{self._said(argument)}, but {what} is a plain number or an angle"
+            raise ExpressionError(message, argument.part.start, "divide it by a quantity of the same unit")
 
     def _refuse_point(self, argument: _Traced) -> None:
         if argument.unit.point:
-            said = f"{self._said(argument)}: only differences of such temperatures can be used"
+            message = f"{self._said(argument)}: only differences of such temperatures can be used"
             hint = "subtract a reference such as t0: 20 degC, or give the difference in K"
-            raise ExpressionError(said, argument.part.start, hint)
+            raise ExpressionError(message, argument.part.start, hint)
 
     def _said(self, traced: _Traced) -> str:
         if traced.constant is not None:

@@ -58,7 +58,7 @@ class ExpressionError(ValueError):
 
 
 @dataclass(frozen=True)
-class Part:
+class Operation:
     """One step of an expression: an operation on the last `arity` values, and the text it stands for."""
 
     operation: str
@@ -76,10 +76,10 @@ class Algebra(Protocol[T]):
     def number(self, value: float) -> T:
         """Return a plain number."""
 
-    def name(self, part: Part) -> T:
+    def name(self, part: Operation) -> T:
         """Return the value of a name."""
 
-    def apply(self, part: Part, arguments: Sequence[T]) -> T:
+    def apply(self, part: Operation, arguments: Sequence[T]) -> T:
         """Return the outcome of one operation."""
 
 
@@ -88,7 +88,7 @@ class Expression:
     """A model: its text, and its steps in the order of their evaluation."""
 
     text: str
-    parts: tuple[Part, ...]
+    parts: tuple[Operation, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -96,7 +96,7 @@ class Expression:
         named = sorted((part for part in self.parts if part.operation == NAME), key=lambda part: part.start)
         return tuple(dict.fromkeys(part.name for part in named))
 
-    def source(self, part: Part) -> str:
+    def source(self, part: Operation) -> str:
         """Return the text of a part, shortened where it is long."""
         text = " ".join(self.text[part.start : part.end].split())
         return text if len(text) <= 60 else f"{text[:57]}..."
@@ -140,8 +140,8 @@ def _near(text: str, start: int) -> str:
 def _refuse_text(text: str) -> None:
     """Raise ExpressionError for faults that show in the text itself, which limits the work of the parser."""
     if len(text) > LONGEST:
-        said = f"the model has {len(text)} characters, at most {LONGEST} are allowed"
-        raise ExpressionError(said, LONGEST, "write it as several shorter ones")
+        message = f"the model has {len(text)} characters, at most {LONGEST} are allowed"
+        raise ExpressionError(message, LONGEST, "write it as several shorter ones")
     foreign = _FOREIGN.search(text)
     if foreign:
         character = foreign[0]
@@ -176,7 +176,7 @@ def _refuse_text(text: str) -> None:
         raise ExpressionError(f"the model has more than {MOST_PARTS} numbers and names")
 
 
-def _postfix(body: ast.expr) -> Iterator[Part]:
+def _postfix(body: ast.expr) -> Iterator[Operation]:
     """Yield the steps of a tree, arguments before their operation, without recursion."""
     waiting: list[tuple[ast.expr, bool]] = [(body, False)]
     count = 0
@@ -188,20 +188,20 @@ def _postfix(body: ast.expr) -> Iterator[Part]:
             raise ExpressionError(f"the model has more than {MOST_PARTS} operations", start)
         operation, arguments = _operation(node)
         if ready or not arguments:
-            yield _leaf(node, start, end) if not arguments else Part(operation, len(arguments), start, end)
+            yield _leaf(node, start, end) if not arguments else Operation(operation, len(arguments), start, end)
             continue
         waiting.append((node, True))
         waiting.extend((argument, False) for argument in reversed(arguments))
 
 
-def _leaf(node: ast.expr, start: int, end: int) -> Part:
+def _leaf(node: ast.expr, start: int, end: int) -> Operation:
     """Return the step of a number or a name."""
     if isinstance(node, ast.Constant):
-        return Part(NUMBER, 0, start, end, number=_finite(node, start))
+        return Operation(NUMBER, 0, start, end, number=_finite(node, start))
     name = _dotted(node)
     if name in CONSTANTS:
-        return Part(NUMBER, 0, start, end, number=CONSTANTS[name])
-    return Part(NAME, 0, start, end, name=name)
+        return Operation(NUMBER, 0, start, end, number=CONSTANTS[name])
+    return Operation(NAME, 0, start, end, name=name)
 
 
 def _finite(node: ast.Constant, start: int) -> float:
@@ -257,9 +257,9 @@ def _dotted(node: ast.expr) -> str:
     return ".".join([node.id, *reversed(names)]) if isinstance(node, ast.Name) else ""
 
 
-def _folded(parts: list[Part]) -> Iterator[Part]:
+def _folded(parts: list[Operation]) -> Iterator[Operation]:
     """Yield the steps with every operation on plain numbers carried out; rejects overflows such as 9**9**9**9."""
-    stack: list[list[Part]] = []
+    stack: list[list[Operation]] = []
     for part in parts:
         if part.arity == 0:
             stack.append([part])
@@ -270,13 +270,13 @@ def _folded(parts: list[Part]) -> Iterator[Part]:
             stack.append(arguments[0])
         elif all(argument[-1].operation == NUMBER for argument in arguments):
             value = _of_numbers(part, [argument[-1].number for argument in arguments])
-            stack.append([Part(NUMBER, 0, part.start, part.end, number=value)])
+            stack.append([Operation(NUMBER, 0, part.start, part.end, number=value)])
         else:
             stack.append([step for argument in arguments for step in argument] + [part])
     yield from stack[0]
 
 
-def _of_numbers(part: Part, numbers: Sequence[float]) -> float:
+def _of_numbers(part: Operation, numbers: Sequence[float]) -> float:
     try:
         value = _EXACT[part.operation](*numbers)
     except (ArithmeticError, ValueError):

@@ -54,8 +54,8 @@ class AnyQuantity:
         match, comma = _QUANTITY.fullmatch(text), _COMMA.fullmatch(text)
         if not self.fits(node) or match is None or comma:
             hint = f"write {comma[1] or '0'}.{comma[2]}{comma[3]}" if comma else f"expected {self.expects}"
-            said = f"'{text}' has a decimal comma" if comma else f"'{text}' is not a number with a unit"
-            return refuse(self, node, faults, said if self.fits(node) else "there is no value", hint)
+            message = f"'{text}' has a decimal comma" if comma else f"'{text}' is not a number with a unit"
+            return refuse(self, node, faults, message if self.fits(node) else "there is no value", hint)
         try:
             unit = compound(match[2])
         except units.QuantityError as error:
@@ -93,7 +93,7 @@ class OfUnit:
 
 
 @dataclass(frozen=True)
-class Model:
+class WrittenExpression:
     """An expression with its place in the job."""
 
     expression: Expression
@@ -126,7 +126,7 @@ class ModelText:
         if not self.fits(node):
             return refuse(self, node, faults, "there is no model")
         try:
-            return Model(parse(node.text), node)
+            return WrittenExpression(parse(node.text), node)
         except ExpressionError as error:
             faults.append(fault_in(node, error))
             return BAD

@@ -19,7 +19,7 @@ from metrocli.arrays import Array, Values
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_plain import PlainCells, plain_cells
 from metrocli.formats.csv_text import Raw, read_text, repeated, shortened, taken_apart
-from metrocli.formats.file_bytes import FileBytes, written_aside
+from metrocli.formats.file_bytes import FileBytes, atomic_write
 from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 from metrocli.words import nearest
 
@@ -267,8 +267,8 @@ def _texts(raw: Raw, index: int, column: Column, faults: list[Fault]) -> Values:
 
 def write(path: Path, table: Table) -> None:
     """Write a table with its units in the header, completely or not at all; numbers read back without change."""
-    with written_aside(path) as aside:
-        aside.write_text(to_text(table), encoding="utf-8", newline="\n")
+    with atomic_write(path) as temporary:
+        temporary.write_text(to_text(table), encoding="utf-8", newline="\n")
 
 
 def to_text(table: Table) -> str:

@@ -95,14 +95,14 @@ def taken_apart(text: str, file: str, plainly: Plainly | None = None) -> Raw:
     Raises InputError if there is no header or no row, or if a row has another number of cells than the header.
     """
     lines = ((n, line, end) for n, line, end in _lines(text) if _is_row(line))
-    found, stated = next(lines, None), None
-    if found is not None and (stated := separator_of(found[1])) is not None:
-        found = next(lines, None)
-    if found is None:
+    names, stated = next(lines, None), None
+    if names is not None and (stated := separator_of(names[1])) is not None:
+        names = next(lines, None)
+    if names is None:
         raise InputError(
             [Fault("the file is empty", file, 1, 1, hint="expected a header with the names of the columns")]
         )
-    number, heading, end = found
+    number, heading, end = names
     separator = stated or max(",;\t", key=heading.count)
     header = tuple(cell.strip() for cell in next(csv.reader([heading], delimiter=separator)))
     if len(header) > MOST_COLUMNS:
@@ -267,8 +267,8 @@ def repeated(raw: Raw, columns: Columns, values: dict[str, Values], without: Con
         if raw.numbers[row] in without:
             continue
         if key in first:
-            said = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
-            faults.append(raw.fault(f"{said}: a second row", raw.numbers[row], None, f"first in line {first[key]}"))
+            message = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
+            faults.append(raw.fault(f"{message}: a second row", raw.numbers[row], None, f"first in line {first[key]}"))
         else:
             first[key] = raw.numbers[row]
     return faults

@@ -70,15 +70,15 @@ _open: set[Path] = set()
 
 
 @contextmanager
-def written_aside(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the same folder to write to; on success it replaces `path` in one step.
 
     The temporary file is locked as long as its writer lives, so that others can see which ones are left over. Raises
     InputError if the file cannot be written; `path` and the folders are then as before.
     """
     try:
-        with folder_made(path.parent), _replacing(path) as aside:
-            yield aside
+        with folder_made(path.parent), _replacing(path) as temporary:
+            yield temporary
     except OSError as error:
         raise InputError([Fault(f"cannot be written: {error.strerror or error}", str(path))]) from error
 
@@ -98,28 +98,28 @@ def folder_made(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
-    aside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     handle = -1
     try:
         sweep(path.parent, f".{path.name}.")
-        _open.add(aside)
-        handle = os.open(aside, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
+        _open.add(temporary)
+        handle = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
         _lock(handle)
-        yield aside
+        yield temporary
         os.fsync(handle)
-        aside.replace(path)
+        temporary.replace(path)
         _flush(path.parent)
     finally:
         with suppress(OSError):
-            aside.unlink()
+            temporary.unlink()
         if handle >= 0:
             os.close(handle)
-        _open.discard(aside)
+        _open.discard(temporary)
 
 
 def write_bytes(path: Path, *parts: bytes) -> None:
-    """Write a file completely or not at all, part after part; raises InputError as `written_aside`."""
-    with written_aside(path) as aside, aside.open("wb") as file:
+    """Write a file completely or not at all, part after part; raises InputError as `atomic_write`."""
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
         file.writelines(parts)
 
 
@@ -153,9 +153,9 @@ def sweep(folder: Path, begin: str = ".") -> None:
 
 def discard_all() -> None:
     """Remove all temporary files of this process; for the moment before it ends without unwinding."""
-    for aside in list(_open):
+    for temporary in list(_open):
         with suppress(OSError):
-            aside.unlink()
+            temporary.unlink()
 
 
 def _lock(handle: int) -> None:

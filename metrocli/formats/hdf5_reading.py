@@ -14,7 +14,7 @@ from metrocli import units
 from metrocli.errors import Fault, InputError
 from metrocli.formats.covariances import contradictions
 from metrocli.formats.seal import Label
-from metrocli.record import Record, Verdict
+from metrocli.record import CriterionVerdict, Record
 from metrocli.result import SCALE, Estimate, Result, ShownTable
 from metrocli.table import Table
 
@@ -180,14 +180,14 @@ def _read_record(file: h5py.File, label: Label) -> Record:
 def _certificate(file: h5py.File) -> dict[str, Any]:
     """Return what the job states for a certificate; raise TypeError if a key holds what no job states there."""
     certificate: dict[str, Any] = json.loads(file["certificate"].asstr()[()]) if "certificate" in file else {}
-    parts = [one if name in _PARTS and isinstance(one, dict) else {name: one} for name, one in certificate.items()]
+    parts = [text if name in _PARTS and isinstance(text, dict) else {name: text} for name, text in certificate.items()]
     if not all(isinstance(text, str) and name not in _PARTS for part in parts for name, text in part.items()):
         raise TypeError("the certificate holds what no job states")
     return certificate
 
 
-def _verdict(name: str, condition: str, value: float, unit: str, met: bool, decision: str = "") -> Verdict:
-    return Verdict(name, condition, float(value), unit, bool(met), decision)
+def _verdict(name: str, condition: str, value: float, unit: str, met: bool, decision: str = "") -> CriterionVerdict:
+    return CriterionVerdict(name, condition, float(value), unit, bool(met), decision)
 
 
 def _rows(data: h5py.Dataset) -> list[dict[str, Any]]:
@@ -220,7 +220,7 @@ def _read_values(group: h5py.Group) -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     """Return a value of an attribute as a number, a text or a list of these; raise TypeError for anything else."""
     plain = value.tolist() if hasattr(value, "tolist") else value
-    for one in plain if isinstance(plain, list) else [plain]:
-        if not isinstance(one, str | float | int):
+    for item in plain if isinstance(plain, list) else [plain]:
+        if not isinstance(item, str | float | int):
             raise TypeError("an attribute is neither number nor text")
     return plain

@@ -28,7 +28,7 @@ def _untold(done: int, of: int | None) -> None:
 
 
 @dataclass(frozen=True)
-class ImageFiles:
+class DecodedImages:
     """Grey images of equal size in files, decoded one at a time."""
 
     paths: tuple[Path, ...]
@@ -55,7 +55,7 @@ class ImageFiles:
             self.tell(done, len(self.paths))
 
 
-def read_images(paths: Sequence[Path]) -> ImageFiles:
+def read_images(paths: Sequence[Path]) -> DecodedImages:
     """Return the images sorted by name, and check all files without decoding them.
 
     Raises InputError with all faults of all files: not readable, unknown format, incomplete, too large, different
@@ -82,7 +82,7 @@ def read_images(paths: Sequence[Path]) -> ImageFiles:
     faults += [*_same_names(files), *_different_sizes(sizes)]
     if faults:
         raise InputError(faults)
-    return ImageFiles(files, sizes[files[0]], tuple(lengths.values()), tuple(digests.values()))
+    return DecodedImages(files, sizes[files[0]], tuple(lengths.values()), tuple(digests.values()))
 
 
 def read(path: Path, digest: str = "") -> Picture:

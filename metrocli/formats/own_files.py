@@ -149,9 +149,9 @@ _HINT = "expected a mesh of triangles in STL, PLY or OBJ"
 
 def _must_be_whole(data: bytes, path: Path) -> None:
     """Raise InputError for a binary STL, 84 bytes and 50 for each triangle, that is cut off."""
-    count, found = int.from_bytes(data[80:84], "little"), (len(data) - 84) // 50
-    if len(data) > 84 and b"facet" not in data[:1000].lower() and found < count:
-        fault = Fault(f"the file is cut off: {found} of its {count} triangles are there", str(path), hint=_EXPORT)
+    count, length = int.from_bytes(data[80:84], "little"), (len(data) - 84) // 50
+    if len(data) > 84 and b"facet" not in data[:1000].lower() and length < count:
+        fault = Fault(f"the file is cut off: {length} of its {count} triangles are there", str(path), hint=_EXPORT)
         raise InputError([fault])
 
 

@@ -132,18 +132,18 @@ class Search:
         distance, normal, feature = self._of(points, face)
         return Nearest(points, distance, normal, face, feature, margin, near)
 
-    def bend(self, found: Nearest) -> Array:
+    def bend(self, nearest: Nearest) -> Array:
         """Return the second derivative of the distance by each point (n, 3, 3): of points beyond an edge or a corner.
 
         There the distance d is that from a line or a point: `(I - e e' - n n')/d` with the edge e and the gradient n.
         """
-        bend = np.zeros((len(found.points), 3, 3))
-        off = np.flatnonzero((found.feature > 0) & (np.abs(found.distance) > _TOUCHING))
-        across = self.mesh.across(found.face[off], found.feature[off])
+        bend = np.zeros((len(nearest.points), 3, 3))
+        off = np.flatnonzero((nearest.feature > 0) & (np.abs(nearest.distance) > _TOUCHING))
+        across = self.mesh.across(nearest.face[off], nearest.feature[off])
         some = across.any(axis=(1, 2))
         off, across = off[some], across[some]
-        normal = found.normal[off]
-        bend[off] = (across - normal[:, :, None] * normal[:, None, :]) / found.distance[off, None, None]
+        normal = nearest.normal[off]
+        bend[off] = (across - normal[:, :, None] * normal[:, None, :]) / nearest.distance[off, None, None]
         return bend
 
     def _sought(self, points: Array, search: Index, near: Near, face: Index, margin: Array) -> Near:

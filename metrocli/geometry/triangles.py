@@ -65,11 +65,11 @@ class Triangles:
         first = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
         counts = np.diff(np.append(first, len(ordered)))
         pair = first[counts == 2]
-        one, other = order[pair], order[pair + 1]
-        opposite = start[one] == end[other]
+        edge, other = order[pair], order[pair + 1]
+        opposite = start[edge] == end[other]
         neighbour = np.full(len(start), -1, dtype=np.intp)
-        neighbour[one[opposite]], neighbour[other[opposite]] = other[opposite], one[opposite]
-        twice = np.concatenate([one[~opposite], order[first[counts > 2]]])
+        neighbour[edge[opposite]], neighbour[other[opposite]] = other[opposite], edge[opposite]
+        twice = np.concatenate([edge[~opposite], order[first[counts > 2]]])
         return neighbour, twice
 
     @property
@@ -87,9 +87,9 @@ class Triangles:
         """Return the two triangles at each edge that has both, and the angle between their normals [rad], (e,) each."""
         neighbour, _ = self._paired
         edge = np.flatnonzero(neighbour > np.arange(len(neighbour)))
-        one, other = edge // 3, neighbour[edge] // 3
-        cosine = np.einsum("ek,ek->e", self.normals[one], self.normals[other])
-        return one, other, np.arccos(np.clip(cosine, -1, 1))
+        first, other = edge // 3, neighbour[edge] // 3
+        cosine = np.einsum("ek,ek->e", self.normals[first], self.normals[other])
+        return first, other, np.arccos(np.clip(cosine, -1, 1))
 
     def _joined(self, smooth: Mask) -> Index:
         """Return a label for each triangle (f,), the same for those that smooth edges (e,) join."""
@@ -116,13 +116,13 @@ class Triangles:
 
         Facets of a surface meet at angles alike; where the angle is twice the usual one of the patch, a surface ends.
         """
-        one, _, angle = self._edges
+        edge, _, angle = self._edges
         bent = np.flatnonzero((angle > _FLAT) & (angle < _SMOOTH))
-        order = bent[np.lexsort((angle[bent], self.patch[one[bent]]))]
-        present, first, counts = np.unique(self.patch[one[order]], return_index=True, return_counts=True)
+        order = bent[np.lexsort((angle[bent], self.patch[edge[bent]]))]
+        present, first, counts = np.unique(self.patch[edge[order]], return_index=True, return_counts=True)
         usual = np.zeros(self.patches)
         usual[present] = angle[order[first + counts // 2]]
-        return self._joined((angle < _FLAT) | (angle < np.minimum(2 * usual[self.patch[one]], _SMOOTH)))
+        return self._joined((angle < _FLAT) | (angle < np.minimum(2 * usual[self.patch[edge]], _SMOOTH)))
 
     @property
     def patches(self) -> int:
@@ -152,7 +152,9 @@ class Triangles:
         """Normals of the vertices, the sum of their faces by the angles there, (m, 3), not of length 1."""
         angle = self._angles(slice(None))
         weighted = ((angle * self.normals[:, k, None]).ravel() for k in range(3))
-        return np.stack([np.bincount(self.faces.ravel(), one, len(self.vertices)) for one in weighted], axis=1)
+        return np.stack(
+            [np.bincount(self.faces.ravel(), component, len(self.vertices)) for component in weighted], axis=1
+        )
 
     def interpolated(self, face: Index, places: Array) -> Array:
         """Return the normals (n, 3) of the smooth surface that the triangles stand for, at places (n, 3) on triangles.

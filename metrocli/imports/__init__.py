@@ -10,7 +10,7 @@ from metrocli.errors import UsageError
 from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
-    from metrocli.imports.lines import Lines
+    from metrocli.imports.lines import TextLines
     from metrocli.nodes import Node
 
 Imported = Mapping[str, str]
@@ -18,7 +18,7 @@ Imported = Mapping[str, str]
 
 
 @dataclass(frozen=True)
-class Format:
+class ImportFormat:
     """A format that can be read; its module is imported only when it is used."""
 
     module: str
@@ -30,7 +30,7 @@ class Format:
 
 
 @dataclass(frozen=True)
-class Wishes:
+class ImportOptions:
     """What a format may need besides the file."""
 
     mapping: Node | None = None
@@ -39,8 +39,8 @@ class Wishes:
     """Unit of lengths in a file that does not state it"""
 
 
-FORMATS: dict[str, Format] = {
-    "columns": Format(
+FORMATS: dict[str, ImportFormat] = {
+    "columns": ImportFormat(
         "metrocli.imports.columns",
         "any table, with a file that names column, unit and sign (--map)",
         "docs/imports.md",
@@ -48,24 +48,24 @@ FORMATS: dict[str, Format] = {
     ),
     **dict.fromkeys(
         ("opencv", "ros", "colmap", "kalibr", "mrcal", "metashape", "matlab"),
-        Format(
+        ImportFormat(
             "metrocli.imports.cameras",
             "camera of another program, as the camera file of align-part",
             "OpenCV, camera_calibration; and the manuals of the other programs",
         ),
     ),
-    "gama-xml": Format(
+    "gama-xml": ImportFormat(
         "metrocli.imports.gama_xml",
         "spatial networks of GNU Gama (gama-local)",
         "GNU Gama manual, XML input data format for gama-local",
     ),
-    "sa-ascii": Format(
+    "sa-ascii": ImportFormat(
         "metrocli.imports.sa_ascii",
         "points of SpatialAnalyzer (--unit)",
         "SpatialAnalyzer User Manual, Exporting ASCII Formatted Points",
         "unit",
     ),
-    "vnl": Format(
+    "vnl": ImportFormat(
         "metrocli.imports.vnl",
         "corners found by mrgingham for mrcal",
         "manual page mrgingham(1); github.com/dkogan/vnlog",
@@ -73,7 +73,7 @@ FORMATS: dict[str, Format] = {
 }
 
 
-def imported(name: str, lines: Lines, wishes: Wishes) -> Imported:
+def imported(name: str, lines: TextLines, wishes: ImportOptions) -> Imported:
     """Return the CSV files of a file in a format.
 
     Raises UsageError for a wish that the format does not use, InputError that lists all faults with their rows.
@@ -81,5 +81,5 @@ def imported(name: str, lines: Lines, wishes: Wishes) -> Imported:
     for wish, option in (("mapping", "--map"), ("unit", "--unit")):
         if getattr(wishes, wish) and wish != FORMATS[name].takes:
             raise UsageError(f"--from {name} takes no {option}: leave it out")
-    files: Callable[[Lines, Wishes], Imported] = import_module(FORMATS[name].module).files
+    files: Callable[[TextLines, ImportOptions], Imported] = import_module(FORMATS[name].module).files
     return files(lines, wishes)

@@ -12,16 +12,16 @@ from metrocli.errors import Fault, InputError, UsageError
 from metrocli.formats.csv_header import later_header
 from metrocli.formats.csv_text import shortened
 from metrocli.frozen import dataclass
-from metrocli.imports import Imported, Wishes
-from metrocli.imports.lines import Lines, is_number, to_csv, with_sign
+from metrocli.imports import Imported, ImportOptions
+from metrocli.imports.lines import TextLines, is_number, to_csv, with_sign
 from metrocli.nodes import Node
 from metrocli.settings import (
     BAD,
     At,
     Choice,
     Either,
+    LocatedValue,
     MapOf,
-    Placed,
     Section,
     TableFile,
     Text,
@@ -40,7 +40,7 @@ _SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 
 
 @dataclass(frozen=True)
-class Source:
+class ColumnSource:
     """Where a quantity comes from."""
 
     column: str | None = setting(Text(), "name of the column in the file, or its number from 1", default=None)
@@ -59,9 +59,9 @@ class Mapping:
     """How the columns of a file become an input of a job."""
 
     job: str = setting(Choice(*KINDS), "kind of job that reads the CSV")
-    input: Placed = setting(At(Text()), "key of the input in that job, such as lengths")
-    columns: dict[str, Placed] = setting(
-        MapOf(At(Either(Text(), Section(Source)))), "quantities of the input, each with its column"
+    input: LocatedValue = setting(At(Text()), "key of the input in that job, such as lengths")
+    columns: dict[str, LocatedValue] = setting(
+        MapOf(At(Either(Text(), Section(ColumnSource)))), "quantities of the input, each with its column"
     )
     file: str | None = setting(Text(), "name of the CSV (default: that of the input)", default=None)
     separator: str | None = setting(Choice(*_SEPARATORS), "between cells (default: as the first row has)", default=None)
@@ -83,7 +83,7 @@ class Mapping:
             yield "file", "a name without folders is expected: --out names the folder"
 
 
-def files(lines: Lines, wishes: Wishes) -> Imported:
+def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     """Return the CSV that the mapping describes.
 
     Raises UsageError without a mapping file, InputError that lists all faults of it, or all faults of the rows.
@@ -107,10 +107,10 @@ def files(lines: Lines, wishes: Wishes) -> Imported:
         if place is None:
             cells.append([with_sign(str(source.value), int(source.sign))] * len(rows))
         else:
-            found = [(number, row[place]) for number, row in rows]
+            values = [(number, row[place]) for number, row in rows]
             if columns[name].dimension != TEXT and mapping.thousands:
-                found = [(number, _ungrouped(text, mapping.thousands)) for number, text in found]
-            texts, wrong = _read(lines, found, columns[name], mapping.decimal == "comma")
+                values = [(number, _ungrouped(text, mapping.thousands)) for number, text in values]
+            texts, wrong = _read(lines, values, columns[name], mapping.decimal == "comma")
             cells.append([with_sign(text, int(source.sign)) for text in texts])
             faults += wrong
     if faults:
@@ -123,7 +123,11 @@ def _input(mapping: Mapping) -> Columns:
     """Return the columns of the input; raises InputError if the kind of job has no such table."""
     inputs = settings_of(KINDS[mapping.job].settings()).get("inputs")
     below = settings_of(inputs[0].spec.section) if inputs and isinstance(inputs[0].spec, Section) else {}
-    tables = {one.key: found for one, _ in below.values() if (found := _table(one.spec)) is not None}
+    tables = {
+        below_setting.key: columns
+        for below_setting, _ in below.values()
+        if (columns := _table(below_setting.spec)) is not None
+    }
     if mapping.input.value not in tables:
         text = f"a job {mapping.job} has no table '{mapping.input.value}'"
         raise InputError([mapping.input.node.fault(text, suggestion(mapping.input.value, list(tables)))])
@@ -139,11 +143,11 @@ def _table(spec: object) -> Columns | None:
     return next((found for part in parts if (found := _table(part)) is not None), None)
 
 
-def _source(placed: Placed) -> Source:
-    return placed.value if isinstance(placed.value, Source) else Source(column=placed.value)
+def _source(placed: LocatedValue) -> ColumnSource:
+    return placed.value if isinstance(placed.value, ColumnSource) else ColumnSource(column=placed.value)
 
 
-def _rows(lines: Lines, mapping: Mapping) -> tuple[list[tuple[int, Sequence[str]]], Sequence[str]]:
+def _rows(lines: TextLines, mapping: Mapping) -> tuple[list[tuple[int, Sequence[str]]], Sequence[str]]:
     """Return the rows with their line numbers, and the names of the columns, which are numbers without a header.
 
     Raises InputError for rows with another number of cells than the first.
@@ -184,7 +188,7 @@ def _cells(line: str, separator: str) -> Sequence[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
 
 
-def _place(source: Source, names: Sequence[str]) -> int | None:
+def _place(source: ColumnSource, names: Sequence[str]) -> int | None:
     """Return the number of the column from 0, None for a fixed value; a name comes before a number."""
     if source.column is None:
         return None
@@ -203,7 +207,7 @@ def _misfits(mapping: Mapping, columns: dict[str, Column], names: Sequence[str],
         yield node.fault(f"the input also needs {', '.join(absent)}")
 
 
-def _faults_of(column: Column, source: Source, node: Node, names: Sequence[str]) -> Iterator[Fault]:
+def _faults_of(column: Column, source: ColumnSource, node: Node, names: Sequence[str]) -> Iterator[Fault]:
     """Yield what is wrong with a source: a column that is not there, or a unit that does not fit."""
     if source.column is not None and source.column not in names:
         number = re.fullmatch(r"[0-9]{1,6}", source.column)
@@ -227,7 +231,7 @@ def _faults_of(column: Column, source: Source, node: Node, names: Sequence[str])
         yield node.fault(f"{column.name} is {phrase} and {reason}", f"one of {', '.join(sorted(known))}")
 
 
-def _heading(column: Column, source: Source) -> str:
+def _heading(column: Column, source: ColumnSource) -> str:
     if source.unit is None:
         return column.name
     ending = next(ending for ending, unit in units.suffixes(column.dimension).items() if unit.symbol == source.unit)
@@ -241,7 +245,7 @@ def _ungrouped(text: str, thousands: str) -> str:
     return re.sub(f"[{re.escape(signs)}]", "", text) if whole else text
 
 
-def proposed(lines: Lines) -> str:
+def proposed(lines: TextLines) -> str:
     """Return a mapping file that names what a table looks like, for a person to complete."""
     rows = list(lines.without("#"))
     if not rows:
@@ -271,7 +275,9 @@ def proposed(lines: Lines) -> str:
     )
 
 
-def _read(lines: Lines, cells: Sequence[tuple[int, str]], column: Column, comma: bool) -> tuple[list[str], list[Fault]]:
+def _read(
+    lines: TextLines, cells: Sequence[tuple[int, str]], column: Column, comma: bool
+) -> tuple[list[str], list[Fault]]:
     """Return the cells of a column, each with its line number, with the digits of the file, and what is wrong there."""
     texts, faults = [], []
     for number, text in cells:

@@ -14,8 +14,8 @@ from xml.etree import ElementTree
 
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
-from metrocli.imports import Imported, Wishes
-from metrocli.imports.lines import Lines, to_csv
+from metrocli.imports import Imported, ImportOptions
+from metrocli.imports.lines import TextLines, to_csv
 
 _TOWARDS = {"e": ("x", 1), "w": ("x", -1), "n": ("y", 1), "s": ("y", -1)}
 _AXES = ("ne", "sw", "es", "wn", "en", "nw", "se", "ws")
@@ -31,7 +31,7 @@ INSTRUMENT = "TS1"
 Element = ElementTree.Element
 
 
-def files(lines: Lines, wishes: Wishes) -> Imported:
+def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     """Return readings.csv, stations.csv, points.csv and heights.csv; raises InputError that lists all faults."""
     try:
         root = _bare(ElementTree.fromstring("\n".join(lines.lines)))
@@ -40,7 +40,7 @@ def files(lines: Lines, wishes: Wishes) -> Imported:
     network = root if root.tag == "network" else root.find("network")
     if network is None:
         raise InputError([lines.fault("there is no <network>", None, "expected: the XML input of gama-local")])
-    reader = _Reader(lines, network)
+    reader = _NetworkSections(lines, network)
     survey = reader.read()
     if reader.faults:
         raise InputError(reader.faults)
@@ -60,14 +60,14 @@ def _setups(obs: Element) -> dict[tuple[str, str], list[Element]]:
 
     Directions do not depend on the height; they join the first set-up of their point.
     """
-    found: dict[tuple[str, str], list[Element]] = {}
-    for one in obs:
-        name = one.get("from", obs.get("from", "")).strip()
-        key = name, one.get("from_dh", obs.get("from_dh", "0"))
-        if one.tag == "direction" and one.get("from_dh") is None:
-            key = next((other for other in found if other[0] == name), key)
-        found.setdefault(key, []).append(one)
-    return found
+    setups: dict[tuple[str, str], list[Element]] = {}
+    for element in obs:
+        name = element.get("from", obs.get("from", "")).strip()
+        key = name, element.get("from_dh", obs.get("from_dh", "0"))
+        if element.tag == "direction" and element.get("from_dh") is None:
+            key = next((other for other in setups if other[0] == name), key)
+        setups.setdefault(key, []).append(element)
+    return setups
 
 
 @dataclass(frozen=True)
@@ -80,10 +80,10 @@ class _Shot:
     cells: dict[str, str]
 
 
-class _Reader:
+class _NetworkSections:
     """The sections of a network, read one after the other."""
 
-    def __init__(self, lines: Lines, network: Element) -> None:
+    def __init__(self, lines: TextLines, network: Element) -> None:
         self.lines, self.network, self.faults = lines, network, list[Fault]()
         self.axes = network.get("axes-xy", "ne")
         self.clockwise = network.get("angles", "left-handed") == "left-handed"
@@ -92,7 +92,9 @@ class _Reader:
             self.axes = "en"
 
     def _refuse(self, message: str, hint: str = _HINT) -> None:
-        self.faults.append(self.lines.fault(message, None, hint))
+        fault = self.lines.fault(message, None, hint)
+        if fault not in self.faults:
+            self.faults.append(fault)
 
     def read(self) -> Mapping[str, tuple[tuple[str, ...], list[tuple[str, ...]]]]:
         """Return header and rows of each file."""
@@ -130,6 +132,11 @@ class _Reader:
     def _point(self, element: Element) -> Iterator[tuple[str, ...]]:
         """Yield a listed point: a fixed coordinate has the standard deviation 0, an adjusted one none."""
         if not all(element.get(axis) for axis in "xyz"):
+            if element.get("fix"):
+                name = element.get("id", "")
+                self._refuse(
+                    f"point {name} is fixed and lacks a coordinate", "give it, an approximate one if it is free"
+                )
             return
         place, sigma = {"z": element.get("z", "")}, {"z": "0" if "z" in element.get("fix", "").lower() else ""}
         for axis, letter in zip("xy", self.axes, strict=True):
@@ -181,10 +188,17 @@ class _Reader:
 
     def _heights(self, group: Element) -> Iterator[tuple[str, ...]]:
         for element in group:
-            if element.tag != "dh" or not element.get("stdev"):
-                self._refuse(f"<{element.tag}> of height differences without stdev is not read")
+            spread = element.get("stdev") or self._of_way(element)
+            if element.tag != "dh" or not spread:
+                self._refuse(f"<{element.tag}> of height differences without stdev and dist is not read")
                 continue
-            yield element.get("from", ""), element.get("to", ""), element.get("val", ""), element.get("stdev", "")
+            yield element.get("from", ""), element.get("to", ""), element.get("val", ""), spread
+
+    def _of_way(self, element: Element) -> str:
+        """Return the standard deviation of a levelled way of some km, `sigma_apr sqrt(dist)` mm; empty without one."""
+        way, parameters = element.get("dist"), self.network.find("parameters")
+        apriori = "10" if parameters is None else parameters.get("sigma-apr", "10")
+        return str(self._number(way, element).sqrt() * self._number(apriori, element)) if way else ""
 
     def _number(self, text: str, element: Element) -> Decimal:
         try:

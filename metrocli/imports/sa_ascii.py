@@ -11,15 +11,15 @@ from collections import Counter
 from metrocli import units
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.formats.csv_text import shortened
-from metrocli.imports import Imported, Wishes
-from metrocli.imports.lines import Lines, is_number, to_csv
+from metrocli.imports import Imported, ImportOptions
+from metrocli.imports.lines import TextLines, is_number, to_csv
 from metrocli.words import suggestion
 
 _COMMENT = "//"
 _HINT = "expected: [[Collection] Group] Target x y z, exported without uncertainties, times or offsets"
 
 
-def files(lines: Lines, wishes: Wishes) -> Imported:
+def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     """Return points.csv; raises UsageError without a unit, InputError that lists all faults of the lines."""
     known = units.suffixes("length")
     if wishes.unit not in known:

@@ -11,14 +11,14 @@ from collections.abc import Mapping
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_text import shortened
-from metrocli.imports import Imported, Wishes
-from metrocli.imports.lines import Lines, is_number, to_csv
+from metrocli.imports import Imported, ImportOptions
+from metrocli.imports.lines import TextLines, is_number, to_csv
 
 _WANTED = ("filename", "x", "y")
 _LEVEL = "level"
 
 
-def files(lines: Lines, wishes: Wishes) -> Imported:
+def files(lines: TextLines, wishes: ImportOptions) -> Imported:
     """Return observations.csv; raises InputError that lists all faults of the lines."""
     remarks = ((n, line) for n, line in enumerate(lines.lines, 1) if line.startswith("#"))
     legend = next((remark for remark in remarks if not remark[1].startswith(("##", "#!"))), None)
@@ -60,7 +60,7 @@ def files(lines: Lines, wishes: Wishes) -> Imported:
     return {"observations.csv": to_csv(header, rows, f"from {lines.file} (vnl)", notes)}
 
 
-def _incomplete(lines: Lines, counts: Mapping[str, int]) -> list[Fault]:
+def _incomplete(lines: TextLines, counts: Mapping[str, int]) -> list[Fault]:
     """Return a fault for each image with another number of corners than the first: its corners cannot be named."""
     if not counts:
         return [lines.fault("no image has corners")]

@@ -13,7 +13,7 @@ import numpy as np
 
 from metrocli.adjust.coupled_fields import Fields
 from metrocli.adjust.model.blocks import Block, Space
-from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.chain import Chain, LinkContext, Step
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
@@ -55,7 +55,7 @@ class BallOf:
     gives = Quantity.BALL_IN_ARTEFACT
     blocks = (ARTEFACT,)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return `pitch b + A` (3, n) and its derivative by A."""
         ball = self.nominal.T[:, local.index(ARTEFACT)] + local.rows(ARTEFACT)
         return Step(ball, by_block={ARTEFACT: np.eye(3)[:, :, None]} if ARTEFACT in local.wanted else {})
@@ -73,7 +73,7 @@ class Mounted:
     gives = Quantity.BALL_ON_TABLE
     blocks = ()
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the mounted ball, (3, n), and its derivative by the ball in the artefact."""
         view = local.index(VIEW)
         turn = np.ascontiguousarray(np.moveaxis(self.turns, 0, -1)[:, :, view])
@@ -88,7 +88,7 @@ class WithMachineError:
     gives = Quantity.MACHINE_READING
     blocks = (MACHINE,)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return `x + G(site)`, (3, n), with derivatives of 1 by both."""
         identity = np.eye(3)[:, :, None]
         return Step(value + local.rows(MACHINE), identity, {MACHINE: identity} if MACHINE in local.wanted else {})
@@ -104,7 +104,7 @@ class BallDistance:
     gives = Quantity.LENGTH
     blocks = (ARTEFACT,)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the distance (1, n) with its derivatives by both balls, (2, 1, 3, n)."""
         balls = self.nominal + local.members(ARTEFACT)
         first, second = local.index(ARTEFACT)
@@ -146,9 +146,9 @@ def view_block(views: Sequence[View], values: Array) -> Block:
 def hollow(views: Sequence[View], view: Index, balls: Index, pitch: float) -> Array:
     """Return the condition `HOLLOW` of readings (n,) of balls (n, 3)."""
     offsets = np.empty(len(balls))
-    for n, one in enumerate(views):
+    for n, measured in enumerate(views):
         rows = view == n
-        square: Array = ((balls[rows] @ one.turn.T)[:, :2] ** 2).sum(axis=1) * pitch**2
+        square: Array = ((balls[rows] @ measured.turn.T)[:, :2] ** 2).sum(axis=1) * pitch**2
         offsets[rows] = square - (square.mean() if square.size else 0.0)
     return offsets
 
@@ -219,7 +219,7 @@ class FieldSums:
     gives = Quantity.PARAMETERS
     blocks = (MACHINE, ARTEFACT)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the sums, (1, conditions), and their derivatives by all members, (members, 1, 3, conditions)."""
         machine, artefact = local.members(MACHINE), local.members(ARTEFACT)
         sums = np.einsum("cna,na->c", self.machine, machine) + np.einsum("cna,na->c", self.artefact, artefact)

@@ -21,7 +21,7 @@ _AS_LONG = 5
 
 
 @dataclass(frozen=True)
-class Scene:
+class TargetImages:
     """Image points, each with its target and its view."""
 
     points: Array
@@ -32,9 +32,9 @@ class Scene:
     view: Index
     views: int
 
-    def selected(self, keep: Mask) -> Scene:
+    def selected(self, keep: Mask) -> TargetImages:
         """Return the scene with only the image points where `keep` is true."""
-        return Scene(self.points, self.uv[:, keep], self.target[keep], self.view[keep], self.views)
+        return TargetImages(self.points, self.uv[:, keep], self.target[keep], self.view[keep], self.views)
 
 
 def plane_frame(points: Array) -> tuple[Array, bool]:
@@ -45,7 +45,7 @@ def plane_frame(points: Array) -> tuple[Array, bool]:
     return poses.pose(rotation, -rotation @ centre), bool(spread[2] <= _FLAT * spread[1] or len(points) < 4)
 
 
-def start(scene: Scene, centre: Array, focal: float | None, guess: float) -> tuple[float, Array]:
+def start(scene: TargetImages, centre: Array, focal: float | None, guess: float) -> tuple[float, Array]:
     """Return the focal length [px] and the poses (views, 6) that transform targets into the frame of each camera.
 
     Coplanar targets: homographies and the closed form of Zhang (2000), with the principal point at `centre`. Other
@@ -62,11 +62,11 @@ def start(scene: Scene, centre: Array, focal: float | None, guess: float) -> tup
     telling = maps[2 * np.bincount(scene.view[keep], minlength=scene.views) >= maps[0].size - 1]
     ratio = focal / guess if focal else (_focal_of_homographies(telling) if planar else _focal_of_projections(telling))
     maps[:, :2] /= ratio
-    found = _poses_of_homographies(maps) if planar else _poses_of_projections(maps)
+    started = _poses_of_homographies(maps) if planar else _poses_of_projections(maps)
     if not planar:
-        found = _resected(scene.selected(keep), local, rays[:, keep] / ratio, found)
-    found[:, :3] *= scale
-    return ratio * guess, poses.compose(found, np.broadcast_to(to_plane, found.shape))
+        started = _resected(scene.selected(keep), local, rays[:, keep] / ratio, started)
+    started[:, :3] *= scale
+    return ratio * guess, poses.compose(started, np.broadcast_to(to_plane, started.shape))
 
 
 def _focal_of_homographies(maps: Array) -> float:
@@ -121,7 +121,7 @@ _PROJECTION = 6
 """... or if it has fewer readings than this, too few to start from a projection"""
 
 
-def _resected(scene: Scene, local: Array, rays: Array, start_poses: Array) -> Array:
+def _resected(scene: TargetImages, local: Array, rays: Array, start_poses: Array) -> Array:
     """Return poses refined in object space.
 
     A view that ends behind the camera or with a large misfit is tried again from the 24 rotations of a cube.
@@ -133,7 +133,7 @@ def _resected(scene: Scene, local: Array, rays: Array, start_poses: Array) -> Ar
     if not astray.size:
         return best
     chosen = np.isin(scene.view, astray)
-    part = Scene(
+    part = TargetImages(
         scene.points,
         scene.uv[:, chosen],
         scene.target[chosen],
@@ -158,9 +158,9 @@ def cube_rotations() -> Array:
     return turns
 
 
-def _misfit(scene: Scene, local: Array, rays: Array, found: Array) -> Array:
+def _misfit(scene: TargetImages, local: Array, rays: Array, pose: Array) -> Array:
     """Return the RMS misfit of each view in the plane Z = 1; infinite if a point is behind the camera."""
-    points = poses.apply(found[scene.view], local[scene.target])
+    points = poses.apply(pose[scene.view], local[scene.target])
     front = points[:, 2] > 0
     gap = points[:, :2] / np.where(front, points[:, 2], 1.0)[:, None] - rays.T
     square = np.where(front, (gap**2).sum(axis=1), np.inf)
@@ -170,7 +170,7 @@ def _misfit(scene: Scene, local: Array, rays: Array, found: Array) -> Array:
     return misfit
 
 
-def _orthogonal_iteration(scene: Scene, local: Array, rays: Array, start_poses: Array) -> Array:
+def _orthogonal_iteration(scene: TargetImages, local: Array, rays: Array, start_poses: Array) -> Array:
     """Return poses that bring points onto their rays in object space (Lu, Hager and Mjolsness 2000).
 
     V is the projection onto a ray. The best shift for a given R is `t = (I - mean V)^-1 mean((V - I) R p)`; the best R
@@ -196,6 +196,6 @@ def _orthogonal_iteration(scene: Scene, local: Array, rays: Array, start_poses: 
     return poses.pose(rotation, shift)
 
 
-def _sums(values: Array, scene: Scene) -> Array:
+def _sums(values: Array, scene: TargetImages) -> Array:
     """Return the sums of values (c, n) over the readings of each view, (views, c)."""
     return np.stack([np.bincount(scene.view, row, scene.views) for row in values], axis=1)

@@ -9,7 +9,7 @@ import numpy as np
 from metrocli.arrays import Array
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_vector
-from metrocli.instruments.camera_start import Scene, start
+from metrocli.instruments.camera_start import TargetImages, start
 from metrocli.instruments.lenses.lens import direction, equidistant, image_point
 
 _TRIED = np.geomspace(0.12, 1.6, 12)
@@ -20,7 +20,9 @@ _WIDEST = np.cos(np.radians(80))
 """Cosine of the angle from the middle of a view beyond which points do not enter its start"""
 
 
-def start_of_fisheye(scene: Scene, lens: Mapping[str, float], focal: float | None, side: float) -> tuple[float, Array]:
+def start_of_fisheye(
+    scene: TargetImages, lens: Mapping[str, float], focal: float | None, side: float
+) -> tuple[float, Array]:
     """Return the focal length [px] and the poses (views, 6) that transform targets into the frame of each camera.
 
     `lens` has what is known of the lens, `side` is the longer side of the image [px]. The focal length with which the
@@ -28,21 +30,21 @@ def start_of_fisheye(scene: Scene, lens: Mapping[str, float], focal: float | Non
     """
     if not focal:
         some = _of_some_views(scene)
-        focal = min((_TRIED * side).tolist(), key=lambda one: _posed(some, {**lens, "f": one})[1])
+        focal = min((_TRIED * side).tolist(), key=lambda trial: _posed(some, {**lens, "f": trial})[1])
     return focal, _posed(scene, {**lens, "f": focal})[0]
 
 
-def _of_some_views(scene: Scene) -> Scene:
+def _of_some_views(scene: TargetImages) -> TargetImages:
     """Return the readings of views that are spread over all: they determine the focal length well enough."""
     present = np.unique(scene.view)
     chosen = present[np.unique(np.linspace(0, len(present) - 1, _SOME).astype(int))]
     number = np.full(scene.views, -1)
     number[chosen] = np.arange(len(chosen))
     part = scene.selected(number[scene.view] >= 0)
-    return Scene(part.points, part.uv, part.target, number[part.view], len(chosen))
+    return TargetImages(part.points, part.uv, part.target, number[part.view], len(chosen))
 
 
-def _posed(scene: Scene, lens: Mapping[str, float]) -> tuple[Array, float]:
+def _posed(scene: TargetImages, lens: Mapping[str, float]) -> tuple[Array, float]:
     """Return the poses for a lens, and the median distance [px] of image points from their prediction."""
     seen = direction(lens, scene.uv[0], scene.uv[1], "fisheye")
     known = np.isfinite(seen[0])
@@ -51,13 +53,13 @@ def _posed(scene: Scene, lens: Mapping[str, float]) -> tuple[Array, float]:
     ahead = np.einsum("nab,bn->an", turn[scene.view], np.where(known, seen, 0.0))
     near = ahead[2] > _WIDEST
     flat = ahead[:2] / np.where(near, ahead[2], 1.0)
-    part = Scene(scene.points, flat, scene.target, scene.view, scene.views).selected(near)
-    _, found = start(part, np.zeros(2), 1.0, 1.0)
-    found = poses.compose(poses.pose(np.swapaxes(turn, 1, 2), np.zeros(3)), found)
-    at = equidistant(poses.apply(found[scene.view], scene.points[scene.target]).T)
+    part = TargetImages(scene.points, flat, scene.target, scene.view, scene.views).selected(near)
+    _, pose = start(part, np.zeros(2), 1.0, 1.0)
+    pose = poses.compose(poses.pose(np.swapaxes(turn, 1, 2), np.zeros(3)), pose)
+    at = equidistant(poses.apply(pose[scene.view], scene.points[scene.target]).T)
     u, v = image_point(lens, at.x, at.y, fisheye=True)
     off = np.hypot(u - scene.uv[0], v - scene.uv[1])
-    return found, float(np.median(np.nan_to_num(off, nan=np.inf)))
+    return pose, float(np.median(np.nan_to_num(off, nan=np.inf)))
 
 
 def _to_axis(middle: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.chain import IDENTITY, Local, Step, through
+from metrocli.adjust.model.chain import IDENTITY, LinkContext, Step, through
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
@@ -18,7 +18,7 @@ class PointOf(OfBlock):
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     takes = None
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point, (3, n), and its derivative by the coordinates in the block."""
         point = local.rows(self.block)
         if any(self.offset):
@@ -33,7 +33,7 @@ class OutOf(OfBlock):
     takes: Quantity
     gives: Quantity
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return `R X + d` (3, n), with derivatives R by the point, and (I, -[R X]x) by a step of the pose."""
         members = local.members(self.block)
         rotation = local.spread(local.blocks[self.block].rotations, self.block)
@@ -50,7 +50,7 @@ class Into(OfBlock):
     takes: Quantity
     gives: Quantity
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return `R' (X' - d)` (3, n), with its derivatives.
 
         They are R' by the point and `-R' (I, -[X' - d]x)` by a step of the pose.
@@ -86,7 +86,7 @@ class DistanceBetween(OfBlock):
     takes = None
     gives = Quantity.LENGTH
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the distance, (1, n), with its derivatives by both points, (2, 1, 3, n)."""
         points = local.members(self.block)
         first, second = local.index(self.block)

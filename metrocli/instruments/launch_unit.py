@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.chain import Chain, Link, Local, Step
+from metrocli.adjust.model.chain import Chain, Link, LinkContext, Step
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
@@ -49,7 +49,7 @@ class BeamOut(OfBlock):
     takes = Quantity.POINT_IN_MACHINE
     gives = Quantity.BEAM_OUT
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return b, (3, n), with its derivatives by the receiver's point and by the unit, (3, 4, 1)."""
         by_unit = np.zeros((3, len(COLUMNS), 1))
         by_unit[:, :3, 0] = -np.eye(3)
@@ -64,7 +64,7 @@ class BeamBack(OfBlock):
     takes = Quantity.POINT_IN_MACHINE
     gives = Quantity.BEAM_BACK
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return b, (3, n), with its derivatives by the receiver's point and by the unit, (3, 4, 1)."""
         by_unit = np.zeros((3, len(COLUMNS), 1))
         by_unit[:, :3, 0] = np.eye(3)
@@ -79,7 +79,7 @@ class AboutBase(OfBlock):
     takes: Quantity
     gives: Quantity
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return b', (3, n), with its derivatives by b and by the angle."""
         angle = local.rows(self.block)[self.column]
         c, s = np.cos(angle), np.sin(angle)
@@ -103,7 +103,7 @@ class Encoders:
     gives: Quantity
     blocks = ()
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return base and tilt [rad], (2, n), with their derivatives by the beam."""
         x, y, z = value
         level2 = np.maximum(x * x + y * y, np.finfo(float).tiny)
@@ -130,7 +130,7 @@ class Reading:
     gives = Quantity.ANGLE
     blocks = ()
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the angle [rad], (1, n), with its derivatives by both angles."""
         angle = value[self.component]
         turns = np.round((local.observations.readings[0] - angle) / _TURN)
@@ -152,7 +152,7 @@ class BeamLength:
         """Name of the block of the air, if there is one."""
         return (AIR,) if self.in_air else ()
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the distance, (1, n), with its derivatives by the beam and by the air."""
         distance = np.sqrt(np.einsum("an,an->n", value, value))
         if not self.in_air:

@@ -10,10 +10,10 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.chain import Local
+from metrocli.adjust.model.chain import LinkContext
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
-from metrocli.instruments.axes.joints import Motion, slide
+from metrocli.instruments.axes.joints import JointMotion, slide
 
 AXES = ("X", "Y", "Z")
 POSITION = ("x", "y", "z")
@@ -56,7 +56,7 @@ def chain_of(text: str) -> tuple[str, ...]:
     difference to first order. Raises ValueError if the text is not such a chain.
     """
     letters = tuple(re.sub(r"^w|t$", "", re.sub(r"[\s\[\]]", "", text)))
-    linear, turning = ([one for one in letters if one in kind] for kind in (AXES, ANGLES))
+    linear, turning = ([letter for letter in letters if letter in kind] for kind in (AXES, ANGLES))
     if set(letters) - {*AXES, *ANGLES, "b"} or len(set(letters)) < len(letters) or len(turning) > 2:
         raise ValueError(f"'{text}' is not a chain of axes from workpiece to tool: {_EACH_ONCE}")
     if turning and "b" not in letters:
@@ -169,7 +169,7 @@ class Axis:
         """Return positions (n,), or of a rotary axis the knots nearest to them."""
         return position
 
-    def motion(self, position: Array, errors: Array, location: Array) -> Motion:
+    def motion(self, position: Array, errors: Array, location: Array) -> JointMotion:
         """Return the motion of the tool's side of the axis against its workpiece side at positions (n,).
 
         errors (9, n) are the six of the tables and a shift of the axis' line, location the values of its block.
@@ -225,7 +225,7 @@ class Machine:
         return ROWS * [axis.letter for axis in self.axes].index(letter.upper()) + error
 
     @staticmethod
-    def is_disturbed(value: Array, local: Local) -> bool:
+    def is_disturbed(value: Array, local: LinkContext) -> bool:
         """Return whether derivatives by the errors of axes (9 axes, n or 1) are used: by effects, or where all are."""
         return value.shape[1] == local.observations.count or local.wanted.issuperset(local.blocks)
 

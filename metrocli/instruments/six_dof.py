@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.chain import Chain, LinkContext, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
@@ -65,7 +65,7 @@ class Misaligned:
     gives = Quantity.ERROR_MOTION
     blocks = (LINE,)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the six channels, (6, n), with their derivatives by the motion and by the line, (6, 8, n)."""
         given = local.observations.conditions
         across = np.stack([given[name] for name in ACROSS]).reshape(2, 3, -1) * given[POSITION]
@@ -84,7 +84,7 @@ class Displacement:
     gives = Quantity.DISPLACEMENT
     blocks = ()
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the displacement, (1, n), with its derivative by the channels, (1, 6, n)."""
         along = np.zeros((1, 6, local.observations.count))
         along[0, :3] = [local.observations.conditions[name] for name in ALONG]

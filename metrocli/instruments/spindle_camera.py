@@ -8,7 +8,7 @@ import numpy as np
 
 from metrocli.adjust.allowance import take
 from metrocli.adjust.model.blocks import Block, Space
-from metrocli.adjust.model.chain import Link, Local, Step
+from metrocli.adjust.model.chain import Link, LinkContext, Step
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
@@ -33,7 +33,7 @@ class Coupling(OfBlock):
     takes = Quantity.POINT_IN_SPINDLE
     gives = Quantity.POINT_IN_TAPER
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point in the taper, (3, n), with its derivatives by the point and by the angle."""
         angle = local.rows(self.block)[0]
         back = _coupling_rotation(angle)
@@ -68,7 +68,7 @@ class UncertainPoses:
         """The poses of the spindle, and the unknowns of the machine."""
         return (SPINDLE, self.block)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n) relative to the spindle as it truly stands."""
         spread = np.moveaxis(self.spread[local.index(SPINDLE)], 0, -1)
         shift, turn = np.split(np.einsum("akn,k->an", spread, local.members(self.block)[0]), 2)
@@ -119,7 +119,7 @@ def machine_blocks(spread: Array) -> list[Block]:
 
 def machine_priors(spread: Array) -> list[Group]:
     """Return what is known of it beforehand: mean 0 and variance 1."""
-    return [prior(one, np.zeros(1, dtype=np.intp), np.ones((1, one.size))) for one in machine_blocks(spread)]
+    return [prior(block, np.zeros(1, dtype=np.intp), np.ones((1, block.size))) for block in machine_blocks(spread)]
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block, Space
-from metrocli.adjust.model.chain import IDENTITY, Chain, Link, Local, Step
+from metrocli.adjust.model.chain import IDENTITY, Chain, Link, LinkContext, Step
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
@@ -19,7 +19,7 @@ from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.frames import Into, PointOf
 from metrocli.instruments.tracer import POINT
-from metrocli.instruments.tracker import ReadPolar, Seen
+from metrocli.instruments.tracker import PolarReading, ReadPolar
 
 STATION, LEVELLED, OVER = "station", "levelled station", "station over a point"
 """Blocks of stations: poses of trackers; places of levelled instruments; offsets from a mark, in the levelled frame"""
@@ -33,19 +33,19 @@ CURVATURE = "curvature"
 """Condition of height differences: what the curvature of the earth adds [mm]"""
 
 
-def _leaning(local: Local, names: Sequence[str]) -> Array:
+def _leaning(local: LinkContext, names: Sequence[str]) -> Array:
     """Return the leans of the vertical at the readings, (2, n), or (2, 1) zeros where verticals are parallel."""
     given = local.observations.conditions
     return np.stack([given[name] for name in names]) if names[0] in given else np.zeros((2, 1))
 
 
-def target_vertical(local: Local) -> Array:
+def target_vertical(local: LinkContext) -> Array:
     """Return the vertical at the observed points, (3, n) or (3, 1)."""
     x, y = _leaning(local, TARGET_LEAN)
     return np.stack([x, y, np.ones_like(x)])
 
 
-def station_vertical(local: Local) -> Array:
+def station_vertical(local: LinkContext) -> Array:
     """Return the vertical at the stations of the readings, (3, n) or (3, 1)."""
     x, y = _leaning(local, LEAN)
     return np.stack([x, y, np.ones_like(x)])
@@ -61,7 +61,7 @@ def heights_of(mark: str) -> str:
     return f"heights of {mark}"
 
 
-def _levelled(local: Local) -> Array:
+def _levelled(local: LinkContext) -> Array:
     """Return the rotations from the network to the levelled frames of the stations, (3, 3, n) or (3, 3, 1)."""
     x, y = _leaning(local, LEAN)
     # the turn by (-y, x, 0) brings z to the vertical (x, y, 1)
@@ -81,7 +81,7 @@ class Between(OfBlock):
     takes = None
     gives = Quantity.POINT_IN_MACHINE
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the vector, (3, n), with its derivatives by the observed point and the one below, (2, 3, 3, 1)."""
         points = local.members(self.block)
         seen, below = local.index(self.block)
@@ -96,7 +96,7 @@ class Raised(OfBlock):
     block: str = SETUP
     takes = gives = Quantity.POINT_IN_MACHINE
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the place of the target, (3, n)."""
         up = target_vertical(local)
         height = local.rows(self.block)[0] + local.observations.conditions[TARGET_HEIGHT]
@@ -111,7 +111,7 @@ class IntoLevelled(OfBlock):
     takes = Quantity.POINT_IN_MACHINE
     gives = Quantity.POINT_IN_TRACKER
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point, (3, n), with its derivatives."""
         level = _levelled(local)
         return Step(_times(level, value - local.rows(self.block)), level, {self.block: -level})
@@ -125,7 +125,7 @@ class IntoOver(OfBlock):
     takes = Quantity.POINT_IN_MACHINE
     gives = Quantity.POINT_IN_TRACKER
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point, (3, n), with its derivatives."""
         level = _levelled(local)
         return Step(_times(level, value) - local.rows(self.block), level, {self.block: -IDENTITY})
@@ -138,7 +138,7 @@ class Oriented(OfBlock):
     block: str = ORIENTATION
     takes = gives = Quantity.POINT_IN_TRACKER
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point `Rz(-gamma) v`, (3, n), with its derivatives."""
         gamma = local.rows(self.block)[0]
         c, s = np.cos(gamma), np.sin(gamma)
@@ -160,7 +160,7 @@ class HeightBetween(OfBlock):
     takes = None
     gives = Quantity.HEIGHT_DIFFERENCE
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the difference, (1, n), with its derivatives by the two points, (2, 1, 3, 1)."""
         points = local.members(self.block)
         start, end = local.index(self.block)
@@ -185,7 +185,7 @@ def sighting(block: str, raised: bool, component: int, bend: float = 0.0) -> Cha
     """
     start: Link = Between() if block == OVER else PointOf(POINT, Quantity.POINT_IN_MACHINE)
     target: tuple[Link, ...] = (Raised(),) if raised else ()
-    return Chain((start, *target, *_INTO[block], Seen(bend), ReadPolar(component)))
+    return Chain((start, *target, *_INTO[block], PolarReading(bend), ReadPolar(component)))
 
 
 def station_block(values: Array, names: Sequence[str], extent: float) -> Block:

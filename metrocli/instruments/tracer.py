@@ -8,7 +8,7 @@ import numpy as np
 
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.chain import IDENTITY, Chain, Local, Step
+from metrocli.adjust.model.chain import IDENTITY, Chain, LinkContext, Step
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.adjust.movements import of_members, of_points
@@ -57,7 +57,7 @@ class LengthFrom:
         """Names of the block of tracers and of that of the air."""
         return (self.block, AIR) if self.in_air else (self.block,)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the length, (1, n), with its derivatives by the point, (1, 3, n), and by the tracer, (1, 5, n)."""
         tracer = local.rows(self.block)
         from_tracer = value - tracer[:3]
@@ -87,7 +87,7 @@ class Returned:
     takes = gives = Quantity.POINT_IN_MACHINE
     blocks = (STOP,)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point, (3, n), with its derivatives by the point and by the deviation."""
         return Step(value + local.rows(STOP), IDENTITY, {STOP: IDENTITY})
 

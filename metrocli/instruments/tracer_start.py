@@ -36,7 +36,9 @@ def start(points: Array, lengths: Array, absolute: bool = False, near: Array | N
     if len(lengths) > MOST:
         some = Random(0).sample(range(len(lengths)), MOST)
         points, lengths = points[some], lengths[some]
-    contents = (None if one is None else np.asarray(one, dtype=float).tobytes() for one in (points, lengths, near))
+    contents = (
+        None if array is None else np.asarray(array, dtype=float).tobytes() for array in (points, lengths, near)
+    )
     return np.array(_found(*contents, absolute))
 
 
@@ -52,16 +54,16 @@ def _found(points: bytes, lengths: bytes, near: bytes | None, absolute: bool) ->
     scale = float(np.abs(local).max()) or 1.0
     local, reading = local / scale, np.frombuffer(lengths) / scale
     guesses = _guesses(local, reading, absolute)
-    said = None if near is None else (np.frombuffer(near) - centre) / scale
-    if said is not None:
-        dead = 0.0 if absolute else float(median(np.linalg.norm(local - said, axis=1) - reading))
-        guesses.append(np.array([*said, dead]))
+    listed_at = None if near is None else (np.frombuffer(near) - centre) / scale
+    if listed_at is not None:
+        dead = 0.0 if absolute else float(median(np.linalg.norm(local - listed_at, axis=1) - reading))
+        guesses.append(np.array([*listed_at, dead]))
     candidates = [_refined(local, reading, guess, absolute) for guess in guesses]
     if not candidates:
         return np.full(4, np.nan)
     least = min(misfit for _, misfit in candidates)
     good = [state for state, misfit in candidates if misfit <= _AS_GOOD * least + _ROUNDING]
-    best = good[0] if said is None else min(good, key=lambda state: float(np.linalg.norm(state[:3] - said)))
+    best = good[0] if listed_at is None else min(good, key=lambda state: float(np.linalg.norm(state[:3] - listed_at)))
     return np.concatenate([best[:3] * scale + centre, best[3:] * scale])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block, Space
-from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.chain import Chain, LinkContext, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
@@ -74,7 +74,7 @@ class AcrossLeg:
     gives = Quantity.ACROSS_LEG
     blocks = (LEG,)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return `A p`, (2, n), and its derivative A by the point p."""
         rows = local.rows(LEG)
         across = rows.reshape(2, 3, rows.shape[1])
@@ -100,7 +100,7 @@ _AXIS = 1e-9
 """Least distance from the standing axis, as a share of the distance: on the axis there is no azimuth"""
 
 
-def face(local: Local) -> Array:
+def face(local: LinkContext) -> Array:
     """Return the face of each reading, (n,) or (1,)."""
     return np.asarray(local.observations.conditions.get(FACE, np.ones(1)))
 
@@ -127,7 +127,7 @@ def cartesian(seen: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class Seen:
+class PolarReading:
     """Link from a point in the instrument's frame to its azimuth, elevation and distance.
 
     The beam is bent by the air: `elevation += bend d cos e`, bend `k/2R` for a coefficient of refraction k.
@@ -138,7 +138,7 @@ class Seen:
     gives = Quantity.POLAR
     blocks = ()
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return azimuth, elevation and distance, (3, n), with their derivatives by the point (3, 3, n)."""
         seen, by_point = polar(value)
         if self.bend:
@@ -158,7 +158,7 @@ class ReadPolar:
     gives = Quantity.SIGHTING
     blocks = ()
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the reading, (1, n)."""
         read = value[self.component : self.component + 1]
         if self.component == AZIMUTH:

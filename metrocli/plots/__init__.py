@@ -27,7 +27,7 @@ FORMS = ("svg", "pdf", "png")
 
 
 @dataclass(frozen=True)
-class Entry:
+class FigureEntry:
     """Module of a figure, and what of it is shown; the module is imported only when it is used."""
 
     module: str
@@ -37,36 +37,38 @@ class Entry:
     """Whether it shows the result with what stands beside it"""
 
 
-FIGURES: dict[str, Entry] = {
-    "scene": Entry("scene", "3-D view of the measurement"),
-    "residuals": Entry("against", "normalised residuals in the order of the readings", "order"),
-    "residuals-radius": Entry("against", "normalised residuals against the radius in the image", "radius"),
-    "residuals-time": Entry("against", "normalised residuals against time", "time"),
-    "residuals-temperature": Entry("against", "normalised residuals against temperature", "temperature"),
-    "residuals-length": Entry("against", "normalised residuals against the length", "length"),
-    "residuals-x": Entry("against", "normalised residuals against x", "x"),
-    "residuals-y": Entry("against", "normalised residuals against y", "y"),
-    "residuals-z": Entry("against", "normalised residuals against z", "z"),
-    "residuals-image": Entry("images.vectors", "residual vectors over the image"),
-    "residuals-part": Entry("part_vectors", "residuals over the part"),
-    "residuals-instrument": Entry("instruments", "normalised residuals by instrument and quantity", "residuals"),
-    "two-face": Entry("instruments", "differences of the two faces by station", "faces"),
-    "before-after": Entry(
+FIGURES: dict[str, FigureEntry] = {
+    "scene": FigureEntry("scene", "3-D view of the measurement"),
+    "residuals": FigureEntry("against", "normalised residuals in the order of the readings", "order"),
+    "residuals-radius": FigureEntry("against", "normalised residuals against the radius in the image", "radius"),
+    "residuals-time": FigureEntry("against", "normalised residuals against time", "time"),
+    "residuals-temperature": FigureEntry("against", "normalised residuals against temperature", "temperature"),
+    "residuals-length": FigureEntry("against", "normalised residuals against the length", "length"),
+    "residuals-x": FigureEntry("against", "normalised residuals against x", "x"),
+    "residuals-y": FigureEntry("against", "normalised residuals against y", "y"),
+    "residuals-z": FigureEntry("against", "normalised residuals against z", "z"),
+    "residuals-image": FigureEntry("images.vectors", "residual vectors over the image"),
+    "residuals-part": FigureEntry("part_vectors", "residuals over the part"),
+    "residuals-instrument": FigureEntry("instruments", "normalised residuals by instrument and quantity", "residuals"),
+    "two-face": FigureEntry("instruments", "differences of the two faces by station", "faces"),
+    "before-after": FigureEntry(
         "beside.before_after", "normalised residuals before and after the model was extended", beside=True
     ),
-    "law": Entry("beside.law", "law that the diagnosis found, with the readings in which it found it", beside=True),
-    "held-out": Entry("beside.held_out", "gain of what the diagnosis found, in each held-out part", beside=True),
-    "normal-plot": Entry("normal_plot", "normal plot of the normalised residuals"),
-    "coverage": Entry("images.coverage", "coverage of the image by readings"),
-    "error-curves": Entry("error_curves", "errors of a machine over its axes (actual minus commanded)"),
-    "positioning": Entry("positioning", "positioning of the axes by ISO 230-2"),
-    "volumetric-error": Entry("volume_map", "error of the machine over the volume", "error"),
-    "uncertainty-map": Entry("volume_map", "standard uncertainty over the volume", "uncertainty"),
-    "overstock": Entry("overstock", "overstock of the surfaces of a raw part"),
-    "budget": Entry("budget", "uncertainty budget as a Pareto chart"),
-    "conformity": Entry("conformity", "values against tolerance and guard band"),
-    "correlation": Entry("correlation", "correlation matrix of the estimates"),
-    "lineage": Entry("beside.lineage", "files and jobs that the result was made from", beside=True),
+    "law": FigureEntry(
+        "beside.law", "law that the diagnosis found, with the readings in which it found it", beside=True
+    ),
+    "held-out": FigureEntry("beside.held_out", "gain of what the diagnosis found, in each held-out part", beside=True),
+    "normal-plot": FigureEntry("normal_plot", "normal plot of the normalised residuals"),
+    "coverage": FigureEntry("images.coverage", "coverage of the image by readings"),
+    "error-curves": FigureEntry("error_curves", "errors of a machine over its axes (actual minus commanded)"),
+    "positioning": FigureEntry("positioning", "positioning of the axes by ISO 230-2"),
+    "volumetric-error": FigureEntry("volume_map", "error of the machine over the volume", "error"),
+    "uncertainty-map": FigureEntry("volume_map", "standard uncertainty over the volume", "uncertainty"),
+    "overstock": FigureEntry("overstock", "overstock of the surfaces of a raw part"),
+    "budget": FigureEntry("budget", "uncertainty budget as a Pareto chart"),
+    "conformity": FigureEntry("conformity", "values against tolerance and guard band"),
+    "correlation": FigureEntry("correlation", "correlation matrix of the estimates"),
+    "lineage": FigureEntry("beside.lineage", "files and jobs that the result was made from", beside=True),
 }
 """All figures, in the order in which a page shows them"""
 _NEEDS = {

@@ -97,8 +97,8 @@ def _others(result: Result, about: str) -> list[Panel]:
 def _panels(sets: Sequence[tuple[str, Array, Array, Callable[[int], str]]]) -> list[Panel]:
     """Return a panel for each set of residuals that others check; together they have at most `MOST` marks."""
     checked = [residuals for residuals in sets if np.isfinite(residuals[2]).any()]
-    count = sum(int(np.isfinite(one[2]).sum()) for one in checked)
-    return [panel_of(*one, MOST // len(checked), count) for one in checked]
+    count = sum(int(np.isfinite(covariate[2]).sum()) for covariate in checked)
+    return [panel_of(*covariate, MOST // len(checked), count) for covariate in checked]
 
 
 def panel_of(name: str, covariate: Array, w: Array, named: Callable[[int], str], marks: int, count: int) -> Panel:

@@ -40,7 +40,7 @@ def data(result: Result, about: str) -> tuple[Chart, ...] | None:
     measurands, names, shares = table.texts("measurand"), table.texts("contributor"), table.numbers("share")
     charts = []
     for measurand in dict.fromkeys(measurands):
-        rows = [row for row, one in enumerate(measurands) if one == measurand and np.isfinite(shares[row])]
+        rows = [row for row, name in enumerate(measurands) if name == measurand and np.isfinite(shares[row])]
         rows.sort(key=lambda row: -shares[row])
         own = [(names[row], float(shares[row])) for row in rows if shares[row] != 0]
         if len(own) > _MOST + 1:

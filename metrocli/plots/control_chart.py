@@ -65,7 +65,7 @@ class Series:
 
 def series_of(table: Table) -> tuple[Series, ...]:
     """Return the estimates of a gathered table that at least FEWEST parts have."""
-    return tuple(one for one in _series(table) if len(one.values) >= FEWEST)
+    return tuple(quantity for quantity in _series(table) if len(quantity.values) >= FEWEST)
 
 
 def _series(table: Table) -> Iterator[Series]:
@@ -90,18 +90,18 @@ def draw(canvas: Canvas, series: tuple[Series, ...]) -> str:
     theme = canvas.theme
     shown = series[:_MOST]
     all_axes = canvas.axes(len(shown), 1, sharex=True)
-    for axes, one in zip(all_axes, shown, strict=True):
-        number, low, high = np.arange(1, len(one.values) + 1), *one.limits
-        if one.limited:
+    for axes, quantity in zip(all_axes, shown, strict=True):
+        number, low, high = np.arange(1, len(quantity.values) + 1), *quantity.limits
+        if quantity.limited:
             axes.axhspan(low, high, color=theme.band, lw=0)
-        for end in filter(np.isfinite, one.tolerance):
+        for end in filter(np.isfinite, quantity.tolerance):
             axes.axhline(end, color=theme.second, lw=1.0, ls="--")
-        axes.axhline(one.mean, color=theme.ink, lw=0.8)
-        known = np.where(np.isfinite(one.stds), one.stds, 0.0)
-        axes.errorbar(number, one.values, yerr=2 * known, fmt="o", ms=2.5, lw=0.7, color=theme.first)
-        out = one.outside
-        axes.plot(number[out], one.values[out], "D", ms=4.5, color=theme.second)
-        axes.set_title(f"{one.name}" + (f" ({one.unit})" if one.unit not in ("", "1") else ""))
+        axes.axhline(quantity.mean, color=theme.ink, lw=0.8)
+        known = np.where(np.isfinite(quantity.stds), quantity.stds, 0.0)
+        axes.errorbar(number, quantity.values, yerr=2 * known, fmt="o", ms=2.5, lw=0.7, color=theme.first)
+        out = quantity.outside
+        axes.plot(number[out], quantity.values[out], "D", ms=4.5, color=theme.second)
+        axes.set_title(f"{quantity.name}" + (f" ({quantity.unit})" if quantity.unit not in ("", "1") else ""))
     parts = max((one.parts for one in shown), key=len)
     if len(parts) <= _LABELLED:
         all_axes[-1].set_xticks(np.arange(1, len(parts) + 1), parts, rotation=90 if len(parts) > 8 else 0)
@@ -117,6 +117,8 @@ def draw(canvas: Canvas, series: tuple[Series, ...]) -> str:
 
 def _count(series: tuple[Series, ...]) -> str:
     several = [
-        f"{listed([one.parts[i] for i in one.outside], _NAMED)} with {one.name}" for one in series if len(one.outside)
+        f"{listed([quantity.parts[i] for i in quantity.outside], _NAMED)} with {quantity.name}"
+        for quantity in series
+        if len(quantity.outside)
     ]
     return f"outside are {'; '.join(several)} (diamonds)." if several else "no part is outside."

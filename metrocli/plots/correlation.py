@@ -17,7 +17,7 @@ _WITH_NUMBERS = 14
 
 
 @dataclass(frozen=True)
-class Correlation:
+class CorrelationFigure:
     """What the figure shows."""
 
     names: tuple[str, ...]
@@ -32,7 +32,7 @@ class Correlation:
         return self.names[i], self.names[j], float(self.matrix[i, j])
 
 
-def data(result: Result, about: str) -> Correlation | None:
+def data(result: Result, about: str) -> CorrelationFigure | None:
     """Return `C_ij / sqrt(C_ii C_jj)` of the estimates with a variance; None if no two of them are correlated."""
     variance = np.diag(result.covariance)
     rows = np.flatnonzero(np.isfinite(variance) & (variance > 0))
@@ -47,15 +47,15 @@ def data(result: Result, about: str) -> Correlation | None:
         strongest = np.abs(matrix - np.eye(len(rows))).max(axis=1)
         kept = np.sort(np.argsort(-strongest, kind="stable")[:MOST])
     names = tuple(result.estimates[rows[k]].name for k in kept)
-    return Correlation(names, matrix[np.ix_(kept, kept)], len(rows))
+    return CorrelationFigure(names, matrix[np.ix_(kept, kept)], len(rows))
 
 
-def height(correlation: Correlation) -> float:
+def height(correlation: CorrelationFigure) -> float:
     """Return the height of the figure in inches."""
     return float(np.clip(0.33 * len(correlation.names) + 1.3, 2.6, 6.2))
 
 
-def draw(canvas: Canvas, correlation: Correlation) -> str:
+def draw(canvas: Canvas, correlation: CorrelationFigure) -> str:
     """Draw the figure and return its caption."""
     (axes,), bar = canvas.axes_and_bar()
     count = len(correlation.names)

@@ -15,7 +15,7 @@ _PER_MM = 1e3
 
 
 @dataclass(frozen=True)
-class Curve:
+class ErrorCurve:
     """One error over the position of its axis, in µm or µrad."""
 
     name: str
@@ -35,7 +35,7 @@ class Curve:
 class Errors:
     """What the figure shows."""
 
-    curves: tuple[Curve, ...]
+    curves: tuple[ErrorCurve, ...]
     squareness: tuple[tuple[str, float, float], ...]
     """Name, value and expanded uncertainty (µrad) of each squareness error"""
 
@@ -56,7 +56,7 @@ def data(result: Result, about: str) -> Errors | None:
         value, std = table.numbers("value") * size, table.numbers("std") * size
         position = table.numbers("position")
         position = np.degrees(position) if table.units.get("position") == "rad" else position
-        curves.append(Curve(error, position, value, _K * std, status.get(error, "")))
+        curves.append(ErrorCurve(error, position, value, _K * std, status.get(error, "")))
     square = [
         estimate
         for estimate in result.estimates
@@ -80,10 +80,10 @@ def height(errors: Errors) -> float:
 def _axes(errors: Errors) -> str:
     """Return the axes of the columns: three linear ones, or those that have curves where some turn."""
     letters = {curve.name[2] for curve in errors.curves}
-    return "".join(one for one in "XYZABC" if one in letters) if letters & set("ABC") else "XYZ"
+    return "".join(name for name in "XYZABC" if name in letters) if letters & set("ABC") else "XYZ"
 
 
-def _panels(errors: Errors) -> list[list[Curve]]:
+def _panels(errors: Errors) -> list[list[ErrorCurve]]:
     """Return the curves of each panel: rows are the direction of the error, columns the axis that moves."""
     by_name = {curve.name: curve for curve in errors.curves}
     rows = [[f"E{direction}{axis}" for axis in _axes(errors)] for direction in "XYZABC"]

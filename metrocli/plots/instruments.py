@@ -31,7 +31,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Rows:
+class PanelRows:
     """Rows of values; two faces have a panel for each quantity."""
 
     panels: tuple[tuple[str, tuple[Row, ...]], ...]
@@ -41,12 +41,12 @@ class Rows:
     """Rows that have no room"""
 
 
-def data(result: Result, about: str) -> Rows | None:
+def data(result: Result, about: str) -> PanelRows | None:
     """Return the residuals by instrument and quantity (`residuals`), or the differences of the faces (`faces`)."""
     return _residuals(result) if about == "residuals" else _faces(result)
 
 
-def _residuals(result: Result) -> Rows | None:
+def _residuals(result: Result) -> PanelRows | None:
     table, stations = result.tables.get("residuals"), result.tables.get("stations")
     if table is None or stations is None or not {"station", "quantity"} <= set(table) or "instrument" not in stations:
         return None
@@ -55,19 +55,19 @@ def _residuals(result: Result) -> Rows | None:
         f"{of.get(station, '')} {quantity}".strip()
         for station, quantity in zip(table.texts("station"), table.texts("quantity"), strict=True)
     ]
-    found = _grouped(names, table.numbers("normalised"))
-    count = sum(len(row.values) for row in found)
-    return Rows((("", found[:_ROWS]),), largest_of(count), len(found[_ROWS:])) if found else None
+    rows = _grouped(names, table.numbers("normalised"))
+    count = sum(len(row.values) for row in rows)
+    return PanelRows((("", rows[:_ROWS]),), largest_of(count), len(rows[_ROWS:])) if rows else None
 
 
-def _faces(result: Result) -> Rows | None:
+def _faces(result: Result) -> PanelRows | None:
     table = result.tables.get("two_face")
     if table is None or not len(table):
         return None
     stations = table.texts("station")
     panels = tuple((name, _grouped(stations, table.numbers(name) * _PER_MM)) for name in _QUANTITIES)
     left = max(len(rows[_ROWS:]) for _, rows in panels)
-    return Rows(tuple((name, rows[:_ROWS]) for name, rows in panels if rows), 0.0, left)
+    return PanelRows(tuple((name, rows[:_ROWS]) for name, rows in panels if rows), 0.0, left)
 
 
 def _grouped(names: Sequence[str], values: Array) -> tuple[Row, ...]:
@@ -78,12 +78,12 @@ def _grouped(names: Sequence[str], values: Array) -> tuple[Row, ...]:
     return tuple(row for row in rows if len(row.values))
 
 
-def height(shown: Rows) -> float:
+def height(shown: PanelRows) -> float:
     """Return the height of the figure in inches."""
     return 0.9 + 0.27 * max(len(rows) for _, rows in shown.panels)
 
 
-def draw(canvas: Canvas, shown: Rows) -> str:
+def draw(canvas: Canvas, shown: PanelRows) -> str:
     """Draw the figure and return its caption."""
     theme = canvas.theme
     for axes, (title, rows) in zip(canvas.axes(1, len(shown.panels)), shown.panels, strict=True):

@@ -14,7 +14,7 @@ from metrocli.result import Result
 
 
 @dataclass(frozen=True)
-class Shown:
+class NormalPlotFigure:
     """What the figure shows."""
 
     plot: NormalPlot
@@ -24,22 +24,22 @@ class Shown:
     """Root mean square of w: 1 if model and noise are right"""
 
 
-def data(result: Result, about: str) -> Shown | None:
+def data(result: Result, about: str) -> NormalPlotFigure | None:
     """Return the normal plot of all readings that others check; None with fewer than three."""
     w = [residual.w[residual.checked] for residual in residuals_of(result)]
     together = np.concatenate(w) if w else np.zeros(0)
     if len(together) < 3:
         return None
     plotted = normal_plot(together)
-    return Shown(plotted, thinned(plotted.expected, plotted.ordered), float(np.sqrt(np.mean(together**2))))
+    return NormalPlotFigure(plotted, thinned(plotted.expected, plotted.ordered), float(np.sqrt(np.mean(together**2))))
 
 
-def height(shown: Shown) -> float:
+def height(shown: NormalPlotFigure) -> float:
     """Return the height of the figure in inches."""
     return 3.6
 
 
-def draw(canvas: Canvas, shown: Shown) -> str:
+def draw(canvas: Canvas, shown: NormalPlotFigure) -> str:
     """Draw the figure and return its caption."""
     theme, plot, rows = canvas.theme, shown.plot, shown.rows
     axes = canvas.axes()[0]

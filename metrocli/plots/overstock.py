@@ -15,7 +15,7 @@ _MOST = 40
 
 
 @dataclass(frozen=True)
-class Overstock:
+class OverstockFigure:
     """What the figure shows, lengths in mm."""
 
     surfaces: tuple[str, ...]
@@ -33,7 +33,7 @@ class Overstock:
     """Surfaces of the part"""
 
 
-def data(result: Result, about: str = "") -> Overstock | None:
+def data(result: Result, about: str = "") -> OverstockFigure | None:
     """Return the overstock of the surfaces; None if the result has none."""
     table, minimum = result.tables.get("surfaces"), result.statistics.get("minimum")
     if table is None or "least" not in table or not len(table) or not isinstance(minimum, int | float):
@@ -47,15 +47,15 @@ def data(result: Result, about: str = "") -> Overstock | None:
     least, spread, mean, largest = (table.numbers(name)[rows] for name in ("least", "s_least", "mean", "largest"))
     kept = tuple((surface, value) for surface, value in out if surface in names)
     surfaces, at = tuple(names.tolist()), tuple(points.tolist())
-    return Overstock(surfaces, least, K * spread, mean, largest, at, float(minimum), kept, len(table))
+    return OverstockFigure(surfaces, least, K * spread, mean, largest, at, float(minimum), kept, len(table))
 
 
-def height(overstock: Overstock) -> float:
+def height(overstock: OverstockFigure) -> float:
     """Return the height of the figure in inches."""
     return 0.24 * len(overstock.surfaces) + 1.1
 
 
-def draw(canvas: Canvas, overstock: Overstock) -> str:
+def draw(canvas: Canvas, overstock: OverstockFigure) -> str:
     """Draw the figure and return its caption."""
     theme, axes, rows = canvas.theme, canvas.axes()[0], np.arange(len(overstock.surfaces))
     axes.hlines(rows, overstock.least, overstock.largest, color=theme.band, lw=7)

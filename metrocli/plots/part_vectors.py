@@ -8,7 +8,7 @@ from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.plots import labels
 from metrocli.plots.magnify import in_words, length_in_words, magnification, thinned_vectors, words
-from metrocli.plots.places import Places, places_of
+from metrocli.plots.places import PlottedPoints, places_of
 from metrocli.plots.style import OUTLINE, SIZES, Canvas, arrows
 from metrocli.result import Result
 
@@ -42,7 +42,7 @@ def data(result: Result, about: str) -> PartResiduals | None:
     """
     table = result.tables.get("residuals")
     held = places_of(result)
-    points = next((one for one in held if one.kind == "points"), None)
+    points = next((kind for kind in held if kind.kind == "points"), None)
     if points is None or table is None or "normalised" not in table or not len(table):
         return None
     key = next((name for name in ("point", "target") if name in table), None)
@@ -70,8 +70,8 @@ def data(result: Result, about: str) -> PartResiduals | None:
     return PartResiduals(names, points.at[rows], rms[rows], chosen, factor, plane, len(seen))
 
 
-def _along_beams(result: Result, points: Places, held: tuple[Places, ...], of: Array) -> Array | None:
-    tracers, table = next((one for one in held if one.kind == "tracers"), None), result.tables["residuals"]
+def _along_beams(result: Result, points: PlottedPoints, held: tuple[PlottedPoints, ...], of: Array) -> Array | None:
+    tracers, table = next((kind for kind in held if kind.kind == "tracers"), None), result.tables["residuals"]
     if tracers is None or "tracer" not in table or table.units.get("residual") != "mm":
         return None
     station = {name: n for n, name in enumerate(tracers.names)}

@@ -14,7 +14,7 @@ _XYZ = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
-class Places:
+class PlottedPoints:
     """Points of one kind."""
 
     kind: str
@@ -28,7 +28,7 @@ class Places:
     """(n, 3, 3) mm²"""
 
 
-def places_of(result: Result) -> tuple[Places, ...]:
+def places_of(result: Result) -> tuple[PlottedPoints, ...]:
     """Return the points of a result with deviations and covariances, then its instruments."""
     parts = [
         _points(result),
@@ -39,11 +39,13 @@ def places_of(result: Result) -> tuple[Places, ...]:
     ]
     cameras = _instruments(result, "views", "image") if result.statistics.get("rig") == "network" else None
     return tuple(
-        one for one in (*parts, cameras, *_about_board(result), *_launch(result)) if one is not None and len(one.at)
+        points
+        for points in (*parts, cameras, *_about_board(result), *_launch(result))
+        if points is not None and len(points.at)
     )
 
 
-def _points(result: Result) -> Places | None:
+def _points(result: Result) -> PlottedPoints | None:
     table = result.tables.get("points")
     if table is None or not all(name in table for name in _XYZ):
         return None
@@ -55,7 +57,7 @@ def _points(result: Result) -> Places | None:
     covariance = None if covariance is None else _if_any(covariance)
     name = "error of the mover (listed minus measured)" if vectors is not None else ""
     key = next(name for name in table if table.columns[name].dtype.kind in "US")
-    return Places("points", tuple(table.texts(key)), table.stacked(_XYZ), vectors, name, covariance)
+    return PlottedPoints("points", tuple(table.texts(key)), table.stacked(_XYZ), vectors, name, covariance)
 
 
 def _if_any(values: Array) -> Array | None:
@@ -69,17 +71,21 @@ def _of_stds(table: Table, names: tuple[str, str, str]) -> Array | None:
     return np.asarray(table.stacked(names)[:, :, None] ** 2 * np.eye(3))
 
 
-def _grids(result: Result) -> list[Places]:
+def _grids(result: Result) -> list[PlottedPoints]:
     """Return the machine error of a ball grid at its sites (`correction` has them in mm, with the opposite sign)."""
     error, site = result.tables.get("machine_error"), result.tables.get("correction")
     if error is None or site is None or len(error) != len(site):
         return []
     names = tuple(f"({i}, {j}, {k})" for i, j, k in error.stacked(("i", "j", "k")).astype(int).tolist())
     stds = _of_stds(error, ("s_ex", "s_ey", "s_ez"))
-    return [Places("sites", names, site.stacked(_XYZ), error.stacked(("ex", "ey", "ez")), "error of the machine", stds)]
+    return [
+        PlottedPoints(
+            "sites", names, site.stacked(_XYZ), error.stacked(("ex", "ey", "ez")), "error of the machine", stds
+        )
+    ]
 
 
-def _volume(result: Result) -> Places | None:
+def _volume(result: Result) -> PlottedPoints | None:
     """Return the error of the first tool on the grid of the volume."""
     table = result.tables.get("volume")
     if table is None or "tool" not in table or not len(table):
@@ -96,7 +102,7 @@ def _volume(result: Result) -> Places | None:
     stds = _of_stds(own, ("s_ex", "s_ey", "s_ez"))
     what = f"error of the {named('tool', str(tools[0]))} (actual minus commanded)"
     chosen = tuple(names[row] for row in kept)
-    return Places("grid", chosen, at[kept], errors[kept], what, stds[kept] if stds is not None else None)
+    return PlottedPoints("grid", chosen, at[kept], errors[kept], what, stds[kept] if stds is not None else None)
 
 
 def named(kind: str, name: str) -> str:
@@ -104,26 +110,29 @@ def named(kind: str, name: str) -> str:
     return f"{kind} '{name}'" if name else kind
 
 
-def _instruments(result: Result, name: str, key: str) -> Places | None:
+def _instruments(result: Result, name: str, key: str) -> PlottedPoints | None:
     table = result.tables.get(name)
     if table is None or key not in table or not all(axis in table for axis in _XYZ):
         return None
     kept = np.isfinite(table.stacked(_XYZ)).all(axis=1)
     names = tuple(np.array(table.texts(key))[kept].tolist())
-    return Places({"views": "cameras"}.get(name, name), names, table.stacked(_XYZ)[kept])
+    return PlottedPoints({"views": "cameras"}.get(name, name), names, table.stacked(_XYZ)[kept])
 
 
-def _about_board(result: Result) -> list[Places]:
+def _about_board(result: Result) -> list[PlottedPoints]:
     """Return the cameras about a board: those of its views, whose poses turn and shift its frame into the camera."""
     table = result.tables.get("views")
     if result.statistics.get("rig") != "board" or table is None or "alpha" not in table:
         return []
     rotation = rotation_from_euler(*table.stacked(("alpha", "beta", "gamma")).T)
     at = -np.einsum("nji,nj->ni", rotation, table.stacked(_XYZ))
-    return [Places("board", ("origin",), np.zeros((1, 3))), Places("cameras", tuple(table.texts("image")), at)]
+    return [
+        PlottedPoints("board", ("origin",), np.zeros((1, 3))),
+        PlottedPoints("cameras", tuple(table.texts("image")), at),
+    ]
 
 
-def _launch(result: Result) -> list[Places]:
+def _launch(result: Result) -> list[PlottedPoints]:
     """Return the place of a launch unit with its covariance, and the receiver at the other end of each beam."""
     beams, known = result.tables.get("beams"), {estimate.name: n for n, estimate in enumerate(result.estimates)}
     if result.kind != "locate-launch-unit" or beams is None or not set(_XYZ) <= set(known):
@@ -133,6 +142,6 @@ def _launch(result: Result) -> list[Places]:
     covariance = result.covariance[np.ix_(rows, rows)][None]
     receivers = at + beams.numbers("length")[:, None] * beams.stacked(("wx", "wy", "wz"))
     return [
-        Places("launch unit", ("launch unit",), at, covariance=covariance),
-        Places("receiver in each pose", tuple(beams.texts("pose")), receivers),
+        PlottedPoints("launch unit", ("launch unit",), at, covariance=covariance),
+        PlottedPoints("receiver in each pose", tuple(beams.texts("pose")), receivers),
     ]

@@ -17,7 +17,7 @@ _ONE_WAY = ("A_up", "R_up", "E_up", "A_down", "R_down", "E_down")
 
 
 @dataclass(frozen=True)
-class Line:
+class PositioningLine:
     """The runs of one line along an axis."""
 
     axis: str
@@ -39,7 +39,7 @@ class Line:
         return ("deg", "µrad") if self.axis in _ROTARY else ("mm", "µm")
 
 
-def data(result: Result, about: str) -> tuple[Line, ...] | None:
+def data(result: Result, about: str) -> tuple[PositioningLine, ...] | None:
     """Return the lines with their figures."""
     table, targets = result.tables.get("positioning"), result.tables.get("positioning_targets")
     if table is None or targets is None or not len(table):
@@ -57,16 +57,16 @@ def data(result: Result, about: str) -> tuple[Line, ...] | None:
         letters = _FIGURES if both else _ONE_WAY
         figures = tuple((letter, float(table.numbers(letter)[row]) * size) for letter in letters)
         name = ", ".join(filter(None, key[1:]))
-        lines.append(Line(key[0], name, position[own], up, down, s_up, s_down, figures))
+        lines.append(PositioningLine(key[0], name, position[own], up, down, s_up, s_down, figures))
     return tuple(lines) or None
 
 
-def height(lines: tuple[Line, ...]) -> float:
+def height(lines: tuple[PositioningLine, ...]) -> float:
     """Return the height of the figure in inches."""
     return 2.1 * len(lines) + 0.4
 
 
-def draw(canvas: Canvas, lines: tuple[Line, ...]) -> str:
+def draw(canvas: Canvas, lines: tuple[PositioningLine, ...]) -> str:
     """Draw the figure and return its caption."""
     theme = canvas.theme
     for axes, line in zip(canvas.axes(len(lines), 1), lines, strict=True):

@@ -36,7 +36,7 @@ _ENDS = (("i1", "j1", "k1"), ("i2", "j2", "k2"))
 
 
 @dataclass(frozen=True)
-class Residuals:
+class PlottedResiduals:
     """Normalised residuals (reading minus model) of one kind, with what they may depend on."""
 
     table: Table
@@ -80,20 +80,20 @@ class Residuals:
         return key in self.table and self.table.columns[key].dtype.kind in "US"
 
 
-def residuals_of(result: Result) -> list[Residuals]:
+def residuals_of(result: Result) -> list[PlottedResiduals]:
     """Return the residuals of a result, one set for each table and component of a row; empty if it has none."""
     names = [name for name in _TABLES if name in result.tables]
-    return [one for name in names for one in _of_table(result.tables[name], name if len(names) > 1 else "")]
+    return [residuals for name in names for residuals in _of_table(result.tables[name], name if len(names) > 1 else "")]
 
 
-def _of_table(table: Table, kind: str) -> Iterator[Residuals]:
+def _of_table(table: Table, kind: str) -> Iterator[PlottedResiduals]:
     for column in table:
         if not column.startswith("residual") or not len(table):
             continue
         part = column.removeprefix("residual")
         if f"normalised{part}" not in table:
             continue
-        yield Residuals(table, kind, part, table.numbers(f"normalised{part}"), _covariates(table))
+        yield PlottedResiduals(table, kind, part, table.numbers(f"normalised{part}"), _covariates(table))
 
 
 def _covariates(table: Table) -> dict[str, Array]:
@@ -147,7 +147,7 @@ def image_residuals(result: Result) -> ImageResiduals | None:
     both = [np.stack([table.numbers(name)[u], table.numbers(name)[v]], axis=1) for name in _VECTORS]
     places, vectors, w = both
     given = [result.statistics.get(name) for name in ("image_width", "image_height")]
-    size = [float(one) for one in given if isinstance(one, int | float)]
+    size = [float(entry) for entry in given if isinstance(entry, int | float)]
     whole = len(size) == len(given)
     width, height = size if whole else (places.max(axis=0) * _MARGIN).tolist()
     return ImageResiduals(table, u, places, vectors, w, (width, height), whole)

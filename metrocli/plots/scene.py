@@ -10,7 +10,7 @@ from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.plots import labels
 from metrocli.plots.magnify import in_words, length_in_words, magnification, round_size, thinned_vectors
-from metrocli.plots.places import Places, places_of
+from metrocli.plots.places import PlottedPoints, places_of
 from metrocli.plots.style import MARKERS, Canvas, arrows, bare
 from metrocli.result import Result
 from metrocli.words import in_a_row
@@ -32,7 +32,7 @@ TURN, TILT = np.radians(-55.0), np.radians(24.0)
 class Scene:
     """What the figure shows; sizes are true, magnified only when drawn."""
 
-    places: tuple[Places, ...]
+    places: tuple[PlottedPoints, ...]
     vectors: float
     """Magnification of the deviations"""
     ellipsoids: float
@@ -66,7 +66,7 @@ def data(result: Result, about: str) -> Scene | None:
     return Scene(kept, factors[0], factors[1], left_out)
 
 
-def _largest(place: Places) -> Places:
+def _largest(place: PlottedPoints) -> PlottedPoints:
     """Return the place with the longest vector in each cell of the space, or places at equal steps, in their order."""
     if len(place.at) <= _MOST:
         return place
@@ -75,7 +75,7 @@ def _largest(place: Places) -> Places:
     else:
         rows = thinned_vectors(place.at, np.linalg.norm(place.vectors, axis=1), _MOST)
     chosen = [None if values is None else values[rows] for values in (place.vectors, place.covariance)]
-    return Places(
+    return PlottedPoints(
         place.kind, tuple(place.names[row] for row in rows), place.at[rows], chosen[0], place.vector_name, chosen[1]
     )
 
@@ -132,7 +132,7 @@ def draw(canvas: Canvas, scene: Scene) -> str:
     return _caption(scene)
 
 
-def _draw_spread(axes: Axes, place: Places, flat: Array, factor: float, rows: Array, colour: str) -> None:
+def _draw_spread(axes: Axes, place: PlottedPoints, flat: Array, factor: float, rows: Array, colour: str) -> None:
     if place.covariance is None:
         return
     usable = np.isfinite(place.covariance).all(axis=(1, 2))

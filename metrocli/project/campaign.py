@@ -23,7 +23,7 @@ _NAME = re.compile(r"\{([^{}\s]+)\}")
 
 
 @dataclass(frozen=True)
-class Part:
+class CampaignPart:
     """What stands for the names in braces in the job of one part."""
 
     name: str
@@ -60,7 +60,7 @@ class ForEach:
         return {"type": "object", "additionalProperties": shape, "minProperties": 1, "maxProperties": 1}
 
 
-def parts_of(root: Node) -> tuple[Part, ...]:
+def parts_of(root: Node) -> tuple[CampaignPart, ...]:
     """Return the parts of a job file, none if it is for one only; raise InputError with the faults of the list."""
     node = root.get(KEY)
     if node is None:
@@ -69,7 +69,7 @@ def parts_of(root: Node) -> tuple[Part, ...]:
     if ForEach().read(node, faults) is BAD:
         raise InputError(faults)
     (name, value), *_ = node.entries
-    parts: dict[str, Part] = {}
+    parts: dict[str, CampaignPart] = {}
     for part, fault_at in _listed(name.text, value) if value.kind == "list" else _in_file(name.text, value):
         if part.name in parts:
             faults.append(fault_at(f"the {name.text} '{part.name}' is there twice"))
@@ -81,14 +81,14 @@ def parts_of(root: Node) -> tuple[Part, ...]:
     return tuple(parts.values())
 
 
-_Placed = tuple[Part, Callable[[str], Fault]]
+_Placed = tuple[CampaignPart, Callable[[str], Fault]]
 """A part, and what makes a fault at its place of a message"""
 
 
 def _listed(name: str, value: Node) -> Iterator[_Placed]:
     if not value.items or any(item.kind != "scalar" for item in value.items):
         raise InputError([value.fault(f"{value.path}: this is not a list of names", f"expected {ForEach.expects}")])
-    return ((Part(item.text, {name: item.text}), item.fault) for item in value.items)
+    return ((CampaignPart(item.text, {name: item.text}), item.fault) for item in value.items)
 
 
 def _in_file(name: str, value: Node) -> Iterator[_Placed]:
@@ -99,16 +99,16 @@ def _in_file(name: str, value: Node) -> Iterator[_Placed]:
     raw = taken_apart(read_text(path, str(path), held), str(path))
     if name not in raw.header:
         raise InputError([raw.fault(f"the column '{name}' is missing", raw.header_line, None, f"{KEY}: names it")])
-    twice = [one for one, count in Counter(raw.header).items() if count > 1]
+    twice = [column for column, count in Counter(raw.header).items() if count > 1]
     if twice:
-        raise InputError([raw.fault(f"the column '{one}' is there twice", raw.header_line) for one in twice])
+        raise InputError([raw.fault(f"the column '{column}' is there twice", raw.header_line) for column in twice])
     at = raw.header.index(name)
     for line, *cells in zip(raw.numbers, *raw.cells, strict=True):
         row = {column: cell.strip() for column, cell in zip(raw.header, cells, strict=True)}
-        yield Part(row[name], row, held, f"{path}:{line}"), partial(raw.fault, line=line, cell=at)
+        yield CampaignPart(row[name], row, held, f"{path}:{line}"), partial(raw.fault, line=line, cell=at)
 
 
-def bound(root: Node, part: Part) -> Node:
+def bound(root: Node, part: CampaignPart) -> Node:
     """Return the job of one part: without `for:`, and with the values of the part for the names in braces.
 
     Raises InputError with each name that the list of parts does not have.
@@ -120,7 +120,7 @@ def bound(root: Node, part: Part) -> Node:
     return replace(root, entries=entries)
 
 
-def _bound(node: Node, part: Part, faults: list[Fault]) -> Node:
+def _bound(node: Node, part: CampaignPart, faults: list[Fault]) -> Node:
     if node.kind == "scalar":
         names = _NAME.findall(node.text)
         faults += [

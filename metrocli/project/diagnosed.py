@@ -15,7 +15,7 @@ from metrocli import tasks
 from metrocli.adjust.allowance import allowance
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Ordered
 from metrocli.diagnosis.corrections import Mistake
-from metrocli.diagnosis.detectability import Design
+from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.diagnose import LIMIT, Attended, diagnose, no_interrupt, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.job_entries import (
@@ -36,13 +36,13 @@ from metrocli.effects.acting import Variable
 from metrocli.effects.own import columns
 from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError, UsageError
 from metrocli.formats.csv_text import numeric
-from metrocli.formats.file_bytes import written_aside
+from metrocli.formats.file_bytes import atomic_write
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node, node_of, relocated
 from metrocli.progress import SILENT, Named, Progress, counted
 from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
-from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.job import JobFile, JobOptions, load
 from metrocli.project.runner import counting, simulate
 from metrocli.record import InputFile
 from metrocli.simulation import SimulationOptions
@@ -94,7 +94,7 @@ def carry_out(
     return replace(diagnosis, mistaken=mistaken)
 
 
-def design_of(job: JobFile, progress: Progress = SILENT) -> tuple[AdjustedJob, Design]:
+def design_of(job: JobFile, progress: Progress = SILENT) -> tuple[AdjustedJob, Detectability]:
     """Return what the measurement of a job can detect; readings that do not exist yet are simulated."""
     wanted = tasks.KINDS[job.kind].measured
     progress = Named(job.file, progress)
@@ -113,7 +113,7 @@ def _others(job: JobFile, inputs: Mapping[str, object], adjust: Callable[..., Ad
     """Return the other settings of a job, each with what adjusts it."""
     task = tasks.KINDS[job.kind].task()
     trials = partial(task.jobs_with_others, task.job(job.settings, effects=job.effects, **inputs))
-    return lambda *how: [(wrong, partial(adjust, vars(one.files), one.settings)) for wrong, one in trials(*how)]
+    return lambda *how: [(wrong, partial(adjust, vars(trial.files), trial.settings)) for wrong, trial in trials(*how)]
 
 
 def _adjuster(job: JobFile, more: Sequence[Variable] = ()) -> Callable[..., AdjustedJob]:
@@ -126,9 +126,9 @@ def _adjuster(job: JobFile, more: Sequence[Variable] = ()) -> Callable[..., Adju
     places = columns.with_variables(task.places, more)
 
     def adjust(inputs: Mapping[str, object], settings: object = job.settings) -> AdjustedJob:
-        found = adjusted(task.job(settings, effects=job.effects, **inputs))
-        every = (*found.effects, *job.own.effects)
-        return replace(found, declared=declared, noise_model=model, effects=every, places=places)
+        other = adjusted(task.job(settings, effects=job.effects, **inputs))
+        every = (*other.effects, *job.own.effects)
+        return replace(other, declared=declared, noise_model=model, effects=every, places=places)
 
     return adjust
 
@@ -165,7 +165,7 @@ def write_extended(
     that the readings do not determine separately are 0. In another folder, the paths lead to the same files.
     """
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
-    confirmed = any(one.confirmed for one in diagnosis.findings)
+    confirmed = any(finding.confirmed for finding in diagnosis.findings)
     others = bool(confirmed or diagnosis.scatters or proposed_noise(diagnosis) or _correction(diagnosis))
     if not others and diagnosis.law is None:
         return None
@@ -191,7 +191,7 @@ def _from_the_chosen(diagnosis: Diagnosis) -> Sequence[Law]:
 
 def _adjusts(path: Path) -> bool:
     """Return whether an extended job can be adjusted: a law in the linearised readings need not hold in the model."""
-    job = load(path, Wishes(accept_doubtful=True))
+    job = load(path, JobOptions(accept_doubtful=True))
     with suppress(NotConvergedError, UndeterminedError), allowance(_STEPS):
         adjusted_job_of(job)
         return True
@@ -201,15 +201,18 @@ def _adjusts(path: Path) -> bool:
 def _write(job: JobFile, diagnosis: Diagnosis, law: Law | None, place: tuple[Path, Path | None]) -> None:
     """Write the extended job, with a law or without, to a path; its result has the path beside it, or the usual one."""
     path, result = place
-    scatters = [one for one in diagnosis.scatters if not declares(job.root.get("noise"), one)]
-    named = [*map(scatter_as_job, scatters), *(as_job(one.effect) for one in diagnosis.findings if one.confirmed)]
+    scatters = [scatter for scatter in diagnosis.scatters if not declares(job.root.get("noise"), scatter)]
+    named = [
+        *map(scatter_as_job, scatters),
+        *(as_job(finding.effect) for finding in diagnosis.findings if finding.confirmed),
+    ]
     called = _free_name(diagnosis)
     new = [node_of(job.root, entry) for entry in (*named, *([] if law is None else [as_wanted(law, called)]))]
     defined = [] if law is None else [node_of(job.root, as_define(law, called))]
     body = yaml_text.emit(_extended(job, new, defined, diagnosis, (path.parent, result)))
     how = _NAMED if new or diagnosis.scatters else _RIGHT if _correction(diagnosis) else _SHARED
     text = f"# {job.file.name}{how}\n{_DIGEST}{_digest(body)[:16]}\n{body}"
-    with written_aside(path) as aside:
+    with atomic_write(path) as aside:
         aside.write_text(text, encoding="utf-8")
 
 
@@ -237,17 +240,17 @@ def _free_name(diagnosis: Diagnosis) -> str:
 
 
 def _extended(
-    job: JobFile, effects: Sequence[Node], defined: Sequence[Node], found: Diagnosis, to: tuple[Path, Path | None]
+    job: JobFile, effects: Sequence[Node], defined: Sequence[Node], diagnosis: Diagnosis, to: tuple[Path, Path | None]
 ) -> Node:
     folder, result = to
     below = {"define": _longer(job, "define", defined), "effects": _longer(job, "effects", effects)}
     output = result or job.output.with_name(f"{job.output.stem}.extended.h5")
     moved: Callable[[Node], Node] = lambda value: relocated(value, job.folder, folder)  # noqa: E731
-    noise: Callable[[Node], Node] = lambda value: _noise(job, value, found)  # noqa: E731
+    noise: Callable[[Node], Node] = lambda value: _noise(job, value, diagnosis)  # noqa: E731
     changed = {"inputs": moved, "effects_from": moved, "noise": noise}
     kept = [
         (key, changed[key.text](value) if key.text in changed else value)
-        for key, value in _corrected(job, found)
+        for key, value in _corrected(job, diagnosis)
         if key.text not in (*below, "output")
     ]
     more = [(node_of(job.root, key), items) for key, items in below.items() if items.items]
@@ -255,15 +258,15 @@ def _extended(
     return replace(job.root, entries=(*kept, *more, written))
 
 
-def _correction(found: Diagnosis) -> Mistake | None:
+def _correction(diagnosis: Diagnosis) -> Mistake | None:
     """Return the mistake in a section of the job whose right entries are known; None without one."""
-    first = None if found.mistaken is None else found.mistaken.mistakes[0]
+    first = None if diagnosis.mistaken is None else diagnosis.mistaken.mistakes[0]
     return first if first is not None and first.entries else None
 
 
-def _corrected(job: JobFile, found: Diagnosis) -> Sequence[tuple[Node, Node]]:
+def _corrected(job: JobFile, diagnosis: Diagnosis) -> Sequence[tuple[Node, Node]]:
     """Return the sections of a job, that of a mistake with the right entries."""
-    wrong = _correction(found)
+    wrong = _correction(diagnosis)
     if wrong is None:
         return job.root.entries
     old = job.root.get(wrong.input)
@@ -281,11 +284,11 @@ def _longer(job: JobFile, key: str, more: Sequence[Node]) -> Node:
     return replace(job.root, kind="list", text="", entries=(), items=items)
 
 
-def _noise(job: JobFile, declared: Node, found: Diagnosis) -> Node:
+def _noise(job: JobFile, declared: Node, diagnosis: Diagnosis) -> Node:
     """Return the noise of a job with the scatters that it can declare, and the model that is proposed."""
-    for one in found.scatters:
-        declared = with_declared(declared, one) if declares(declared, one) else declared
-    model = proposed_noise(found)
+    for scatter in diagnosis.scatters:
+        declared = with_declared(declared, scatter) if declares(declared, scatter) else declared
+    model = proposed_noise(diagnosis)
     return _with_model(job, declared, model) if model else declared
 
 

@@ -19,7 +19,7 @@ from metrocli import __version__
 from metrocli.nodes import Node
 from metrocli.project.job import JobFile
 from metrocli.project.requirements import Requirement
-from metrocli.record import InputFile, Record, Verdict
+from metrocli.record import CriterionVerdict, InputFile, Record
 from metrocli.result import Result
 from metrocli.table import Table, ascii_letters
 
@@ -60,7 +60,7 @@ def of_result(result: Result, record: Record) -> str:
 
     When and by which version it was made does not count, nor the text of its job.
     """
-    skipped = ("astray", "made_from", "tables")
+    skipped = ("list_offset", "made_from", "tables")
     values = {name: value for name, value in _named(result) if name not in skipped}
     tables = {name: (table.columns, table.units) for name, table in result.tables.items()}
     verdicts = _by_name(record.verdicts)
@@ -84,9 +84,9 @@ def changed_inputs(before: Iterable[InputFile], now: Iterable[InputFile], conten
     """
     known, present = ({file.path: file for file in files} for files in (before, now))
     changed = [
-        f"input {path} changed ({_short(known[path])} -> {_short(one)})"
-        for path, one in present.items()
-        if path in known and one.sha256 != known[path].sha256 and content(path) != known[path].content
+        f"input {path} changed ({_short(known[path])} -> {_short(file)})"
+        for path, file in present.items()
+        if path in known and file.sha256 != known[path].sha256 and content(path) != known[path].content
     ]
     changed += [f"input {path} is new" for path in present if path not in known]
     return changed + [f"input {path} is gone" for path in known if path not in present]
@@ -111,7 +111,7 @@ def _leaves(node: Node) -> Iterable[tuple[str, str]]:
         yield node.path, node.text
 
 
-def _by_name(criteria: Iterable[Requirement | Verdict]) -> list[Requirement | Verdict]:
+def _by_name(criteria: Iterable[Requirement | CriterionVerdict]) -> list[Requirement | CriterionVerdict]:
     """Return criteria so that the order of the names in `require:` does not count; those of one name stay in order."""
     return sorted(criteria, key=lambda file: file.name)
 

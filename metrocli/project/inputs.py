@@ -36,12 +36,12 @@ def read_with_files(job: JobFile, absent: Collection[str] = ()) -> tuple[dict[st
             continue
         try:
             held[item.key], read = _read(item, job.folder)
-            files |= {one.path: one for one in read}
+            files |= {file.path: file for file in read}
         except InputError as error:
             faults.extend(error.faults)
     if faults:
         raise InputError(faults)
-    files |= {one.path: one for one in _of_own(job)}
+    files |= {file.path: file for file in _of_own(job)}
     elsewhere = {key: value for key, value in held.items() if "." in key}
     named = {key: value for key, value in held.items() if key not in elsewhere}
     return named | ({"files": elsewhere} if elsewhere else {}), tuple(files[path] for path in sorted(files))
@@ -130,7 +130,7 @@ def content_now(job: JobFile, path: str) -> str:
                 return next((file.content for file in _read(item, job.folder)[1] if file.path == path), "")
             except InputError:
                 return ""
-    return next((one.content for one in _of_own(job) if one.path == path), "")
+    return next((file.content for file in _of_own(job) if file.path == path), "")
 
 
 def _of_own(job: JobFile) -> tuple[InputFile, ...]:

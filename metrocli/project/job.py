@@ -19,10 +19,10 @@ from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.campaign import KEY as CAMPAIGN
-from metrocli.project.campaign import Part, bound, parts_of
+from metrocli.project.campaign import CampaignPart, bound, parts_of
 from metrocli.project.heading import Heading
 from metrocli.project.named_files import Input, inputs_of, missing
-from metrocli.project.own_effects import Defining, Own, Package, own_effects
+from metrocli.project.own_effects import Defining, Package, UserEffects, own_effects
 from metrocli.project.ranges import effect_node, overridden, ranges_of, within
 from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import BAD, Schema, read_sections, sections_schema, settings_of
@@ -43,10 +43,10 @@ class JobFile:
     """The text of the job as used, after --set."""
     root: Node
     effects: tuple[Wanted, ...] = ()
-    wishes: Wishes = field(default_factory=lambda: Wishes())
+    wishes: JobOptions = field(default_factory=lambda: JobOptions())
     """What the command line asked for when it was loaded"""
 
-    own: Own = field(default_factory=Own)
+    own: UserEffects = field(default_factory=UserEffects)
     """User-defined effects, which extend the table of the kind"""
 
     @property
@@ -88,7 +88,7 @@ class JobFile:
 
 
 @dataclass(frozen=True)
-class Wishes:
+class JobOptions:
     """What the command line asks for beyond the job file."""
 
     overrides: tuple[str, ...] = ()
@@ -105,22 +105,22 @@ class Wishes:
     accept_doubtful: bool = False
     text: str | None = None
     """The text of the job, where it is not that of its file"""
-    part: Part | None = None
+    part: CampaignPart | None = None
     """The part that a job is loaded for, if its file is for many"""
     files: YamlFiles = field(default_factory=YamlFiles, compare=False)
     """YAML files that were read for other jobs at the same time"""
 
-    def elsewhere(self) -> Wishes:
+    def elsewhere(self) -> JobOptions:
         """Return them for a process that loads the job again when all its inputs exist, and needs no list of parts."""
         return replace(self, made=(), files=YamlFiles(), part=self.part and replace(self.part, list=None))
 
 
-def load(path: Path, wishes: Wishes | None = None) -> JobFile:
+def load(path: Path, wishes: JobOptions | None = None) -> JobFile:
     """Return a job.
 
     Raises InputError with all faults of the file and its YAML inputs, UsageError if the job is of another kind.
     """
-    wishes = wishes or Wishes()
+    wishes = wishes or JobOptions()
     faults: list[Fault] = []
     root, text = _stated(path, wishes, faults)
     read = _read(root, path, wishes, faults)
@@ -130,7 +130,7 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
 
 
 @dataclass(frozen=True)
-class _Read:
+class _ReadJob:
     """A job whose keys were read; where they have a fault, heading and settings are BAD."""
 
     root: Node
@@ -142,7 +142,7 @@ class _Read:
     inputs: tuple[Input, ...]
 
 
-def _stated(path: Path, wishes: Wishes, faults: list[Fault]) -> tuple[Node, str]:
+def _stated(path: Path, wishes: JobOptions, faults: list[Fault]) -> tuple[Node, str]:
     """Return the tree and the text of a job as it is used: with what the command line overrides, for its part."""
     root, text = _root(path, wishes, faults)
     if wishes.part is not None:
@@ -154,7 +154,7 @@ def _stated(path: Path, wishes: Wishes, faults: list[Fault]) -> tuple[Node, str]
     return root, text
 
 
-def _read(root: Node, path: Path, wishes: Wishes, faults: list[Fault]) -> _Read:
+def _read(root: Node, path: Path, wishes: JobOptions, faults: list[Fault]) -> _ReadJob:
     """Return what the keys of a job say; raise InputError if its kind is not known."""
     more = tuple(effect_node(effect, path.parent) for effect in wishes.effects)
     kind = _kind(root, path, wishes.kind)
@@ -164,16 +164,18 @@ def _read(root: Node, path: Path, wishes: Wishes, faults: list[Fault]) -> _Read:
     section = tasks.KINDS[kind].settings()
     heading, settings = read_sections(root, (Heading, section), faults)
     named = (*(heading.effects if heading is not BAD else ()), *more)
-    return _Read(root, kind, heading, settings, named, inputs_of(root, section, faults))
+    return _ReadJob(root, kind, heading, settings, named, inputs_of(root, section, faults))
 
 
-def _with_effects(job: _Read, path: Path, wishes: Wishes, faults: list[Fault]) -> tuple[_Read, tuple[Wanted, ...], Own]:
+def _with_effects(
+    job: _ReadJob, path: Path, wishes: JobOptions, faults: list[Fault]
+) -> tuple[_ReadJob, tuple[Wanted, ...], UserEffects]:
     """Return a job that reads the columns of its user-defined effects, the effects that it wants, and its own."""
     task, files = tasks.KINDS[job.kind].task(), [(item.spec, item.paths) for item in job.inputs]
     further = cache(lambda: columns.variables(files, numeric))
     places = cache(lambda: columns.with_variables(task.places, further(), columns.refused(files, numeric)))
     defining = Defining(job.kind, path, places, wishes.files, effects.names_of(job.named))
-    own = Own() if job.heading is BAD else own_effects(job.heading, defining, faults)
+    own = UserEffects() if job.heading is BAD else own_effects(job.heading, defining, faults)
     if any(effect.definition for effect in own.effects):
         specs = [replace(item, spec=columns.reading(item.spec, further(), own.effects)) for item in job.inputs]
         job = replace(job, inputs=tuple(specs))
@@ -182,7 +184,7 @@ def _with_effects(job: _Read, path: Path, wishes: Wishes, faults: list[Fault]) -
 
 
 def _checked(
-    job: _Read, wanted: tuple[Wanted, ...], path: Path, wishes: Wishes, faults: list[Fault]
+    job: _ReadJob, wanted: tuple[Wanted, ...], path: Path, wishes: JobOptions, faults: list[Fault]
 ) -> tuple[tuple[Input, ...], Path]:
     """Return the inputs within the ranges of the job, and its output; raise InputError with all faults."""
     heading, inputs = job.heading, job.inputs
@@ -208,7 +210,7 @@ def figures_of(kind: str, settings: Any, wanted: tuple[Wanted, ...]) -> dict[str
     return tasks.KINDS[kind].figures(settings) | of_effects(wanted)
 
 
-def load_parts(path: Path, wishes: Wishes) -> list[JobFile]:
+def load_parts(path: Path, wishes: JobOptions) -> list[JobFile]:
     """Return the job of a file, or one for each part if it is for many; raises as `load`."""
     parts = parts_of(_root(path, wishes, [])[0])
     return [load(path, replace(wishes, part=part)) for part in parts] or [load(path, wishes)]
@@ -216,10 +218,10 @@ def load_parts(path: Path, wishes: Wishes) -> list[JobFile]:
 
 def kind_of_job(path: Path) -> str | None:
     """Return the kind of a job file, or None if it names no known kind."""
-    return _kind(_root(path, Wishes(), [])[0], path, None)
+    return _kind(_root(path, JobOptions(), [])[0], path, None)
 
 
-def _root(path: Path, wishes: Wishes, faults: list[Fault]) -> tuple[Node, str]:
+def _root(path: Path, wishes: JobOptions, faults: list[Fault]) -> tuple[Node, str]:
     """Return the tree of a job file with the overrides applied, and the equivalent YAML text.
 
     A fault for each repeated key is added to `faults`.

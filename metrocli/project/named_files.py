@@ -12,7 +12,7 @@ from metrocli.errors import Fault, InputError
 from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.frozen import dataclass
 from metrocli.imports.cameras import as_yaml
-from metrocli.imports.lines import Lines
+from metrocli.imports.lines import TextLines
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.settings import (
@@ -56,12 +56,12 @@ class Input:
     @property
     def patterns(self) -> tuple[Path, ...]:
         """The patterns of file names from the folder of the job, such as `../img/*.png`."""
-        return tuple(Path(os.path.normpath(one.text)) for one in self._named if has_wildcards(one.text))
+        return tuple(Path(os.path.normpath(node.text)) for node in self._named if has_wildcards(node.text))
 
     @property
     def searched(self) -> tuple[Path, ...]:
         """The folders whose names decide which files match its patterns."""
-        return tuple(folder for one in self._named for folder in folders_searched(one))
+        return tuple(folder for node in self._named for folder in folders_searched(node))
 
     @property
     def _named(self) -> tuple[Node, ...]:
@@ -70,11 +70,11 @@ class Input:
 
 def inputs_of(root: Node, settings: type, faults: list[Fault]) -> tuple[Input, ...]:
     """Return the inputs of a job whose entries have no fault; YAML files are read and checked at once."""
-    found = []
+    inputs = []
     for name, (wanted, _) in settings_of(settings).items():
         for item in _files_in(wanted.spec, root.get(wanted.key), within_inputs=name == "inputs"):
-            found.append(_with_content(item, faults))
-    return tuple(found)
+            inputs.append(_with_content(item, faults))
+    return tuple(inputs)
 
 
 def _files_in(spec: Any, node: Node | None, within_inputs: bool = False) -> Iterator[Input]:
@@ -92,8 +92,8 @@ def _files_in(spec: Any, node: Node | None, within_inputs: bool = False) -> Iter
     elif isinstance(spec, At):
         yield from _files_in(spec.spec, node)
     elif isinstance(spec, Either):
-        for one in spec.specs:
-            yield from _files_in(one, node)
+        for choice in spec.specs:
+            yield from _files_in(choice, node)
     elif isinstance(spec, MapOf | ListOf):
         inner = spec.value if isinstance(spec, MapOf) else spec.item
         for part in node.items or [value for _, value in node.entries]:
@@ -114,7 +114,7 @@ def _with_content(item: Input, faults: list[Fault]) -> Input:
         bytes_read = read_bytes(path, "a job file", most=yaml_text.MOST_BYTES)
         text = yaml_text.text_of(bytes_read, str(path))
         if others:
-            text = as_yaml(Lines(str(path), text.splitlines())) or text
+            text = as_yaml(TextLines(str(path), text.splitlines())) or text
         root = yaml_text.parse(text, str(path), path.parent)
     except InputError as error:
         faults.extend(error.faults)

@@ -51,7 +51,7 @@ class Package:
 
 
 @dataclass(frozen=True)
-class Own:
+class UserEffects:
     """User-defined effects, and the files and packages that define them."""
 
     effects: tuple[Effect, ...] = ()
@@ -78,14 +78,14 @@ class Defining:
     """Effects that the job or the command line names: the data must have their columns"""
 
 
-def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> Own:
+def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> UserEffects:
     """Return the effects for a job: its definitions, those of its file and its project, and of packages.
 
     Appends a fault for each mistake, with its place.
     """
     kind = given.kind
     taken = {effect.name for effect in tasks.KINDS[kind].task().effects}
-    found: list[Effect] = []
+    defined: list[Effect] = []
     files: dict[Path, YamlFile] = {}
     packages: dict[str, Package] = {}
     for effect, package in with_packages(kind):
@@ -93,7 +93,7 @@ def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> Own:
         if effect.name in taken:
             faults.append(Fault(f"a package offers an effect '{effect.name}', which exists already"))
         taken.add(effect.name)
-        found.append(effect)
+        defined.append(effect)
     sought = tuple(_project_files_above(given.job.parent))
     by_project = _of_project(sought[-1], given.files)
     for node in filter(None, (heading.effects_from, by_project)):
@@ -104,11 +104,11 @@ def own_effects(heading: Heading, given: Defining, faults: list[Fault]) -> Own:
         with suppress(InputError):  # which is among the faults by now
             files[path] = given.files.read(path)
         taken |= {effect.name for effect in effects}
-        found += effects
+        defined += effects
     if heading.define:
-        found += read(heading.define, given.places(), taken, faults)
+        defined += read(heading.define, given.places(), taken, faults)
     project = None if by_project is None else by_project.source.folder / PROJECT_FILE
-    return Own(tuple(found), files, project, packages, sought)
+    return UserEffects(tuple(defined), files, project, packages, sought)
 
 
 def of_project(folder: Path, read_before: YamlFiles) -> Node | None:
@@ -162,12 +162,12 @@ def of_file(
     if define is None or define.kind != "list":
         faults.append((define or root).fault("there is no list `define:`", "write define: [{name: ...}, ...]"))
         return []
-    names, found = set(taken), list[Effect]()
+    names, defined = set(taken), list[Effect]()
     for node in define.items:
         effects = _of_node(node, given, names, faults)
         names |= {effect.name for effect in effects}
-        found += effects
-    return found
+        defined += effects
+    return defined
 
 
 def _of_node(node: Node, given: Defining, taken: Iterable[str], faults: list[Fault]) -> list[Effect]:
@@ -177,13 +177,13 @@ def _of_node(node: Node, given: Defining, taken: Iterable[str], faults: list[Fau
     if not wrong and not any(effect.lacks for effect in effects):
         return effects
     here = _fit(given.kind, node)
-    if here is not Fit.WHOLE and max(_fit(kind, node) for kind in tasks.KINDS if kind != given.kind) > here:
+    if here is not DefinitionFit.WHOLE and max(_fit(kind, node) for kind in tasks.KINDS if kind != given.kind) > here:
         return []
     faults.extend(wrong)
     return effects
 
 
-class Fit(IntEnum):
+class DefinitionFit(IntEnum):
     """How a definition fits a kind of job."""
 
     NONE = 0
@@ -192,13 +192,13 @@ class Fit(IntEnum):
     WHOLE = 2
 
 
-def _fit(kind: str, node: Node) -> Fit:
+def _fit(kind: str, node: Node) -> DefinitionFit:
     """Return how a definition fits a kind of job, where its name exists already or not."""
     wrong: list[Fault] = []
     effects = read([node], tasks.KINDS[kind].task().places, (), wrong, lambda name: False)
     if wrong or not effects:
-        return Fit.NONE
-    return Fit.WITH_COLUMNS if any(effect.lacks for effect in effects) else Fit.WHOLE
+        return DefinitionFit.NONE
+    return DefinitionFit.WITH_COLUMNS if any(effect.lacks for effect in effects) else DefinitionFit.WHOLE
 
 
 @cache

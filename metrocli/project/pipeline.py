@@ -12,13 +12,13 @@ from metrocli.formats.file_bytes import refuse_unwritable, sweep
 from metrocli.formats.hdf5 import label_of
 from metrocli.formats.seal import Label
 from metrocli.frozen import dataclass
-from metrocli.project.staleness import State, refuse_lost, state_of, unfit_words
-from metrocli.project.steps import Step
+from metrocli.project.staleness import Staleness, refuse_lost, state_of, unfit_words
+from metrocli.project.steps import ProjectStep
 from metrocli.record import NOT_MET, USABLE, Record
 
 if TYPE_CHECKING:
     from metrocli.project.runner import Done
-    from metrocli.project.running.executor import Executor, Outcome
+    from metrocli.project.running.executor import Executor, JobOutcome
 
 
 class Action(StrEnum):
@@ -34,7 +34,7 @@ class Action(StrEnum):
 class Report:
     """What `run` did with a step, and why."""
 
-    step: Step
+    step: ProjectStep
     action: Action
     reason: str
     exit_code: int = 0
@@ -53,7 +53,7 @@ class Report:
         """The record of the result, if there is one."""
         if self.done is not None:
             return self.done.record
-        return State(self.step, "", self.label).record
+        return Staleness(self.step, "", self.label).record
 
 
 @dataclass(frozen=True)
@@ -65,11 +65,11 @@ class Order:
 
 
 def run(
-    steps: Sequence[Step],
+    steps: Sequence[ProjectStep],
     order: Order,
     executor: Executor,
     finished: Callable[[Report], Any],
-    begun: Callable[[Step], Any] = lambda step: None,
+    begun: Callable[[ProjectStep], Any] = lambda step: None,
 ) -> list[Report]:
     """Bring every result up to date; call `finished` with the report of each job as soon as it is known.
 
@@ -89,16 +89,16 @@ class _Run:
 
     def __init__(
         self,
-        steps: Sequence[Step],
+        steps: Sequence[ProjectStep],
         order: Order,
         executor: Executor,
-        heard: tuple[Callable[[Step], Any], Callable[[Report], Any]],
+        heard: tuple[Callable[[ProjectStep], Any], Callable[[Report], Any]],
     ) -> None:
         self.order, self.executor = order, executor
         self.begun, self.finished = heard
         self.steps = {step.name: step for step in steps}
         self.reports: dict[str, Report] = {}
-        self.working: dict[str, State] = {}
+        self.working: dict[str, Staleness] = {}
         self.unmet = {step.name: {name for name in step.needs if name in self.steps} for step in steps}
         self.places = {name: number for number, name in enumerate(self.steps)}
         self.ready = [(self.places[name], name) for name, needs in self.unmet.items() if not needs]
@@ -117,7 +117,7 @@ class _Run:
                     self.report(_written(self.working.pop(name), outcome))
         return [self.reports[name] for name in self.steps]
 
-    def judge(self, step: Step) -> None:
+    def judge(self, step: ProjectStep) -> None:
         """Report a job that does not run, and begin any other."""
         needed = [self.reports[name] for name in step.needs if name in self.reports]
         broken = next((report for report in needed if _stops(report, step)), None)
@@ -146,7 +146,7 @@ class _Run:
                 heappush(self.ready, (self.places[user], user))
 
 
-def _written(state: State, outcome: Outcome) -> Report:
+def _written(state: Staleness, outcome: JobOutcome) -> Report:
     """Write the result of a job that was computed, and return the report."""
     from metrocli.project.runner import write
 
@@ -160,7 +160,7 @@ def _written(state: State, outcome: Outcome) -> Report:
     return Report(step, Action.RAN, state.reason, done.record.exit_code, done)
 
 
-def _stops(needed: Report, step: Step) -> bool:
+def _stops(needed: Report, step: ProjectStep) -> bool:
     """Return whether a step cannot run after what happened to a job that it needs."""
     if needed.action in (Action.FAILED, Action.NOT_RUN):
         return True

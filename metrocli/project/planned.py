@@ -8,7 +8,7 @@ from pathlib import Path
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats import csv
-from metrocli.formats.file_bytes import written_aside
+from metrocli.formats.file_bytes import atomic_write
 from metrocli.formats.own_files import inside
 from metrocli.plan import Plan
 from metrocli.table import Table
@@ -42,7 +42,7 @@ def write(files: Mapping[str, Table | str], summary: str, folder: Path) -> Itera
         if isinstance(content, Table):
             csv.write(path, content)
         else:
-            with written_aside(path) as aside:
+            with atomic_write(path) as aside:
                 aside.write_text(content, encoding="utf-8", newline="\n")
         yield path
 

@@ -12,7 +12,7 @@ from metrocli.errors import Fault
 from metrocli.expressions.dimensions import converted
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
-from metrocli.record import Verdict
+from metrocli.record import CriterionVerdict
 from metrocli.result import Result
 from metrocli.settings import BAD, Schema
 from metrocli.words import nearest, suggestion
@@ -36,7 +36,7 @@ class Requirement:
     unit: str
     node: Node
 
-    def verdict(self, result: Result, faults: list[Fault]) -> Verdict | None:
+    def verdict(self, result: Result, faults: list[Fault]) -> CriterionVerdict | None:
         """Compare the value with the limit.
 
         Adds a fault and returns None if the result has no such value, or one of another unit.
@@ -46,7 +46,9 @@ class Requirement:
         if limit is None:
             return None
         value, unit = known[self.figure]
-        return Verdict(self.name, self.node.text, value, unit, bool(_COMPARISONS[self.comparison](value, limit)))
+        return CriterionVerdict(
+            self.name, self.node.text, value, unit, bool(_COMPARISONS[self.comparison](value, limit))
+        )
 
     @property
     def figure(self) -> str:
@@ -105,7 +107,9 @@ def units_among(name: str, known: Mapping[str, str]) -> list[str]:
     """Return the unit of a known name, or those of the known names with braces that it fits."""
     if name in known:
         return [known[name]]
-    patterns = {".+".join(map(re.escape, _BRACES.split(one))): unit for one, unit in known.items() if "{" in one}
+    patterns = {
+        ".+".join(map(re.escape, _BRACES.split(quantity))): unit for quantity, unit in known.items() if "{" in quantity
+    }
     return [unit for pattern, unit in patterns.items() if re.fullmatch(pattern, name)]
 
 
@@ -113,7 +117,7 @@ def _allowed(name: str, known: Mapping[str, str]) -> str:
     """Return the known name that is meant, or all of them; standard uncertainties once only."""
     if nearest(name, known) is not None:
         return suggestion(name, known)
-    brief = [one for one in known if not one.endswith((".std", ".dof"))]
+    brief = [candidate for candidate in known if not candidate.endswith((".std", ".dof"))]
     more = ", and the standard uncertainty of an estimate as NAME.std" if len(brief) < len(known) else ""
     return f"{suggestion(name, brief)}{more}"
 

@@ -18,7 +18,7 @@ from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError,
 from metrocli.formats import hdf5
 from metrocli.formats.file_bytes import refuse_unwritable
 from metrocli.formats.hdf5 import refuse_foreign
-from metrocli.formats.images import ImageFiles
+from metrocli.formats.images import DecodedImages
 from metrocli.frozen import dataclass
 from metrocli.plan import Plan
 from metrocli.progress import SILENT, Named, Progress
@@ -29,7 +29,7 @@ from metrocli.project.job import JobFile, figures_of
 from metrocli.project.named_files import absolute
 from metrocli.project.requirements import by_names
 from metrocli.project.running.files import ChunkFolder
-from metrocli.record import Record, Verdict
+from metrocli.record import CriterionVerdict, Record
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
@@ -119,7 +119,10 @@ def compute(
 
 def counting(held: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     """Return inputs of which those that are read bit by bit, such as images, count what is read."""
-    return {key: replace(one, tell=progress.count) if isinstance(one, ImageFiles) else one for key, one in held.items()}
+    return {
+        key: replace(counts, tell=progress.count) if isinstance(counts, DecodedImages) else counts
+        for key, counts in held.items()
+    }
 
 
 def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
@@ -133,7 +136,7 @@ def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
         sigma0 = result.statistics.get("sigma0", 0.0)
         if task.diagnosed is None or not isinstance(sigma0, float):
             return result
-        if not suspicious(sigma0, result.astray):
+        if not suspicious(sigma0, result.list_offset):
             return _with_other_setting(result, adjustment, partial(task.others, job), sigma0 <= MOST)
     except MetrocliError as error:
         if task.diagnosed is None:
@@ -156,11 +159,11 @@ def _sound(file: JobFile, job: Job[Any, Any], progress: Progress) -> Result:
 
 def _elsewhere(result: Result) -> Result:
     """Return a result that is doubtful where its places are not those that its files list."""
-    if result.astray <= 1:
+    if result.list_offset <= 1:
         return result
     told = (
-        f"its places lie {result.astray:.1f} times as far from those that its files list as is plausible: a list is "
-        "wrong, such as rows in another order, and no other unit or axis mends it"
+        f"its places lie {result.list_offset:.1f} times as far from those that its files list as is plausible: a list "
+        "is wrong, such as rows in another order, and no other unit or axis mends it"
     )
     return replace(result, doubts=(*result.doubts, told))
 
@@ -171,10 +174,10 @@ def _with_other_setting(result: Result, adjustment: Adjustment | None, others: O
 
     if adjustment is None or not others(fits):
         return result
-    found = with_other_setting(adjustment(), others)
-    if found is None:
+    mistaken = with_other_setting(adjustment(), others)
+    if mistaken is None:
         return result
-    (wrong,), better = found.mistakes, (found.before / found.after) ** 2
+    (wrong,), better = mistaken.mistakes, (mistaken.before / mistaken.after) ** 2
     told = f"{wrong}: read so, the squared residuals are {better:.2g} times smaller; write {wrong.write}"
     return replace(result, doubts=(*result.doubts, told))
 
@@ -223,7 +226,7 @@ def _require_named(file: JobFile, held: Mapping[str, Any]) -> None:
 def known_figures(file: JobFile, held: Mapping[str, Any]) -> dict[str, str]:
     """Return the units of all figures that a result can have, by name, as far as its settings and tables name them."""
     names: dict[str, set[str]] = {}
-    for table in (one for one in held.values() if isinstance(one, Table)):
+    for table in (counts for counts in held.values() if isinstance(counts, Table)):
         for column in (name for name, cells in table.columns.items() if cells.dtype.kind == "U"):
             names.setdefault(column, set()).update(table.texts(column))
     return by_names(figures_of(file.kind, file.settings, file.effects), names)
@@ -282,7 +285,7 @@ def _table_warnings(files: Any) -> tuple[str, ...]:
     return tuple(line for value in held if isinstance(value, Table) for line in value.warnings)
 
 
-def _verdicts(file: JobFile, result: Result) -> tuple[Verdict, ...]:
+def _verdicts(file: JobFile, result: Result) -> tuple[CriterionVerdict, ...]:
     faults: list[Fault] = []
     verdicts = [requirement.verdict(result, faults) for requirement in file.heading.require]
     if faults:

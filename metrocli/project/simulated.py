@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from metrocli.formats import csv
-from metrocli.formats.file_bytes import written_aside
+from metrocli.formats.file_bytes import atomic_write
 from metrocli.formats.own_files import inside
 from metrocli.simulation import Simulation
 
@@ -28,6 +28,6 @@ def write(simulation: Simulation, folder: Path) -> Iterator[Path]:
         images.write(path, picture())
         yield path
     path = folder / "truth.json"
-    with written_aside(path) as aside:
+    with atomic_write(path) as aside:
         aside.write_text(json.dumps(dict(simulation.truth), indent=2) + "\n", encoding="utf-8")
     yield path

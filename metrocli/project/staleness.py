@@ -16,15 +16,15 @@ from metrocli.project import fingerprint, yaml_text
 from metrocli.project.inputs import content_now, input_files
 from metrocli.project.job import JobFile
 from metrocli.project.named_files import absolute
-from metrocli.project.steps import Step
+from metrocli.project.steps import ProjectStep
 from metrocli.record import DOUBTFUL, USABLE, Record
 
 
 @dataclass(frozen=True)
-class State:
+class Staleness:
     """Whether the result of a step is up to date; `reason` states why not and is empty if it is."""
 
-    step: Step
+    step: ProjectStep
     reason: str
     label: Label | None = None
     """Of the result, if there is one that can be believed"""
@@ -39,7 +39,7 @@ class State:
         return hdf5.read_record(self.step.job.output)[1] if self.label is not None else None
 
 
-def states(steps: Iterable[Step], force: bool = False, strict: bool = False) -> Iterator[State]:
+def states(steps: Iterable[ProjectStep], force: bool = False, strict: bool = False) -> Iterator[Staleness]:
     """Yield for each step whether it would run and why, before anything runs."""
     steps = tuple(steps)
     if not force:
@@ -48,7 +48,7 @@ def states(steps: Iterable[Step], force: bool = False, strict: bool = False) -> 
     unfit: dict[str, str] = {}
     for step in steps:
         cause = next((unfit[name] for name in step.needs if name in unfit), None)
-        state = State(step, cause, waits=True) if cause else state_of(step, running, force, strict)
+        state = Staleness(step, cause, waits=True) if cause else state_of(step, running, force, strict)
         if state.waits:
             unfit[step.name] = f"{step.name} does not run"
         elif state.reason:
@@ -58,28 +58,28 @@ def states(steps: Iterable[Step], force: bool = False, strict: bool = False) -> 
         yield state
 
 
-def state_of(step: Step, running: dict[str, Path], force: bool = False, strict: bool = False) -> State:
+def state_of(step: ProjectStep, running: dict[str, Path], force: bool = False, strict: bool = False) -> Staleness:
     """Return whether a step would run, given the outputs of jobs that run before it and have not yet run."""
     job = step.job
     before = [name for name in step.needs if name in running]
     if not os.path.lexists(job.output):
-        return State(step, "there is no result yet")
+        return Staleness(step, "there is no result yet")
     label, damage = _label(job)
     if not force and (label is None or label.kind != job.kind):
         try:
             hdf5.refuse_foreign(job.output, job.kind)
         except InputError as error:
-            return State(step, str(error), waits=True)
+            return Staleness(step, str(error), waits=True)
     if label is None:
-        return State(step, damage)
+        return Staleness(step, damage)
     if force:
-        return State(step, "forced", label)
+        return Staleness(step, "forced", label)
     reason = _difference(job, label, {absolute(running[name]) for name in before})
     if not reason and strict and label.warned:
         reason = "--strict, and the result has warnings"
     if not reason and before:
-        return State(step, f"{before[0]} runs", label, depends=True)
-    return State(step, reason, label)
+        return Staleness(step, f"{before[0]} runs", label, depends=True)
+    return Staleness(step, reason, label)
 
 
 def _label(job: JobFile) -> tuple[Label | None, str]:
@@ -115,7 +115,7 @@ def _unseen(job: JobFile) -> str:
     return f"the package {names[0]}, whose effects the job uses, changed" if names else "the job file changed"
 
 
-def refuse_lost(steps: Sequence[Step]) -> None:
+def refuse_lost(steps: Sequence[ProjectStep]) -> None:
     """Raise InputError for each input of the last result that no longer exists, such as one image of a file pattern.
 
     Without this, a job would silently run with fewer images.

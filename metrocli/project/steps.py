@@ -12,9 +12,9 @@ from metrocli.errors import Fault, InputError, UsageError
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.project import PROJECT_FILE
-from metrocli.project.campaign import Part, bound, parts_of
+from metrocli.project.campaign import CampaignPart, bound, parts_of
 from metrocli.project.heading import FileBeside
-from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.job import JobFile, JobOptions, load
 from metrocli.project.named_files import absolute
 from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import BAD, ListOf, Section, Text, path_beside, setting
@@ -32,7 +32,7 @@ class ProjectFile:
 
 
 @dataclass(frozen=True)
-class Step:
+class ProjectStep:
     """One job of a project, with the names of the jobs whose results it uses."""
 
     name: str
@@ -50,7 +50,7 @@ def project_file(place: Path) -> Path:
     return path
 
 
-def load_project(place: Path, accept_doubtful: bool = False) -> tuple[Step, ...]:
+def load_project(place: Path, accept_doubtful: bool = False) -> tuple[ProjectStep, ...]:
     """Return the jobs of a project, each after the jobs whose results it uses.
 
     With `accept_doubtful` they use results that are not fit for use. Raises InputError with the faults of all files.
@@ -65,17 +65,17 @@ def load_project(place: Path, accept_doubtful: bool = False) -> tuple[Step, ...]
     project = Section(ProjectFile).read(root, faults)
     if project is BAD:
         raise InputError(faults)
-    listed = [one for node in root.at("jobs").items for one in _one_or_many(node, files, faults)]
+    listed = [entry for node in root.at("jobs").items for entry in _one_or_many(node, files, faults)]
     made = {absolute(output) for job in listed if (output := _peek_output(job)) is not None}
     jobs: dict[str, JobFile] = {}
     for one in listed:
-        wishes = Wishes(made=made, accept_doubtful=accept_doubtful, part=one.part, files=files)
+        wishes = JobOptions(made=made, accept_doubtful=accept_doubtful, part=one.part, files=files)
         _load_one(one, wishes, jobs, faults)
     makers = _makers(listed, jobs, faults)
     if faults:
         raise InputError(faults)
     needs = {name: _needed(job, makers) for name, job in jobs.items()}
-    return tuple(Step(name, jobs[name], needs[name]) for name in _ordered(listed, needs))
+    return tuple(ProjectStep(name, jobs[name], needs[name]) for name in _ordered(listed, needs))
 
 
 def name_of_project(place: Path) -> str:
@@ -91,7 +91,7 @@ class _Listed:
     node: Node
     root: Node | None
     """Of the job file; None if it cannot be read, which is reported when it is loaded"""
-    part: Part | None = None
+    part: CampaignPart | None = None
 
     @property
     def name(self) -> str:
@@ -134,7 +134,7 @@ def _peek_output(job: _Listed) -> Path | None:
         return None
 
 
-def _load_one(job: _Listed, wishes: Wishes, jobs: dict[str, JobFile], faults: list[Fault]) -> None:
+def _load_one(job: _Listed, wishes: JobOptions, jobs: dict[str, JobFile], faults: list[Fault]) -> None:
     if not job.path.is_file():
         faults.append(job.node.fault(f"no such job file: {job.path}"))
         return
@@ -147,15 +147,15 @@ def _load_one(job: _Listed, wishes: Wishes, jobs: dict[str, JobFile], faults: li
 def _makers(listed: Sequence[_Listed], jobs: Mapping[str, JobFile], faults: list[Fault]) -> dict[Path, str]:
     """Return the name of the job that writes each result; adds a fault if two jobs write the same one."""
     makers: dict[Path, str] = {}
-    for one in listed:
-        job = jobs.get(one.name)
+    for entry in listed:
+        job = jobs.get(entry.name)
         if job is None:
             continue
-        first = makers.setdefault(absolute(job.output), one.name)
-        if first != one.name:
-            place = job.root.get("output") or one.node
-            hint = "name another output" if one.part is None else "write the part in braces into the output"
-            faults.append(place.fault(f"two jobs write {job.output}: {first} and {one.name}", hint))
+        first = makers.setdefault(absolute(job.output), entry.name)
+        if first != entry.name:
+            place = job.root.get("output") or entry.node
+            hint = "name another output" if entry.part is None else "write the part in braces into the output"
+            faults.append(place.fault(f"two jobs write {job.output}: {first} and {entry.name}", hint))
     return makers
 
 
@@ -202,7 +202,7 @@ def _cycle(name: str, needs: Mapping[str, tuple[str, ...]], ordered: Collection[
     return chain[chain.index(name) :]
 
 
-def selected(steps: Sequence[Step], only: Sequence[str], start: str | None) -> tuple[Step, ...]:
+def selected(steps: Sequence[ProjectStep], only: Sequence[str], start: str | None) -> tuple[ProjectStep, ...]:
     """Return the jobs named in `only` with all that they need, or `start` with all that needs it; else all.
 
     A job is named as in the project, with or without its part, or by its result. Raises UsageError for a name that no
@@ -221,7 +221,7 @@ def selected(steps: Sequence[Step], only: Sequence[str], start: str | None) -> t
     return tuple(step for step in steps if step.name in wanted)
 
 
-def _named(steps: Sequence[Step], name: str) -> set[str]:
+def _named(steps: Sequence[ProjectStep], name: str) -> set[str]:
     place = absolute(Path(name))
     names = {
         step.name

@@ -17,7 +17,7 @@ from metrocli.frozen import dataclass
 from metrocli.progress import SILENT, Progress
 from metrocli.project import runner
 from metrocli.project.diagnosed import carry_out, write_extended
-from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.job import JobFile, JobOptions, load
 from metrocli.project.runner import Done
 
 MOST = 5
@@ -88,8 +88,8 @@ def until_clean(
         )
         end = _end(last, gained, len(extensions) == most)
         if end is not None:
-            found = tuple(name for name, *_ in _parts(gained)) if end is End.INTERRUPTED else ()
-            return Loop(first, last, tuple(extensions), end, found)
+            names = tuple(name for name, *_ in _parts(gained)) if end is End.INTERRUPTED else ()
+            return Loop(first, last, tuple(extensions), end, names)
         number = len(extensions) + 1
         path = job.file.with_name(f"{job.file.stem}.step{number}.yaml")
         result = job.output.with_name(f"{job.output.stem}.step{number}.h5")
@@ -101,7 +101,7 @@ def until_clean(
         if not _adds(gained):
             path.unlink(missing_ok=True)
             return Loop(first, last, tuple(extensions), End.NOTHING_GAINED)
-        current = load(path, Wishes(accept_doubtful=job.accept_doubtful))
+        current = load(path, JobOptions(accept_doubtful=job.accept_doubtful))
         extensions.append(_extension(path, runner.carry_out(current, force, progress), gained))
         before, last = last, diagnose(current)
         if gained.laws:

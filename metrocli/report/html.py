@@ -83,7 +83,7 @@ def listed(items: Iterable[str]) -> Html:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class PrintedDiagnosis:
     """What `metrocli diagnose --json` printed for the job of a result."""
 
     data: Mapping[str, Any]
@@ -101,7 +101,7 @@ class Content:
     path: str
     tables: Mapping[str, str] = field(default_factory=dict)
     """Shown tables as text"""
-    diagnosis: Diagnosis | None = None
+    diagnosis: PrintedDiagnosis | None = None
     job: str = "JOB.yaml"
     """How commands name the job"""
     beside: Beside = ALONE

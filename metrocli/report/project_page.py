@@ -16,7 +16,7 @@ _LEAST = 0.75
 
 
 @dataclass(frozen=True)
-class Entry:
+class JobEntry:
     """One job of a project."""
 
     name: str
@@ -42,7 +42,7 @@ class Entry:
         return self.status == DONE and self.conformity != GUARD_BAND and self.verdict in ("", "clean")
 
 
-def project_page(name: str, entries: Sequence[Entry], charts: Sequence[Html] = ()) -> str:
+def project_page(name: str, entries: Sequence[JobEntry], charts: Sequence[Html] = ()) -> str:
     """Return the page of a project as HTML, with control charts of its jobs that have many parts."""
     stale = [entry for entry in entries if entry.stale]
     bad = [entry for entry in entries if not entry.stale and entry.status not in USABLE]
@@ -75,15 +75,15 @@ _STALE, _UNFIT, _LACKING = "up to date", "fit for use", "complete in its model, 
 _IN_TOLERANCE = "shown to be in tolerance"
 
 
-def _count(some: Sequence[Entry], of: int, what: str) -> str:
+def _count(some: Sequence[JobEntry], of: int, what: str) -> str:
     return f"{len(some)} of {of} results {'is' if len(some) == 1 else 'are'} not {what}."
 
 
-def _link(entry: Entry) -> Html:
+def _link(entry: JobEntry) -> Html:
     return tag("a", entry.name, href=entry.page) if entry.page else joined([entry.name])
 
 
-def _state(entry: Entry) -> Html:
+def _state(entry: JobEntry) -> Html:
     if entry.stale:
         return tag("span", f"not up to date: {entry.stale}", class_="stale")
     diagnosed = f"; diagnosis: {entry.verdict}" if entry.verdict else ""
@@ -91,7 +91,7 @@ def _state(entry: Entry) -> Html:
     return tag("span", f"up to date, {entry.status}{decided}{diagnosed}", class_="" if entry.fit else "stale")
 
 
-def ranks(entries: Sequence[Entry]) -> dict[str, int]:
+def ranks(entries: Sequence[JobEntry]) -> dict[str, int]:
     """Return for each job the number of jobs before it on its longest way from the measurements."""
     rank: dict[str, int] = {}
     for entry in entries:  # in the order in which they run
@@ -99,7 +99,7 @@ def ranks(entries: Sequence[Entry]) -> dict[str, int]:
     return rank
 
 
-def _lineage(entries: Sequence[Entry]) -> Html:
+def _lineage(entries: Sequence[JobEntry]) -> Html:
     """Return the graph of files and jobs, from left to right, and the same as a list."""
     rank = ranks(entries)
     files = list(dict.fromkeys(path for entry in entries for path in entry.inputs))
@@ -112,7 +112,8 @@ def _lineage(entries: Sequence[Entry]) -> Html:
     ]
     place = {name: (column, row) for column, names in enumerate(columns) for row, name in enumerate(names)}
     boxes = [
-        _box(name, *place[name], one) for name, one in [(path, None) for path in files] + [(e.name, e) for e in entries]
+        _box(name, *place[name], entry)
+        for name, entry in [(path, None) for path in files] + [(e.name, e) for e in entries]
     ]
     lines = [_line(place[source], place[entry.name]) for entry in entries for source in (*entry.inputs, *entry.needs)]
     wide = len(columns) * (_WIDE + _GAP) - _GAP + 2
@@ -126,7 +127,7 @@ def _lineage(entries: Sequence[Entry]) -> Html:
     return joined([tag("figure", scrolling(drawn), style=f"max-width:{wide}px"), tag("ul", *items)])
 
 
-def _box(name: str, column: int, row: int, entry: Entry | None) -> Html:
+def _box(name: str, column: int, row: int, entry: JobEntry | None) -> Html:
     x, y = column * (_WIDE + _GAP) + 1, row * _HIGH + 6
     sound = entry is not None and not entry.stale and entry.fit
     stroke = "var(--muted)" if entry is None else "var(--third)" if sound else "var(--second)"

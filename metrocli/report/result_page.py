@@ -120,7 +120,7 @@ def _statistics(statistics: Mapping[str, Any]) -> Html:
     for name in _STATISTICS:
         value = statistics.get(name)
         if isinstance(value, Mapping):
-            rows += [(f"{name} ({unit})", _number(one)) for unit, one in value.items()]
+            rows += [(f"{name} ({unit})", _number(entry)) for unit, entry in value.items()]
         elif value is not None:
             rows.append((name, _number(value)))
     return table(("figure", "value"), rows, "", (1,)) if rows else EMPTY

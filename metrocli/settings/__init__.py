@@ -1,6 +1,6 @@
 """Specifications of job files: they read nodes into frozen dataclasses and describe themselves as JSON schema."""
 
-from metrocli.settings.composites import UNKNOWN, At, Either, Known, ListOf, MapOf, Placed, Uncertain
+from metrocli.settings.composites import UNKNOWN, At, Either, KnownQuantity, ListOf, LocatedValue, MapOf, Uncertain
 from metrocli.settings.files import (
     ANY_KIND,
     FileOf,
@@ -21,7 +21,7 @@ from metrocli.settings.sections import (
     setting,
     settings_of,
 )
-from metrocli.settings.values import BAD, Choice, Flag, Limits, Number, Quantity, Schema, Spec, Text, Whole
+from metrocli.settings.values import BAD, Choice, Flag, Number, QuantityLimits, Schema, Spec, Text, Whole, WithUnit
 
 __all__ = [
     "ANY_KIND",
@@ -33,14 +33,13 @@ __all__ = [
     "FileOf",
     "Flag",
     "ImageFiles",
-    "Known",
-    "Limits",
+    "KnownQuantity",
     "ListOf",
+    "LocatedValue",
     "MapOf",
     "MeshFile",
     "Number",
-    "Placed",
-    "Quantity",
+    "QuantityLimits",
     "Schema",
     "Section",
     "Setting",
@@ -49,6 +48,7 @@ __all__ = [
     "Text",
     "Uncertain",
     "Whole",
+    "WithUnit",
     "content",
     "folders_searched",
     "has_wildcards",

@@ -20,7 +20,7 @@ PLACES = ("laboratory", "customer", "laboratoryBranch", "customerBranch", "other
 """Where a calibration is performed, in the words of the DCC"""
 
 
-class _Line(OfText):
+class _TextLine(OfText):
     """A text of one line; blanks at its ends do not count."""
 
     expects = "a text of one line"
@@ -64,46 +64,48 @@ class _Date(OfText):
 
 
 @dataclass(frozen=True)
-class Contact:
+class Party:
     """A laboratory or a customer."""
 
-    name: str = setting(_Line(), "name", default="")
-    street: str = setting(_Line(), "street and number", default="")
-    post_code: str = setting(_Line(), "post code", default="")
-    city: str = setting(_Line(), "city", default="")
+    name: str = setting(_TextLine(), "name", default="")
+    street: str = setting(_TextLine(), "street and number", default="")
+    post_code: str = setting(_TextLine(), "post code", default="")
+    city: str = setting(_TextLine(), "city", default="")
     country: str = setting(_Country(), "country", default="")
-    email: str = setting(_Line(), "address for mail", default="")
-    code: str = setting(_Line(), "code of an accredited laboratory", default="")
+    email: str = setting(_TextLine(), "address for mail", default="")
+    code: str = setting(_TextLine(), "code of an accredited laboratory", default="")
 
 
 @dataclass(frozen=True)
 class Item:
     """The item that is calibrated."""
 
-    name: str = setting(_Line(), "what it is", default="")
-    manufacturer: str = setting(_Line(), "manufacturer", default="")
-    model: str = setting(_Line(), "model", default="")
-    serial: str = setting(_Line(), "serial number", default="")
-    inventory: str = setting(_Line(), "number that its owner gives it", default="")
+    name: str = setting(_TextLine(), "what it is", default="")
+    manufacturer: str = setting(_TextLine(), "manufacturer", default="")
+    model: str = setting(_TextLine(), "model", default="")
+    serial: str = setting(_TextLine(), "serial number", default="")
+    inventory: str = setting(_TextLine(), "number that its owner gives it", default="")
 
 
 @dataclass(frozen=True)
 class Certificate:
     """What a calibration certificate states beside the result; the export lists what is missing."""
 
-    number: str = setting(_Line(), "number of the certificate", default="")
-    order: str = setting(_Line(), "number of the order", default="")
-    laboratory: Contact = setting(Section(Contact), "the laboratory that calibrates", default=Contact())
-    customer: Contact = setting(Section(Contact), "who ordered the calibration", default=Contact())
+    number: str = setting(_TextLine(), "number of the certificate", default="")
+    order: str = setting(_TextLine(), "number of the order", default="")
+    laboratory: Party = setting(Section(Party), "the laboratory that calibrates", default=Party())
+    customer: Party = setting(Section(Party), "who ordered the calibration", default=Party())
     item: Item = setting(Section(Item), "the item that is calibrated", default=Item())
-    person: str = setting(_Line(), "the person who is responsible", default="")
+    person: str = setting(_TextLine(), "the person who is responsible", default="")
     received: str = setting(_Date(), "day on which the item arrived", default="")
     begin: str = setting(_Date(), "first day of the measurement", default="")
     end: str = setting(_Date(), "last day of the measurement", default="")
     issued: str = setting(_Date(), "day of issue", default="")
     place: str = setting(Choice(*PLACES), "where the item was measured", default="laboratory")
     references: Mapping[str, str] = setting(
-        MapOf(_Line()), "certificate number of each reference: an input as the job names it, or a standard", default={}
+        MapOf(_TextLine()),
+        "certificate number of each reference: an input as the job names it, or a standard",
+        default={},
     )
 
     def faults(self) -> Any:
@@ -120,5 +122,5 @@ class Certificate:
 
 
 def _given(values: Mapping[str, Any]) -> dict[str, Any]:
-    below = ((name, _given(one) if isinstance(one, Mapping) else one) for name, one in values.items())
-    return {name: one for name, one in below if one}
+    below = ((name, _given(entry) if isinstance(entry, Mapping) else entry) for name, entry in values.items())
+    return {name: entry for name, entry in below if entry}

@@ -10,7 +10,7 @@ from metrocli.errors import Fault
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings.sections import Section, setting
-from metrocli.settings.values import BAD, Limits, Number, Quantity, Schema, Spec, Whole, described, refuse
+from metrocli.settings.values import BAD, Number, QuantityLimits, Schema, Spec, Whole, WithUnit, described, refuse
 from metrocli.words import composed
 
 
@@ -69,7 +69,7 @@ class MapOf:
 
 
 @dataclass(frozen=True)
-class Placed:
+class LocatedValue:
     """A value with the node it was read from, for faults that are found later by comparison with other values."""
 
     value: Any
@@ -78,7 +78,7 @@ class Placed:
 
 @dataclass(frozen=True)
 class At:
-    """A value whose place in the file the task needs as well; read as `Placed`."""
+    """A value whose place in the file the task needs as well; read as `LocatedValue`."""
 
     spec: Any
 
@@ -91,7 +91,7 @@ class At:
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
         value = self.spec.read(node, faults)
-        return BAD if value is BAD else Placed(value, node)
+        return BAD if value is BAD else LocatedValue(value, node)
 
     def schema(self) -> Schema:
         schema: Schema = self.spec.schema()
@@ -115,11 +115,11 @@ class Either:
         shaped = [spec for spec in self.specs if spec.fits(node)]
         attempts = []
         for spec in shaped:
-            found: list[Fault] = []
-            value = spec.read(node, found)
-            if value is not BAD and not found:
+            below: list[Fault] = []
+            value = spec.read(node, below)
+            if value is not BAD and not below:
                 return value
-            attempts.append(found)
+            attempts.append(below)
         faults.extend(self._telling(node, shaped, attempts))
         return BAD
 
@@ -127,7 +127,7 @@ class Either:
         """Return the faults of the alternative probably meant: text that begins like a number is a quantity."""
         numeric = node.kind == "scalar" and node.text[:1] in set("+-.0123456789")
         for spec, attempt in zip(shaped, attempts, strict=True):
-            if len(shaped) == 1 or (numeric and isinstance(spec, Quantity | Number | Whole)):
+            if len(shaped) == 1 or (numeric and isinstance(spec, WithUnit | Number | Whole)):
                 return attempt
         return [node.fault(f"{node.path}: {described(node)}", f"expected {self.expects}")]
 
@@ -140,25 +140,25 @@ _SPREADS = {"temperature": "temperature difference"}
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownQuantity:
     """A quantity in its internal unit, nan if only its standard uncertainty is given."""
 
     value: float
     std: float = 0.0
 
 
-UNKNOWN = Known(float("nan"))
+UNKNOWN = KnownQuantity(float("nan"))
 """A quantity that a job does not give"""
 
 
 class Uncertain:
-    """A quantity, plain or as {value, std}, read as `Known`; the value may be absent where the file has a column."""
+    """A quantity, plain or {value, std}, read as `KnownQuantity`; the value may be absent if the file has a column."""
 
-    def __init__(self, dimension: str, limits: Limits | None = None) -> None:
-        quantity = Quantity(dimension, limits=limits)
+    def __init__(self, dimension: str, limits: QuantityLimits | None = None) -> None:
+        quantity = WithUnit(dimension, limits=limits)
         value = setting(quantity, "the value", default=float("nan"))
         std = setting(
-            Quantity(_SPREADS.get(dimension, dimension), minimum=0.0), "its standard uncertainty", default=0.0
+            WithUnit(_SPREADS.get(dimension, dimension), minimum=0.0), "its standard uncertainty", default=0.0
         )
         parts = make_dataclass("Parts", [("value", float, value), ("std", float, std)], frozen=True)
         self._given = Either(quantity, Section(parts))
@@ -171,10 +171,10 @@ class Uncertain:
         return self._given.fits(node)
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
-        found = self._given.read(node, faults)
-        if found is BAD:
+        below = self._given.read(node, faults)
+        if below is BAD:
             return BAD
-        return Known(found) if isinstance(found, float) else Known(found.value, found.std)
+        return KnownQuantity(below) if isinstance(below, float) else KnownQuantity(below.value, below.std)
 
     def schema(self) -> Schema:
         return self._given.schema()

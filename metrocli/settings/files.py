@@ -62,8 +62,8 @@ class ImageFiles:
         return [part for part in (node.items or (node,)) if not _matches(part)]
 
     def schema(self) -> Schema:
-        one = {"type": "string", "minLength": 1}
-        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
+        text = {"type": "string", "minLength": 1}
+        return {"anyOf": [text, {"type": "array", "items": text, "minItems": 1}]}
 
 
 def has_wildcards(path: Path | str) -> bool:

@@ -48,10 +48,10 @@ def content(spec: Any, description: str = "", needed: bool = True, default: Any 
 
 def inputs_of(files: type) -> Any:
     """Return the section `inputs:` of a job: paths, under the names of the fields that hold their contents."""
-    given = [(one.name, *one.metadata["content"]) for one in dataclasses.fields(files)]
+    given = [(entry.name, *entry.metadata["content"]) for entry in dataclasses.fields(files)]
     keys = [
         (name, Any, setting(spec, text) if needed else setting(spec, text, default=None))
-        for name, spec, text, needed in sorted(given, key=lambda one: not one[3])
+        for name, spec, text, needed in sorted(given, key=lambda entry: not entry[3])
     ]
     made = dataclasses.make_dataclass("Inputs", keys, frozen=True)
     made.__doc__ = files.__doc__
@@ -144,8 +144,8 @@ def _checked(value: Any, node: Node, faults: list[Fault]) -> Any:
     The method yields `(key path, message[, hint])`, or a Fault with its place. Returns BAD if there is any.
     """
     check = getattr(value, "faults", None)
-    said = list(check()) if check else []
-    listed = [item if isinstance(item, Fault) else node.at(item[0]).fault(*item[1:]) for item in said]
+    message = list(check()) if check else []
+    listed = [item if isinstance(item, Fault) else node.at(item[0]).fault(*item[1:]) for item in message]
     faults.extend(listed)
     return BAD if listed else value
 

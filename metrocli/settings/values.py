@@ -185,7 +185,7 @@ def _limits(limits: Iterable[tuple[str, float | None]]) -> str:
 
 
 @dataclass(frozen=True)
-class Limits:
+class QuantityLimits:
     """The range that a quantity has in its job, in its internal unit."""
 
     low: float
@@ -199,7 +199,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Quantity(OfText):
+class WithUnit(OfText):
     """A number with its unit in one text, read as a float in the internal unit of its dimension."""
 
     dimension: str
@@ -207,7 +207,7 @@ class Quantity(OfText):
     """Whether zero and negative values are refused."""
     minimum: float | None = None
     """Smallest allowed value in the internal unit."""
-    limits: Limits | None = None
+    limits: QuantityLimits | None = None
 
     @property
     def expects(self) -> str:

@@ -30,5 +30,5 @@ def board_in_words(board: str) -> dict[str, str]:
         raise UsageError(
             f"--board '{board}' is not type, columns x rows, pitch, and what its type has more; {_EXAMPLE}"
         )
-    found = {"type": kind, "columns": size[1], "rows": size[2], **dict(zip(keys, lengths, strict=False))}
-    return found | ({"dictionary": others[0]} if others else {})
+    words = {"type": kind, "columns": size[1], "rows": size[2], **dict(zip(keys, lengths, strict=False))}
+    return words | ({"dictionary": others[0]} if others else {})

@@ -15,7 +15,7 @@ import numpy as np
 
 from metrocli.arrays import Array, Picture
 from metrocli.targets.blobs import eight_bit
-from metrocli.targets.find import Sightings, nothing, points
+from metrocli.targets.find import FoundTargets, nothing, points
 from metrocli.targets.lattice import homography, order_fault, projected
 from metrocli.targets.pattern import DICTIONARIES, Pattern, lattice, names
 from metrocli.targets.saddles import WINDOW, fit_grid
@@ -26,7 +26,7 @@ CLEARANCE = 0.9
 """Share of the gap between a corner and the next marker from which grey values are taken."""
 
 
-def find(pattern: Pattern, picture: Picture) -> Sightings:
+def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     """Return the corners that the markers identify, fitted to the edges of the squares, or nothing with the reason.
 
     OpenCV only supplies the names of the corners, because its image coordinates have moved by half a pixel between
@@ -35,9 +35,9 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
     seen = eight_bit(picture)
     corners, ids, _, markers = cv2.aruco.CharucoDetector(_board(pattern)).detectBoard(seen)
     if ids is None or len(ids) < FEWEST:
-        found = f"no ChArUco board: {0 if ids is None else len(ids)} corners found, {FEWEST} are needed"
+        message = f"no ChArUco board: {0 if ids is None else len(ids)} corners found, {FEWEST} are needed"
         other = _other_board(pattern, seen, 0 if markers is None else len(markers))
-        return nothing(f"{found}; {other}" if other else found)
+        return nothing(f"{message}; {other}" if other else message)
     ids, start = np.asarray(ids).ravel(), np.asarray(corners, dtype=float).reshape(-1, 2)
     steps = lattice(pattern)
     reason = order_fault(steps[ids], start)
@@ -121,7 +121,7 @@ def markers_in(picture: Picture) -> tuple[str, int]:
         if not name.endswith(("_50", "_100", "_1000")):
             ids = cv2.aruco.ArucoDetector(_dictionary(name)).detectMarkers(seen)[1]
             counts[name] = 0 if ids is None else len(ids)
-    return max(counts.items(), key=lambda one: one[1])
+    return max(counts.items(), key=lambda count: count[1])
 
 
 def _sizes(pattern: Pattern) -> tuple[float, float]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from metrocli.arrays import Array, Picture
 from metrocli.targets.blobs import eight_bit
-from metrocli.targets.find import Sightings, nothing, points
+from metrocli.targets.find import FoundTargets, nothing, points
 from metrocli.targets.lattice import order_fault, ordered
 from metrocli.targets.pattern import Pattern, lattice, names
 from metrocli.targets.saddles import fit_grid
@@ -28,7 +28,7 @@ _FEWEST_SQUARES = 4
 """Fewest squares in a row that alternate otherwise than by chance."""
 
 
-def find(pattern: Pattern, picture: Picture) -> Sightings:
+def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     """Return the inner corners of a chessboard, or nothing with the reason.
 
     Corners that the grey values do not show are left out. With an odd sum of columns and rows the colours fix the
@@ -60,8 +60,8 @@ def shown_size(picture: Picture) -> tuple[int, int] | None:
     grey, least, flags = eight_bit(picture), (4, 4), cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
     if min(grey.shape) < LEAST_SIDE:
         return None
-    found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, least, flags)
-    return (max(meta.shape), min(meta.shape)) if found and meta is not None else None
+    shown, _, meta = cv2.findChessboardCornersSBWithMeta(grey, least, flags)
+    return (max(meta.shape), min(meta.shape)) if shown and meta is not None else None
 
 
 def _coarse(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
@@ -89,12 +89,12 @@ def _searched(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
     if min(grey.shape) < LEAST_SIDE:
         return None
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    found, corners = False, None
+    success, corners = False, None
     if grey.size <= QUICK_PIXELS or cv2.checkChessboard(grey, (columns, rows)):
-        found, corners = cv2.findChessboardCorners(grey, (columns, rows), flags=flags)
-    if not found:
-        found, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-    return np.asarray(corners, dtype=float).reshape(-1, 2) if found else None
+        success, corners = cv2.findChessboardCorners(grey, (columns, rows), flags=flags)
+    if not success:
+        success, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    return np.asarray(corners, dtype=float).reshape(-1, 2) if success else None
 
 
 def _in_order(pattern: Pattern, corners: Array, picture: Picture) -> tuple[Array, str]:

@@ -11,12 +11,12 @@ from metrocli.arrays import Picture
 from metrocli.targets import blobs, ellipses
 from metrocli.targets.ellipse import Ellipse
 from metrocli.targets.ellipses import of_ellipses
-from metrocli.targets.find import Sightings, nothing
+from metrocli.targets.find import FoundTargets, nothing
 from metrocli.targets.lattice import ordered
 from metrocli.targets.pattern import Pattern, lattice, names
 
 
-def find(pattern: Pattern, picture: Picture) -> Sightings:
+def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     """Return the circles of a grid, named by their place, or nothing with the reason.
 
     At least three quarters of the circles must be found. With polarity `either` the polarity with more circles counts.
@@ -29,7 +29,7 @@ def _polarities(pattern: Pattern) -> tuple[str, ...]:
     return ("dark", "bright") if pattern.polarity == "either" else (pattern.polarity,)
 
 
-def _of_polarity(pattern: Pattern, picture: Picture, polarity: str) -> Sightings:
+def _of_polarity(pattern: Pattern, picture: Picture, polarity: str) -> FoundTargets:
     starts = blobs.ellipses(picture, polarity)
     expected = lattice(pattern)
     if len(starts) < 4:

@@ -14,8 +14,8 @@ from metrocli.arrays import Array, Picture
 from metrocli.targets import blobs, ellipses
 from metrocli.targets.codes import BITS, RING_FROM, RING_TO, canonical, codes
 from metrocli.targets.ellipse import Ellipse
-from metrocli.targets.ellipses import Fitted, of_ellipses
-from metrocli.targets.find import Sightings, nothing
+from metrocli.targets.ellipses import FittedEllipse, of_ellipses
+from metrocli.targets.find import FoundTargets, nothing
 from metrocli.targets.pattern import Pattern
 
 REACH = 1.5
@@ -32,7 +32,7 @@ CLEAR = 0.2
 """Smallest distance of a segment's grey value from half the contrast, in units of the contrast."""
 
 
-def find(pattern: Pattern, picture: Picture) -> Sightings:
+def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     """Return the coded targets of an image, named by their code; a code seen twice is left out, with a message."""
     starts = (start for start in blobs.ellipses(picture, pattern.polarity) if _worth_fitting(picture, start))
     fits = ellipses.fit_all(picture, starts, REACH)
@@ -46,7 +46,7 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
     return of_ellipses([str(code) for code, _ in single], [fitted for _, fitted in single], reason)
 
 
-def decode(picture: Picture, fitted: Fitted) -> int | None:
+def decode(picture: Picture, fitted: FittedEllipse) -> int | None:
     """Return the code around a dot; None if there is no ring, or no code in use on it."""
     profile = _profile(picture, fitted.ellipse, (GAP, *ACROSS, AROUND))
     if profile is None:

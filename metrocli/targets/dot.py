@@ -8,7 +8,7 @@ from __future__ import annotations
 from metrocli.arrays import Picture
 from metrocli.targets import blobs, ellipses
 from metrocli.targets.ellipses import of_ellipses
-from metrocli.targets.find import Sightings, nothing
+from metrocli.targets.find import FoundTargets, nothing
 from metrocli.targets.pattern import Pattern
 
 EQUAL = 0.5
@@ -17,7 +17,7 @@ MOST = 200
 """Most candidates that are fitted: an image of nothing but noise has 20,000, and each takes milliseconds."""
 
 
-def find(pattern: Pattern, picture: Picture) -> Sightings:
+def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     """Return the dot of the image, or nothing with the reason: no dot, or several of similar contrast and size."""
     starts = blobs.clearest(picture, blobs.ellipses(picture, pattern.polarity), MOST)
     fits = ellipses.fit_all(picture, starts)

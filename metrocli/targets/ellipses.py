@@ -13,7 +13,7 @@ from scipy.special import ndtr
 
 from metrocli.arrays import Array, Picture
 from metrocli.targets.ellipse import Ellipse
-from metrocli.targets.find import Sightings
+from metrocli.targets.find import FoundTargets
 
 OUTSIDE = 3.5
 """How far outside the edge pixels are used, in pixels: the blur of the edge does not reach farther."""
@@ -42,7 +42,7 @@ An estimated slope increases the scatter of small targets by half, so it is esti
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedEllipse:
     """A fitted ellipse and how well the grey values agree with it."""
 
     ellipse: Ellipse
@@ -121,7 +121,7 @@ def _bounded(value: float, bound: float) -> float:
     return min(max(value, -bound), bound)
 
 
-def fit(picture: Picture, start: Ellipse, reach: float = np.inf) -> Fitted | None:
+def fit(picture: Picture, start: Ellipse, reach: float = np.inf) -> FittedEllipse | None:
     """Fit a blurred ellipse to the grey values around `start`; None if they show none or the fit does not converge.
 
     `reach` limits the pixels used, in semi-axes from the centre. It must be less than the distance to other print.
@@ -137,7 +137,7 @@ def fit(picture: Picture, start: Ellipse, reach: float = np.inf) -> Fitted | Non
     return None
 
 
-def _fit(start: Ellipse, at: Array, grey: Array) -> Fitted | None:
+def _fit(start: Ellipse, at: Array, grey: Array) -> FittedEllipse | None:
     """Fit an evenly lit ellipse to given pixels, then a slope of the light too if the residuals require it."""
     model = _start(start, at, grey)
     if model.contrast == 0:
@@ -154,20 +154,20 @@ def _is_near(a: Ellipse, b: Ellipse) -> bool:
     return moved < SAME and abs(a.long - b.long) < SAME and abs(a.short - b.short) < SAME
 
 
-def _leads_to(start: Ellipse, found: Ellipse) -> bool:
+def _leads_to(start: Ellipse, ellipse: Ellipse) -> bool:
     """Return whether a start is another outline of an ellipse that has been found already."""
-    near = abs(start.u - found.u) + abs(start.v - found.v) < 0.5 * found.short
-    return near and 0.5 < start.short / found.short < 2
+    near = abs(start.u - ellipse.u) + abs(start.v - ellipse.v) < 0.5 * ellipse.short
+    return near and 0.5 < start.short / ellipse.short < 2
 
 
-def is_good(fitted: Fitted | None) -> bool:
+def is_good(fitted: FittedEllipse | None) -> bool:
     """Return whether there is a fit, and its misfit is small enough for a blurred ellipse."""
     return fitted is not None and fitted.misfit < MISFIT
 
 
-def fit_all(picture: Picture, starts: Iterable[Ellipse], reach: float = np.inf) -> list[Fitted]:
+def fit_all(picture: Picture, starts: Iterable[Ellipse], reach: float = np.inf) -> list[FittedEllipse]:
     """Return the good fits, each once, even if several starts lead to the same ellipse."""
-    fits: list[Fitted] = []
+    fits: list[FittedEllipse] = []
     for start in starts:
         if any(_leads_to(start, other.ellipse) for other in fits):
             continue
@@ -245,7 +245,7 @@ def _is_sloping(residual: Array, jacobian: Array) -> bool:
     return bool(gain > SLOPE_TEST * (after @ after) / (len(residual) - SLOPING))
 
 
-def _judged(model: _Model, residual: Array, jacobian: Array) -> Fitted | None:
+def _judged(model: _Model, residual: Array, jacobian: Array) -> FittedEllipse | None:
     """Return the fitted ellipse and the standard deviation of its centre; None if it cannot be computed.
 
     The deviation is from White's covariance: each residual counts with its own leverage, so noise may differ between
@@ -265,7 +265,9 @@ def _judged(model: _Model, residual: Array, jacobian: Array) -> Fitted | None:
     semi, turn = _axes_of(model.shape, model.blur)
     ellipse = Ellipse(float(model.centre[0]), float(model.centre[1]), float(semi[0]), float(semi[1]), turn)
     misfit = float(np.sqrt(np.mean(residual**2)) / abs(model.contrast))
-    return Fitted(ellipse, float(np.sqrt(variance)), float(model.background), float(model.contrast), misfit, model.blur)
+    return FittedEllipse(
+        ellipse, float(np.sqrt(variance)), float(model.background), float(model.contrast), misfit, model.blur
+    )
 
 
 def _axes_of(shape: Array, blur: float) -> tuple[Array, float]:
@@ -279,8 +281,8 @@ def _axes_of(shape: Array, blur: float) -> tuple[Array, float]:
     return np.array([long, short]) + drawn, float(np.arctan2(vectors[1, 0], vectors[0, 0]) % np.pi)
 
 
-def of_ellipses(targets: Sequence[str], fits: Sequence[Fitted], reason: str = "") -> Sightings:
+def of_ellipses(targets: Sequence[str], fits: Sequence[FittedEllipse], reason: str = "") -> FoundTargets:
     """Return sightings of fitted ellipses."""
     rows = [(*fit.ellipse.centre, fit.sigma, fit.ellipse.long, fit.ellipse.short, fit.ellipse.angle) for fit in fits]
     table = np.array(rows, dtype=float).reshape(-1, 6)
-    return Sightings(tuple(targets), table[:, :2], table[:, 2], table[:, 3:5], table[:, 5], reason)
+    return FoundTargets(tuple(targets), table[:, :2], table[:, 2], table[:, 3:5], table[:, 5], reason)

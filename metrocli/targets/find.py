@@ -13,7 +13,7 @@ from metrocli.targets.pattern import Pattern
 
 
 @dataclass(frozen=True)
-class Sightings:
+class FoundTargets:
     """Targets found in one image; pixel (0, 0) is the centre of the first pixel."""
 
     targets: tuple[str, ...]
@@ -31,22 +31,22 @@ class Sightings:
     def __len__(self) -> int:
         return len(self.targets)
 
-    def __getitem__(self, rows: Sequence[int] | Index) -> Sightings:
+    def __getitem__(self, rows: Sequence[int] | Index) -> FoundTargets:
         """Return the sightings of these rows."""
         rows = np.asarray(rows, dtype=np.intp)
         names = tuple(self.targets[row] for row in rows)
-        return Sightings(names, self.uv[rows], self.sigma[rows], self.axes[rows], self.angle[rows], self.reason)
+        return FoundTargets(names, self.uv[rows], self.sigma[rows], self.axes[rows], self.angle[rows], self.reason)
 
 
-def nothing(reason: str) -> Sightings:
+def nothing(reason: str) -> FoundTargets:
     """Return empty sightings with the reason."""
-    return Sightings((), np.empty((0, 2)), np.empty(0), np.empty((0, 2)), np.empty(0), reason)
+    return FoundTargets((), np.empty((0, 2)), np.empty(0), np.empty((0, 2)), np.empty(0), reason)
 
 
-def points(targets: Sequence[str], uv: Array, sigma: Array) -> Sightings:
+def points(targets: Sequence[str], uv: Array, sigma: Array) -> FoundTargets:
     """Return sightings of targets that are not ellipses."""
     absent = np.full((len(uv), 2), np.nan)
-    return Sightings(tuple(targets), uv, sigma, absent, absent[:, 0])
+    return FoundTargets(tuple(targets), uv, sigma, absent, absent[:, 0])
 
 
 MODULES = {
@@ -60,8 +60,8 @@ MODULES = {
 """Module of each type of pattern; each has `find(pattern, picture) -> Sightings`."""
 
 
-def find(pattern: Pattern, picture: Picture) -> Sightings:
+def find(pattern: Pattern, picture: Picture) -> FoundTargets:
     """Return the targets in a grey image (height, width) of 8 or 16 bits, or nothing with the reason."""
     module = import_module(f"metrocli.targets.{MODULES[pattern.type]}")
-    sightings: Sightings = module.find(pattern, picture)
+    sightings: FoundTargets = module.find(pattern, picture)
     return sightings

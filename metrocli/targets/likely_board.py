@@ -51,14 +51,14 @@ def _likely_circles(pattern: Pattern, pictures: Sequence[Picture]) -> tuple[int,
     """
     rows, columns = pattern.shape
     sizes = [(columns + c, rows + r) for c, r in product((-1, 0, 1), repeat=2) if (c, r) != (0, 0)]
-    found: dict[tuple[int, int], int] = {}
-    for size in sorted((one for one in sizes if min(one) >= 2), key=lambda one: -one[0] * one[1]):
+    counts: dict[tuple[int, int], int] = {}
+    for size in sorted((shape for shape in sizes if min(shape) >= 2), key=lambda shape: -shape[0] * shape[1]):
         other = replace(pattern, columns=size[0], rows=size[1])
-        found[size] = sum(len(find(other, picture)) > 0 for picture in pictures)
-        if found[size] == len(pictures):  # no smaller grid can be more likely
+        counts[size] = sum(len(find(other, picture)) > 0 for picture in pictures)
+        if counts[size] == len(pictures):  # no smaller grid can be more likely
             break
-    best = max(found, key=lambda size: (found[size], size[0] * size[1]))
-    return best if pictures and found[best] > _SHARE * len(pictures) else None
+    best = max(counts, key=lambda size: (counts[size], size[0] * size[1]))
+    return best if pictures and counts[best] > _SHARE * len(pictures) else None
 
 
 def _reduced(picture: Picture) -> Picture:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
-from metrocli.settings import Choice, Flag, Quantity, Text, Whole, setting
+from metrocli.settings import Choice, Flag, Text, Whole, WithUnit, setting
 
 if TYPE_CHECKING:
     import numpy as np
@@ -38,19 +38,19 @@ class Pattern:
     )
     rows: int | None = setting(Whole(minimum=2, maximum=99), "rows of points of the board", default=None)
     pitch: float | None = setting(
-        Quantity("length", positive=True),
+        WithUnit("length", positive=True),
         "distance of neighbouring points; with asymmetric-circles, distance of neighbouring rows",
         default=None,
     )
     diameter: float | None = setting(
-        Quantity("length", positive=True), "diameter of the circles, or of the centre dots of coded rings", default=None
+        WithUnit("length", positive=True), "diameter of the circles, or of the centre dots of coded rings", default=None
     )
     polarity: str = setting(
         Choice("either", "dark", "bright"),
         "dark targets on a bright background, bright on dark, or both",
         default="either",
     )
-    marker_size: float | None = setting(Quantity("length", positive=True), "side of a marker (charuco)", default=None)
+    marker_size: float | None = setting(WithUnit("length", positive=True), "side of a marker (charuco)", default=None)
     dictionary: str = setting(Choice(*DICTIONARIES), "ArUco dictionary of the markers (charuco)", default="4x4_50")
     legacy: bool = setting(
         Flag(),

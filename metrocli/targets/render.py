@@ -26,7 +26,7 @@ COARSE = 16
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedDrawing:
     """A drawing in the camera frame: `X_camera = rotation @ (x, y, 0) + origin`, in mm."""
 
     drawing: Drawing
@@ -55,7 +55,7 @@ RETRO_REFLECTIVE = Look(ink=220.0, paper=0.0, background=0.0, noise=2.0, black=1
 """Retro-reflective targets under a ring light: only the targets are bright."""
 
 
-def render(size: Size, rays: Rays, scene: Sequence[Placed], look: Look, rng: np.random.Generator) -> Picture:
+def render(size: Size, rays: Rays, scene: Sequence[PlacedDrawing], look: Look, rng: np.random.Generator) -> Picture:
     """Return the image (height, width) of a scene; later drawings cover earlier ones.
 
     Only the pixels near each drawing are computed. Edges are exact to about 0.001 px.
@@ -83,7 +83,7 @@ def _ray_grid(rays: Rays, u: npt.NDArray[np.generic], v: npt.NDArray[np.generic]
     return np.asarray(rays(grid.reshape(-1, 2))).reshape(grid.shape[:2] + (3,))
 
 
-def _on_plane(directions: Array, placed: Placed) -> Array:
+def _on_plane(directions: Array, placed: PlacedDrawing) -> Array:
     """Return plane coordinates (..., 2) in mm of directions (..., 3); infinite if a ray does not meet the plane."""
     into = directions @ placed.rotation
     start = placed.origin @ placed.rotation
@@ -94,7 +94,7 @@ def _on_plane(directions: Array, placed: Placed) -> Array:
     return np.asarray(at)
 
 
-def _box(coarse: Array, placed: Placed) -> tuple[int, int, int, int] | None:
+def _box(coarse: Array, placed: PlacedDrawing) -> tuple[int, int, int, int] | None:
     """Return the columns and rows of the grid that enclose the sheet; None if it is out of sight."""
     at = _on_plane(coarse, placed)
     corners = np.stack([at[:-1, :-1], at[1:, :-1], at[:-1, 1:], at[1:, 1:]])
@@ -113,7 +113,9 @@ def _box(coarse: Array, placed: Placed) -> tuple[int, int, int, int] | None:
     )
 
 
-def _close_box(rays: Rays, coarse: Array, placed: Placed, size: Size, around: int) -> tuple[int, int, int, int] | None:
+def _close_box(
+    rays: Rays, coarse: Array, placed: PlacedDrawing, size: Size, around: int
+) -> tuple[int, int, int, int] | None:
     """Return the box of pixels (u0, v0, u1, v1) that sheet and blur touch; None if it is outside the image."""
     box = _box(coarse, placed)
     if box is None:
@@ -133,7 +135,7 @@ def _around(blur: float) -> int:
     return int(np.ceil(4 * blur)) + 2
 
 
-def _coverage(rays: Rays, placed: Placed, box: tuple[int, int, int, int], blur: float) -> tuple[Field, Field]:
+def _coverage(rays: Rays, placed: PlacedDrawing, box: tuple[int, int, int, int], blur: float) -> tuple[Field, Field]:
     """Return the shares of sheet and of ink in each pixel of a box (u0, v0, u1, v1), after the blur of the lens.
 
     Plane coordinates are computed at the pixels and interpolated in between, which is exact to 1e-4 px.

@@ -63,7 +63,7 @@ class _Windows:
         there = (rim <= 1) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
         # the pixels of a window before the others, of which most are dropped
         kept = np.argsort(~there, axis=1, kind="stable")[:, : max(int(there.sum(axis=1).max(initial=0)), 1)]
-        u, v, rim, there = (np.take_along_axis(one, kept, 1) for one in (u, v, rim, there))
+        u, v, rim, there = (np.take_along_axis(array, kept, 1) for array in (u, v, rim, there))
         grey = picture[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)].astype(float)
         weight = np.where(there, np.minimum(1.0, 2 * (1 - rim) + 0.1), 0.0)
         return cls(start, across, bend, u.astype(float), v.astype(float), grey, weight)
@@ -71,7 +71,7 @@ class _Windows:
     def some(self, rows: Index | Mask) -> _Windows:
         """Return the windows of some corners."""
         parts = (self.start, self.across, self.bend, self.u, self.v, self.grey, self.weight)
-        return _Windows(*(one[rows] for one in parts))
+        return _Windows(*(array[rows] for array in parts))
 
     @property
     def count(self) -> Array:
@@ -146,7 +146,7 @@ def _fitted(windows: _Windows) -> tuple[Array, Array]:
         if not sound.all():
             rows, windows, state = rows[sound], windows.some(sound), state[sound]
             jacobian, residual, normal, scale, right = (
-                one[sound] for one in (jacobian, residual, normal, scale, right)
+                array[sound] for array in (jacobian, residual, normal, scale, right)
             )
         step = np.linalg.solve(normal, right[:, :, None])[:, :, 0] / scale
         state = _moved(state, step)

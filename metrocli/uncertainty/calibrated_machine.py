@@ -50,7 +50,7 @@ def error_motion(result: Result, position: Array, tool: Array) -> tuple[Array, A
 def outside(result: Result, commanded: Table, key: str = "point", rows: Index | slice = _ALL) -> list[Fault]:
     """Return a fault for each position beyond the calibrated range of an axis; `key` is the column of their names."""
     faults: list[Fault] = []
-    whose = [f" of {key} '{one}'" for one in commanded.texts(key)] if key in commanded else [""] * len(commanded)
+    whose = [f" of {key} '{text}'" for text in commanded.texts(key)] if key in commanded else [""] * len(commanded)
     chosen = np.arange(len(commanded))[rows]
     for axis in _machine(result).axes:
         name, low, high = axis.letter.lower(), float(axis.knots[0]), float(axis.knots[-1])
@@ -80,7 +80,7 @@ def _machine(result: Result) -> Machine:
 
 def _values(result: Result) -> Array:
     """Return the entries of all tables; those without a value in the result are zero."""
-    listed, square = result.tables[ENTRIES], {one.name: one.value for one in result.estimates}
+    listed, square = result.tables[ENTRIES], {estimate.name: estimate.value for estimate in result.estimates}
     error, position = np.array(listed.texts("error")), listed.numbers("position")
     values = np.array([square.get(name, 0.0) for name in error.tolist()])
     for name in np.unique(error[~np.isnan(position)]).tolist():

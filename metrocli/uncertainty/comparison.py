@@ -79,7 +79,7 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class Measured:
     """One quantity of a result."""
 
     value: float
@@ -106,11 +106,11 @@ class _Values:
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
 
-def quantities(result: Result) -> dict[tuple[str, str], Quantity]:
+def quantities(result: Result) -> dict[tuple[str, str], Measured]:
     """Return all that a result can be compared in, by group and name: table entries, estimates, coordinates."""
     own = _of(result)
     rows = zip(own.values.tolist(), own.std.tolist(), own.units, own.dof.tolist(), strict=True)
-    return {**dict(zip(own.names, (Quantity(*row) for row in rows), strict=True)), **_coordinates(result)}
+    return {**dict(zip(own.names, (Measured(*row) for row in rows), strict=True)), **_coordinates(result)}
 
 
 def compare(first: Result, second: Result) -> Comparison:
@@ -123,21 +123,21 @@ def compare(first: Result, second: Result) -> Comparison:
     """
     if first.kind != second.kind:
         raise InputError(f"results of two kinds cannot be compared: {first.kind} and {second.kind}")
-    one, other = _of(first), _of(second)
-    common = [name for name in one.names if name in set(other.names)]
-    rows, columns = _rows(one, common), _rows(other, common)
-    difference = other.values[columns] - one.values[rows]
+    values, other = _of(first), _of(second)
+    common = [name for name in values.names if name in set(other.names)]
+    rows, columns = _rows(values, common), _rows(other, common)
+    difference = other.values[columns] - values.values[rows]
     counted, joint = _by_shared(first, second, common)
-    covariance = one.covariance[np.ix_(rows, rows)] + other.covariance[np.ix_(columns, columns)] - joint - joint.T
+    covariance = values.covariance[np.ix_(rows, rows)] + other.covariance[np.ix_(columns, columns)] - joint - joint.T
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    parts = [(one.std[rows], one.dof[rows]), (other.std[columns], other.dof[columns])]
+    parts = [(values.std[rows], values.dof[rows]), (other.std[columns], other.dof[columns])]
     k = [factor(1, dof) for _, dof in parts]
     each = [wide * spread for wide, (spread, _) in zip(k, parts, strict=True)]
     expanded = np.sqrt(np.maximum(each[0] ** 2 + each[1] ** 2 - 2 * k[0] * k[1] * np.diag(joint), 0.0))
     # entries that the gauge holds at zero have neither a difference nor an uncertainty
     alive = np.flatnonzero((std > 0) | (difference != 0))
     compared = [
-        Compared(*common[i], float(difference[i]), float(std[i]), one.units[rows[i]], float(expanded[i]))
+        Compared(*common[i], float(difference[i]), float(std[i]), values.units[rows[i]], float(expanded[i]))
         for i in alive.tolist()
     ]
     points = _coordinates(first), _coordinates(second)
@@ -146,7 +146,7 @@ def compare(first: Result, second: Result) -> Comparison:
         raise InputError("the results have nothing in common: no estimate, table or point of the same name")
     moving = alive[std[alive] > 0]
     chi2, dof = _tested(difference[moving], covariance[np.ix_(moving, moving)])
-    apart = {" ".join(name).strip() for name in set(one.names) ^ set(other.names)}
+    apart = {" ".join(name).strip() for name in set(values.names) ^ set(other.names)}
     apart |= {f"{group} {name.rpartition('.')[0]}" for group, name in set(points[0]) ^ set(points[1])}
     return Comparison(tuple(compared), chi2, dof, _joint_dof(parts, moving), tuple(sorted(apart)), counted)
 
@@ -176,7 +176,7 @@ def _owed(result: Result, name: str, common: list[tuple[str, str]]) -> Array:
     place = {("estimates", estimate.name): i for i, estimate in enumerate(result.estimates)}
     factors = np.asarray(result.arrays[OWED + name])
     nothing = np.zeros(factors.shape[1])
-    return np.array([factors[place[one]] if one in place else nothing for one in common]).reshape(-1, len(nothing))
+    return np.array([factors[place[key]] if key in place else nothing for key in common]).reshape(-1, len(nothing))
 
 
 def _joint_dof(parts: list[tuple[Array, Array]], rows: Index) -> float:
@@ -262,28 +262,28 @@ def _entries(result: Result) -> tuple[list[tuple[str, str]], list[float], list[s
     return names, values, units, np.asarray(result.arrays[TABLES_COVARIANCE])[np.ix_(rows, rows)]
 
 
-def _coordinates(result: Result) -> dict[tuple[str, str], Quantity]:
+def _coordinates(result: Result) -> dict[tuple[str, str], Measured]:
     """Return the coordinates of the points of a result, by `points` and point and axis."""
     table = result.tables.get(POINTS)
     if table is None or not {"point", "x", "y", "z", "sx"} <= set(table):
         return {}
     dof = result.degrees_of_freedom()
-    coordinates: dict[tuple[str, str], Quantity] = {}
+    coordinates: dict[tuple[str, str], Measured] = {}
     for axis in "xyz":
         rows = zip(table.texts("point"), table.numbers(axis).tolist(), table.numbers(f"s{axis}").tolist(), strict=True)
-        coordinates |= {(POINTS, f"{name}.{axis}"): Quantity(value, std, "mm", dof) for name, value, std in rows}
+        coordinates |= {(POINTS, f"{name}.{axis}"): Measured(value, std, "mm", dof) for name, value, std in rows}
     return coordinates
 
 
-def _points(first: dict[tuple[str, str], Quantity], second: dict[tuple[str, str], Quantity]) -> Iterator[Compared]:
+def _points(first: dict[tuple[str, str], Measured], second: dict[tuple[str, str], Measured]) -> Iterator[Compared]:
     common = [name for name in first if name in second]
     parts = [[values[name] for name in common] for values in (first, second)]
-    std = [np.array([one.std for one in part]) for part in parts]
-    k = [factor(1, np.array([one.dof for one in part])) for part in parts]
+    std = [np.array([quantity.std for quantity in part]) for part in parts]
+    k = [factor(1, np.array([quantity.dof for quantity in part])) for part in parts]
     expanded = np.hypot(k[0] * std[0], k[1] * std[1])
     rows = zip(common, *parts, np.hypot(std[0], std[1]).tolist(), expanded.tolist(), strict=True)
-    for (group, name), one, other, spread, large in rows:
-        yield Compared(group, name, other.value - one.value, spread, one.unit, large)
+    for (group, name), row, other, spread, large in rows:
+        yield Compared(group, name, other.value - row.value, spread, row.unit, large)
 
 
 def _tested(difference: Array, covariance: Array) -> tuple[float, int]:

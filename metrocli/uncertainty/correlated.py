@@ -26,7 +26,7 @@ def factor(covariance: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Ellipse:
+class JointDistribution:
     """Jointly normal quantities (JCGM 101, 6.4.8), or jointly t where their dof is finite (JCGM 102, 5.3.2.4)."""
 
     indices: tuple[int, ...]
@@ -42,7 +42,7 @@ class Ellipse:
 
 
 @dataclass(frozen=True)
-class Rows:
+class DrawnRows:
     """Values of an earlier evaluation, drawn row by row, which keeps their joint distribution."""
 
     indices: tuple[int, ...]

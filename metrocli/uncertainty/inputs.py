@@ -11,12 +11,12 @@ import numpy as np
 from metrocli.arrays import Array, Mask
 from metrocli.expressions.dimensions import Compound
 from metrocli.frozen import dataclass
-from metrocli.uncertainty.correlated import CLIP, Dependent, Ellipse, Rows, UnreachableError, factor
+from metrocli.uncertainty.correlated import CLIP, Dependent, DrawnRows, JointDistribution, UnreachableError, factor
 from metrocli.uncertainty.distributions import Distribution, Normal, Sampled, in_trials
 
 
 @dataclass(frozen=True)
-class Quantity:
+class InputQuantity:
     """One input: best estimate and distribution in base units, and the unit in which it is shown."""
 
     name: str
@@ -33,7 +33,7 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class Block:
+class CorrelatedBlock:
     """Quantities from one result, with their covariance."""
 
     names: tuple[str, ...]
@@ -53,7 +53,7 @@ class NotSemiDefiniteError(ValueError):
 class Inputs:
     """n quantities with their joint covariance."""
 
-    quantities: tuple[Quantity, ...]
+    quantities: tuple[InputQuantity, ...]
     covariance: Array
     """(n, n)"""
     groups: tuple[tuple[int, ...], ...]
@@ -77,17 +77,17 @@ class Inputs:
             self._source(group) for group in self.groups if self.covariance[group[0], group[0]] > 0 or len(group) > 1
         )
 
-    def _source(self, group: tuple[int, ...]) -> Dependent | Ellipse | Rows | _Single:
+    def _source(self, group: tuple[int, ...]) -> Dependent | JointDistribution | DrawnRows | _Single:
         shapes = [in_trials(self._shape(i), self.quantities[i].dof) for i in group]
         if len(group) == 1:
             return _Single(group[0], shapes[0])
         if group in self.together:
-            return Rows(group, tuple(shape for shape in shapes if isinstance(shape, Sampled)))
+            return DrawnRows(group, tuple(shape for shape in shapes if isinstance(shape, Sampled)))
         part = self.covariance[np.ix_(group, group)]
         std = np.sqrt(np.diag(part))
         moving = [k for k in range(len(group)) if std[k] > 0]
         root, dofs = factor(part), {self.quantities[i].dof for i in group}
-        ellipse = Ellipse(group, root, min(dofs))
+        ellipse = JointDistribution(group, root, min(dofs))
         normal = all(isinstance(self._shape(i), Normal) for i in group)
         # t distributions of different dof would break the exact relations of a singular covariance
         if normal and (len(dofs) == 1 or root.shape[1] < len(moving)):
@@ -116,9 +116,9 @@ class _Single:
 
 
 def join(
-    quantities: Sequence[Quantity],
+    quantities: Sequence[InputQuantity],
     correlations: Iterable[tuple[str, str, float]] = (),
-    blocks: Sequence[Block] = (),
+    blocks: Sequence[CorrelatedBlock] = (),
     rows: Iterable[Sequence[str]] = (),
 ) -> Inputs:
     """Return the quantities with their joint covariance; raises NotSemiDefiniteError.

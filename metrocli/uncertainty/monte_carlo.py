@@ -20,8 +20,8 @@ import numpy as np
 from metrocli.arrays import Array
 from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
-from metrocli.uncertainty.samples import Binned, Counts, Edges, Sample, Sorted
-from metrocli.uncertainty.trials import Batch, Plan, Tally, Work, counted
+from metrocli.uncertainty.samples import Binned, Counts, Edges, MeasurandSample, Sorted
+from metrocli.uncertainty.trials import Batch, Tally, TrialsPlan, Work, counted
 from metrocli.uncertainty.workers import Workers
 
 KEPT, KEPT_VALUES = 2_000_000, 8_000_000
@@ -32,18 +32,18 @@ MOST_OF_TWO_CHUNKS = 10_000_000
 
 
 @dataclass(frozen=True)
-class Outcome:
+class MonteCarloResult:
     """The Monte Carlo result of the measurands."""
 
     means: Array
     covariance: Array
-    samples: tuple[Sample, ...]
+    samples: tuple[MeasurandSample, ...]
     """Sample of each measurand, as deviations from `centres`"""
     centres: tuple[float, ...]
     trials: int
 
 
-def run(plan: Plan, workers: Workers, digits: int = 2, most: int = 0) -> Outcome:
+def run(plan: TrialsPlan, workers: Workers, digits: int = 2, most: int = 0) -> MonteCarloResult:
     """Return the result of the trials of a plan.
 
     Raises NoOutcomeError if a trial has no value, NotConvergedError if an adaptive run reaches `most` trials.
@@ -65,7 +65,7 @@ def run(plan: Plan, workers: Workers, digits: int = 2, most: int = 0) -> Outcome
     return _outcome(plan, total, work.edges)
 
 
-def _kept(plan: Plan) -> int:
+def _kept(plan: TrialsPlan) -> int:
     """Return the number of trials up to which all values are kept."""
     return min(KEPT, KEPT_VALUES // len(plan.models))
 
@@ -76,7 +76,7 @@ def _told(batches: Iterator[Batch], workers: Workers, of: int | None) -> Iterato
         workers.tell(done, of)
 
 
-def _edges(plan: Plan) -> tuple[Edges, ...]:
+def _edges(plan: TrialsPlan) -> tuple[Edges, ...]:
     pilot = Work(plan, PILOT)(0).values
     assert pilot is not None
     return tuple(Edges.around(row) for row in pilot)
@@ -103,7 +103,7 @@ def _both(a: Batch, b: Batch) -> Batch:
     return Batch(a.tally + b.tally, np.concatenate([a.spread, b.spread]), None, counts)
 
 
-def _gathered(plan: Plan, batches: Sequence[Batch]) -> Outcome:
+def _gathered(plan: TrialsPlan, batches: Sequence[Batch]) -> MonteCarloResult:
     """Return the result from batches whose values are all kept."""
     total = batches[0]
     for batch in batches[1:]:
@@ -112,15 +112,15 @@ def _gathered(plan: Plan, batches: Sequence[Batch]) -> Outcome:
     return _outcome(plan, replace(total, values=values), ())
 
 
-def _outcome(plan: Plan, total: Batch, edges: tuple[Edges, ...]) -> Outcome:
-    samples: tuple[Sample, ...]
+def _outcome(plan: TrialsPlan, total: Batch, edges: tuple[Edges, ...]) -> MonteCarloResult:
+    samples: tuple[MeasurandSample, ...]
     if total.values is not None:
         samples = tuple(Sorted(np.sort(row)) for row in total.values)
     else:
         assert total.counts is not None
         samples = tuple(Binned(bins, counts) for bins, counts in zip(edges, total.counts, strict=True))
     means = total.tally.mean + np.asarray(plan.centres)
-    return Outcome(means, total.tally.covariance, samples, plan.centres, total.tally.count)
+    return MonteCarloResult(means, total.tally.covariance, samples, plan.centres, total.tally.count)
 
 
 def _errors(spread: Array) -> Array:
@@ -137,7 +137,7 @@ def tolerance_of(std: float, digits: int) -> float:
     return float(0.5 * 10.0**exponent)
 
 
-def _adaptive(plan: Plan, workers: Workers, digits: int, most: int) -> Outcome:
+def _adaptive(plan: TrialsPlan, workers: Workers, digits: int, most: int) -> MonteCarloResult:
     """Add chunks until mean, standard uncertainty and interval ends are accurate to `digits` (JCGM 101, 7.9)."""
     if 2 * plan.chunk > min(most, MOST_OF_TWO_CHUNKS):
         raise NotConvergedError(
@@ -146,16 +146,16 @@ def _adaptive(plan: Plan, workers: Workers, digits: int, most: int) -> Outcome:
             "  fix the number of trials (`trials`), or choose a smaller probability or k"
         )
     kept: list[Batch] = []
-    settled = False
+    converged = False
     numbers = range(max(min(most, _kept(plan)) // plan.chunk, 2))
     for batch in _told(workers.ordered(Work(plan, 1), numbers), workers, None):
         kept.append(batch)
         # a standard deviation over chunks needs two of them
         if len(kept) > 1 and _small(_tally(kept), np.concatenate([batch.spread for batch in kept]), plan.units, digits):
-            settled = True
+            converged = True
             break
     outcome = _gathered(plan, kept)
-    if settled:
+    if converged:
         return outcome
     edges = tuple(Edges.around(row.values) for row in outcome.samples if isinstance(row, Sorted))
     total = Batch(_tally(kept), np.concatenate([batch.spread for batch in kept]), None, _binned(outcome, edges))
@@ -186,7 +186,7 @@ class _Later:
         return total
 
 
-def _binned(outcome: Outcome, edges: Sequence[Edges]) -> Counts:
+def _binned(outcome: MonteCarloResult, edges: Sequence[Edges]) -> Counts:
     rows = [sample.values for sample in outcome.samples if isinstance(sample, Sorted)]
     return counted([[bins.places(row) for bins, row in zip(edges, rows, strict=True)]])
 

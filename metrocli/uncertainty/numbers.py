@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from metrocli.arrays import Array, Index
-from metrocli.expressions.expression import NEGATIVE, Expression, Part
+from metrocli.expressions.expression import NEGATIVE, Expression, Operation
 from metrocli.frozen import dataclass
 
 PROBABILITY = 0.954499736
@@ -62,11 +62,11 @@ class Numbers:
         """Return a plain number."""
         return value
 
-    def name(self, part: Part) -> Any:
+    def name(self, part: Operation) -> Any:
         """Return the values of a name."""
         return self.values[part.name]
 
-    def apply(self, part: Part, arguments: Sequence[Any]) -> Any:
+    def apply(self, part: Operation, arguments: Sequence[Any]) -> Any:
         """Return the outcome of one operation."""
         with np.errstate(all="ignore"):
             if part.operation == "**" and isinstance(arguments[1], float) and arguments[1] == 2.0:

@@ -22,7 +22,7 @@ _IN_MACHINE = ("align-part",)
 
 
 @dataclass(frozen=True)
-class Places:
+class PredictedPlaces:
     """Places in the frame of the result: two have covariance `C_a K C_b'`, each has `C_a K C_a' + O_a`."""
 
     values: Array
@@ -39,9 +39,9 @@ class Places:
         """Covariance of each place (n, 3, 3) mm^2."""
         return self.own + shared(self.common, self.core)
 
-    def of(self, rows: Index | Mask) -> Places:
+    def of(self, rows: Index | Mask) -> PredictedPlaces:
         """Return some of the places."""
-        return Places(self.values[rows], self.common[rows], self.core, self.own[rows])
+        return PredictedPlaces(self.values[rows], self.common[rows], self.core, self.own[rows])
 
 
 def has_points(result: Result) -> bool:
@@ -54,7 +54,7 @@ def in_machine(result: Result) -> bool:
     return result.kind in _IN_MACHINE
 
 
-def reached(result: Result, commanded: Table) -> Places:
+def reached(result: Result, commanded: Table) -> PredictedPlaces:
     """Return where the tool of a calibrated machine is on the workpiece at commanded positions.
 
     Its covariance is that of the error tables and of the tool vectors. Tables that are not determined count as zero,
@@ -69,7 +69,7 @@ def reached(result: Result, commanded: Table) -> Places:
     core = np.zeros((size, size))
     core[:entries, :entries] = result.arrays[TABLES_COVARIANCE]
     core[entries:, entries:] = np.diag(tools.stacked(("sx", "sy", "sz")).ravel() ** 2)
-    return Places(place, common, core, np.zeros((len(which), 3, 3)))
+    return PredictedPlaces(place, common, core, np.zeros((len(which), 3, 3)))
 
 
 def _shifted(result: Result, commanded: Table, tool: Index) -> tuple[Array, Array, Array]:
@@ -85,7 +85,7 @@ def tool_vectors(result: Result, commanded: Table) -> Array:
     return tools.stacked(("x", "y", "z"))[_tools(tools, commanded, [])]
 
 
-def listed(result: Result, names: Table, columns: tuple[str, ...]) -> tuple[Places, ...]:
+def listed(result: Result, names: Table, columns: tuple[str, ...]) -> tuple[PredictedPlaces, ...]:
     """Return the points of a result that each of some columns names; raises InputError for names that it lacks."""
     points = result.tables[POINTS]
     known = {name: i for i, name in enumerate(points.texts("point"))}
@@ -105,14 +105,14 @@ def listed(result: Result, names: Table, columns: tuple[str, ...]) -> tuple[Plac
     return tuple(every.of(at) for at in rows)
 
 
-def points_of(result: Result) -> Places:
+def points_of(result: Result) -> PredictedPlaces:
     """Return the points of a result; without factors of their joint covariance they are taken as independent."""
     values = result.tables[POINTS].stacked(("x", "y", "z"))
     whole = np.asarray(result.arrays[POINTS_COVARIANCE], dtype=float)
     common, core = result.arrays.get(COMMON), result.arrays.get(CORE)
     if common is None or core is None:
         return independent(values, whole)
-    return Places(values, common, core, whole - shared(common, core))
+    return PredictedPlaces(values, common, core, whole - shared(common, core))
 
 
 def shared(common: Array, core: Array) -> Array:
@@ -122,9 +122,9 @@ def shared(common: Array, core: Array) -> Array:
     return np.asarray(product @ np.swapaxes(common, 1, 2))
 
 
-def independent(values: Array, covariance: Array) -> Places:
+def independent(values: Array, covariance: Array) -> PredictedPlaces:
     """Return places (n, 3) with independent errors of covariance (n, 3, 3)."""
-    return Places(values, np.zeros((len(values), 3, 0)), np.zeros((0, 0)), covariance)
+    return PredictedPlaces(values, np.zeros((len(values), 3, 0)), np.zeros((0, 0)), covariance)
 
 
 def _tools(tools: Table, commanded: Table, faults: list[Fault]) -> Index:

@@ -29,7 +29,7 @@ class Coverage:
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearPropagation:
     """One measurand by the law of propagation."""
 
     value: float
@@ -57,7 +57,7 @@ class Linear:
 class Propagated:
     """All measurands of a job, with their joint covariance."""
 
-    measurands: Mapping[str, Linear]
+    measurands: Mapping[str, LinearPropagation]
     covariance: Array
 
 
@@ -79,7 +79,7 @@ _ROUNDING = 1e-14
 """Contributions below this share of the value are rounding errors of derivatives that cancel"""
 
 
-def _attempt(model: Expression, inputs: Inputs) -> Linear:
+def _attempt(model: Expression, inputs: Inputs) -> LinearPropagation:
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             return _linear(model, inputs)
@@ -88,12 +88,12 @@ def _attempt(model: Expression, inputs: Inputs) -> Linear:
         if not error.differentiable or not math.isfinite(value):
             raise
         nothing = np.zeros(len(inputs.names))
-        return Linear(
+        return LinearPropagation(
             value, 0.0, nothing, nothing, math.inf, math.nan, math.nan, 0.0, notes=(error.message,), replaced=True
         )
 
 
-def _linear(model: Expression, inputs: Inputs) -> Linear:
+def _linear(model: Expression, inputs: Inputs) -> LinearPropagation:
     names, values, covariance = inputs.names, inputs.values, inputs.covariance
     # only derivatives by the names in the model: a budget of a hundred quantities has models of a few
     used = [i for i, name in enumerate(names) if name in model.names]
@@ -115,7 +115,7 @@ def _linear(model: Expression, inputs: Inputs) -> Linear:
         notes = (*notes, "depends on no input: what the inputs change cancels, up to rounding")
     # if the second-order terms make the variance negative, the expansion is not valid
     second = math.sqrt(variance + more) if 0 <= variance + more < math.inf else math.nan
-    return Linear(
+    return LinearPropagation(
         value=float(jet.value),
         std=math.sqrt(variance),
         sensitivities=slopes,
@@ -182,6 +182,6 @@ def ellipsoid_factor(probability: float, measurands: int) -> float:
     return math.sqrt(chi_square_bound(measurands, 1 - probability))
 
 
-def budget_order(linear: Linear) -> Sequence[int]:
+def budget_order(linear: LinearPropagation) -> Sequence[int]:
     """Return the contributors of a model from the largest to the smallest."""
     return sorted(linear.used, key=lambda i: -float(linear.contributions[i]))

@@ -10,7 +10,7 @@ from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.frozen import dataclass
 from metrocli.result import Result
-from metrocli.uncertainty.comparison import Quantity, compare, quantities
+from metrocli.uncertainty.comparison import Measured, compare, quantities
 from metrocli.uncertainty.numbers import factor
 
 
@@ -51,7 +51,7 @@ class Pooled:
 
 
 @dataclass(frozen=True)
-class Repeated:
+class RepeatedCalibrations:
     """What repeated calibrations show."""
 
     drifts: tuple[Drift, ...]
@@ -70,7 +70,7 @@ class Repeated:
         return max((drift.en for drift in self.drifts), default=0.0)
 
 
-def repeated(results: Sequence[Result], times: Sequence[float]) -> Repeated:
+def repeated(results: Sequence[Result], times: Sequence[float]) -> RepeatedCalibrations:
     """Return drift and scatter of what all results determine; times are in any unit, or numbers of the calibrations.
 
     Raises InputError for results of two kinds or without a common quantity, and for times that do not differ.
@@ -80,22 +80,22 @@ def repeated(results: Sequence[Result], times: Sequence[float]) -> Repeated:
         raise InputError("the calibrations have one time: a drift needs two times at least")
     against_first = tuple(compare(results[0], other).max_en for other in results[1:])
     each = [quantities(result) for result in results]
-    names = [name for name in each[0] if all(name in one for one in each)]
+    names = [name for name in each[0] if all(name in values for values in each)]
     if not names:
         raise InputError("no estimate, table or point is in all of the results: a drift needs the same name in each")
     drifts: list[Drift] = []
-    groups: dict[tuple[str, str], list[list[Quantity]]] = {}
+    groups: dict[tuple[str, str], list[list[Measured]]] = {}
     for name in names:
-        rows = [one[name] for one in each]
+        rows = [values[name] for values in each]
         if any(row.std > 0 for row in rows) or np.ptp([row.value for row in rows]) > 0:
             drifts.append(_drift(name, rows, at))
             groups.setdefault((name[0], rows[0].unit), []).append(rows)
-    return Repeated(
+    return RepeatedCalibrations(
         tuple(drifts), tuple(_pooled(group, unit, rows) for (group, unit), rows in groups.items()), against_first
     )
 
 
-def _drift(name: tuple[str, str], rows: Sequence[Quantity], at: Array) -> Drift:
+def _drift(name: tuple[str, str], rows: Sequence[Measured], at: Array) -> Drift:
     values, std = np.array([row.value for row in rows]), np.array([row.std for row in rows])
     weights = 1 / std**2 if (std > 0).all() else np.ones(len(std))
     moved = at - np.average(at, weights=weights)
@@ -109,9 +109,9 @@ def _drift(name: tuple[str, str], rows: Sequence[Quantity], at: Array) -> Drift:
     return Drift(*name, float(gradient @ (values - values[0])), spread, rows[0].unit, k * spread)
 
 
-def _pooled(group: str, unit: str, rows: Sequence[Sequence[Quantity]]) -> Pooled:
-    values = np.array([[one.value - row[0].value for one in row] for row in rows])
-    std = np.array([[one.std for one in row] for row in rows])
+def _pooled(group: str, unit: str, rows: Sequence[Sequence[Measured]]) -> Pooled:
+    values = np.array([[quantity.value - row[0].value for quantity in row] for row in rows])
+    std = np.array([[quantity.std for quantity in row] for row in rows])
     dof = values.shape[0] * (values.shape[1] - 1)
     scatter = ((values - values.mean(axis=1, keepdims=True)) ** 2).sum() / dof
     return Pooled(group, unit, float(np.sqrt(scatter)), float(np.sqrt((std**2).mean())), dof)

@@ -19,7 +19,7 @@ LENGTHS = "length_errors"
 
 
 @dataclass(frozen=True)
-class Repeated:
+class RepeatedQuantity:
     """One quantity over several sets."""
 
     group: str
@@ -46,7 +46,7 @@ class Repetition:
     """All quantities that several sets have in common."""
 
     sets: int
-    quantities: tuple[Repeated, ...]
+    quantities: tuple[RepeatedQuantity, ...]
 
     @property
     def max_ratio(self) -> float:
@@ -69,20 +69,22 @@ def repetition(results: Sequence[Result]) -> Repetition:
     return Repetition(len(results), quantities)
 
 
-def _quantity(group: str, name: str, values: Array, std: Array, unit: str) -> Repeated:
+def _quantity(group: str, name: str, values: Array, std: Array, unit: str) -> RepeatedQuantity:
     root_mean_square = float(np.sqrt((std**2).mean()))
-    return Repeated(group, name, float(values.mean()), float(values.std(ddof=1)), root_mean_square, unit)
+    return RepeatedQuantity(group, name, float(values.mean()), float(values.std(ddof=1)), root_mean_square, unit)
 
 
-def _estimates(results: Sequence[Result]) -> Iterator[Repeated]:
+def _estimates(results: Sequence[Result]) -> Iterator[RepeatedQuantity]:
     every = [{estimate.name: estimate for estimate in result.estimates} for result in results]
     for name, first in every[0].items():
-        if all(name in one for one in every):
-            values, std = (np.array([getattr(one[name], what) for one in every]) for what in ("value", "std"))
+        if all(name in estimates for estimates in every):
+            values, std = (
+                np.array([getattr(estimates[name], what) for estimates in every]) for what in ("value", "std")
+            )
             yield _quantity("estimates", name, values, std, first.unit)
 
 
-def _lengths(results: Sequence[Result]) -> Iterator[Repeated]:
+def _lengths(results: Sequence[Result]) -> Iterator[RepeatedQuantity]:
     """Yield the measured lengths between the ends of test lengths."""
     if not all(LENGTHS in result.tables for result in results):
         return
@@ -97,12 +99,12 @@ def _lengths(results: Sequence[Result]) -> Iterator[Repeated]:
         for table in tables
     ]
     for name in every[0]:
-        if all(name in one for one in every):
-            values, std = np.array([one[name] for one in every], dtype=float).T
+        if all(name in lengths for lengths in every):
+            values, std = np.array([lengths[name] for lengths in every], dtype=float).T
             yield _quantity(LENGTHS, name, values, std, "mm")
 
 
-def _points(results: Sequence[Result]) -> Iterator[Repeated]:
+def _points(results: Sequence[Result]) -> Iterator[RepeatedQuantity]:
     """Yield each coordinate, pooled over the points that all sets have."""
     tables = [result.tables.get(POINTS) for result in results]
     if any(table is None or not {"point", "x", "y", "z", "sx"} <= set(table) for table in tables):
@@ -123,4 +125,4 @@ def _points(results: Sequence[Result]) -> Iterator[Repeated]:
     std = np.sqrt((every[:, :, 3:] ** 2).mean(axis=(0, 1)))
     for k, axis in enumerate("xyz"):
         name = f"{axis} of {len(common)} points"
-        yield Repeated(POINTS, name, float("nan"), float(sigma[k]), float(std[k]), "mm")
+        yield RepeatedQuantity(POINTS, name, float("nan"), float(sigma[k]), float(std[k]), "mm")

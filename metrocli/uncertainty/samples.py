@@ -18,7 +18,7 @@ BINS = 1 << 17
 """Number of bins; their width limits the error of every quantile"""
 
 
-class Sample(Protocol):
+class MeasurandSample(Protocol):
     """The values of one measurand."""
 
     @property

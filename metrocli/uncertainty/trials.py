@@ -30,7 +30,7 @@ Source = Callable[[np.random.Generator, int], Sequence[tuple[int, Array]]]
 
 
 @dataclass(frozen=True)
-class Plan:
+class TrialsPlan:
     """Everything that a chunk needs besides its number: models, quantities, seed, probability, trials."""
 
     models: tuple[Expression, ...]
@@ -69,10 +69,10 @@ class Plan:
             for index, deviations in source(rng, count):
                 deviations += self.values[index]
                 values[self.names[index]] = deviations
-        found = np.empty((len(self.models), count))
-        for row, model, centre in zip(found, self.models, self.centres, strict=True):
+        drawn = np.empty((len(self.models), count))
+        for row, model, centre in zip(drawn, self.models, self.centres, strict=True):
             np.subtract(evaluate(model, values), centre, out=row)
-        return found
+        return drawn
 
 
 def plan_of(
@@ -82,7 +82,7 @@ def plan_of(
     probability: float,
     trials: int | None,
     units: Mapping[str, float] | None = None,
-) -> Plan:
+) -> TrialsPlan:
     """Return the plan of a run; raises UnreachableError if distributions cannot have their correlation.
 
     `units` are those of the measurands in base units, 1 by default.
@@ -93,7 +93,7 @@ def plan_of(
     sources = inputs.sources()
     means = tuple(values.values())
     shown = tuple((units or {}).get(name, 1.0) for name in models)
-    return Plan(tuple(models.values()), inputs.names, means, finite, sources, seed, probability, trials, shown)
+    return TrialsPlan(tuple(models.values()), inputs.names, means, finite, sources, seed, probability, trials, shown)
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class Batch:
 class Work:
     """Computation of a batch of chunks."""
 
-    plan: Plan
+    plan: TrialsPlan
     chunks: int
     """Number of chunks of a batch"""
     edges: tuple[Edges, ...] = ()
@@ -168,15 +168,15 @@ class Work:
         for chunk in range(number * self.chunks, (number + 1) * self.chunks):
             if self.plan.count(chunk) <= 0:
                 break
-            found = self.plan.outcomes(chunk)
-            _refuse_lost(found, self.plan)
-            tally = Tally.of(found) if tally is None else tally + Tally.of(found)
+            drawn = self.plan.outcomes(chunk)
+            _refuse_lost(drawn, self.plan)
+            tally = Tally.of(drawn) if tally is None else tally + Tally.of(drawn)
             if self.plan.trials is None:
-                spread.append(spread_of(found, self.plan.probability))
+                spread.append(spread_of(drawn, self.plan.probability))
             if self.edges:
-                places.append([edges.places(row) for edges, row in zip(self.edges, found, strict=True)])
+                places.append([edges.places(row) for edges, row in zip(self.edges, drawn, strict=True)])
             else:
-                kept.append(found)
+                kept.append(drawn)
         assert tally is not None
         values = np.concatenate(kept, axis=1) if kept else None
         return Batch(tally, np.array(spread), values, counted(places) if places else None)
@@ -192,7 +192,7 @@ class NoOutcomeError(UndeterminedError):
     """Error for trials in which a model has no value."""
 
 
-def _refuse_lost(values: Array, plan: Plan) -> None:
+def _refuse_lost(values: Array, plan: TrialsPlan) -> None:
     lost = ~(np.abs(values) < LARGEST)
     if lost.any():
         row = int(np.argmax(lost.any(axis=1)))

@@ -61,7 +61,7 @@ def _machine(result: Result) -> Machine:
     turning, tools = result.tables[AXES], result.tables["tools"]
     error, position = _listed(result)
     at = turning.stacked("xyz")
-    axes: list[Axis] = [Axis(one, position[error == f"E{one}{one}"]) for one in result.tables["axes"].texts("axis")]
+    axes: list[Axis] = [Axis(text, position[error == f"E{text}{text}"]) for text in result.tables["axes"].texts("axis")]
     for row, letter in enumerate(turning.texts("axis")):
         knots = position[error == f"E{letter}{letter}"]
         periodic, head = (bool(turning.columns[name][row]) for name in ("periodic", "head"))
@@ -83,14 +83,14 @@ def _keys(result: Result, machine: Machine) -> list[tuple[str, str]]:
     error, position = _listed(result)
     members = {axis.letter: axis.block_of({}, ()).members for axis in machine.axes}
     count: dict[str, int] = {}
-    found = []
+    keys = []
     for name, at in zip(error.tolist(), position.tolist(), strict=True):
         number = count.get(name, 0)
         count[name] = number + 1
         own = members.get(name[-1], ())
         member = "" if np.isnan(at) else own[number] if number < len(own) else "the first"
-        found.append((name, member))
-    return found
+        keys.append((name, member))
+    return keys
 
 
 def _blocks(result: Result, machine: Machine) -> dict[str, Block]:
@@ -100,7 +100,7 @@ def _blocks(result: Result, machine: Machine) -> dict[str, Block]:
         for name, table in result.tables.items()
         if name.startswith(TABLES)
     }
-    known = {one.name: one.value for one in result.estimates}
+    known = {estimate.name: estimate.value for estimate in result.estimates}
     blocks = [axis.block_of(values, ()) for axis in machine.axes]
     blocks += [axis.location_block(known, ()) for axis in machine.axes if isinstance(axis, RotaryAxis)]
     blocks += [squareness_block(known, ()), spindle_block(known, ())]
@@ -111,7 +111,7 @@ def _blocks(result: Result, machine: Machine) -> dict[str, Block]:
 def _position(machine: Machine, commanded: Table) -> Array:
     """Return commanded positions (axes, n); raises InputError for a missing column and for one outside its axis."""
     faults: list[Fault] = []
-    found = []
+    position = []
     for axis in machine.axes:
         name, unit = axis.letter.lower(), "deg" if isinstance(axis, RotaryAxis) else "mm"
         if name not in commanded:
@@ -122,7 +122,7 @@ def _position(machine: Machine, commanded: Table) -> Array:
         beyond = (own < axis.knots[0] - _SLACK) | (own > axis.knots[-1] + _SLACK)
         text = f"the commanded {name} is outside the calibrated axis"
         faults += commanded.faults_at(np.flatnonzero(beyond).tolist(), lambda _, text=text: text)  # type: ignore[misc]
-        found.append(own)
+        position.append(own)
     if faults:
         raise InputError(faults)
-    return np.array(found)
+    return np.array(position)

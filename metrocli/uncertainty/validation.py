@@ -34,26 +34,26 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Validation:
     """Whether Monte Carlo validates GUM, and the reasons if not."""
 
     valid: bool
     reasons: tuple[str, ...]
 
 
-def judge(judged: Judged, digits: int) -> Verdict:
+def judge(judged: Judged, digits: int) -> Validation:
     """Return the verdict: valid if the interval ends differ by at most half of the last digit of u (JCGM 101, 8.1).
 
     Otherwise the verdict lists reasons: a non-linear model (share of the second order, shift of the mean), a
     distribution that is not normal (k by Monte Carlo), or quantities with few degrees of freedom.
     """
     if judged.std == judged.mc_std == 0:
-        return Verdict(True, ())
+        return Validation(True, ())
     allowed = tolerance_of(judged.std or judged.mc_std, digits)
     low = abs(judged.value - judged.U - judged.interval[0])
     high = abs(judged.value + judged.U - judged.interval[1])
     valid = low <= allowed and high <= allowed
-    return Verdict(valid, () if valid else tuple(_reasons(judged)))
+    return Validation(valid, () if valid else tuple(_reasons(judged)))
 
 
 def _reasons(judged: Judged) -> Sequence[str]:

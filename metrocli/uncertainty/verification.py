@@ -17,7 +17,7 @@ from metrocli.table import Columns, Table, columns
 from metrocli.uncertainty import predicted
 from metrocli.uncertainty.calibrated_machine import has_machine
 from metrocli.uncertainty.numbers import COVERAGE, effective, factor
-from metrocli.uncertainty.predicted import Places
+from metrocli.uncertainty.predicted import PredictedPlaces
 from metrocli.units import find_unit
 from metrocli.units.ranges import Range, range_of
 
@@ -155,7 +155,7 @@ def verify(result: Result, check: Table, aligned: bool = False) -> Verification:
     if laid:
         measured = _laid(check, measured, places.values)
     covariance, predicted_part = left(places, own), left(places, places.own)
-    traces = (np.trace(one, axis1=1, axis2=2) for one in (predicted_part, covariance))
+    traces = (np.trace(matrix, axis1=1, axis2=2) for matrix in (predicted_part, covariance))
     deviations = _points(check.texts("point"), measured - places.values, covariance, effective(dof, *traces))
     verification = Verification(deviations, laid)
     tools = predicted.tool_vectors(result, check) if "mx" in check else np.zeros_like(read)
@@ -224,12 +224,12 @@ def _laid(check: Table, measured: Array, onto: Array) -> Array:
     return poses.apply(poses.fit_pose(measured, onto), measured)
 
 
-def _as_it_is(places: Places, own: Array) -> Array:
+def _as_it_is(places: PredictedPlaces, own: Array) -> Array:
     """Return the covariance of each deviation in the frame of the result, (n, 3, 3)."""
     return np.asarray(places.common @ places.core @ np.swapaxes(places.common, 1, 2) + own)
 
 
-def _after_fit(places: Places, own: Array) -> Array:
+def _after_fit(places: PredictedPlaces, own: Array) -> Array:
     """Return the covariance of each deviation after the fit of shift and turn, (n, 3, 3).
 
     `P Q P`, P = I - B B' with B (3n, 6) an orthonormal basis of the small motions of all points; only its blocks of
@@ -264,10 +264,10 @@ def _points(names: list[str], vectors: Array, covariance: Array, dof: Array) -> 
     widest = k * np.sqrt(np.maximum(values[:, -1], 0.0))
     expanded = np.where(en > 0, sizes / np.where(en > 0, en, 1.0), widest)
     rows = zip(names, sizes.tolist(), expanded.tolist(), en.tolist(), k.tolist(), vectors.tolist(), strict=True)
-    return tuple(Deviation(name, size, big, one, by, tuple(vector)) for name, size, big, one, by, vector in rows)
+    return tuple(Deviation(name, size, big, row, by, tuple(vector)) for name, size, big, row, by, vector in rows)
 
 
-def _lengths(check: Table, first: Places, second: Places, dof: float) -> tuple[Deviation, ...]:
+def _lengths(check: Table, first: PredictedPlaces, second: PredictedPlaces, dof: float) -> tuple[Deviation, ...]:
     """Return the deviations of lengths, `U = k sqrt(e' (Q_aa + Q_bb - Q_ab - Q_ba) e + sigma^2)`, e the direction."""
     ends = list(zip(check.texts("from"), check.texts("to"), strict=True))
     same = [row for row, (one, other) in enumerate(ends) if one == other]

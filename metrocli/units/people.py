@@ -72,7 +72,7 @@ def readable(value: float, dimension: str) -> tuple[float, str]:
 
 def _nearest_to_3(value: float, dimension: str, symbols: tuple[str, ...]) -> tuple[float, str]:
     scaled = [(find_unit(symbol, dimension).outside(value), symbol) for symbol in symbols]
-    return min(scaled, key=lambda one: abs(math.log10(abs(one[0])) - 0.5))
+    return min(scaled, key=lambda choice: abs(math.log10(abs(choice[0])) - 0.5))
 
 
 def column_unit(largest: float, unit: str) -> tuple[float, str]:

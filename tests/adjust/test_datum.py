@@ -10,7 +10,7 @@ from adjust import dense
 from adjust.dense import Array
 from adjust.problems import CUBE, Problem, network, scale_bars, with_control
 
-from metrocli.adjust.adjustment import Control, adjust, covariance_at
+from metrocli.adjust.adjustment import StoppingRule, adjust, covariance_at
 from metrocli.adjust.model.groups import prior
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution, residuals_of
@@ -227,7 +227,9 @@ def test_a_solution_stays_where_it_is_and_moves_into_another_datum(free: tuple[P
     block = problem.blocks[camera.TARGET]
     finer = solution
     for _ in range(2):
-        finer = adjust(finer.blocks.values(), problem.groups, camera.network_datum(block, ALL), Control(tolerance=1e-9))
+        finer = adjust(
+            finer.blocks.values(), problem.groups, camera.network_datum(block, ALL), StoppingRule(tolerance=1e-9)
+        )
     again = adjust(finer.blocks.values(), problem.groups, camera.network_datum(block, ALL))
     assert again.outcome is Outcome.CONVERGED
     assert all(again.blocks[name] is finer.blocks[name] for name in problem.blocks)

@@ -23,13 +23,13 @@ from adjust.problems import (
 )
 from simulated.camera import LENS, SIZE, board, look
 
-from metrocli.adjust.adjustment import Control, adjust, covariance_at
+from metrocli.adjust.adjustment import StoppingRule, adjust, covariance_at
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
 from metrocli.instruments import camera
 
 
-def solved(problem: Problem, control: Control | None = None) -> Solution:
+def solved(problem: Problem, control: StoppingRule | None = None) -> Solution:
     return adjust(problem.blocks.values(), problem.groups, problem.datum, control)
 
 
@@ -174,7 +174,7 @@ def test_a_reading_that_is_no_number() -> None:
 
 
 def test_too_few_steps() -> None:
-    assert solved(board_camera(), Control(limit=1)).outcome is Outcome.ITERATION_LIMIT
+    assert solved(board_camera(), StoppingRule(limit=1)).outcome is Outcome.ITERATION_LIMIT
 
 
 def test_nothing_free() -> None:
@@ -193,7 +193,7 @@ def test_no_selection_of_readings_brings_an_exception(make: str) -> None:
     problem = PROBLEMS[make]()
     for share in (0.5, 0.2, 0.1, 0.05, 0.02, 0.0):
         keep = rng.uniform(size=problem.groups[0].observations.count) < share
-        solution = solved(without(problem, ~keep), Control(limit=60))
+        solution = solved(without(problem, ~keep), StoppingRule(limit=60))
         assert solution.outcome.good == (solution.covariance is not None)
         assert (solution.outcome in (Outcome.UNDETERMINED,)) <= bool(solution.undetermined)
         for block in solution.blocks.values():
@@ -213,7 +213,7 @@ def test_the_sum_of_squares_never_rises(make: str, seed: int) -> None:
     blocks = {name: off(block, 100 + seed, 0.25) for name, block in problem.blocks.items()}
     costs = []
     for limit in range(0, 30):
-        solution = adjust(blocks.values(), problem.groups, control=Control(limit=limit, covariance=False))
+        solution = adjust(blocks.values(), problem.groups, control=StoppingRule(limit=limit, covariance=False))
         costs.append(solution.cost)
         if limit and solution.outcome is not Outcome.ITERATION_LIMIT:
             break
@@ -262,7 +262,7 @@ def test_a_wrong_noise_moves_no_value(factor: float) -> None:
     other = replace(
         problem, groups=(group.with_observations(replace(group.observations, sigma=np.array(NOISE * factor))),)
     )
-    one, two = solved(problem, Control(limit=200)), solved(other, Control(limit=200))
+    one, two = solved(problem, StoppingRule(limit=200)), solved(other, StoppingRule(limit=200))
     assert two.outcome is Outcome.CONVERGED
     assert np.abs((one.blocks["lens"].values - two.blocks["lens"].values) / one.std("lens")).max() < 1e-4
     assert two.sigma0 * factor == pytest.approx(one.sigma0, rel=1e-6)
@@ -301,7 +301,7 @@ def test_a_richer_model_never_ends_higher(seed: int) -> None:
     last = np.inf
     for free in LADDER:
         block = camera.lens_block(dict(zip(state["lens"].columns, state["lens"].values[0], strict=True)), free, SIZE)
-        solution = adjust({**state, "lens": block}.values(), [group], control=Control(limit=100))
+        solution = adjust({**state, "lens": block}.values(), [group], control=StoppingRule(limit=100))
         assert solution.cost <= last * (1 + 1e-12), free
         if "k4" not in free:
             assert solution.outcome is Outcome.CONVERGED, free

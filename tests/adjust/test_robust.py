@@ -12,10 +12,10 @@ from simulated.camera import LENS, SIZE, Seen, board, look
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.robust import Fit, critical_value, gross, robust_start, suspects
+from metrocli.adjust.robust import FitQuality, critical_value, gross, robust_start, suspects
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.instruments import camera
-from metrocli.instruments.camera_start import Scene, start
+from metrocli.instruments.camera_start import TargetImages, start
 
 VIEWS = 12
 CENTRE = (np.array(SIZE) - 1) / 2
@@ -23,7 +23,9 @@ CENTRE = (np.array(SIZE) - 1) / 2
 
 def problem(seen: Seen) -> Problem:
     """A calibration from nothing but target list and image points."""
-    focal, found = start(Scene(seen.points, seen.uv, seen.target, seen.view, seen.views), CENTRE, None, float(SIZE[0]))
+    focal, found = start(
+        TargetImages(seen.points, seen.uv, seen.target, seen.view, seen.views), CENTRE, None, float(SIZE[0])
+    )
     values = {**dict.fromkeys(PARAMETERS, 0.0), "f": focal, "cx": CENTRE[0], "cy": CENTRE[1]}
     views = camera.view_block(found, names("view", seen.views), 700.0)
     blocks = [camera.lens_block(values, PARAMETERS, SIZE), views, targets(seen)]
@@ -47,7 +49,7 @@ def cleaned(seen: Seen) -> Cleaned:
         now = group.selected(left)
         solution = adjust(blocks.values(), [now])
         assert solution.outcome is Outcome.CONVERGED
-        found = suspects(residuals_of(solution, now), Fit(solution.cost, solution.dof, True))
+        found = suspects(residuals_of(solution, now), FitQuality(solution.cost, solution.dof, True))
         if not found.rows.size:
             break
         left, blocks = np.delete(left, found.rows[found.tests > 0.7 * found.tests.max()]), dict(solution.blocks)
@@ -118,7 +120,7 @@ def test_w_is_in_units_of_the_noise_found() -> None:
     found = residuals_of(solution, made.groups[0])
     assert (np.abs(found.normalised) > critical_value(found.values.size)).sum() > 10
     for noise_known in (True, False):
-        assert suspects(found, Fit(solution.cost, solution.dof, noise_known)).rows.size <= 1
+        assert suspects(found, FitQuality(solution.cost, solution.dof, noise_known)).rows.size <= 1
 
 
 def test_one_gross_error_does_not_hide_in_the_sigma0_that_it_makes() -> None:
@@ -128,7 +130,7 @@ def test_one_gross_error_does_not_hide_in_the_sigma0_that_it_makes() -> None:
     w[:, 3] = 200.0, -150.0
     found = Residuals(w, np.ones_like(w), np.full_like(w, 9 / 16), w)
     for noise_known in (True, False):
-        assert suspects(found, Fit(float((w**2).sum()), 9, noise_known)).rows.tolist() == [3]
+        assert suspects(found, FitQuality(float((w**2).sum()), 9, noise_known)).rows.tolist() == [3]
 
 
 def test_the_lens_of_the_tests_is_the_true_one() -> None:

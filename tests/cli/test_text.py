@@ -11,7 +11,7 @@ import numpy as np
 
 from metrocli.cli import columns, terminal
 from metrocli.formats import hdf5
-from metrocli.record import Record, Verdict
+from metrocli.record import CriterionVerdict, Record
 from metrocli.result import SCALE, Estimate, Result, ShownTable
 from metrocli.table import Table
 
@@ -31,7 +31,7 @@ POINTS = Table(
 )
 
 
-def record(*verdicts: Verdict, doubts: tuple[str, ...] = (), text: str = "") -> Record:
+def record(*verdicts: CriterionVerdict, doubts: tuple[str, ...] = (), text: str = "") -> Record:
     return Record(text, (), "0", "2026-01-01", verdicts, doubts)
 
 
@@ -59,7 +59,7 @@ def test_status_and_criteria_precede_the_values() -> None:
         notes=("a note",),
         warnings=("one", "two"),
     )
-    unmet = Verdict("x.std", "< 50 um", 0.1, "mm", False)
+    unmet = CriterionVerdict("x.std", "< 50 um", 0.1, "mm", False)
     lines = terminal.result_text(found, record(unmet, doubts=("too noisy",)), Path("r.h5")).splitlines()
     assert lines[:5] == [
         "multilaterate",
@@ -154,7 +154,7 @@ def test_a_scale_is_also_shown_from_1() -> None:
 def test_what_is_not_determined_is_stated_so() -> None:
     assert values([Estimate("4.x", 0.1004478289, INF, "mm")]) == "4.x  not determined"
     assert values([replace(RATE, std=INF)]) == "tracer-drift.LT2.rate  not determined"
-    assert str(Verdict("ratio", "< 4", INF, "1", False)) == "required ratio < 4: NOT met (not determined)"
+    assert str(CriterionVerdict("ratio", "< 4", INF, "1", False)) == "required ratio < 4: NOT met (not determined)"
 
 
 def test_the_file_keeps_the_dimensions(job: Path, metrocli: Metrocli, tmp_path: Path) -> None:

@@ -18,11 +18,11 @@ from benchmarks.hidden import lengths
 from benchmarks.hidden.lengths import Measurement
 from metrocli.cli.console import Console
 from metrocli.cli.diagnosis_report import findings as diagnosis_report
-from metrocli.diagnosis.detectability import Design
+from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.noise import Noise
-from metrocli.diagnosis.power.alike import Pair
+from metrocli.diagnosis.noise import NoiseRatio
+from metrocli.diagnosis.power.collinear import Pair
 from metrocli.project import diagnosed
 from metrocli.project.diagnosed import carry_out
 from metrocli.project.job import JobFile, load
@@ -341,7 +341,7 @@ def test_a_repeatability_that_the_job_estimates_is_not_called_declared(metrocli:
 @pytest.mark.parametrize(("dof", "told"), [(9.0, True), (200.0, False)])
 def test_noise_far_beyond_the_declared_is_doubted_where_few_readings_say_so(dof: float, told: bool) -> None:
     found = diagnose(lengths.measurement(np.random.default_rng(4), 20).adjusted())
-    text = diagnosis_report.of_diagnosis(replace(found, noise=Noise(9.6, 6.6, 17.5, dof)), None)
+    text = diagnosis_report.of_diagnosis(replace(found, noise=NoiseRatio(9.6, 6.6, 17.5, dof)), None)
     assert ("several wrong readings may pass as noise" in " ".join(text.split())) is told
 
 
@@ -359,7 +359,7 @@ def test_where_no_reading_is_to_spare_nothing_is_called_clean(folder: Path, metr
 def test_the_size_from_which_scales_are_told_apart_has_a_unit() -> None:
     pair = Pair("machine-scale x", "distance-scale", 0.95, 4.1e-6, "1", "ratio")
     told = diagnosis_report.of_design(
-        lengths.measurement(np.random.default_rng(1), 20).adjusted(), Design((), (), (pair,))
+        lengths.measurement(np.random.default_rng(1), 20).adjusted(), Detectability((), (), (pair,))
     )
     assert "machine-scale x and distance-scale: distinguished from 4.1 um/m on" in told
 

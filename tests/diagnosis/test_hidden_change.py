@@ -10,7 +10,7 @@ import pytest
 from benchmarks.hidden import lengths, machine
 from benchmarks.hidden.lengths import Measurement, signature
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.detectability import Candidate
+from metrocli.diagnosis.detectability import DetectableCandidate
 from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.diagnosis.findings import Verdict
 from metrocli.instruments import tracer
@@ -27,7 +27,7 @@ def moved(m: Measurement, change: np.ndarray) -> float:
     return float(np.linalg.norm(places[1] - places[0], axis=1).max())
 
 
-def candidate(m: Measurement, name: str, place: str) -> Candidate:
+def candidate(m: Measurement, name: str, place: str) -> DetectableCandidate:
     return next(
         one
         for one in what_can_be_seen(m.adjusted()).candidates
@@ -40,7 +40,7 @@ def candidate(m: Measurement, name: str, place: str) -> Candidate:
 def test_what_is_not_found_moves_no_point_farther_than_stated(name: str, parameters: tuple[str, ...]) -> None:
     rng = np.random.default_rng([21, len(parameters)])
     m = lengths.measurement(rng, 16)
-    stated = candidate(m, name, "T1").hides
+    stated = candidate(m, name, "T1").undetected
     assert stated.member in [f"P{i}" for i in range(16)]
     quiet, missed = m.distance, 0
     for _ in range(TRIALS):
@@ -64,7 +64,7 @@ def test_the_change_that_is_stated_is_that_of_its_size(noise: float) -> None:
     assert (found.detectable > found.plausible) == (noise > 1)
     change = signature("dead-path-drift", 1, {"rate": found.detectable})(m)
     # normal quantiles: (z + 1.645) / (z + 0.842) lies between these for every level below 1 %
-    assert 1.05 < found.hides.size / moved(m, change) < 1.25
+    assert 1.05 < found.undetected.size / moved(m, change) < 1.25
 
 
 def reported(job: AdjustedJob, letter: str) -> np.ndarray:
@@ -89,6 +89,6 @@ def test_tables_count_as_they_are_reported_where_no_knot_is_at_the_zero_of_the_a
     jobs = m.adjusted(), replace(m, read=m.read + change).adjusted()
     moved = np.concatenate([reported(jobs[1], letter) - reported(jobs[0], letter) for letter in "XYZ"])
     sizes = np.linalg.norm(moved, axis=1)
-    assert 1.05 < found.hides.size / float(sizes.max()) < 1.25
+    assert 1.05 < found.undetected.size / float(sizes.max()) < 1.25
     names = [f"axis {axis} {name}" for axis in "XYZ" for name in jobs[0].model.blocks[f"axis {axis}"].members]
-    assert found.hides.member == names[int(sizes.argmax())]
+    assert found.undetected.member == names[int(sizes.argmax())]

@@ -13,7 +13,7 @@ import pytest
 from places import SAMPLES
 
 from benchmarks.hidden import lengths
-from metrocli.diagnosis.mistakes import strangeness, without_mistakes
+from metrocli.diagnosis.mistakes import misfit_ratio, without_mistakes
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.settings import Inputs, Settings
@@ -69,7 +69,7 @@ def test_the_mistake_is_told(name: str) -> None:
     adjusted, mistaken = without_mistakes({**inputs, key: spoil(inputs[key])}, adjust)
     assert mistaken is not None
     assert any(str(mistake).startswith(words) for mistake in mistaken.mistakes), [str(m) for m in mistaken.mistakes]
-    assert strangeness(adjusted) < 1
+    assert misfit_ratio(adjusted) < 1
     assert mistaken.after < mistaken.before / 10
 
 

@@ -36,13 +36,13 @@ def test_what_wavers_gets_no_name_and_is_reported() -> None:
     for seed in (1,):
         found, _ = wavering(seed)
         assert not found.findings
-        assert found.processes[0].by == "tracer"
+        assert found.correlated_errors[0].by == "tracer"
         # beside white noise alone it would be 1.2, 1.4 and 1.04
         assert found.noise.low < 1 < found.noise.high
-        assert 0.3e-4 < found.processes[0].std < 4e-4
+        assert 0.3e-4 < found.correlated_errors[0].std < 4e-4
         shown = as_data(found)["processes"][0]
         assert shown["of_each"] == "tracer"
-        assert shown["std"]["value"] == pytest.approx(1e3 * found.processes[0].std)
+        assert shown["std"]["value"] == pytest.approx(1e3 * found.correlated_errors[0].std)
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_what_the_unknowns_absorb_of_its_size_is_stated() -> None:
     assert text == "13 px, of which the unknowns leave 0.17 px"
     for seed in (1,):
         found, _ = wavering(seed)
-        own = found.processes[0]
+        own = found.correlated_errors[0]
         system = linearised(found.job.model)
         (basis,) = (one for one in process_bases(found.job, system) if (one.name, one.by) == (own.covariate, own.by))
         apart = np.sqrt(3) * basis.distances / own.length
@@ -89,7 +89,7 @@ def test_what_wavers_fast_in_a_long_measurement_gets_no_names() -> None:
         found = diagnose(replace(m, length=m.length + error * m.sigma + creep).adjusted())
         named = [one.effect.alternative.effect.name for one in found.findings]
         assert named == (["dead-path-drift"] if drift else []), named
-        assert found.processes[0].length <= 1 / 32
+        assert found.correlated_errors[0].length <= 1 / 32
 
 
 def test_a_clean_report_states_that_uncertainties_are_without_the_smooth_error() -> None:
@@ -97,11 +97,11 @@ def test_a_clean_report_states_that_uncertainties_are_without_the_smooth_error()
     for seed in (4,):
         found, _ = wavering(seed)
         assert found.verdict == "clean"
-        assert found.processes
+        assert found.correlated_errors
         assert proposed_noise(found) == "structured"
         report = of_diagnosis(found, Extended(Path("job.extended.yaml"), None))
         first, *_, last = report.splitlines()[0], *[line for line in report.splitlines() if line.startswith("next")]
-        covariate = found.processes[0].covariate
+        covariate = found.correlated_errors[0].covariate
         smooth = f"an error that varies smoothly with {covariate} of each tracer by itself"
         assert first.startswith("verdict: clean, but ")
         assert first.endswith(f"{smooth} is not in the uncertainties of the result")
@@ -118,9 +118,9 @@ def test_names_before_processes_are_raced_may_be_chance_and_the_report_states_it
     found, _ = wavering(5, "dead-path-drift", 6.0)
     assert found.findings
     stated = "The names may not have been held against smooth random errors yet: some may be chance."
-    assert stated in of_diagnosis(replace(found, limited=5.0, processes=()), None).splitlines()
+    assert stated in of_diagnosis(replace(found, limited=5.0, correlated_errors=()), None).splitlines()
     assert stated not in of_diagnosis(replace(found, limited=5.0), None)
-    assert stated not in of_diagnosis(replace(found, processes=()), None)
+    assert stated not in of_diagnosis(replace(found, correlated_errors=()), None)
 
 
 @pytest.mark.slow
@@ -131,7 +131,7 @@ def test_what_wavers_is_no_law() -> None:
         m = lengths.measurement(rng, int(rng.integers(60, 101)))
         read = replace(m, length=m.length + of_each(rng, m.t[:, None], m.tracer)[0] * m.sigma)
         found = diagnose(replace(read.adjusted(), places=KINDS["multilaterate"].task().places))
-        assert found.processes
+        assert found.correlated_errors
         assert found.laws == ()
 
 
@@ -140,7 +140,7 @@ def test_a_step_is_a_law_and_no_process() -> None:
     """A process along the time can imitate it, but has far less evidence."""
     one = planted("calibrate-machine", 24)
     found = diagnose(one.job())
-    assert (one.form, found.processes, found.findings) == ("step", (), ())
+    assert (one.form, found.correlated_errors, found.findings) == ("step", (), ())
     assert found.law is not None and found.law.part_of_structure > 0.9
     assert {name for term in found.law.terms for name in term.form.variables} == one.variables
 
@@ -185,7 +185,7 @@ def test_an_effect_is_named_beside_errors_of_each_image(draw: int, number: int, 
     assert case is not None and case.hidden[0].name == name
     found = diagnose(case.adjusted())
     assert [one.effect.alternative.effect.name for one in found.findings] == [name]
-    assert found.processes
+    assert found.correlated_errors
 
 
 def test_a_process_varies_within_its_units() -> None:
@@ -212,7 +212,7 @@ def test_the_size_of_a_process_is_in_the_unit_of_the_readings_that_show_it() -> 
 
 
 def test_white_noise_has_no_process() -> None:
-    assert not diagnose(lengths.measurement(np.random.default_rng(3), 60).adjusted()).processes
+    assert not diagnose(lengths.measurement(np.random.default_rng(3), 60).adjusted()).correlated_errors
 
 
 def test_knots_add_up_to_one() -> None:

@@ -39,7 +39,7 @@ def test_a_machine_that_is_off_in_every_pose_is_one_finding(distances: bool) -> 
 def test_an_encoder_noisier_than_declared_is_named_and_no_effect() -> None:
     found = unit(4, True, noisier=(1, 1, 4, 1, 1))
     assert not (found.findings or found.scatters)
-    (one,) = found.noisier_units
+    (one,) = found.variance_groups
     assert (one.key, one.name) == ("reading", "phi3") and 2.8 < one.ratio < 5.6
     assert found.noise.as_declared
     first = of_diagnosis(found, None).splitlines()[0]

@@ -11,7 +11,7 @@ from scipy import stats
 
 from benchmarks.hidden import launch, lengths
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.chain import Chain, LinkContext, Step
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
@@ -236,7 +236,7 @@ class Straight:
     gives = Quantity.LENGTH
     blocks = ("line",)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         x = local.observations.conditions["x"]
         terms = np.stack([np.ones_like(x), x])[None]
         return Step((local.rows("line") * terms[0]).sum(axis=0)[None], by_block={"line": terms})

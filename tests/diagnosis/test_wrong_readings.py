@@ -58,7 +58,7 @@ def test_an_image_of_few_readings_that_is_noisier_has_no_bad_pose(number: int) -
     """Three targets: a bad pose takes half of what the noise adds, and hid the rest of it."""
     found = diagnose(KINDS["align-part"].case(number, False).adjusted())
     assert not found.findings and not found.outliers
-    (unit,) = found.noisier_units
+    (unit,) = found.variance_groups
     assert unit.key == "image" and 2 < unit.ratio < 5
 
 
@@ -78,7 +78,7 @@ def test_a_bad_pose_of_an_image_of_two_or_three_targets_is_no_noise(number: int,
     found = diagnose(case.adjusted())
     (one,) = found.findings
     assert (one.effect.alternative.effect.name, one.effect.alternative.where) == (name, case.hidden[0].where)
-    assert not found.noisier_units
+    assert not found.variance_groups
 
 
 @pytest.mark.usefixtures("earlier_plants")

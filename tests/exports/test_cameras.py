@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports import export
-from metrocli.imports import Wishes, imported
+from metrocli.imports import ImportOptions, imported
 from metrocli.imports.cameras import as_yaml
-from metrocli.imports.lines import Lines
+from metrocli.imports.lines import TextLines
 from metrocli.instruments.lenses.distortion import PRISM, RATIONAL, TANGENTIAL
 from metrocli.instruments.lenses.lens import Lens, equidistant, image_point
 from metrocli.result import Result
@@ -204,7 +204,7 @@ def values_of(text: str) -> dict[str, float]:
 
 @pytest.mark.parametrize(("program", "name"), CASES)
 def test_what_is_written_is_read_back(program: str, name: str) -> None:
-    text = as_yaml(Lines("camera", written(program, name).splitlines()))
+    text = as_yaml(TextLines("camera", written(program, name).splitlines()))
     assert text is not None and f"image_size: [{SIZE[0]}, {SIZE[1]}]" in text
     assert f"model: {'fisheye' if 'fisheye' in name else 'opencv'}" in text
     seen = points(name, 50)
@@ -291,7 +291,7 @@ METASHAPE = "<calibration><projection>{}</projection><width>640</width><height>4
     [
         ("1 FOV 640 480 500 320 240 0.1\n", "the model FOV of colmap is not known here"),
         ("1 OPENCV 640 480 500 320 240 0.1\n", "4 parameters"),
-        (GOOD_COLMAP * 2, "the file has 2 cameras"),
+        (GOOD_COLMAP * 2, "camera 1 stands twice"),
         (GOOD_COLMAP.replace("500 500", "6.1 6.1"), "fx = 6.1 is no focal length in pixels"),
         (GOOD_COLMAP.replace("320", "0.5"), "is no principal point in pixels"),
         (GOOD_COLMAP.replace("0.1", "nan"), "not a number: k1 = 'nan'"),
@@ -312,7 +312,7 @@ METASHAPE = "<calibration><projection>{}</projection><width>640</width><height>4
 )
 def test_what_is_missing_or_in_other_units_is_refused(text: str, words: str) -> None:
     with pytest.raises(InputError, match=re.escape(words)) as refused:
-        imported("colmap", Lines("camera.txt", text.splitlines()), Wishes())
+        imported("colmap", TextLines("camera.txt", text.splitlines()), ImportOptions())
     assert all(fault.file == "camera.txt" for fault in refused.value.faults)
 
 

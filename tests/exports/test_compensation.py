@@ -13,11 +13,13 @@ import pytest
 from metrocli.arrays import Array
 from metrocli.errors import InputError
 from metrocli.exports import FORMATS, csv_errors, fanuc, siemens_cec, siemens_lec
-from metrocli.exports.compensation import Control, places_of
-from metrocli.exports.error_tables import AXES, Curve, ErrorTables
+from metrocli.exports.compensation import CompensationFormat, places_of
+from metrocli.exports.error_tables import AXES, ErrorTable, ErrorTables
 
 MODULES = {name: import_module(form.module) for name, form in FORMATS.items()}
-CONTROLS: dict[str, Control] = {name: one.CONTROL for name, one in MODULES.items() if hasattr(one, "CONTROL")}
+CONTROLS: dict[str, CompensationFormat] = {
+    name: one.CONTROL for name, one in MODULES.items() if hasattr(one, "CONTROL")
+}
 CONTROLS["csv"] = csv_errors.CONTROL
 ORDERS = ["".join(order) for order in itertools.permutations(AXES)]
 RANGES = {"X": (0.0, 600.0, 13), "Y": (-260.0, 260.0, 11), "Z": (-500.0, 0.0, 11)}
@@ -31,7 +33,7 @@ def machine(seed: int, order: str = "XYZ", tool: tuple[float, float, float] = (1
         grid = np.linspace(low, high, count)
         for kind in "XYZABC":
             size = 0.02 if kind in AXES else 4e-5
-            curves[f"E{kind}{axis}"] = Curve(grid, size * np.cumsum(random.normal(size=count)) / np.sqrt(count))
+            curves[f"E{kind}{axis}"] = ErrorTable(grid, size * np.cumsum(random.normal(size=count)) / np.sqrt(count))
     squareness = dict(zip(("C0Y", "B0Z", "A0Z"), random.normal(scale=3e-5, size=3).tolist(), strict=True))
     return ErrorTables(curves, squareness, order, tool)
 
@@ -169,7 +171,7 @@ def test_a_file_is_what_its_manual_asks_for_line_by_line(name: str) -> None:
     grid = np.array([0.0, 50.0, 100.0])
     errors = {"EXX": np.array([0.0, 0.004, -0.006]), "EYX": np.array([0.0, 0.002, 0.005])}
     file, *lines = BY_HAND[name]
-    texts = CONTROLS[name].files(ErrorTables({key: Curve(grid, values) for key, values in errors.items()}, {}))
+    texts = CONTROLS[name].files(ErrorTables({key: ErrorTable(grid, values) for key, values in errors.items()}, {}))
     written = iter(texts[file].splitlines())
     assert all(line in written for line in lines), texts[file]
 
@@ -198,14 +200,16 @@ def test_machines_of_all_sizes_are_written(name: str, size: float) -> None:
             grid = random.choice([0.0, -length / 2, 37.3]) + np.linspace(0.0, length, count)
             for kind in "XYZABC":
                 scale = 0.01 * size / (1.0 if kind in AXES else length)
-                curves[f"E{kind}{axis}"] = Curve(grid, scale * np.cumsum(random.normal(size=count)) / np.sqrt(count))
+                curves[f"E{kind}{axis}"] = ErrorTable(
+                    grid, scale * np.cumsum(random.normal(size=count)) / np.sqrt(count)
+                )
         control.files(ErrorTables(curves, {"C0Y": 1.23456789e-5 * size}, "YXZ", (10.5, -20.0, 120.0)))
 
 
 @pytest.mark.parametrize("name", ["siemens-cec", "heidenhain", "isg-csv", "etalon", "csv"])
 def test_squareness_of_an_axis_without_tables_is_carried(name: str) -> None:
     """A job may ask for ECX and C0Y alone: then the range of Y is known, and no table of it."""
-    curve = Curve(np.linspace(0.0, 600.0, 7), 1e-5 * np.arange(7.0))
+    curve = ErrorTable(np.linspace(0.0, 600.0, 7), 1e-5 * np.arange(7.0))
     tables = ErrorTables({"ECX": curve}, {"C0Y": 5e-5}, "XYZ", (0.0, 0.0, 120.0), {"Y": (-260.0, 260.0)})
     control = CONTROLS[name]
     held = control.read(control.files(tables))
@@ -216,13 +220,13 @@ def test_squareness_of_an_axis_without_tables_is_carried(name: str) -> None:
 def test_fanuc_says_how_coarse_it_is() -> None:
     """A step of 60 um between two points of a table of many: increments end at 7, so the unit is magnified."""
     grid = np.linspace(0.0, 600.0, 121)
-    curve = Curve(grid, 0.03 * (-1.0) ** np.arange(121))
+    curve = ErrorTable(grid, 0.03 * (-1.0) ** np.arange(121))
     control = fanuc.CONTROL
     texts = control.files(ErrorTables({"EXX": curve}, {}))
     assert fanuc.read(texts)[0].magnification == 9
     assert control.promised(texts) == pytest.approx(0.009)
     assert "SUMS ARE ROUNDED TO X 0.009 MM" in texts["pitch-error.txt"]
-    off = Curve(np.linspace(12.3, 587.1, 13), 0.05 * (-1.0) ** np.arange(13))
+    off = ErrorTable(np.linspace(12.3, 587.1, 13), 0.05 * (-1.0) ** np.arange(13))
     (text,) = control.files(ErrorTables({"EXX": off}, {}, left_out=("EAZ",), together=("EXZ",))).values()
     lost = float(re.findall(r"CORNERS ARE ROUNDED BY UP TO (\S+) MM", text)[0])
     carried = control.carried(ErrorTables({"EXX": off}, {})).curves["EXX"]
@@ -270,7 +274,9 @@ def test_a_multiplied_table_points_at_its_lever() -> None:
 
 def fine(count: int) -> ErrorTables:
     grid = np.linspace(0.0, 600.0, count)
-    return ErrorTables({"EXX": Curve(grid, 0.01 * np.sin(grid / 50)), "EYX": Curve(grid, 0.01 * np.cos(grid / 50))}, {})
+    return ErrorTables(
+        {"EXX": ErrorTable(grid, 0.01 * np.sin(grid / 50)), "EYX": ErrorTable(grid, 0.01 * np.cos(grid / 50))}, {}
+    )
 
 
 @pytest.mark.parametrize(
@@ -285,7 +291,7 @@ def test_limits_of_the_control_are_told(name: str, count: int) -> None:
 
 def test_fanuc_rounds_the_sum_and_not_the_increments() -> None:
     grid = np.linspace(0.0, 600.0, 13)
-    slow = ErrorTables({"EXX": Curve(grid, -0.0004 * np.arange(13.0))}, {})
+    slow = ErrorTables({"EXX": ErrorTable(grid, -0.0004 * np.arange(13.0))}, {})
     pitch = fanuc.read(fanuc.CONTROL.files(slow))[0]
     assert pitch.increments.tolist().count(1) == 5
     assert pitch.curve.values[-1] == pytest.approx(0.005)
@@ -293,7 +299,7 @@ def test_fanuc_rounds_the_sum_and_not_the_increments() -> None:
 
 def test_fanuc_takes_a_table_that_is_on_no_grid_through_zero() -> None:
     grid = np.linspace(12.3, 587.1, 13)
-    curve = Curve(grid, 0.01 * np.sin(grid / 100))
+    curve = ErrorTable(grid, 0.01 * np.sin(grid / 100))
     pitch = fanuc.read(fanuc.CONTROL.files(ErrorTables({"EXX": curve}, {})))[0]
     assert pitch.curve.at(np.zeros(1)) == 0
     relative = curve.at(grid) - curve.at(np.zeros(1))
@@ -302,7 +308,9 @@ def test_fanuc_takes_a_table_that_is_on_no_grid_through_zero() -> None:
 
 def test_fanuc_takes_more_points_or_magnifies_where_increments_are_large() -> None:
     grid = np.linspace(0.0, 600.0, 13)
-    steep = fanuc.read(fanuc.CONTROL.files(ErrorTables({"EXX": Curve(grid, 0.02 * (-1.0) ** np.arange(13))}, {})))[0]
+    steep = fanuc.read(fanuc.CONTROL.files(ErrorTables({"EXX": ErrorTable(grid, 0.02 * (-1.0) ** np.arange(13))}, {})))[
+        0
+    ]
     assert len(steep.increments) > 13
     assert np.abs(steep.increments).max() <= 7
 

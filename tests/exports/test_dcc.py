@@ -22,7 +22,7 @@ from plots import results
 from metrocli.errors import InputError
 from metrocli.exports import dcc_elements as dsi
 from metrocli.exports import export
-from metrocli.record import InputFile, Record, Verdict
+from metrocli.record import CriterionVerdict, InputFile, Record
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 
@@ -37,7 +37,7 @@ CERTIFICATE: dict[str, Any] = {
 }  # fmt: skip
 RECORD = Record(
     "job", (InputFile("data/a.csv", "ab" * 32, 9), InputFile("data/b.csv", "cd" * 32, 9)), "0.1.0",
-    "2026-11-20T10:00:00Z", (Verdict("sigma0", "< 1.5", 1.0, "", True),), job_file="../jobs/a.yaml",
+    "2026-11-20T10:00:00Z", (CriterionVerdict("sigma0", "< 1.5", 1.0, "", True),), job_file="../jobs/a.yaml",
     certificate=CERTIFICATE,
 )  # fmt: skip
 NAMES = {"d": "https://ptb.de/dcc", "s": "https://ptb.de/si"}

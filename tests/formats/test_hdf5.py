@@ -16,7 +16,7 @@ import pytest
 
 from metrocli.errors import InputError
 from metrocli.formats import hdf5
-from metrocli.record import InputFile, Record, Verdict
+from metrocli.record import CriterionVerdict, InputFile, Record
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 
@@ -51,7 +51,7 @@ RECORD = Record(
     inputs=(InputFile("obs.csv", "ab" * 32, 12),),
     metrocli_version="0.1.0",
     created="2026-01-02T03:04:05Z",
-    verdicts=(Verdict("sigma0", "< 1.5", 1.25, "", True),),
+    verdicts=(CriterionVerdict("sigma0", "< 1.5", 1.25, "", True),),
 )
 
 

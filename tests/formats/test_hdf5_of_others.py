@@ -14,7 +14,7 @@ from resealing import resealed
 
 from metrocli.errors import InputError
 from metrocli.formats import hdf5
-from metrocli.record import InputFile, Record, Verdict
+from metrocli.record import CriterionVerdict, InputFile, Record
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 
@@ -31,7 +31,7 @@ RESULT = Result(
     shown=(ShownTable("residuals"),),
 )
 RECORD = Record("metrocli: 1\n", (InputFile("obs.csv", "ab" * 32, 12),), "0.1.0", "2026-01-02T03:04:05Z",
-                (Verdict("sigma0", "< 1.5", 1.25, "", True),))  # fmt: skip
+                (CriterionVerdict("sigma0", "< 1.5", 1.25, "", True),))  # fmt: skip
 
 
 def written(folder: Path) -> Path:

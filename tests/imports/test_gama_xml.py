@@ -91,3 +91,23 @@ def test_what_is_not_read_is_named(tmp_path: Path, metrocli: Metrocli) -> None:
     assert "has no stdev" in ran.err
     (tmp_path / "bad.gkf").write_text("<network>")
     assert metrocli("import", tmp_path / "bad.gkf", "--from", "gama-xml", "--out", tmp_path).code == 3
+
+
+NET = "<gama-local><network><parameters sigma-apr='0.5'/><points-observations>{}</points-observations></network></gama-local>"
+
+
+def test_a_levelled_way_has_the_noise_of_its_length(tmp_path: Path, metrocli: Metrocli) -> None:
+    path = tmp_path / "net.gkf"
+    points = "".join(f'<point id="{name}" x="{i}" y="0" z="0" adj="xyz"/>' for i, name in enumerate("AB"))
+    ways = '<dh from="A" to="B" val="1.25" dist="4"/><dh from="B" to="A" val="-1.25" stdev="2"/>'
+    path.write_text(NET.format(f"{points}<height-differences>{ways}</height-differences>"))
+    assert metrocli("import", path, "--from", "gama-xml", "--out", tmp_path).code == 0
+    rows = (tmp_path / "heights.csv").read_text().splitlines()[2:]
+    assert [float(row.split(",")[3]) for row in rows] == [1.0, 2.0]
+
+
+def test_a_fixed_point_without_one_coordinate_is_not_lost(tmp_path: Path, metrocli: Metrocli) -> None:
+    path = tmp_path / "net.gkf"
+    path.write_text(NET.format('<point id="504" x="1" y="2" fix="xy" adj="z"/>'))
+    ran = metrocli("import", path, "--from", "gama-xml", "--out", tmp_path)
+    assert ran.code == 3 and "point 504 is fixed and lacks a coordinate" in ran.err

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from simulated.camera import LENS, SIZE, Array, Seen, board, look
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.geometry import poses
 from metrocli.instruments import camera
-from metrocli.instruments.camera_start import Scene, plane_frame, start
+from metrocli.instruments.camera_start import TargetImages, plane_frame, start
 from metrocli.instruments.linear_maps import linear_maps
 
 NOISE = 0.1
@@ -27,8 +27,8 @@ def space(count: int, seed: int, flat: float = 1.0) -> Array:
     return np.random.default_rng(1000 + seed).uniform(-100, 100, (count, 3)) * [1, 1, flat]
 
 
-def scene(seen: Seen) -> Scene:
-    return Scene(seen.points, seen.uv, seen.target, seen.view, seen.views)
+def scene(seen: Seen) -> TargetImages:
+    return TargetImages(seen.points, seen.uv, seen.target, seen.view, seen.views)
 
 
 LOOKS: dict[str, tuple[Callable[[int], Seen], tuple[str, ...]]] = {
@@ -55,7 +55,9 @@ def test_the_start_is_near_and_the_adjustment_gets_there(name: str) -> None:
         targets = camera.target_block(seen.points, tuple(map(str, range(len(seen.points)))), False, 200.0)
         index = {"view": seen.view, "target": seen.target}
         group = Group("images", camera.chain("board", "forward"), Observations(seen.uv, np.array(NOISE), index))
-        solution = adjust([camera.lens_block(values, free, SIZE), views, targets], [group], control=Control(limit=100))
+        solution = adjust(
+            [camera.lens_block(values, free, SIZE), views, targets], [group], control=StoppingRule(limit=100)
+        )
         assert solution.outcome.good, seed
         turn = poses.difference(solution.blocks["view"].values, seen.poses)[:, 3:]
         assert np.abs(turn).max() < 0.2, seed

@@ -151,9 +151,9 @@ def test_errors_added_to_axes_have_their_derivatives(kind: str) -> None:
     observations = observed(found, [machine.drawn_pose(rng) for _ in range(POSES)], (1, -1), 0, 3)
     link = k.FromBed(found, True)
     value = rng.normal(size=(m.ROWS * len(found.axes), POSES)) * 1e-4
-    from metrocli.adjust.model.chain import Local
+    from metrocli.adjust.model.chain import LinkContext
 
-    local = Local(blocks, observations, frozenset())
+    local = LinkContext(blocks, observations, frozenset())
     by_input = link.step(value, local).by_input
     assert by_input is not None
     for row in range(len(value)):

@@ -34,7 +34,7 @@ from metrocli.project.job import load
 from metrocli.table import Table
 from metrocli.tasks.adjust_network import problem as network_problem
 from metrocli.tasks.adjust_network import readings as network_readings
-from metrocli.tasks.adjust_network.settings import DistanceNoise, Instrument, InstrumentNoise
+from metrocli.tasks.adjust_network.settings import DistanceNoise, InstrumentNoise, NetworkInstrument
 from metrocli.tasks.adjust_network.settings import Files as NetworkFiles
 from metrocli.tasks.adjust_network.settings import Settings as NetworkSettings
 from metrocli.tasks.adjust_network.starts import search as network_start
@@ -45,7 +45,7 @@ from metrocli.tasks.calibrate_machine.methods.lengths import lengths as machine_
 from metrocli.tasks.calibrate_machine.methods.probing import probing
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
-from metrocli.tasks.calibrate_machine.settings import Noise
+from metrocli.tasks.calibrate_machine.settings import MachineNoise
 from metrocli.tasks.locate_launch_unit import problem as launch_problem
 from metrocli.tasks.locate_launch_unit import readings as launch_readings
 from metrocli.tasks.multilaterate.problem import build
@@ -154,7 +154,7 @@ def machine_from_lengths(of_stops: bool, free: bool) -> Model:
     """
     rng = np.random.default_rng(16)
     machine = simulated_machine.random_machine(rng, knots=(3, 3, 3))
-    none = Noise(constant=0.0)
+    none = MachineNoise(constant=0.0)
     table = simulated_lengths_of_machine.measured(
         machine, rng, 80, simulated_machine.THREE, simulated_lengths_of_machine.STATIONS, none
     )
@@ -195,7 +195,7 @@ def machine_from_lines() -> Model:
         [simulated_machine.line(machine, axis, rng, 0.0) for axis in ("x", "y", "z", "xy", "yz", "xz")]
     )
     columns = {"t": rng.uniform(100.0, 2000.0, len(table)), "temp": 20 + rng.uniform(0, 1, len(table))}
-    noise = Noise(displacement=5e-4, straightness=1e-3, angle=1e-6)
+    noise = MachineNoise(displacement=5e-4, straightness=1e-3, angle=1e-6)
     settings = simulated_machine.settings("six-dof", tools={"": (0.0, 0.0, 0.0)}, noise=noise)
     problem = six_dof(settings, replace(table, columns={**table.columns, **columns}))
     problem = problem.with_model(problem.model.with_group(unit_noise(problem.readings, 1e-5)))
@@ -226,8 +226,8 @@ def network_settings(over: bool, order: tuple[str, ...]) -> NetworkSettings:
     noise = InstrumentNoise(azimuth=2e-6, elevation=2e-6, lateral=0.004, distance=DistanceNoise(0.002, 3e-7))
     length = InstrumentNoise(distance=DistanceNoise(3e-4))
     kind = "total-station" if over else "tracker"
-    devices = {name: Instrument(type=kind, noise=noise) for name in ("A", "B")}
-    devices |= {name: Instrument(type="interferometer", noise=length) for name in ("I", "J")}
+    devices = {name: NetworkInstrument(type=kind, noise=noise) for name in ("A", "B")}
+    devices |= {name: NetworkInstrument(type="interferometer", noise=length) for name in ("I", "J")}
     return NetworkSettings(inputs=None, instruments={name: devices[name] for name in order})
 
 

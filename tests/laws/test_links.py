@@ -10,7 +10,7 @@ import pytest
 
 from metrocli.adjust.model import groups, quantities
 from metrocli.adjust.model.blocks import Block, Space
-from metrocli.adjust.model.chain import Chain, Link, Local, Step, Varied
+from metrocli.adjust.model.chain import Chain, Link, LinkContext, Step, Varied
 from metrocli.adjust.model.groups import Group, ReadBlock, ReadBlocks
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
@@ -53,7 +53,7 @@ class Warmer:
     def blocks(self) -> tuple[str, ...]:
         return (self.name,)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         rate, shift = local.rows(self.name)
         order, f, cx = np.arange(N), *(local.blocks["lens"].column(name) for name in ("f", "cx"))
         changed, by_value, by_own = (
@@ -104,14 +104,16 @@ class Case:
     value_size: int = 3
     """Components of what comes in"""
 
-    def local(self, blocks: tuple[Block, ...]) -> Local:
+    def local(self, blocks: tuple[Block, ...]) -> LinkContext:
         rng = np.random.default_rng(5)
         shape = (self.touched, N) if self.touched > 1 else (N,)
         index = {block.name: rng.integers(len(block.members), size=shape) for block in blocks}
         if self.touched > 1:
             index = {name: np.stack([np.arange(N) % 5, (np.arange(N) + 2) % 5]) for name in index}
         readings = np.stack([rng.uniform(0, self.largest, N), rng.uniform(0, self.largest * 0.75, N)])
-        return Local({block.name: block for block in blocks}, Observations(readings, np.ones(1), index), self.wanted)
+        return LinkContext(
+            {block.name: block for block in blocks}, Observations(readings, np.ones(1), index), self.wanted
+        )
 
     @property
     def wanted(self) -> frozenset[str]:
@@ -420,7 +422,7 @@ class Shifted:
     name: str = ""
     blocks: tuple[str, ...] = ()
 
-    def step(self, value: Array, local: Local) -> object:
+    def step(self, value: Array, local: LinkContext) -> object:
         raise NotImplementedError
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from metrocli import plots
 from metrocli.errors import UsageError
-from metrocli.plots.beside import Beside, Node
+from metrocli.plots.beside import Beside, LineageFile
 from metrocli.result import Result
 from metrocli.table import Table
 
@@ -93,10 +93,10 @@ def test_a_law_is_drawn_in_the_order_of_its_variable() -> None:
 
 
 NODES = (
-    Node("results/part.h5", "align-part", True, ("results/camera.h5", "points.csv", "img/*.png (9 files)")),
-    Node("results/camera.h5", "calibrate-camera", True, ("img/*.png (9 files)",)),
-    Node("points.csv", "", False, ()),
-    Node("img/*.png (9 files)", "", True, ()),
+    LineageFile("results/part.h5", "align-part", True, ("results/camera.h5", "points.csv", "img/*.png (9 files)")),
+    LineageFile("results/camera.h5", "calibrate-camera", True, ("img/*.png (9 files)",)),
+    LineageFile("points.csv", "", False, ()),
+    LineageFile("img/*.png (9 files)", "", True, ()),
 )
 
 

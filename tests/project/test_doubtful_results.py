@@ -13,7 +13,7 @@ import pytest
 
 from metrocli.doubt import chi_bound, doubts_of
 from metrocli.formats import hdf5
-from metrocli.record import Verdict
+from metrocli.record import CriterionVerdict
 from metrocli.result import Result
 
 HEAD = "metrocli: 1\njob: straight-line\nnoise: 30 um\n"
@@ -25,7 +25,7 @@ SECOND = (
 )
 
 
-def found(sigma0: float, dof: int, *verdicts: Verdict, **statistics: Any) -> tuple[str, ...]:
+def found(sigma0: float, dof: int, *verdicts: CriterionVerdict, **statistics: Any) -> tuple[str, ...]:
     result = Result("straight-line", "", (), np.zeros((0, 0)), {"sigma0": sigma0, "dof": dof, **statistics})
     return doubts_of(result, verdicts)
 
@@ -54,7 +54,9 @@ def test_the_bound_of_chance_is_that_of_tables() -> None:
 )
 def test_when_residuals_make_a_result_doubtful(sigma0: float, dof: int, required: list[str], doubtful: bool) -> None:
     compare = {"<": lambda a, b: a < b, ">": lambda a, b: a > b}
-    verdicts = [Verdict("sigma0", text, sigma0, "", compare[text[0]](sigma0, float(text[1:]))) for text in required]
+    verdicts = [
+        CriterionVerdict("sigma0", text, sigma0, "", compare[text[0]](sigma0, float(text[1:]))) for text in required
+    ]
     assert bool(found(sigma0, dof, *verdicts)) == doubtful
 
 

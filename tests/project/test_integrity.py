@@ -299,7 +299,7 @@ def test_titles_do_not_reach_the_terminal_raw(job: Path, metrocli: Callable[...,
 def test_leftovers_of_the_dead_are_swept_and_the_living_keep_theirs(tmp_path: Path) -> None:
     (tmp_path / ".old.h5.999999.part").touch()
     (tmp_path / "kept.part").touch()
-    with aside.written_aside(tmp_path / "r.h5") as temporary:
+    with aside.atomic_write(tmp_path / "r.h5") as temporary:
         subprocess.run(
             [sys.executable, "-c", "import sys; from pathlib import Path; from metrocli.formats import file_bytes; "
              "file_bytes.sweep(Path(sys.argv[1]))", str(tmp_path)], check=True)  # fmt: skip

@@ -12,7 +12,7 @@ from places import SAMPLES
 from metrocli import tasks
 from metrocli.project import runner
 from metrocli.project.inputs import read_inputs
-from metrocli.project.job import Wishes, load
+from metrocli.project.job import JobOptions, load
 from metrocli.project.requirements import units_among, values_of
 from metrocli.project.steps import load_project
 
@@ -121,7 +121,7 @@ def test_every_value_of_a_result_can_be_required(sample: str, change: tuple[str,
     """A figure that a kind does not list would be refused though the result has it."""
     for step in load_project(SAMPLES / sample):
         if all(path.exists() for path in step.job.files):  # others need a result of another job
-            job = load(step.job.file, Wishes(change))
+            job = load(step.job.file, JobOptions(change))
             known = runner.known_figures(job, read_inputs(job))
             values = values_of(runner.compute(job)[0])
             assert values

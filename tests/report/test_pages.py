@@ -17,11 +17,11 @@ import pytest
 from plots import results
 
 from metrocli.cli.console import Console
-from metrocli.record import InputFile, Record, Verdict
+from metrocli.record import CriterionVerdict, InputFile, Record
 from metrocli.report.findings import worst
-from metrocli.report.html import Content, Diagnosis
+from metrocli.report.html import Content, PrintedDiagnosis
 from metrocli.report.html import listed as list_of
-from metrocli.report.project_page import Entry, project_page, ranks
+from metrocli.report.project_page import JobEntry, project_page, ranks
 from metrocli.report.result_page import result_page
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
@@ -31,7 +31,7 @@ Metrocli = Callable[..., Any]
 EVIL = "<script>alert('x')</script>&\"quoted\""
 RECORD = Record(
     "metrocli: 1\njob: x\n", (InputFile("a.csv", "ab" * 32, 123),), "0.1.0", "2026-11-20T10:00:00Z",
-    (Verdict("sigma0", "< 1.5", 1.0, "", True),),
+    (CriterionVerdict("sigma0", "< 1.5", 1.0, "", True),),
 )  # fmt: skip
 VOID = {"meta", "img", "br", "hr", "link", "input", "source"}
 
@@ -225,7 +225,7 @@ def test_a_doubtful_result_cannot_be_overlooked() -> None:
     assert {"class": "verdict good"} in page_of(without_figures()).named("div")
     warned = page_of(replace(without_figures(), warnings=("correlations",)))
     assert {"class": "verdict warned"} in warned.named("div") and "Done, with 1 warning." in warned.text
-    unmet = replace(RECORD, verdicts=(Verdict("sigma0", "< 0.5", 1.0, "", False),))
+    unmet = replace(RECORD, verdicts=(CriterionVerdict("sigma0", "< 0.5", 1.0, "", False),))
     assert "does not meet its requirements" in page_of(without_figures(), record=unmet).text
 
 
@@ -240,7 +240,7 @@ def test_what_comes_from_files_is_escaped() -> None:
         result, tables={**result.tables, "points": replace(table, columns={**table.columns, "point": names})}
     )
     record = replace(RECORD, job_text=EVIL, inputs=(InputFile(EVIL, EVIL, 1),), doubts=(EVIL,), created=EVIL)
-    diagnosis = Diagnosis(
+    diagnosis = PrintedDiagnosis(
         {"verdict": EVIL, "effects": [{"name": EVIL, "where": {"a": EVIL}, "parameters": {}}]}, EVIL, True
     )
     held = Content(result, record, EVIL, {"views": EVIL}, diagnosis, EVIL)
@@ -294,20 +294,20 @@ def test_traceability() -> None:
     ],
 )  # fmt: skip
 def test_the_diagnosis_decides_what_is_next(data: dict[str, Any], words: list[str]) -> None:
-    text = page_of(without_figures(), diagnosis=Diagnosis(data, "d.json", True)).text
+    text = page_of(without_figures(), diagnosis=PrintedDiagnosis(data, "d.json", True)).text
     assert all(one in text for one in words), text[:900]
-    other = page_of(without_figures(), diagnosis=Diagnosis(data, "d.json", False)).text
+    other = page_of(without_figures(), diagnosis=PrintedDiagnosis(data, "d.json", False)).text
     assert "d.json is the diagnosis of another job, or of other inputs" in other and words[0] not in other
 
 
 def test_without_a_diagnosis_of_its_own_a_diagnosis_is_next() -> None:
-    text = page_of(lens(), diagnosis=Diagnosis({"verdict": "clean"}, "d.json", False)).text
+    text = page_of(lens(), diagnosis=PrintedDiagnosis({"verdict": "clean"}, "d.json", False)).text
     assert "Next: Check the model by metrocli diagnose" in text
 
 
 ENTRIES = (
-    Entry("jobs/a.yaml", "calibrate-camera", "Lens", "done", "", (), ("obs.csv",), "a.html"),
-    Entry(
+    JobEntry("jobs/a.yaml", "calibrate-camera", "Lens", "done", "", (), ("obs.csv",), "a.html"),
+    JobEntry(
         "jobs/b.yaml",
         "align-part",
         EVIL,
@@ -317,7 +317,7 @@ ENTRIES = (
         ("obs.csv", "p.csv"),
         "b.html",
     ),
-    Entry(
+    JobEntry(
         "jobs/c.yaml", "report-uncertainty", "U", "", "there is no result yet", ("jobs/a.yaml", "jobs/b.yaml"), (), ""
     ),
 )

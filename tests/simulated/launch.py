@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.table import Table
-from metrocli.tasks.locate_launch_unit.settings import Inputs, Noise, Settings
+from metrocli.tasks.locate_launch_unit.settings import Inputs, LaunchUnitNoise, Settings
 
 Array = npt.NDArray[np.float64]
 NOWHERE = Path("-")
 ARCSEC = 4.84813681109536e-06
-NOISE = Noise(5 * ARCSEC, 1e-3)
+NOISE = LaunchUnitNoise(5 * ARCSEC, 1e-3)
 """5 arcsec, 1 um"""
 PAPER_UNIT = np.array([0.0, 1000.0, 1500.0])
 PAPER_RECEIVERS = np.array([[-1200.0, 200.0, 500.0], [0.0, 200.0, 500.0], [1200.0, 200.0, 500.0]])
@@ -46,7 +46,7 @@ class Poses:
         columns |= {} if self.distance is None else {"distance": self.distance}
         return Table(columns | more, {}, "poses.csv", tuple(range(2, n + 2)))  # type: ignore[operator]
 
-    def noisy(self, rng: np.random.Generator, noise: Noise = NOISE) -> Poses:
+    def noisy(self, rng: np.random.Generator, noise: LaunchUnitNoise = NOISE) -> Poses:
         """The same poses read with noise, angles within +-180 degrees as encoders count."""
         angles = self.angles + rng.normal(size=self.angles.shape) * noise.encoder
         angles = (angles + np.pi) % (2 * np.pi) - np.pi
@@ -85,6 +85,6 @@ def paper(gamma: float = 0.3) -> Poses:
     return poses(PAPER_UNIT, gamma, PAPER_RECEIVERS)
 
 
-def settings(method: str = "adjustment", noise: Noise = NOISE) -> Settings:
+def settings(method: str = "adjustment", noise: LaunchUnitNoise = NOISE) -> Settings:
     """The settings of a job on such poses."""
     return Settings(Inputs(NOWHERE), noise, method)

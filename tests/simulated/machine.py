@@ -13,7 +13,7 @@ import numpy.typing as npt
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
-from metrocli.tasks.calibrate_machine.settings import LateralNoise, Noise, Settings
+from metrocli.tasks.calibrate_machine.settings import LateralNoise, MachineNoise, Settings
 
 Array = npt.NDArray[np.float64]
 NOWHERE = Path("-")
@@ -153,7 +153,7 @@ def settings(
     machine = MachineSettings(
         chain, AxesSettings(*axes), tools=vectors, tool_uncertainty=more.pop("tool_uncertainty", 0.0)
     )
-    noise = more.pop("noise", Noise(beam=1e-3, lateral=LateralNoise(2e-3, 3e-6)))
+    noise = more.pop("noise", MachineNoise(beam=1e-3, lateral=LateralNoise(2e-3, 3e-6)))
     return Settings(method, machine, Inputs(**dict.fromkeys(keys, NOWHERE)), noise, **more)
 
 

@@ -10,18 +10,18 @@ from simulated import machine as sim
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import AxesSettings, AxisSettings, MachineSettings
-from metrocli.tasks.calibrate_machine.settings import Noise, Settings
+from metrocli.tasks.calibrate_machine.settings import MachineNoise, Settings
 
 Array = sim.Array
 STATIONS = np.array([[-300.0, -480, -420], [900, -440, -130], [820, 590, -490], [-270, 530, 40], [300, -740, 90]])
 TWO = {"T1": (0.0, 0.0, 120.0), "T2": (80.0, 0.0, 60.0)}
-NOISE = Noise(constant=0.3e-3, proportional=1e-7)
+NOISE = MachineNoise(constant=0.3e-3, proportional=1e-7)
 
 
 def settings(
     tools: Mapping[str, Sequence[float]] = TWO,
     knots: tuple[int, int, int] = (5, 5, 5),
-    noise: Noise = NOISE,
+    noise: MachineNoise = NOISE,
     **more: object,
 ) -> Settings:
     axes = [AxisSettings((float(sim.LOW[i]), float(sim.HIGH[i])), knots[i]) for i in range(3)]
@@ -36,7 +36,7 @@ def measured(
     n: int = 150,
     tools: Mapping[str, Sequence[float]] = TWO,
     stations: Array = STATIONS[:4],
-    noise: Noise = NOISE,
+    noise: MachineNoise = NOISE,
     repeatability: float = 0.0,
     together: bool = False,
 ) -> Table:

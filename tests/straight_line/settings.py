@@ -17,11 +17,11 @@ from metrocli.settings import (
     ListOf,
     MapOf,
     Number,
-    Quantity,
     Section,
     TableFile,
     Text,
     Whole,
+    WithUnit,
     setting,
 )
 from metrocli.settings.sections import content, inputs_of
@@ -36,7 +36,7 @@ READINGS = Columns(columns("point [text]", "x y [length]"), key=("point",), desc
 class Known:
     """A slope known from elsewhere."""
 
-    slope: float = setting(Quantity("slope"), "known slope")
+    slope: float = setting(WithUnit("slope"), "known slope")
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ Inputs = inputs_of(Files)
 class Limits:
     """Limits of the fit."""
 
-    range: tuple[float, float] = setting(ListOf(Quantity("length"), length=2), "range of x")
+    range: tuple[float, float] = setting(ListOf(WithUnit("length"), length=2), "range of x")
     robust: bool = setting(Flag(), "reweight", default=False)
 
 
@@ -66,14 +66,14 @@ class Settings:
     """A straight line through readings."""
 
     inputs: Any = setting(Section(Inputs), "files")
-    noise: float | str = setting(Either(Quantity("length", positive=True), Choice("estimated")), "noise of y")
+    noise: float | str = setting(Either(WithUnit("length", positive=True), Choice("estimated")), "noise of y")
     estimate: tuple[str, ...] = setting(
         ListOf(Choice("slope", "offset"), distinct=True), "what to estimate", default=("slope", "offset")
     )
     limits: Limits | None = setting(Section(Limits), "limits", default=None)
     iterations: int = setting(Whole(minimum=1, maximum=50), "most iterations", default=10)
     weight: float = setting(Number(above=0), "a factor", default=1.0)
-    alpha: float = setting(Quantity("expansion"), "expansion", default=0.0)
+    alpha: float = setting(WithUnit("expansion"), "expansion", default=0.0)
     labels: Mapping[str, str] = setting(MapOf(Text()), "labels of points", default={})
 
     def faults(self) -> Iterable[tuple[str, str]]:

@@ -14,7 +14,7 @@ from metrocli.targets.drawings import board
 from metrocli.targets.find import MODULES, find
 from metrocli.targets.lattice import order_fault, ordered
 from metrocli.targets.pattern import TYPES, Pattern, lattice, names, pattern_points
-from metrocli.targets.render import Look, Placed, render
+from metrocli.targets.render import Look, PlacedDrawing, render
 
 DATA = SHARED / "data"
 real = pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there")
@@ -32,9 +32,9 @@ def seen(
     _, xyz = pattern_points(pattern)
     rotation = tilted(rng, 0.6, upright=True) @ about_z(rng.uniform(-turn, turn))
     origin = np.array([*rng.uniform(-12, 12, 2), distance]) - rotation @ xyz.mean(0)
-    return render(CAMERA.size, CAMERA.rays, [Placed(board(pattern), rotation, origin)], look, rng), CAMERA.project(
-        xyz @ rotation.T + origin
-    )
+    return render(
+        CAMERA.size, CAMERA.rays, [PlacedDrawing(board(pattern), rotation, origin)], look, rng
+    ), CAMERA.project(xyz @ rotation.T + origin)
 
 
 def test_every_type_has_its_module() -> None:
@@ -98,7 +98,7 @@ def test_a_chessboard_upside_down_keeps_its_names() -> None:
     for turn in (np.pi / 2, np.pi):
         rotation = about_z(turn)
         origin = np.array([0, 0, 400.0]) - rotation @ xyz.mean(0)
-        image = render(CAMERA.size, CAMERA.rays, [Placed(board(CHESS), rotation, origin)], Look(), rng)
+        image = render(CAMERA.size, CAMERA.rays, [PlacedDrawing(board(CHESS), rotation, origin)], Look(), rng)
         found = find(CHESS, image)
         assert found.targets == names(CHESS)
         assert np.abs(found.uv - CAMERA.project(xyz @ rotation.T + origin)).max() < 0.01

@@ -14,18 +14,18 @@ from metrocli.targets.drawings import Chessboard, CodedRing, Dot
 from metrocli.targets.ellipses import fit
 from metrocli.targets.find import find
 from metrocli.targets.pattern import Pattern
-from metrocli.targets.render import RETRO_REFLECTIVE, Look, Placed, render
+from metrocli.targets.render import RETRO_REFLECTIVE, Look, PlacedDrawing, render
 
 DATA = SHARED / "data"
 CAMERA = Camera((900, 700), 1500.0, -0.1)
 RINGS = Pattern("coded-rings")
 
 
-def scene(rng: np.random.Generator, chosen: list[int], radius: float, tilt: float) -> list[Placed]:
+def scene(rng: np.random.Generator, chosen: list[int], radius: float, tilt: float) -> list[PlacedDrawing]:
     """Six targets in random poses on a raster that keeps them apart."""
     places = [(x, y) for x in (-95, 0, 95) for y in (-55, 55)]
     return [
-        Placed(
+        PlacedDrawing(
             CodedRing(code, radius),
             tilted(rng, tilt),
             np.array([x + rng.uniform(-9, 9), y + rng.uniform(-9, 9), 500.0]),
@@ -73,7 +73,7 @@ def test_every_code_is_read_in_any_turn(step: int) -> None:
     for first in range(0, len(wanted), len(places)):
         chosen = wanted[first : first + len(places)]
         placed = [
-            Placed(CodedRing(code, 2.0), about_z(rng.uniform(0, 7)), np.array([x, y, 500.0]))
+            PlacedDrawing(CodedRing(code, 2.0), about_z(rng.uniform(0, 7)), np.array([x, y, 500.0]))
             for code, (x, y) in zip(chosen, places, strict=False)
         ]
         found = find(RINGS, render(camera.size, camera.rays, placed, Look(), rng))
@@ -90,7 +90,7 @@ def test_centres_agree_with_the_perspective_ellipse(diameter: float) -> None:
         image = render(
             CAMERA.size,
             CAMERA.rays,
-            [Placed(Dot(radius), rotation, origin)],
+            [PlacedDrawing(Dot(radius), rotation, origin)],
             Look(bits=16, ink=3000, paper=50000, background=50000),
             rng,
         )
@@ -106,7 +106,9 @@ def test_eccentricity_is_in_the_image() -> None:
         tilted(np.random.default_rng(3), 0.0) @ np.array([[1, 0, 0], [0, 0.5, -(0.75**0.5)], [0, 0.75**0.5, 0.5]]),
         np.array([0, 0, 300.0]),
     )
-    image = render(CAMERA.size, CAMERA.rays, [Placed(Dot(6.0), rotation, origin)], Look(), np.random.default_rng(1))
+    image = render(
+        CAMERA.size, CAMERA.rays, [PlacedDrawing(Dot(6.0), rotation, origin)], Look(), np.random.default_rng(1)
+    )
     uv = find(Pattern("dot"), image).uv[0]
     assert np.linalg.norm(uv - CAMERA.project(origin[None])[0]) > 0.1
     assert uv == pytest.approx(CAMERA.centre_of_image(origin, rotation, 6.0), abs=0.003)
@@ -123,10 +125,10 @@ def test_no_code_in_noise_or_chessboards_or_dots() -> None:
     rng = np.random.default_rng(11)
     pictures = [rng.integers(0, 256, (400, 400)).astype(np.uint8)]
     pictures += [cv2.GaussianBlur(rng.integers(0, 256, (400, 400)).astype(np.uint8), (0, 0), s) for s in (1, 2, 4)]
-    board = Placed(Chessboard(9, 6, 12.0), np.eye(3), np.array([-48, -30, 500.0]))
+    board = PlacedDrawing(Chessboard(9, 6, 12.0), np.eye(3), np.array([-48, -30, 500.0]))
     pictures.append(render(CAMERA.size, CAMERA.rays, [board], Look(noise=2.0), rng))
     pictures.append(
-        render(CAMERA.size, CAMERA.rays, [Placed(Dot(3.0), np.eye(3), np.array([0, 0, 500.0]))], Look(), rng)
+        render(CAMERA.size, CAMERA.rays, [PlacedDrawing(Dot(3.0), np.eye(3), np.array([0, 0, 500.0]))], Look(), rng)
     )
     for code in (0, 1, 0b111, 0xFFF):
         pictures.append(render(CAMERA.size, CAMERA.rays, scene(rng, [code], 3.0, 0.5), Look(), rng))
@@ -159,7 +161,7 @@ def test_a_dot_among_thousands_of_specks_is_found_and_few_of_them_are_fitted(mon
 
 def test_dots_that_cannot_be_told_apart() -> None:
     rng = np.random.default_rng(12)
-    two = [Placed(Dot(3.0), np.eye(3), np.array([x, 0, 500.0])) for x in (-40, 40)]
+    two = [PlacedDrawing(Dot(3.0), np.eye(3), np.array([x, 0, 500.0])) for x in (-40, 40)]
     found = find(Pattern("dot", target="T1"), render(CAMERA.size, CAMERA.rays, two, Look(), rng))
     assert len(found) == 0 and "2 dots" in found.reason and "T1" in found.reason
     assert "no dot" in find(Pattern("dot"), np.zeros((50, 60), np.uint8)).reason

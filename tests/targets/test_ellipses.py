@@ -8,7 +8,7 @@ from targets import drawn
 
 from metrocli.targets import blobs
 from metrocli.targets.ellipse import Ellipse
-from metrocli.targets.ellipses import Fitted, fit
+from metrocli.targets.ellipses import FittedEllipse, fit
 
 
 def draws(
@@ -65,7 +65,7 @@ def test_sixteen_bits_and_dark_targets() -> None:
     deep = image.astype(np.uint16) * 200
     for picture in (image, deep):
         found = fit(picture, Ellipse(centre[0] + 0.3, centre[1], 6.5, 6.0, angle))
-        assert isinstance(found, Fitted)
+        assert isinstance(found, FittedEllipse)
         assert found.contrast < 0
         assert (found.ellipse.u, found.ellipse.v) == pytest.approx(tuple(centre), abs=0.004)
 

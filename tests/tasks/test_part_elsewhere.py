@@ -21,5 +21,5 @@ INSTEAD = {
 def test_kinds_without_a_part_say_where_it_belongs(kind: str, tmp_path: Path, metrocli: Callable[..., Any]) -> None:
     job = tmp_path / "job.yaml"
     job.write_text(f"metrocli: 1\njob: {kind}\npart: {{temperature: 25 degC, expansion: 11.5e-6 1/K}}\noutput: o.h5\n")
-    said = metrocli("check", job).err
-    assert "unknown key 'part'" in said and INSTEAD[kind] in said
+    listed_at = metrocli("check", job).err
+    assert "unknown key 'part'" in listed_at and INSTEAD[kind] in listed_at

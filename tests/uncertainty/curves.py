@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.chain import Chain, LinkContext, Step
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
@@ -41,7 +41,7 @@ class Curve:
     gives = Quantity.LENGTH
     blocks = ("b",)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         b = local.members("b")[0]
         names = [f"b{i + 1}" for i in range(len(b))]
         x = local.observations.conditions["x"]

@@ -9,7 +9,7 @@ import pytest
 
 from metrocli.uncertainty import distributions as shapes
 from metrocli.uncertainty.correlated import UnreachableError, factor
-from metrocli.uncertainty.inputs import Block, NotSemiDefiniteError, Quantity, join
+from metrocli.uncertainty.inputs import CorrelatedBlock, InputQuantity, NotSemiDefiniteError, join
 
 VALUES = tuple(np.sort(np.random.default_rng(0).normal(size=500)).tolist())
 ALL = [
@@ -46,7 +46,9 @@ def test_finite_degrees_of_freedom_change_what_is_drawn() -> None:
 
 
 def drawn(
-    quantities: list[Quantity], correlations: list[tuple[str, str, float]], blocks: list[Block] | None = None
+    quantities: list[InputQuantity],
+    correlations: list[tuple[str, str, float]],
+    blocks: list[CorrelatedBlock] | None = None,
 ) -> np.ndarray:
     inputs = join(quantities, correlations, blocks or [])
     rng, values = np.random.default_rng(7), np.zeros((len(quantities), 300_000))
@@ -69,7 +71,7 @@ def test_correlations_are_those_asked_for(
     pair: tuple[shapes.Distribution, float, shapes.Distribution, float], r: float
 ) -> None:
     a, da, b, db = pair
-    values = drawn([Quantity("a", 0, a, da), Quantity("b", 0, b, db)], [("a", "b", r)])
+    values = drawn([InputQuantity("a", 0, a, da), InputQuantity("b", 0, b, db)], [("a", "b", r)])
     assert np.corrcoef(values)[0, 1] == pytest.approx(r, abs=0.02)
     heavy = [math.sqrt(d / (d - 2)) if math.isfinite(d) else 1.0 for d in (da, db)]
     assert values.std(axis=1) == pytest.approx([a.std * heavy[0], b.std * heavy[1]], rel=0.03)
@@ -78,17 +80,20 @@ def test_correlations_are_those_asked_for(
 def test_shapes_that_cannot_be_so_correlated_are_refused() -> None:
     with pytest.raises(UnreachableError):
         drawn(
-            [Quantity("a", 0, shapes.Exponential(1.0)), Quantity("b", 0, shapes.Exponential(1.0))], [("a", "b", -0.95)]
+            [InputQuantity("a", 0, shapes.Exponential(1.0)), InputQuantity("b", 0, shapes.Exponential(1.0))],
+            [("a", "b", -0.95)],
         )
 
 
 def test_correlation_of_one_is_exact() -> None:
-    values = drawn([Quantity("a", 0, shapes.Normal(2.0)), Quantity("b", 0, shapes.Normal(3.0))], [("a", "b", 1.0)])
+    values = drawn(
+        [InputQuantity("a", 0, shapes.Normal(2.0)), InputQuantity("b", 0, shapes.Normal(3.0))], [("a", "b", 1.0)]
+    )
     np.testing.assert_allclose(values[1], 1.5 * values[0], rtol=1e-9)
 
 
 def test_a_matrix_that_contradicts_itself_names_its_entries() -> None:
-    quantities = [Quantity(name, 0, shapes.Normal(1.0)) for name in "abcd"]
+    quantities = [InputQuantity(name, 0, shapes.Normal(1.0)) for name in "abcd"]
     with pytest.raises(NotSemiDefiniteError) as caught:
         join(quantities, [("a", "b", 0.9), ("b", "c", 0.9), ("a", "c", -0.9)])
     assert caught.value.names == ("a", "b", "c")
@@ -97,9 +102,9 @@ def test_a_matrix_that_contradicts_itself_names_its_entries() -> None:
 def test_a_rank_deficient_covariance_is_taken_as_it_stands() -> None:
     slopes = np.array([[1.0, 0.0], [2.0, 1.0], [3.0, 1.0]])
     covariance = slopes @ slopes.T
-    block = Block(("a", "b", "c"), covariance)
+    block = CorrelatedBlock(("a", "b", "c"), covariance)
     values = drawn(
-        [Quantity(n, 0, shapes.Normal(math.sqrt(v))) for n, v in zip("abc", np.diag(covariance), strict=True)],
+        [InputQuantity(n, 0, shapes.Normal(math.sqrt(v))) for n, v in zip("abc", np.diag(covariance), strict=True)],
         [],
         [block],
     )
@@ -111,9 +116,9 @@ def test_a_rank_deficient_covariance_is_taken_as_it_stands() -> None:
 def test_a_zero_variance_within_a_block_stays_zero() -> None:
     covariance = np.diag([1.0, 0.0])
     values = drawn(
-        [Quantity("a", 0, shapes.Normal(1.0)), Quantity("b", 0, shapes.Normal(0.0))],
+        [InputQuantity("a", 0, shapes.Normal(1.0)), InputQuantity("b", 0, shapes.Normal(0.0))],
         [],
-        [Block(("a", "b"), covariance)],
+        [CorrelatedBlock(("a", "b"), covariance)],
     )
     assert not values[1].any()
     assert values[0].std() == pytest.approx(1.0, rel=0.01)

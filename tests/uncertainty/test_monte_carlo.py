@@ -17,10 +17,10 @@ from metrocli.expressions.expression import parse
 from metrocli.project.running.files import ChunkFolder
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.distributions import Normal, Uniform
-from metrocli.uncertainty.inputs import Inputs, Quantity, join
-from metrocli.uncertainty.monte_carlo import Outcome, tolerance_of
+from metrocli.uncertainty.inputs import InputQuantity, Inputs, join
+from metrocli.uncertainty.monte_carlo import MonteCarloResult, tolerance_of
 from metrocli.uncertainty.samples import BINS, Binned, Edges, Sorted
-from metrocli.uncertainty.trials import Plan, plan_of
+from metrocli.uncertainty.trials import TrialsPlan, plan_of
 from metrocli.uncertainty.workers import Workers
 
 MODELS = {"sum": parse("a + b"), "product": parse("a*b*c")}
@@ -28,12 +28,16 @@ MODELS = {"sum": parse("a + b"), "product": parse("a*b*c")}
 
 def inputs(dof: float = math.inf) -> Inputs:
     return join(
-        [Quantity("a", 1.0, Normal(0.1), dof), Quantity("b", 2.0, Uniform(0.3)), Quantity("c", 3.0, Normal(0.2))],
+        [
+            InputQuantity("a", 1.0, Normal(0.1), dof),
+            InputQuantity("b", 2.0, Uniform(0.3)),
+            InputQuantity("c", 3.0, Normal(0.2)),
+        ],
         [("a", "c", 0.5)],
     )
 
 
-def same(a: Outcome, b: Outcome) -> bool:
+def same(a: MonteCarloResult, b: MonteCarloResult) -> bool:
     """Whether two outcomes agree in every bit."""
     ends = [[s.symmetric(0.95) + s.shortest(0.95) for s in o.samples] for o in (a, b)]
     return (
@@ -114,7 +118,7 @@ def test_digits_are_those_of_the_unit_of_the_measurand() -> None:
     """u = 0.1 of one unit and 0.9 of another: half of the last of two digits is 1/20 of the one, 1/180 of the other."""
     one, other = (
         monte_carlo.run(
-            plan_of({"y": parse("a")}, join([Quantity("a", 0.0, Normal(0.1))]), 0, 0.95, None, {"y": unit}),
+            plan_of({"y": parse("a")}, join([InputQuantity("a", 0.0, Normal(0.1))]), 0, 0.95, None, {"y": unit}),
             Workers(2), 2, 10_000_000,
         )
         for unit in (1.0, 1 / 9)
@@ -134,13 +138,13 @@ def test_an_adaptive_run_for_too_rare_ends_is_refused(
 
 
 def test_an_adaptive_run_does_not_claim_what_it_has_not_reached() -> None:
-    plan = plan_of({"y": parse("a")}, join([Quantity("a", 0.0, Normal(1.0), 2.2)]), 0, 0.95, None)
+    plan = plan_of({"y": parse("a")}, join([InputQuantity("a", 0.0, Normal(1.0), 2.2)]), 0, 0.95, None)
     with pytest.raises(NotConvergedError, match="less well than 3 digits"):
         monte_carlo.run(plan, Workers(2), 3, 400_000)
 
 
 def test_an_adaptive_run_goes_on_beyond_the_kept_values(monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = plan_of({"y": parse("a")}, join([Quantity("a", 0.0, Normal(0.9))]), 0, 0.95, None)
+    plan = plan_of({"y": parse("a")}, join([InputQuantity("a", 0.0, Normal(0.9))]), 0, 0.95, None)
     whole = monte_carlo.run(plan, Workers(1), 2, 10_000_000)
     monkeypatch.setattr(monte_carlo, "KEPT", 60_000)
     counted = monte_carlo.run(plan, Workers(2), 2, 10_000_000)
@@ -167,13 +171,13 @@ def test_a_killed_run_goes_on_from_its_finished_chunks(tmp_path: Path, monkeypat
     for extra in sorted(folder.folder.glob("*.npz"))[2:]:
         extra.unlink()
     done: list[int] = []
-    outcomes = Plan.outcomes
+    outcomes = TrialsPlan.outcomes
 
-    def counted(plan: Plan, number: int) -> np.ndarray:
+    def counted(plan: TrialsPlan, number: int) -> np.ndarray:
         done.append(number)
         return outcomes(plan, number)
 
-    monkeypatch.setattr(Plan, "outcomes", counted)
+    monkeypatch.setattr(TrialsPlan, "outcomes", counted)
     resumed = monte_carlo.run(plan, Workers(2, finished=folder))
     assert same(whole, resumed)
     assert set(done) == {*range(10), *range(200, 450)}

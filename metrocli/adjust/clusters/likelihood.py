@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from metrocli.adjust.clusters.spread import Excess, Seen, acting
+from metrocli.adjust.clusters.spread import ClusterDirections, Excess, acting
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
@@ -35,11 +35,11 @@ class Likelihood:
     """Degrees of freedom of the adjustment"""
 
     @classmethod
-    def of(cls, clusters: Sequence[Seen], first: slice, square: float, dof: float) -> Likelihood:
+    def of(cls, clusters: Sequence[ClusterDirections], first: slice, square: float, dof: float) -> Likelihood:
         """Return the likelihood from what each cluster sees; `first` are the coordinates of the first unknowns."""
         parts = [acting(cluster, first) for cluster in clusters]
         seen = np.concatenate([cluster.rows.T @ u for cluster, (u, _) in zip(clusters, parts, strict=True)], axis=1)
-        strength = np.concatenate([one for _, one in parts])
+        strength = np.concatenate([part for _, part in parts])
         residual = np.concatenate([u.T @ cluster.residual for cluster, (u, _) in zip(clusters, parts, strict=True)])
         # information other than of the directions seen is 1, and adds nothing
         return cls(np.asarray(np.linalg.qr(seen, mode="r")), strength, residual, square, dof)

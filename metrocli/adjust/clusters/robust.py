@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.clusters.rows import Rows, numbers_of, rows_of, rows_without_members
-from metrocli.adjust.clusters.sample import Sample
+from metrocli.adjust.clusters.rows import ClusterRows, numbers_of, rows_of, rows_without_members
+from metrocli.adjust.clusters.sample import ClusterSample
 from metrocli.adjust.schur.covariance import Covariance, shapes_of
 from metrocli.adjust.schur.layout import Layout, without_elimination
 from metrocli.adjust.schur.member_covariance import MemberCovariance
@@ -38,7 +38,7 @@ class ClusterRobust:
     """The adjustment with this covariance; redundancies and tests belong to the original one"""
     white: Solution
     """The adjustment with the covariance for independent errors"""
-    sample: Sample
+    sample: ClusterSample
     layout: Layout
     """The unknowns of the sample"""
 
@@ -107,20 +107,20 @@ def cluster_robust(solution: Solution, clusters: Clusters) -> ClusterRobust:
     rows = rows_without_members(solution, clusters.of)
     if rows is not None:
         layout, white = solution.covariance_or_raise().layout, _without_datum(solution)
-        sample = Sample.of(white, rows, _first(rows, layout, clusters), solution.dof, clusters.grows)
+        sample = ClusterSample.of(white, rows, _first(rows, layout, clusters), solution.dof, clusters.grows)
         robust = replace(solution, covariance=_of_members(solution, white, sample))
         return ClusterRobust(robust, solution, sample, layout)
     layout = without_elimination(solution.blocks)
     must_be_few(layout.width)
     rows = rows_of(solution, clusters.of, clusters.free)
     white = _joint(solution, layout)[np.ix_(rows.shared, rows.shared)]
-    sample = Sample.of(white, rows, _first(rows, layout, clusters), solution.dof, clusters.grows)
+    sample = ClusterSample.of(white, rows, _first(rows, layout, clusters), solution.dof, clusters.grows)
     matrix = sample.covariance()
     covariance = Covariance(layout, shapes_of(solution.blocks), matrix, MemberCovariance((0, 0), (), (), matrix))
     return ClusterRobust(replace(solution, covariance=covariance), solution, sample, layout)
 
 
-def _first(rows: Rows, layout: Layout, clusters: Clusters) -> Mask:
+def _first(rows: ClusterRows, layout: Layout, clusters: Clusters) -> Mask:
     """Return the unknowns whose variances have a factor of their own, (unknowns,)."""
     return _of_blocks(layout, clusters.first) if clusters.first else rows.common
 
@@ -145,7 +145,7 @@ def _without_datum(solution: Solution) -> Array:
     return np.asarray(known.factor * change @ known.reduced @ change.T)
 
 
-def _of_members(solution: Solution, white: Array, sample: Sample) -> Covariance:
+def _of_members(solution: Solution, white: Array, sample: ClusterSample) -> Covariance:
     """Return the covariance of an adjustment whose members each belong to one cluster.
 
     The members' own noise grows by one factor, also where it enters the datum: `V_r = phi (Q_r - A Q_r A') + V_A`.

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.groups import Linear
+from metrocli.adjust.model.groups import LinearGroup
 from metrocli.adjust.schur.layout import Layout, without_elimination
 from metrocli.adjust.solution import Solution
 from metrocli.adjust.sparse.nested_dissection import Sparse
@@ -27,7 +27,7 @@ class Cluster:
 
 
 @dataclass(frozen=True)
-class Rows:
+class ClusterRows:
     """The rows of all clusters, and those whose errors are independent."""
 
     width: int
@@ -47,10 +47,10 @@ class Rows:
         """The unknowns of more than one cluster or of other rows, (unknowns,)."""
         if self.together:
             return np.ones(self.width, dtype=bool)
-        found: Mask = self._counts > 1
-        for one in self.others:
-            found[one.columns] = True
-        return found
+        several: Mask = self._counts > 1
+        for other in self.others:
+            several[other.columns] = True
+        return several
 
     @property
     def _counts(self) -> Index:
@@ -61,7 +61,7 @@ class Rows:
         return counts
 
 
-def rows_of(solution: Solution, clusters: Mapping[str, Index], together: bool = False) -> Rows:
+def rows_of(solution: Solution, clusters: Mapping[str, Index], together: bool = False) -> ClusterRows:
     """Return the rows at a solution; `clusters` has the cluster (n,) of each reading of some groups, by group."""
     layout = without_elimination(solution.blocks)
     linear = {group.name: group.linear(solution.blocks, layout.wanted) for group in solution.groups}
@@ -70,12 +70,14 @@ def rows_of(solution: Solution, clusters: Mapping[str, Index], together: bool = 
         for at in numbers_of(clusters)
     )
     others = tuple(
-        _selected(one, layout, np.arange(one.residual.shape[1])) for name, one in linear.items() if name not in clusters
+        _selected(group, layout, np.arange(group.residual.shape[1]))
+        for name, group in linear.items()
+        if name not in clusters
     )
-    return Rows(layout.width, of_clusters, others, together)
+    return ClusterRows(layout.width, of_clusters, others, together)
 
 
-def rows_without_members(solution: Solution, clusters: Mapping[str, Index]) -> Rows | None:
+def rows_without_members(solution: Solution, clusters: Mapping[str, Index]) -> ClusterRows | None:
     """Return the rows at a solution without its eliminated block, by the unknowns of the reduced system.
 
     The members are removed from the rows, `J_r - J_e W`, which leaves the residuals as they are. Priors of members
@@ -102,15 +104,15 @@ def rows_without_members(solution: Solution, clusters: Mapping[str, Index]) -> R
     for one, found in linear.items():
         if one not in everywhere:
             others.append(_selected(found, layout, np.arange(found.residual.shape[1])))
-    return Rows(layout.width, tuple(of_clusters), tuple(others), together=True)
+    return ClusterRows(layout.width, tuple(of_clusters), tuple(others), together=True)
 
 
-def rows_of_table(jacobian: Sparse, residual: Array, cluster: Index) -> Rows:
+def rows_of_table(jacobian: Sparse, residual: Array, cluster: Index) -> ClusterRows:
     """Return rows from the derivatives (rows, unknowns) and residuals (rows,); `cluster` (rows,) is -1 in others."""
     parts = {at: np.flatnonzero(cluster == at) for at in np.unique(cluster).tolist()}
     dense = {at: _dense(jacobian[rows], residual[rows]) for at, rows in parts.items()}
     of_clusters = tuple(one for at, one in dense.items() if at >= 0)
-    return Rows(int(jacobian.shape[1]), of_clusters, (dense[-1],) if -1 in dense else (), together=True)
+    return ClusterRows(int(jacobian.shape[1]), of_clusters, (dense[-1],) if -1 in dense else (), together=True)
 
 
 def numbers_of(clusters: Mapping[str, Index]) -> list[int]:
@@ -139,7 +141,7 @@ def _clusters_of_members(solution: Solution, clusters: Mapping[str, Index], name
     return cluster if alike and (cluster >= 0)[block.free.any(axis=1)].all() else None
 
 
-def _without_member(linear: Linear, solution: Solution, rows: Index) -> Cluster:
+def _without_member(linear: LinearGroup, solution: Solution, rows: Index) -> Cluster:
     """Return the rows of some readings by the reduced unknowns, with the eliminated members removed."""
     known = solution.covariance_or_raise()
     weights = known.eliminated.weights
@@ -158,7 +160,7 @@ def _without_member(linear: Linear, solution: Solution, rows: Index) -> Cluster:
     return Cluster(np.arange(width), full[:, :, :-1].reshape(len(residual), width), residual)
 
 
-def _selected(linear: Linear, layout: Layout, rows: Index) -> Cluster:
+def _selected(linear: LinearGroup, layout: Layout, rows: Index) -> Cluster:
     """Return the rows of some readings."""
     placed = [(layout.columns[touch.block][touch.index[rows]], touch.jacobian) for touch in linear.touches]
     used = np.unique(np.concatenate([columns.ravel() for columns, _ in placed])) if placed else np.zeros(0, np.intp)

@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.clusters.likelihood import Likelihood, most_likely
-from metrocli.adjust.clusters.rows import Rows
-from metrocli.adjust.clusters.spread import Excess, Seen, Spread, products, spreads
+from metrocli.adjust.clusters.rows import ClusterRows
+from metrocli.adjust.clusters.spread import ClusterDirections, ClusterSpread, Excess, products, spreads
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
 
@@ -23,7 +23,7 @@ _RANK = 1e-12
 
 
 @dataclass(frozen=True)
-class Own:
+class ClusterUnknowns:
     """Unknowns that only one cluster uses, such as the pose of an image: `own = noise + by_shared shared`."""
 
     columns: Index
@@ -34,7 +34,7 @@ class Own:
 
 
 @dataclass(frozen=True)
-class Sample:
+class ClusterSample:
     """What the errors of each cluster change, and the covariance that follows from it."""
 
     shared: Mask
@@ -43,8 +43,8 @@ class Sample:
     """L with `L L'` the covariance of the shared unknowns for independent errors, (shared, coordinates)"""
     parts: tuple[slice, ...]
     """Coordinates of the first unknowns (the lens), then the further ones of the others (points)"""
-    clusters: tuple[Spread, ...]
-    own: tuple[Own, ...]
+    clusters: tuple[ClusterSpread, ...]
+    own: tuple[ClusterUnknowns, ...]
     prior: Array
     """Information of the rows whose errors are independent, (coordinates, coordinates)"""
     excess: Excess
@@ -53,7 +53,7 @@ class Sample:
     """Whether the errors of what only one cluster determines grow as those of the shared unknowns do"""
 
     @classmethod
-    def of(cls, white: Array, rows: Rows, first: Mask, dof: float, grows: bool = True) -> Sample:
+    def of(cls, white: Array, rows: ClusterRows, first: Mask, dof: float, grows: bool = True) -> ClusterSample:
         """Return the sample of an adjustment; `white` is the covariance of its shared unknowns for independent errors.
 
         `first` (unknowns,) are those in which errors may exceed white noise; their variances have a factor of their
@@ -69,11 +69,13 @@ class Sample:
             at = numbers[cluster.columns[common]]
             basis, triangle = np.linalg.qr(cluster.jacobian[:, ~common])
             coupling = basis.T @ cluster.jacobian[:, common]
-            seen.append(Seen.of((cluster.jacobian[:, common] - basis @ coupling) @ root[at], cluster.residual))
+            seen.append(
+                ClusterDirections.of((cluster.jacobian[:, common] - basis @ coupling) @ root[at], cluster.residual)
+            )
             inverse = np.linalg.inv(triangle)
             by_shared = np.zeros((len(triangle), len(root)))
             by_shared[:, at] = -inverse @ coupling
-            own.append(Own(cluster.columns[~common], inverse @ inverse.T, by_shared))
+            own.append(ClusterUnknowns(cluster.columns[~common], inverse @ inverse.T, by_shared))
         known = [cluster.jacobian @ root[numbers[cluster.columns]] for cluster in rows.others]
         prior = (
             np.sum([jacobian.T @ jacobian for jacobian in known], axis=0) if known else np.zeros((root.shape[1],) * 2)
@@ -102,9 +104,9 @@ class Sample:
     @cached_property
     def factors(self) -> tuple[float, ...]:
         """How many times the expected variance the clusters have, on average over each part."""
-        found, target = np.diag(self.found), np.diag(self.target)
+        levels, target = np.diag(self.found), np.diag(self.target)
         return tuple(
-            float(found[part].sum() / target[part].sum()) if target[part].sum() > 0 else 1.0 for part in self.parts
+            float(levels[part].sum() / target[part].sum()) if target[part].sum() > 0 else 1.0 for part in self.parts
         )
 
     @cached_property

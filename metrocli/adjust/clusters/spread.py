@@ -38,7 +38,7 @@ class Excess:
 
 
 @dataclass(frozen=True)
-class Seen:
+class ClusterDirections:
     """One cluster in coordinates in which the shared unknowns have the covariance 1, without its own unknowns.
 
     Its rows are `F = u diag(sizes) directions'` with orthonormal u and directions.
@@ -54,7 +54,7 @@ class Seen:
     """Directions that no other cluster determines, in which its residuals are zero, (coordinates, k')"""
 
     @classmethod
-    def of(cls, rows: Array, residual: Array) -> Seen:
+    def of(cls, rows: Array, residual: Array) -> ClusterDirections:
         """Return a cluster from its rows and residuals."""
         u, sizes, vt = thin_svd(rows)
         kept = 1 - sizes**2 > _UNDETERMINED
@@ -67,20 +67,20 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Spread:
+class ClusterSpread:
     """What the errors of one cluster change in the coordinates, with the covariance that is expected of them.
 
     All matrices are by its directions v.
     """
 
-    seen: Seen
+    seen: ClusterDirections
     expected: Array
     """`u' Omega u`, (k, k)"""
     weight: Array
     """`A = Omega^1/2 (Omega^1/2 B Omega^1/2)^-1/2 Omega^1/2`, B the covariance of its residuals, (k, k)"""
 
     @classmethod
-    def of(cls, seen: Seen, expected: Array, whole: Array) -> Spread:
+    def of(cls, seen: ClusterDirections, expected: Array, whole: Array) -> ClusterSpread:
         """Return a cluster; `whole` is the covariance of the coordinates for the expected errors of all readings."""
         square = seen.sizes**2
         of_residuals = expected - square[:, None] * expected - expected * square + seen.rows @ whole @ seen.rows.T
@@ -112,23 +112,25 @@ def _power(matrix: Array, exponent: float) -> Array:
     return np.asarray((vectors[:, kept] * values[kept] ** exponent) @ vectors[:, kept].T)
 
 
-def acting(seen: Seen, first: slice) -> tuple[Array, Array]:
+def acting(seen: ClusterDirections, first: slice) -> tuple[Array, Array]:
     """Return the directions u (k, k') in which readings see the first coordinates, with their strengths (k',)."""
     u, sizes, _ = thin_svd(seen.rows[:, first])
     strength = sizes**2
     return u[:, strength > _NONE], strength[strength > _NONE]
 
 
-def spreads(clusters: Sequence[Seen], first: slice, excess: Excess, prior: Array) -> tuple[Spread, ...]:
+def spreads(
+    clusters: Sequence[ClusterDirections], first: slice, excess: Excess, prior: Array
+) -> tuple[ClusterSpread, ...]:
     """Return what the errors of clusters change; `prior` is the information of rows whose errors are independent."""
     directions = [acting(cluster, first) for cluster in clusters]
     expected = [np.eye(len(u)) + (u * excess.at(strength)) @ u.T for u, strength in directions]
     parts = [cluster.rows.T @ omega @ cluster.rows for cluster, omega in zip(clusters, expected, strict=True)]
     whole = np.sum(parts, axis=0) + prior
-    return tuple(Spread.of(cluster, omega, whole) for cluster, omega in zip(clusters, expected, strict=True))
+    return tuple(ClusterSpread.of(cluster, omega, whole) for cluster, omega in zip(clusters, expected, strict=True))
 
 
-def products(clusters: Sequence[Spread], whole: Array, lines: Array, part: slice) -> tuple[Array, Array, float]:
+def products(clusters: Sequence[ClusterSpread], whole: Array, lines: Array, part: slice) -> tuple[Array, Array, float]:
     """Return what the variance of a quadratic form of the changes is made of, for the expected errors.
 
     With `C_cd` the covariance of the changes of two clusters, l a line and E the coordinates of a part, these are

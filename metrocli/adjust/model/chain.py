@@ -28,7 +28,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Local:
+class LinkContext:
     """What a link needs: values of the blocks, which members each reading uses, the readings and their conditions."""
 
     blocks: Mapping[str, Block]
@@ -102,13 +102,23 @@ class Link(Protocol):
     def blocks(self) -> tuple[str, ...]:
         """Names of the blocks whose values the link uses."""
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the value (out, n) and its derivatives at the input `value` (in, n)."""
+
+
+_MANY = 6
+"""Rows of a derivative from which it is looked for those that are zero"""
 
 
 def through(outer: Array, inner: Array) -> Array:
     """Return the product of derivatives reading by reading: (a, b, n), (b, c, n) -> (a, c, n)."""
     n = outer.shape[-1] if inner.shape[-1] == 1 else inner.shape[-1]
+    if len(inner) > _MANY:
+        # an effect on one axis changes few of the errors of all axes
+        used = np.flatnonzero(inner.any(axis=(1, 2)))
+        outer, inner = outer[:, used], inner[used]
+        if not len(used):
+            return np.zeros((len(outer), inner.shape[1], n))
     product = np.empty((outer.shape[0], inner.shape[1], n))
     for a, row in enumerate(outer):
         for c in range(inner.shape[1]):
@@ -171,7 +181,7 @@ class Chain:
 
     def steps(self, blocks: Mapping[str, Block], observations: Observations, wanted: frozenset[str]) -> list[Step]:
         """Evaluate the chain from first to last link and return the step of each."""
-        local = Local(blocks, observations, wanted)
+        local = LinkContext(blocks, observations, wanted)
         value = np.zeros((0, observations.count))
         steps = []
         for link in self.links:
@@ -224,7 +234,7 @@ class Varied:
         """Blocks of the link and of the effect."""
         return tuple(dict.fromkeys((*self.link.blocks, *self.effect.blocks)))
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the link's step at the changed parameters; derivatives by the block pass through the effect."""
         shape = (local.blocks[self.block].size, local.observations.count)
         changed = self.effect.step(np.array(np.broadcast_to(local.rows(self.block), shape)), local)
@@ -238,7 +248,7 @@ class Varied:
             by_block[self.block] = outer if changed.by_input is None else through(outer, changed.by_input)
         return replace(step, by_block={name: part for name, part in by_block.items() if name in local.wanted})
 
-    def _seen(self, values: Array, local: Local) -> Local:
+    def _seen(self, values: Array, local: LinkContext) -> LinkContext:
         """Return the surroundings of the link: one member of the block for each reading.
 
         All columns of the block have derivatives if those of the effect are wanted: they are needed for the chain rule.
@@ -252,7 +262,7 @@ class Varied:
         each = replace(block, values=values.T, members=members, free=np.asarray(used))
         index = {**observations.index, self.block: np.arange(n)}
         # each reading now has its own member; in a lattice the other blocks stay as they are
-        return Local({**local.blocks, self.block: each}, replace(observations, index=index), wanted)
+        return LinkContext({**local.blocks, self.block: each}, replace(observations, index=index), wanted)
 
 
 def _put(links: tuple[Link, ...], effect: Link) -> tuple[Link, ...] | None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block, Space
-from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.chain import Chain, LinkContext, Step
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array, Index, Mask
@@ -27,7 +27,7 @@ class Touch:
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearGroup:
     """A group linearised: residuals `reading - predicted` and derivatives of the prediction, both whitened."""
 
     residual: Array
@@ -50,13 +50,13 @@ class Group:
     weights: Array | None = None
     """Factors (n,) on the weights 1/sigma^2 of the readings, for robust starts; None means 1"""
 
-    def linear(self, blocks: Mapping[str, Block], wanted: frozenset[str]) -> Linear:
+    def linear(self, blocks: Mapping[str, Block], wanted: frozenset[str]) -> LinearGroup:
         """Return the group linearised at the blocks' values, with derivatives by the wanted blocks."""
         observations = self.observations
         wanted = wanted.intersection(self.chain.blocks)
         steps = self.chain.steps(blocks, observations, wanted)
         residual = self._weighted(observations.whitened(observations.readings - steps[-1].value))
-        local = Local(blocks, observations, wanted)
+        local = LinkContext(blocks, observations, wanted)
         touches = []
         for name, jacobian in self.chain.derivatives(steps, wanted).items():
             slots = jacobian if jacobian.ndim == 4 else jacobian[None]
@@ -64,7 +64,7 @@ class Group:
             for slot, members in zip(slots, index, strict=True):
                 whitened = self._weighted(observations.whitened(slot))
                 touches.append(Touch(name, members, np.broadcast_to(whitened, (*slot.shape[:2], observations.count))))
-        return Linear(residual, tuple(touches))
+        return LinearGroup(residual, tuple(touches))
 
     def residuals(self, blocks: Mapping[str, Block]) -> Array:
         """Return `reading - predicted` in the unit of the reading, (d, n)."""
@@ -111,7 +111,7 @@ class ReadBlock(OfBlock):
         members, columns = np.meshgrid(np.unique(index), self.columns, indexing="ij")
         return members.ravel(), columns.ravel()
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the differences (columns, n) and their derivatives by a step of the block."""
         values = local.members(self.block)
         difference = self.space.difference(values, self.reference)[:, self.columns]
@@ -176,7 +176,7 @@ class ReadEntries(OfBlock):
         """Return members and columns of the entries that readings with an index read."""
         return index[self.slots, 0], self.columns
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the differences (k, 1) and their derivatives by each member, (m, k, size, 1)."""
         chosen = local.index(self.block)[:, 0]
         k = len(self.slots)
@@ -224,7 +224,7 @@ class ReadBlocks:
         """The blocks that it reads."""
         return tuple(part.block for part in self.parts)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the differences of all parts, one after the other, (sum of columns, n), and their derivatives."""
         steps = [part.step(value, local) for part in self.parts]
         sizes = [len(step.value) for step in steps]

@@ -149,7 +149,9 @@ class Observations:
 
     def followed_by(self, others: Observations) -> Observations:
         """Return these readings followed by others of the same kind."""
-        covariances = [one.covariance for one in (self, others) if one.covariance is not None]
+        covariances = [
+            observations.covariance for observations in (self, others) if observations.covariance is not None
+        ]
         return replace(
             self,
             covariance=np.concatenate(covariances, axis=2) if covariances else None,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.groups import Linear, Touch
+from metrocli.adjust.model.groups import LinearGroup, Touch
 from metrocli.adjust.schur.layout import Layout
 from metrocli.arrays import Array, Index, Mask
 
@@ -139,9 +139,9 @@ class NormalSums:
         shapes = ((members, size, size), (members, size, width), (members, size), (width, width), (width,))
         return NormalSums(*(np.zeros(shape) for shape in shapes))
 
-    def add(self, linear: Linear, blocks: Mapping[str, Block], layout: Layout) -> None:
+    def add(self, linear: LinearGroup, blocks: Mapping[str, Block], layout: Layout) -> None:
         """Add the readings of a group."""
-        _add(self, _Parts.of(linear, blocks, layout))
+        _add(self, _SortedDerivatives.of(linear, blocks, layout))
 
     def normals(self, free: Mask) -> IrregularNormals:
         """Return the normal equations, with 1 on the diagonal of fixed entries."""
@@ -151,7 +151,7 @@ class NormalSums:
 
 
 @dataclass(frozen=True)
-class _Parts:
+class _SortedDerivatives:
     """Derivatives of a group, sorted by the sums that they enter."""
 
     index_e: Index | None
@@ -164,7 +164,7 @@ class _Parts:
     """Derivatives by other blocks of many members, with their reduced columns (members, size)"""
 
     @staticmethod
-    def of(linear: Linear, blocks: Mapping[str, Block], layout: Layout) -> _Parts:
+    def of(linear: LinearGroup, blocks: Mapping[str, Block], layout: Layout) -> _SortedDerivatives:
         index_e, size_e, several = None, 0, []
         dense: list[Array] = []
         places: list[Index] = []
@@ -181,7 +181,9 @@ class _Parts:
             else:
                 several.append((touch, layout.columns[touch.block]))
         stacked = np.concatenate([*dense, linear.residual[:, None, :]], axis=1)
-        return _Parts(index_e, stacked, size_e, np.concatenate([*places, np.zeros(0, dtype=np.intp)]), tuple(several))
+        return _SortedDerivatives(
+            index_e, stacked, size_e, np.concatenate([*places, np.zeros(0, dtype=np.intp)]), tuple(several)
+        )
 
     def members(self) -> tuple[int, slice]:
         """Return the first of the eliminated members that these readings use, and all from it to the last."""
@@ -190,7 +192,7 @@ class _Parts:
         return first, slice(first, last + 1)
 
 
-def _add(sums: NormalSums, parts: _Parts) -> None:
+def _add(sums: NormalSums, parts: _SortedDerivatives) -> None:
     s, places = parts.size_e, parts.places
     d, c, n = parts.dense.shape
     if not n:
@@ -237,7 +239,7 @@ def grams(rows: Array, index: Index, members: int) -> Array:
     return sums
 
 
-def _add_several(sums: NormalSums, parts: _Parts, rows: Array) -> None:
+def _add_several(sums: NormalSums, parts: _SortedDerivatives, rows: Array) -> None:
     n, d, _ = rows.shape
     s, width = parts.size_e, len(sums.n)
     values, columns = [], []

@@ -15,7 +15,7 @@ import numpy as np
 
 from metrocli.adjust.datum import Frame
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.schur.normals import Part
+from metrocli.adjust.schur.normals import EliminatedMembers
 from metrocli.adjust.schur.tiles import Tile
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
@@ -37,11 +37,11 @@ class Gauge:
         moves = self.frame.moves[self.block.name].at(self.block.values, members)
         return moves if self.block.all_free else np.asarray(moves * self.block.free[members, :, None])
 
-    def share_of(self, part: Part) -> Array:
+    def share_of(self, part: EliminatedMembers) -> Array:
         """Return `D^-1 H'` for the members of a part: the covariance of their own noise with h, (k, s, f)."""
         return part.solved(self.frame.constraint(part.members))
 
-    def shared(self, part: Part) -> Array:
+    def shared(self, part: EliminatedMembers) -> Array:
         """Return `-D^-1 H' E' - E H D^-1` for the members of a part, (k, s, s)."""
         moved = np.einsum("nsf,ntf->stn", self.frame.constraint(part.members), self.moves_of(part.members))
         # the sign follows from `e' = n - W r'` and `cov(n, r') = -D^-1 H' E_r'`, with `W E_r = -E`
@@ -65,7 +65,7 @@ class MemberCovariance:
 
     shape: tuple[int, int]
     """(members, s)"""
-    parts: tuple[Part, ...]
+    parts: tuple[EliminatedMembers, ...]
     tiles: tuple[Tile, ...]
     """The readings of each part that is a tile"""
     reduced: Array
@@ -143,11 +143,11 @@ class MemberCovariance:
             readings.append(explained)
         return covariances, readings
 
-    def _collected(self, found: Sequence[Array]) -> Array:
+    def _collected(self, collected: Sequence[Array]) -> Array:
         """Return values found for each part in the order of the members."""
         if not self.shape[1]:
             return np.zeros((0, 0, 0))
-        full = np.empty((self.shape[0], *found[0].shape[1:]))
-        for part, values in zip(self.parts, found, strict=True):
+        full = np.empty((self.shape[0], *collected[0].shape[1:]))
+        for part, values in zip(self.parts, collected, strict=True):
             full[part.members] = values
         return full

@@ -17,21 +17,21 @@ import numpy as np
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.schur.irregular_normals import NormalSums
 from metrocli.adjust.schur.layout import Layout
-from metrocli.adjust.schur.tile_rows import Rows
+from metrocli.adjust.schur.tile_rows import TileRows
 from metrocli.adjust.schur.tiled_elimination import EliminatedTile
 from metrocli.adjust.schur.tiles import Tiling
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 
 
-class Part(Protocol):
+class EliminatedMembers(Protocol):
     """Some members of the eliminated block with the elimination of their unknowns."""
 
     @property
     def members(self) -> Index | slice:
         """Numbers of the members, (k,)"""
 
-    def damped(self, factor: float) -> Part:
+    def damped(self, factor: float) -> EliminatedMembers:
         """Return the same with the diagonal of D multiplied by `1 + factor` (Marquardt)."""
 
     @property
@@ -83,7 +83,7 @@ class Part(Protocol):
 class Normals:
     """The parts of the normal matrix and of the right side `J' r`, all in whitened readings."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[EliminatedMembers, ...]
     """The tiles, then the other readings"""
     shape: tuple[int, int]
     """Shape of the eliminated block, (members, s)"""
@@ -140,13 +140,13 @@ def assemble(tiling: Tiling, blocks: Mapping[str, Block], layout: Layout) -> Nor
         linear = chunk.group.linear(blocks, layout.wanted)
         cost += linear.cost
         sums.add(linear, blocks, layout)
-    parts: list[Part] = []
+    parts: list[EliminatedMembers] = []
     for tile in tiling.tiles:
         linears = [piece.group.linear(blocks, layout.wanted) for piece in tile.pieces]
         cost += sum(linear.cost for linear in linears)
         if not np.isfinite(cost):
             break
-        rows = [Rows.of(linear, tile.members, blocks, layout) for linear in linears]
+        rows = [TileRows.of(linear, tile.members, blocks, layout) for linear in linears]
         part = EliminatedTile(tile.members, blocks[name or ""].free[tile.members], rows, layout.width)
         with suppress(np.linalg.LinAlgError):  # raised again on use; computed now while the rows are cached
             _ = part.reduced

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.groups import Linear
+from metrocli.adjust.model.groups import LinearGroup
 from metrocli.adjust.schur.layout import Layout
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
@@ -30,7 +30,7 @@ class OtherBlock:
 
 
 @dataclass(frozen=True)
-class Rows:
+class TileRows:
     """The linearised, whitened readings of one group in a tile: m readings of d components for each of k members."""
 
     own: Array
@@ -41,7 +41,7 @@ class Rows:
     """Derivatives by the other blocks (K)"""
 
     @staticmethod
-    def of(linear: Linear, members: Index | slice, blocks: Mapping[str, Block], layout: Layout) -> Rows:
+    def of(linear: LinearGroup, members: Index | slice, blocks: Mapping[str, Block], layout: Layout) -> TileRows:
         """Return the rows of `members` of the eliminated block, from a group linearised in the order of a lattice."""
         d, k = len(linear.residual), len(blocks[layout.eliminated or ""].free[members])
         beside: list[OtherBlock] = []
@@ -54,7 +54,7 @@ class Rows:
             else:
                 places = layout.columns[touch.block]
                 beside.append(OtherBlock(jacobian, places[touch.index]))
-        return Rows(own, linear.residual.reshape(d, -1, k), tuple(beside))
+        return TileRows(own, linear.residual.reshape(d, -1, k), tuple(beside))
 
 
 def flattened(rows: Array) -> Array:
@@ -99,18 +99,18 @@ def by_slot(jacobian: Array, slots: int) -> Array:
     return jacobian.transpose(1, 0, 2, 3).reshape(1, size, d * m * k)
 
 
-def add_products(part: Rows, matrix: Array, right: Array) -> None:
+def add_products(part: TileRows, matrix: Array, right: Array) -> None:
     """Add `K'K` and `K' residual` of one group."""
-    for i, one in enumerate(part.beside):
-        first, residual = (by_slot(x, len(one.places)) for x in (one.jacobian, part.residual[:, None]))
-        np.add.at(right, one.places, (first @ residual.swapaxes(1, 2))[:, :, 0])
+    for i, block in enumerate(part.beside):
+        first, residual = (by_slot(x, len(block.places)) for x in (block.jacobian, part.residual[:, None]))
+        np.add.at(right, block.places, (first @ residual.swapaxes(1, 2))[:, :, 0])
         for other in part.beside[: i + 1]:
-            slots = max(len(one.places), len(other.places))
-            left = by_slot(one.jacobian, slots)
-            gram = left @ (left if other is one else by_slot(other.jacobian, slots)).swapaxes(1, 2)
-            np.add.at(matrix, (one.places[:, :, None], other.places[:, None, :]), gram)
-            if other is not one:
-                np.add.at(matrix, (other.places[:, :, None], one.places[:, None, :]), gram.swapaxes(1, 2))
+            slots = max(len(block.places), len(other.places))
+            left = by_slot(block.jacobian, slots)
+            gram = left @ (left if other is block else by_slot(other.jacobian, slots)).swapaxes(1, 2)
+            np.add.at(matrix, (block.places[:, :, None], other.places[:, None, :]), gram)
+            if other is not block:
+                np.add.at(matrix, (other.places[:, :, None], block.places[:, None, :]), gram.swapaxes(1, 2))
 
 
 def adjusted_variance(first: OtherBlock, second: OtherBlock, reduced: Array) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 
 from metrocli.adjust.schur.batched_cholesky import backward, cholesky, complement, forward
 from metrocli.adjust.schur.tile_rows import (
-    Rows,
+    TileRows,
     add_products,
     adjusted_variance,
     flattened,
@@ -30,7 +30,7 @@ class EliminatedTile:
     """A tile with its members eliminated."""
 
     def __init__(
-        self, members: Index | slice, free: Mask, rows: Sequence[Rows], width: int, damping: float = 0
+        self, members: Index | slice, free: Mask, rows: Sequence[TileRows], width: int, damping: float = 0
     ) -> None:
         self.members, self.free, self.rows, self.width, self.damping = members, free.T, tuple(rows), width, damping
         self.right = np.zeros(self.free.shape)
@@ -70,7 +70,7 @@ class EliminatedTile:
         """Return `L'^-1 right`, (s, ..., k)."""
         return backward(self.factor, right)
 
-    def whitened(self, part: Rows) -> Array:
+    def whitened(self, part: TileRows) -> Array:
         """Return `U = L^-1 J'` of the readings of one group, (s, d, m, k)."""
         return self.forward(np.moveaxis(part.own, 1, 0))
 
@@ -227,7 +227,7 @@ class EliminatedTile:
         coupled = self._combined(len(self.free), own)
         product, between = shared(coupled, reduced)
         explained = self._left(reduced) if self._few else self._explained(own, product, between, with_zeros(reduced))
-        return self._covariance(between), tuple(one.reshape(len(one), -1) for one in explained)
+        return self._covariance(between), tuple(part.reshape(len(part), -1) for part in explained)
 
     def with_readings(self, reduced: Array, chosen: Sequence[int]) -> list[Array]:
         """Return the covariance of the members with the adjusted readings of chosen groups, each (s, d, m, k).

@@ -18,7 +18,7 @@ from metrocli.frozen import dataclass
 
 
 @dataclass(frozen=True)
-class _Columns:
+class _FrontColumns:
     """Columns of the factor that belong to one front: [[diagonal, 0], [below, ...]]."""
 
     diagonal: Array
@@ -32,7 +32,7 @@ class SparseCholesky:
     """The factor L of `A = L L'`."""
 
     fronts: Sequence[Front]
-    columns: Sequence[_Columns]
+    columns: Sequence[_FrontColumns]
 
     def forward(self, right: Array) -> Array:
         """Return `L^-1 right`, (n,) or (n, k), with the rows in the order of A."""
@@ -85,7 +85,7 @@ def factor(matrix: Sparse, fronts: Sequence[Front]) -> SparseCholesky:
     from scipy.linalg import blas, lapack
 
     half, place = _half(matrix, fronts), np.empty(matrix.shape[0], dtype=np.intp)
-    columns: list[_Columns] = []
+    columns: list[_FrontColumns] = []
     updates: dict[int, Array] = {}
     for i, front in enumerate(fronts):
         p, b = len(front.pivots), len(front.border)
@@ -102,7 +102,7 @@ def factor(matrix: Sparse, fronts: Sequence[Front]) -> SparseCholesky:
         if b:
             below = blas.dtrsm(1.0, diagonal, below, side=1, lower=1, trans_a=1, overwrite_b=1)
             updates[i] = blas.dsyrk(-1.0, below, beta=1.0, c=whole.rest, lower=1, overwrite_c=1)
-        columns.append(_Columns(diagonal, below))
+        columns.append(_FrontColumns(diagonal, below))
     return SparseCholesky(fronts, columns)
 
 
@@ -145,7 +145,7 @@ class _Square:
         return known
 
 
-def _inverse(part: _Columns, rest: Array) -> _Square:
+def _inverse(part: _FrontColumns, rest: Array) -> _Square:
     """Return the inverse at the unknowns of a front, from that at its border `rest`.
 
     With `G = below diagonal^-1` these are `cross = -rest G` and `own = (diagonal diagonal')^-1 - G' cross` (Takahashi).

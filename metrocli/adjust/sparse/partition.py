@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.groups import Group, Linear
+from metrocli.adjust.model.groups import Group, LinearGroup
 from metrocli.adjust.sparse.nested_dissection import Sparse
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
@@ -63,7 +63,7 @@ def _joined(block: Block, groups: Sequence[Group]) -> Mask:
     return joined
 
 
-def gradient(linears: Sequence[Linear], parts: Partition) -> Array:
+def gradient(linears: Sequence[LinearGroup], parts: Partition) -> Array:
     """Return the gradient `J' residual` at the present values."""
     total = np.zeros(parts.width)
     for linear in linears:
@@ -75,7 +75,7 @@ def gradient(linears: Sequence[Linear], parts: Partition) -> Array:
     return total
 
 
-def jacobian(linears: Sequence[Linear], parts: Partition) -> Sparse:
+def jacobian(linears: Sequence[LinearGroup], parts: Partition) -> Sparse:
     """Return the sparse Jacobian of all groups, one below the other."""
     from scipy.sparse import csr_array, vstack
 

@@ -9,10 +9,10 @@ from metrocli import units
 from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis import status
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
+from metrocli.diagnosis.detectability import Detectability, DetectableCandidate, WrongReading
 from metrocli.diagnosis.evidence.identified import IdentifiedEffect
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.hidden_change import HiddenChange
+from metrocli.diagnosis.hidden_change import UndetectedBias
 from metrocli.diagnosis.power.average_power import ScatterCandidate
 from metrocli.effects.effect import Parameter
 from metrocli.words import listed
@@ -24,7 +24,7 @@ _SEEN = {True: "seen", "part": "seen in part", False: "not seen", None: ""}
 
 def candidate_lines(
     adjusted: AdjustedJob,
-    design: Design,
+    design: Detectability,
     named: Sequence[IdentifiedEffect] | None,
     scattered: Sequence[str] = (),
     decided: bool = True,
@@ -34,60 +34,73 @@ def candidate_lines(
     Without `named` nothing was looked for yet: what residuals would exclude is `detectable`. `scattered` are the
     effects that are named at all places; `decided` is whether the search came to its end.
     """
-    rows: dict[tuple[str, str], list[Candidate]] = {}
+    rows: dict[tuple[str, str], list[DetectableCandidate]] = {}
     for candidate in design.candidates:
         word = str(status.status(candidate, named or (), decided))
         word = "detectable" if named is None and word == status.Status.EXCLUDED else word
         rows.setdefault((candidate.alternative.effect.form, word), []).append(candidate)
-    lines = [_line(adjusted, design, name, word, found) for (name, word), found in rows.items()]
-    lines += [_of_scatter(adjusted, one, named is None, scattered) for one in design.scatters]
-    lines += [_of_readings(adjusted, one, named is None) for one in design.readings]
+    lines = [_line(adjusted, design, name, word, candidates) for (name, word), candidates in rows.items()]
+    lines += [_of_scatter(adjusted, scatter, named is None, scattered) for scatter in design.scatters]
+    lines += [_of_readings(adjusted, reading, named is None) for reading in design.readings]
     lines += [
-        (one.effect.form, " ".join(one.where.values()), str(status.Status.NOT_TESTED), "", "", one.reason)
-        for one in design.not_tested
+        (
+            untested.effect.form,
+            " ".join(untested.where.values()),
+            str(status.Status.NOT_TESTED),
+            "",
+            "",
+            untested.reason,
+        )
+        for untested in design.not_tested
     ]
     return text_table(_HEAD, lines)
 
 
 def count_of_candidates(diagnosis: Diagnosis) -> str:
     """Return how many candidates have each status, which the full report lists."""
-    named = [one.effect for one in diagnosis.findings]
-    scattered = [one.effect.name for one in diagnosis.scatters]
+    named = [finding.effect for finding in diagnosis.findings]
+    scattered = [scatter.effect.name for scatter in diagnosis.scatters]
     decided = not diagnosis.ended_early
-    words = [status.status(one, named, decided) for one in diagnosis.design.candidates]
-    words += [status.status_of_scatter(one, scattered) for one in diagnosis.design.scatters]
+    words = [status.status(candidate, named, decided) for candidate in diagnosis.design.candidates]
+    words += [status.status_of_scatter(scatter, scattered) for scatter in diagnosis.design.scatters]
     words += [status.Status.NOT_TESTED for _ in diagnosis.design.not_tested]
     counts = ", ".join(f"{count} {word}" for word, count in Counter(words).items())
     return f"candidates: {counts}; `--full` lists them with what each could hide" if counts else "no candidates"
 
 
-def _line(adjusted: AdjustedJob, design: Design, name: str, word: str, found: Sequence[Candidate]) -> tuple[str, ...]:
-    places = ["/".join(one.alternative.instance) for one in found if one.alternative.instance]
+def _line(
+    adjusted: AdjustedJob, design: Detectability, name: str, word: str, candidates: Sequence[DetectableCandidate]
+) -> tuple[str, ...]:
+    places = ["/".join(candidate.alternative.instance) for candidate in candidates if candidate.alternative.instance]
     where = listed(places, _SHOWN)
-    effect = found[0].alternative.effect
+    effect = candidates[0].alternative.effect
     excluded = word == status.Status.EXCLUDED
-    sizes = [status.excluded_above(one) if excluded else one.detectable for one in found if one.testable]
+    sizes = [
+        status.excluded_above(candidate) if excluded else candidate.detectable
+        for candidate in candidates
+        if candidate.testable
+    ]
     why = ""
     if word == status.Status.NOT_TESTABLE:
-        why = f"absorbed by {', '.join(found[0].absorbed_by)}; {_off(found)}"
-    elif word == status.Status.CANNOT_SEE and any(one.missed for one in found):
-        sizes, why = [], status.reason(next(one for one in found if one.missed), word)
-    elif word == status.Status.CANNOT_SEE and any(map(status.is_swallowed, found)):
-        sizes, why = [], status.reason(next(filter(status.is_swallowed, found)), word, design.structure)
+        why = f"absorbed by {', '.join(candidates[0].absorbed_by)}; {_off(candidates)}"
+    elif word == status.Status.CANNOT_SEE and any(candidate.missed for candidate in candidates):
+        sizes, why = [], status.reason(next(candidate for candidate in candidates if candidate.missed), word)
+    elif word == status.Status.CANNOT_SEE and any(map(status.is_swallowed, candidates)):
+        sizes, why = [], status.reason(next(filter(status.is_swallowed, candidates)), word, design.structure)
     elif word == status.Status.CANNOT_SEE:
-        why = _off(found)
+        why = _off(candidates)
     elif word == status.Status.NOT_DECIDED:
-        sizes, why = [], status.reason(found[0], word)
-    seen = {status.usual_seen(one) for one in found}
-    beside = status.usual_beside(effect, min(sizes, default=found[0].plausible))
+        sizes, why = [], status.reason(candidates[0], word)
+    seen = {status.usual_seen(candidate) for candidate in candidates}
+    beside = status.usual_beside(effect, min(sizes, default=candidates[0].plausible))
     usual = f"{beside}: {_SEEN[seen.pop() if len(seen) == 1 else 'part']}" if beside else ""
-    most = max((one.hides for one in found), key=lambda hidden: hidden.size)
+    most = max((candidate.undetected for candidate in candidates), key=lambda hidden: hidden.size)
     return name, where, _status(word, sizes, effect.parameters[0]), usual, _hidden(adjusted, most), why
 
 
-def _off(found: Sequence[Candidate]) -> str:
+def _off(candidates: Sequence[DetectableCandidate]) -> str:
     """Return the size of the effect for which its largest change of the result holds."""
-    most = max(found, key=lambda one: one.hides.size)
+    most = max(candidates, key=lambda candidate: candidate.undetected.size)
     return f"off by this if its size is {most.alternative.effect.parameters[0].sized(most.assumed)}"
 
 
@@ -100,15 +113,22 @@ def _status(word: str, sizes: Sequence[float], parameter: Parameter) -> str:
 
 
 def _of_scatter(
-    adjusted: AdjustedJob, one: ScatterCandidate, open_yet: bool, scattered: Sequence[str]
+    adjusted: AdjustedJob, scatter: ScatterCandidate, open_yet: bool, scattered: Sequence[str]
 ) -> tuple[str, ...]:
-    word = str(status.status_of_scatter(one, scattered))
-    if not one.testable:
-        return one.effect.name, "everywhere", word, "", "", one.reason
+    word = str(status.status_of_scatter(scatter, scattered))
+    if not scatter.testable:
+        return scatter.effect.name, "everywhere", word, "", "", scatter.reason
     word = "detectable" if open_yet and word == status.Status.EXCLUDED else word
-    usual = status.usual_beside(one.effect, one.detectable)
-    said = _status(word, [one.detectable], one.effect.parameters[0])
-    return one.effect.name, "everywhere", said, usual, _hidden(adjusted, one.hides), "sizes are standard deviations"
+    usual = status.usual_beside(scatter.effect, scatter.detectable)
+    message = _status(word, [scatter.detectable], scatter.effect.parameters[0])
+    return (
+        scatter.effect.name,
+        "everywhere",
+        message,
+        usual,
+        _hidden(adjusted, scatter.undetected),
+        "sizes are standard deviations",
+    )
 
 
 def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool) -> tuple[str, ...]:
@@ -118,10 +138,10 @@ def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool) -> 
     word = _status("detectable" if open_yet else status.Status.EXCLUDED, wrong.between, wrong.effect.parameters[0])
     why = "larger ones are listed as wrong readings"
     why += f"; {wrong.unchecked} readings are checked by no other" if wrong.unchecked else ""
-    return name, "one reading", word, "", _hidden(adjusted, wrong.hides), why
+    return name, "one reading", word, "", _hidden(adjusted, wrong.undetected), why
 
 
-def _hidden(adjusted: AdjustedJob, hidden: HiddenChange) -> str:
+def _hidden(adjusted: AdjustedJob, hidden: UndetectedBias) -> str:
     place = f" at {hidden.member}" if hidden.member else ""
     return f"{units.sized(hidden.size, adjusted.delivered.dimension)}{place}"
 

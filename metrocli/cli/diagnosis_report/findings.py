@@ -13,10 +13,10 @@ from metrocli.cli.diagnosis_report.headline import LEAST_REDUCTION, headline, sm
 from metrocli.cli.diagnosis_report.laws import law_lines
 from metrocli.cli.diagnosis_report.noise import noise_lines
 from metrocli.cli.diagnosis_report.text_table import text_table
-from metrocli.diagnosis.adjusted_job import AdjustedJob, Part
-from metrocli.diagnosis.detectability import Design
+from metrocli.diagnosis.adjusted_job import AdjustedJob, MemberSubset
+from metrocli.diagnosis.detectability import Detectability
 from metrocli.diagnosis.evidence.gain import Gain
-from metrocli.diagnosis.extended_fit import Size
+from metrocli.diagnosis.extended_fit import EffectSize
 from metrocli.diagnosis.findings import Diagnosis, Finding, RandomEffect
 from metrocli.diagnosis.job_entries import proposed_noise
 from metrocli.diagnosis.laws.search import Law
@@ -40,7 +40,9 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
     if findings or diagnosis.scatters:
         together = [_together(diagnosis.together, job)] if diagnosis.together is not None else []
         identified = diagnosis.identified
-        rows = [_row(one, job) if isinstance(one, Finding) else _row_of_scatter(one, job) for one in identified]
+        rows = [
+            _row(effect, job) if isinstance(effect, Finding) else _row_of_scatter(effect, job) for effect in identified
+        ]
         parts.append(text_table(_HEAD, [*rows, *together]))
     if diagnosis.outliers:
         parts.append(list(_wrong(diagnosis.outliers)))
@@ -48,10 +50,12 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
         parts.append([*_structure(diagnosis), *_processes(diagnosis), *noise_lines(diagnosis)])
     if diagnosis.laws:
         parts.append(list(law_lines(diagnosis, None if extended is None else extended.law)))
-    parts += [list(_about_scatter(one)) for one in diagnosis.scatters]
+    parts += [list(_about_scatter(scatter)) for scatter in diagnosis.scatters]
     parts += [list(_about(finding)) for finding in findings[:_DESCRIBED]]
     if diagnosis.unconfirmed:
-        lost = ", ".join(f"{one.name} (log score {one.log_score:+.1f})" for one in diagnosis.unconfirmed)
+        lost = ", ".join(
+            f"{unconfirmed.name} (log score {unconfirmed.log_score:+.1f})" for unconfirmed in diagnosis.unconfirmed
+        )
         parts.append([f"not confirmed by held-out readings, and not in the model: {lost}"])
     if diagnosis.separate_by:
         parts.append(["to distinguish them, measure:", *(f"  {words}" for words in diagnosis.separate_by)])
@@ -75,9 +79,11 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
     if diagnosis.quick:
         parts.append(["This is the first answer: what explains most. Without `--quick` the search goes on."])
     elif full:
-        scattered = [one.effect.name for one in diagnosis.scatters]
+        scattered = [scatter.effect.name for scatter in diagnosis.scatters]
         decided = not diagnosis.ended_early
-        parts.append(candidate_lines(job, diagnosis.design, [one.effect for one in findings], scattered, decided))
+        parts.append(
+            candidate_lines(job, diagnosis.design, [finding.effect for finding in findings], scattered, decided)
+        )
     else:
         parts.append([count_of_candidates(diagnosis)])
     return "\n\n".join("\n".join(lines) for lines in parts)
@@ -85,11 +91,11 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Extended | None, full: bool = F
 
 def _early(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield what a search that ended early may not have done: smooth errors are raced after the names."""
-    if diagnosis.findings and not diagnosis.processes:
+    if diagnosis.findings and not diagnosis.correlated_errors:
         yield "The names may not have been held against smooth random errors yet: some may be chance."
 
 
-def _of_part(part: Part) -> str:
+def _of_part(part: MemberSubset) -> str:
     """Return in words that a part of a measurement is diagnosed."""
     return (
         f"The diagnosis is that of {part}, drawn evenly, with all their readings: more take more memory than there is. "
@@ -108,7 +114,7 @@ def _extension(diagnosis: Diagnosis, law: Law | None) -> str:
     return f"the job extended by {' and '.join(added)}{shared}, and diagnose it again"
 
 
-def of_design(adjusted: AdjustedJob, design: Design) -> str:
+def of_design(adjusted: AdjustedJob, design: Detectability) -> str:
     """Return the report of what a measurement can detect."""
     lines = ["what this measurement can detect (80 % power, counting everything that is tried):", ""]
     lines = [*([_of_part(adjusted.part), ""] if adjusted.part else []), *lines]
@@ -131,7 +137,7 @@ def _mistake(diagnosis: Diagnosis) -> Iterator[str]:
         alike = " in one of these ways, which the readings do not distinguish" if mistakes[1:] else ""
         what = "file" if mistakes[0].file else "file or setting"
         yield f"A {what} of this job is wrong{alike}:"
-        yield from (f"  {one}" for one in mistakes[:_SHOWN])
+        yield from (f"  {mistake}" for mistake in mistakes[:_SHOWN])
         yield f"write: {mistakes[0].write}" + (", if it is the first" if mistakes[1:] else "")
         mended = diagnosis.mistaken.after < diagnosis.mistaken.before
         yield f"All that follows is for the {'corrected job' if mended else 'job as it stands'}."
@@ -140,19 +146,20 @@ def _mistake(diagnosis: Diagnosis) -> Iterator[str]:
 def _wrong(outliers: tuple[Outlier, ...]) -> Iterator[str]:
     """Yield the table of wrong readings, each with those that are as likely to be the wrong one."""
     rows = [
-        ("/".join(one.keys.values()), f"{one.test:.1f} sigma", _others(one)) for one in outliers[: _SHOWN * _DESCRIBED]
+        ("/".join(outlier.keys.values()), f"{outlier.test:.1f} sigma", _others(outlier))
+        for outlier in outliers[: _SHOWN * _DESCRIBED]
     ]
     yield from text_table(("wrong reading", "error", "or instead"), rows)
     if len(outliers) > len(rows):
         yield f"... {len(outliers) - len(rows)} more"
-    if all(one.others for one in outliers):
+    if all(outlier.others for outlier in outliers):
         yield "These readings do not show which one is wrong: measure them again."
     else:
         yield "`outliers: remove` leaves wrong readings out; or measure them again."
 
 
-def _others(one: Outlier) -> str:
-    return listed([*map(str, one.effects), *("/".join(keys.values()) for keys in one.others)], _SHOWN)
+def _others(outlier: Outlier) -> str:
+    return listed([*map(str, outlier.effects), *("/".join(keys.values()) for keys in outlier.others)], _SHOWN)
 
 
 def _structure(diagnosis: Diagnosis) -> Iterator[str]:
@@ -177,12 +184,12 @@ def _included(diagnosis: Diagnosis) -> str:
 
 
 def _processes(diagnosis: Diagnosis) -> Iterator[str]:
-    for one in diagnosis.processes:
-        size, chance = one.sized(diagnosis.job.reading[1]), _chance(float(np.exp(one.log_level)))
-        yield f"{smooth(one)}: {size} (standard deviation, {chance})"
-        if one.instead_of:
-            yield f"  Without it these would be named: {listed([str(each) for each in one.instead_of], _SHOWN)}."
-    if diagnosis.processes:
+    for error in diagnosis.correlated_errors:
+        size, chance = error.sized(diagnosis.job.reading[1]), _chance(float(np.exp(error.log_level)))
+        yield f"{smooth(error)}: {size} (standard deviation, {chance})"
+        if error.instead_of:
+            yield f"  Without it these would be named: {listed([str(each) for each in error.instead_of], _SHOWN)}."
+    if diagnosis.correlated_errors:
         counted = "the named effects and detectable sizes hold" if diagnosis.findings else "detectable sizes hold"
         yield f"  Chance explains it as well as any cause. It counts as noise: {counted} beside it."
         if diagnosis.left is None:
@@ -197,7 +204,7 @@ def _about(finding: Finding) -> Iterator[str]:
         forms = ", ".join(f"`by: {form.alternative.effect.by}` (odds {form.odds:.2g})" for form in name.forms)
         yield f"  its size is that of `by: {name.alternative.effect.by}`; {forms} fits as well"
     for key, value, odds in name.aliases:
-        scanned = next(one for one in name.alternative.effect.scanned if one.name == key)
+        scanned = next(parameter for parameter in name.alternative.effect.scanned if parameter.name == key)
         yield f"  {key} {value:.6g} {scanned.unit} fits as well (odds {odds:.2g}): the readings are spaced too evenly"
     if name.held:
         yield f"  not determined separately, taken as 0: {', '.join(name.held)}"
@@ -210,23 +217,23 @@ def _about(finding: Finding) -> Iterator[str]:
     yield f"  not excluded: an unlisted cause{checked}"
 
 
-def _about_scatter(one: RandomEffect) -> Iterator[str]:
-    effect = one.effect
-    places = "" if effect.is_smooth else f" ({one.places})"
+def _about_scatter(scatter: RandomEffect) -> Iterator[str]:
+    effect = scatter.effect
+    places = "" if effect.is_smooth else f" ({scatter.places})"
     yield f"{effect.name} {effect.everywhere}{places}: {effect.of_all or effect.cause}"
 
 
-def _row_of_scatter(one: RandomEffect, adjusted: AdjustedJob) -> tuple[str, ...]:
-    effect = one.effect
-    std = Size(effect.common or effect.parameters[0], one.std, one.spread)
+def _row_of_scatter(scatter: RandomEffect, adjusted: AdjustedJob) -> tuple[str, ...]:
+    effect = scatter.effect
+    std = EffectSize(effect.common or effect.parameters[0], scatter.std, scatter.spread)
     return (
         f"{effect.name} {effect.everywhere}",
         _parameter(std),
-        _chance(float(np.exp(one.log_level))),
-        ", ".join(map(str, one.rivals)),
-        _reduction(one.gain),
-        _score(one.gain),
-        units.sized(one.shift, adjusted.delivered.dimension),
+        _chance(float(np.exp(scatter.log_level))),
+        ", ".join(map(str, scatter.rivals)),
+        _reduction(scatter.gain),
+        _score(scatter.gain),
+        units.sized(scatter.shift, adjusted.delivered.dimension),
     )
 
 
@@ -269,7 +276,7 @@ def _parameters(finding: Finding) -> Iterator[str]:
     yield from (_parameter(size) for size in finding.sizes)
 
 
-def _parameter(size: Size) -> str:
+def _parameter(size: EffectSize) -> str:
     key, dimension = size.parameter.name, size.parameter.dimension
     if size.std is None:
         digits, partly = ("6g", "") if size.seen else ("2g", " (not seen)")

@@ -27,9 +27,11 @@ def headline(diagnosis: Diagnosis) -> str:
         return f"{diagnosis.verdict}{wrong}"
     as_declared = noise.as_declared or diagnosis.job.noise_model or ESTIMATED in diagnosis.job.declared
     limits = [] if as_declared else [f"the noise is {_times(noise.ratio)} times what was declared"]
-    limits += [noisier(unit) for unit in diagnosis.noisier_units if unit.key != DECLARED_SIGMA]
+    limits += [noisier(unit) for unit in diagnosis.variance_groups if unit.key != DECLARED_SIGMA]
     if diagnosis.left is None and diagnosis.job.noise_model != STRUCTURED:
-        limits += [f"an {smooth(one)} is not in the uncertainties of the result" for one in diagnosis.processes]
+        limits += [
+            f"an {smooth(error)} is not in the uncertainties of the result" for error in diagnosis.correlated_errors
+        ]
     where = f" in {diagnosis.job.part}" if diagnosis.job.part else ""
     where += f" so far ({diagnosis.ended_early})" if diagnosis.ended_early else ""
     return f"{diagnosis.verdict}{where}{wrong}{', but ' if limits else ''}{', and '.join(limits)}"
@@ -47,17 +49,21 @@ def summary(diagnosis: Diagnosis) -> Iterator[str]:
     if gain is None or gain.log_score <= 0:
         return
     names = [
-        str(one.effect.alternative) if isinstance(one, Finding) else f"{one.effect.name} everywhere"
-        for one in diagnosis.identified
-        if one.gain.log_score > 0
+        str(effect.effect.alternative) if isinstance(effect, Finding) else f"{effect.effect.name} everywhere"
+        for effect in diagnosis.identified
+        if effect.gain.log_score > 0
     ]
     share = 1 - (gain.after / gain.before) ** 2 if gain.before else 0.0
     explained = f"{100 * share:.0f} %" if share > LEAST_REDUCTION else "little"
     verb, remains = "explain" if len(names) > 1 else "explains", ""
-    rest = [one for one in diagnosis.processes if one.unit == diagnosis.job.reading[0]]
+    rest = [error for error in diagnosis.correlated_errors if error.unit == diagnosis.job.reading[0]]
     if rest:
-        size = units.sized(float(np.sqrt(sum((one.std * one.visible) ** 2 for one in rest))), diagnosis.job.reading[1])
-        remains = f"; {size} that vary with {listed(list(dict.fromkeys(one.covariate for one in rest)), _SHOWN)} remain"
+        size = units.sized(
+            float(np.sqrt(sum((error.std * error.visible) ** 2 for error in rest))), diagnosis.job.reading[1]
+        )
+        remains = (
+            f"; {size} that vary with {listed(list(dict.fromkeys(error.covariate for error in rest)), _SHOWN)} remain"
+        )
     yield f"  {listed(names, _SHOWN)} {verb} {explained} of the misfit (squares of held-out errors){remains}"
 
 

@@ -27,7 +27,7 @@ def law_lines(diagnosis: Diagnosis, extended: Law | None) -> Iterator[str]:
     sizes = [f"{name} = {units.with_std(value, std)} {unit}" for name, (value, std, unit) in texts.parameters.items()]
     sizes += [f"{name} = {value:.4g} {unit}" for name, (value, unit) in texts.scan.items()]
     yield f"  sizes {units.SPREAD}: {', '.join(sizes)}".replace(" 1,", ",").removesuffix(" 1")
-    near = [f"{one} (correlation {cosine:.2f})" for one, cosine in law.near]
+    near = [f"{candidate} (correlation {cosine:.2f})" for candidate, cosine in law.near]
     if near:
         yield f"It is nearly {' or '.join(near)}: perhaps that cause with another variable or at another place."
     yield f"A law is no cause: what acts like this at this place is to be found.{_where(law, extended)}"

@@ -16,22 +16,22 @@ _HEAD = ("step", "added", "chance", "chi2", "dof", "held-out error", "changes re
 
 def of_loop(loop: Loop) -> str:
     """Return the last verdict, the table of steps, and the end of the loop in a sentence."""
-    rows = [_row(number, one, loop.first) for number, one in enumerate(loop.extensions, 1)]
+    rows = [_row(number, extension, loop.first) for number, extension in enumerate(loop.extensions, 1)]
     table = "\n".join(text_table(_HEAD, rows)) if rows else ""
-    jobs = "\n".join(f"  {one.job} -> {one.done.path}" for one in loop.extensions)
-    found = f"; found so far, and not added: {', '.join(loop.found)}" if loop.found else ""
-    return "\n\n".join(filter(None, (f"verdict: {headline(loop.last)}", table, jobs, f"ended: {loop.end}{found}")))
+    jobs = "\n".join(f"  {extension.job} -> {extension.done.path}" for extension in loop.extensions)
+    left = f"; found so far, and not added: {', '.join(loop.found)}" if loop.found else ""
+    return "\n\n".join(filter(None, (f"verdict: {headline(loop.last)}", table, jobs, f"ended: {loop.end}{left}")))
 
 
-def _row(number: int, one: Extension, first: Diagnosis) -> tuple[str, ...]:
-    job, statistics = first.job, one.done.result.statistics
-    error = " to ".join(units.sized(size, job.reading[1]) for size in (one.before, one.after))
-    shift = "" if one.shift is None else units.sized(one.shift, job.delivered.dimension)
-    chance = "p < 1e-12" if one.p_value < 1e-12 else f"p = {one.p_value:.2g}"
+def _row(number: int, extension: Extension, first: Diagnosis) -> tuple[str, ...]:
+    job, statistics = first.job, extension.done.result.statistics
+    error = " to ".join(units.sized(size, job.reading[1]) for size in (extension.before, extension.after))
+    shift = "" if extension.shift is None else units.sized(extension.shift, job.delivered.dimension)
+    chance = "p < 1e-12" if extension.p_value < 1e-12 else f"p = {extension.p_value:.2g}"
     chi2, dof = (f"{statistics[name]:.4g}" if name in statistics else "" for name in ("chi2", "dof"))
     if statistics.get("noise_estimated") and "noise_factor" not in statistics:
         chi2 = "noise found"  # it is that of unit weights, and not to be compared
-    return str(number), ", ".join(one.added), chance, chi2, dof, error, shift
+    return str(number), ", ".join(extension.added), chance, chi2, dof, error, shift
 
 
 def loop_data(loop: Loop) -> dict[str, Any]:
@@ -44,19 +44,19 @@ def loop_data(loop: Loop) -> dict[str, Any]:
         "end": loop.end,
         "steps": [
             {
-                "job": str(one.job),
-                "result": str(one.done.path),
-                "added": list(one.added),
-                "p_value": one.p_value,
-                "chi2": one.done.result.statistics.get("chi2"),
-                "dof": one.done.result.statistics.get("dof"),
-                "holdout_before": unit.outside(one.before),
-                "holdout_after": unit.outside(one.after),
+                "job": str(extension.job),
+                "result": str(extension.done.path),
+                "added": list(extension.added),
+                "p_value": extension.p_value,
+                "chi2": extension.done.result.statistics.get("chi2"),
+                "dof": extension.done.result.statistics.get("dof"),
+                "holdout_before": unit.outside(extension.before),
+                "holdout_after": unit.outside(extension.after),
                 "unit": unit.symbol,
                 "result_shift": None
-                if one.shift is None
-                else {"what": job.delivered.what, "value": shown.outside(one.shift), "unit": shown.symbol},
+                if extension.shift is None
+                else {"what": job.delivered.what, "value": shown.outside(extension.shift), "unit": shown.symbol},
             }
-            for one in loop.extensions
+            for extension in loop.extensions
         ],
     }

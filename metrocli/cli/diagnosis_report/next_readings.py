@@ -12,17 +12,19 @@ _ENOUGH = 0.95
 _HEAD = ("next reading", "why", "power so far")
 
 
-def next_lines(found: Next) -> Iterator[str]:
+def next_lines(proposed: Next) -> Iterator[str]:
     """Yield the table of readings and, for each test, its power without them and with them."""
-    if not found.aims:
+    if not proposed.aims:
         yield "what to measure next: nothing is indistinct, and no reading made once more would show anything unseen"
         return
-    if found.readings:
-        yield from text_table(_HEAD, [(one.proposal.do, one.why, f"{one.power:.2f}") for one in found.readings])
-    elif all(aim.before > _ENOUGH for aim in found.aims):
+    if proposed.readings:
+        yield from text_table(
+            _HEAD, [(reading.proposal.do, reading.why, f"{reading.power:.2f}") for reading in proposed.readings]
+        )
+    elif all(aim.before > _ENOUGH for aim in proposed.aims):
         yield "what to measure next: nothing, the readings decide this already"
     else:
         yield "what to measure next: readings made once more do not help; the pages of the effects state what does"
-    for aim in found.aims:
-        after = f", {aim.after:.2f} with these readings" if found.readings else ""
+    for aim in proposed.aims:
+        after = f", {aim.after:.2f} with these readings" if proposed.readings else ""
         yield f"  {aim.why}: power {aim.before:.2f} now{after}"

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from metrocli.adjust.clusters.robust import ESTIMATED
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.linear.projection import READING
-from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA, Unit
+from metrocli.diagnosis.noise import AS_OTHERS, DECLARED_SIGMA, VarianceGroup
 
 _HIGH_NOISE, _FEW_DOF = 2.0, 30
 """Noise ratio above which, with fewer degrees of freedom than this, several wrong readings may pass as noise"""
@@ -24,7 +24,7 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
     elif ESTIMATED in declared:
         yield f"noise: {interval} times that of the job ({declared}); the estimated part follows the residuals"
     elif noise.as_declared:
-        others = " for the others" if any(unit.key != DECLARED_SIGMA for unit in diagnosis.noisier_units) else ""
+        others = " for the others" if any(unit.key != DECLARED_SIGMA for unit in diagnosis.variance_groups) else ""
         yield f"noise: as declared{others} ({interval} times {declared or 'it'})"
     else:
         yield f"noise: {interval} times the declared noise{f' ({declared})' if declared else ''}"
@@ -33,22 +33,22 @@ def noise_lines(diagnosis: Diagnosis) -> Iterator[str]:
             yield f"  Usual reasons: {_USUAL}."
         if noise.low > _HIGH_NOISE and noise.dof < _FEW_DOF:
             yield f"  With {noise.dof:.0f} degrees of freedom, several wrong readings may pass as noise: measure more."
-    for unit in diagnosis.noisier_units:
+    for unit in diagnosis.variance_groups:
         if unit.key == DECLARED_SIGMA:
             yield f"  {_given(unit, unit.ratio * noise.ratio)}"
         else:
             yield f"  {noisier(unit)}, each relative to what is declared for it."
 
 
-def noisier(unit: Unit) -> str:
+def noisier(unit: VarianceGroup) -> str:
     """Return in words that a unit is noisier, or quieter, than the others, relative to what is declared for each."""
     name = unit.name if unit.key == READING else f"{unit.key} {unit.name}"
     return f"{name} is {unit.ratio:.2g} times as noisy as the others"
 
 
-def _given(unit: Unit, found: float) -> str:
+def _given(unit: VarianceGroup, ratio: float) -> str:
     """Return whether the residuals agree with the sigma of given values; `found` is the ratio of their noise to it."""
     what = f"The given values of each {unit.name.removeprefix('prior of ')}"
-    if 1 / AS_OTHERS < found < AS_OTHERS:
+    if 1 / AS_OTHERS < ratio < AS_OTHERS:
         return f"{what} agree with their sigma; the ratio is that of the readings alone."
-    return f"{what} are off by {found:.2g} times their sigma: correct the sigma."
+    return f"{what} are off by {ratio:.2g} times their sigma: correct the sigma."

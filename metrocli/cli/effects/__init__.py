@@ -37,19 +37,19 @@ def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -
         echo(_explained(kind, as_json))
         return 0
     chosen = {kind: KINDS[kind]} if kind else {name: kind for name, kind in KINDS.items() if kind.task().places}
-    by_kind = {name: (one, _own(name, source)) for name, one in chosen.items()}
+    by_kind = {name: (other, _own(name, source)) for name, other in chosen.items()}
     if check:
         faults, count = _faults(by_kind)
         if faults:
             raise InputError(faults)
     if as_json:
-        data = {name: _data(one, own) for name, (one, own) in by_kind.items()}
+        data = {name: _data(other, own) for name, (other, own) in by_kind.items()}
         echo(summary.as_json(data[kind] if kind else {"kinds": data}))
         return 0
     if check:
         echo("\n".join([f"{count} user-defined effects obey the laws", *_in_data(by_kind)]))
         return 0
-    echo("\n\n".join(_text(one, own) for one, own in by_kind.values()))
+    echo("\n\n".join(_text(other, own) for other, own in by_kind.values()))
     return 0
 
 
@@ -58,7 +58,7 @@ def _explained(name: str, as_json: bool) -> str:
     from metrocli.cli import summary
     from metrocli.effects.page import page
 
-    tables = {kind: one.task().effects for kind, one in KINDS.items()}
+    tables = {kind: other.task().effects for kind, other in KINDS.items()}
     names = dict.fromkeys(effect.name for effects in tables.values() for effect in effects)
     if name not in names:
         raise UsageError(f"no kind of job and no effect '{name}'; {suggestion(name, [*KINDS, *names])}")
@@ -91,24 +91,24 @@ def _own(kind: str, source: Path | None) -> list[Effect]:
     return effects
 
 
-def _faults(found: dict[str, tuple[Kind, list[Effect]]]) -> tuple[list[Any], int]:
+def _faults(by_kind: dict[str, tuple[Kind, list[Effect]]]) -> tuple[list[Any], int]:
     """Return a fault for each law that a user-defined effect breaks, and the number of effects."""
     from metrocli.effects.own.trials import broken
 
     faults = [
-        Fault(f"{effect.name}: {said}", hint=f"an effect for {name}")
-        for name, (kind, own) in found.items()
+        Fault(f"{effect.name}: {message}", hint=f"an effect for {name}")
+        for name, (kind, own) in by_kind.items()
         for effect in own
-        for said in broken(effect, kind.task().places)
+        for message in broken(effect, kind.task().places)
     ]
-    return faults, sum(len(own) for _, own in found.values())
+    return faults, sum(len(own) for _, own in by_kind.values())
 
 
-def _in_data(found: dict[str, tuple[Kind, list[Effect]]]) -> list[str]:
+def _in_data(by_kind: dict[str, tuple[Kind, list[Effect]]]) -> list[str]:
     """Return a line for each user-defined effect that only data with further columns can test."""
     return [
         f"{effect.name}: {effect.lacks}; the units of its expression are tested with the data of a job ({name})"
-        for name, (_, own) in found.items()
+        for name, (_, own) in by_kind.items()
         for effect in own
         if effect.lacks
     ]

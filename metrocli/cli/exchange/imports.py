@@ -10,8 +10,8 @@ import click
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
 from metrocli.errors import Fault, InputError
-from metrocli.imports import FORMATS, Wishes, imported
-from metrocli.imports.lines import NOTE, Lines
+from metrocli.imports import FORMATS, ImportOptions, imported
+from metrocli.imports.lines import NOTE, TextLines
 
 SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items())
 
@@ -66,13 +66,13 @@ def command(
     root = None
     if mapping is not None:
         root = yaml_text.parse(yaml_text.read_text(mapping, str(mapping)), str(mapping), mapping.parent)
-    lines = Lines(str(file), _text(file, root).split("\n"))
+    lines = TextLines(str(file), _text(file, root).split("\n"))
     if form is None:
         from metrocli.imports.columns import proposed
 
         echo(proposed(lines))
         return 0
-    texts = imported(form, lines, Wishes(root, unit))
+    texts = imported(form, lines, ImportOptions(root, unit))
     folder = file.parent if out is None else out
     for name in texts:
         if inside(folder, name).resolve() == file.resolve():

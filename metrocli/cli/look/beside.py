@@ -12,24 +12,24 @@ from metrocli.project import DIAGNOSIS
 from metrocli.record import DONE
 
 if TYPE_CHECKING:
-    from metrocli.plots.beside import Beside, Node
+    from metrocli.plots.beside import Beside, LineageFile
     from metrocli.project.provenance.lineage import Origin
     from metrocli.record import Record
-    from metrocli.report.html import Diagnosis
+    from metrocli.report.html import PrintedDiagnosis
     from metrocli.result import Result
 
 _DIAGNOSE = "write it by: metrocli diagnose JOB.yaml --json > FILE.json"
 _STEP = re.compile(r"(.*)\.step([0-9]+)")
 
 
-def diagnosis_of(result: Path, given: Path | None, record: Record) -> Diagnosis | None:
+def diagnosis_of(result: Path, given: Path | None, record: Record) -> PrintedDiagnosis | None:
     """Return the diagnosis that is given, else the one beside the result; raise InputError if it cannot be read."""
     path = given or result.with_suffix(DIAGNOSIS)
     if given is None and not path.is_file():
         return None
     # not before: this loads the search for effects
     from metrocli.project.diagnosed import identity
-    from metrocli.report.html import Diagnosis
+    from metrocli.report.html import PrintedDiagnosis
 
     try:
         data: Any = json.loads(path.read_text(encoding="utf-8"))
@@ -39,10 +39,10 @@ def diagnosis_of(result: Path, given: Path | None, record: Record) -> Diagnosis 
         data = None
     if not isinstance(data, dict) or "verdict" not in data:
         raise InputError([Fault("this is not the output of metrocli diagnose --json", str(path), hint=_DIAGNOSE)])
-    return Diagnosis(data, str(path), data.get("of") == identity(record.job_text, record.inputs))
+    return PrintedDiagnosis(data, str(path), data.get("of") == identity(record.job_text, record.inputs))
 
 
-def beside_of(result: Path, diagnosis: Diagnosis | None, before: Path | None = None) -> Beside:
+def beside_of(result: Path, diagnosis: PrintedDiagnosis | None, before: Path | None = None) -> Beside:
     """Return what figures show beside a result: the diagnosis if it is of this job, the earlier result, the lineage.
 
     Without `before` the earlier result is NAME.h5 beside NAME.extended.h5, if it can be read.
@@ -79,14 +79,14 @@ def _earlier(result: Path) -> Path | None:
     return result.with_name(f"{step[1]}.step{number}.h5" if number else f"{step[1]}.h5")
 
 
-def _nodes(origin: Origin) -> list[Node]:
+def _nodes(origin: Origin) -> list[LineageFile]:
     """Return the files of a lineage, each once, by their paths from the folder above that of the result."""
-    from metrocli.plots.beside import Node
+    from metrocli.plots.beside import LineageFile
     from metrocli.project.provenance.lineage import AS_READ, files_of, name_from
 
     home = origin.path.parent.parent
     return [
-        Node(
+        LineageFile(
             name_from(home, file),
             file.label.kind if file.label else "",
             file.state == AS_READ and (file.label is None or file.label.status == DONE),

@@ -43,8 +43,8 @@ def command(
     from metrocli.uncertainty.comparison import compare
 
     wanted = requirement.read(require, FIGURES)
-    (one, of_one), (other, of_other) = held(first), held(second)
-    comparison, shared = compare(one, other), _shared(of_one, of_other)
+    (before, of_one), (other, of_other) = held(first), held(second)
+    comparison, shared = compare(before, other), _shared(of_one, of_other)
     echo(summary.as_json(_figures(comparison, shared)) if as_json else _text(comparison, shared))
     return 0 if wanted is None else wanted.exit_code(comparison)
 

@@ -53,7 +53,7 @@ def _expanded(details: Mapping[str, Any]) -> Mapping[str, Any]:
 def _figures(value: Any) -> Any:
     if not isinstance(value, Mapping) or "mm" not in value:
         return value
-    return {_SYMBOL if unit == "mm" else unit: one / INCH if unit == "mm" else one for unit, one in value.items()}
+    return {_SYMBOL if unit == "mm" else unit: entry / INCH if unit == "mm" else entry for unit, entry in value.items()}
 
 
 def _table(table: Table) -> Table:

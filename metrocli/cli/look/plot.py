@@ -16,7 +16,7 @@ from metrocli.errors import Fault, InputError, UsageError
 
 if TYPE_CHECKING:
     from metrocli.plots.beside import Beside
-    from metrocli.report.html import Diagnosis
+    from metrocli.report.html import PrintedDiagnosis
     from metrocli.result import Result
 
 _FILE = click.Path(path_type=Path)
@@ -64,7 +64,7 @@ def _list(result: Result, beside: Beside, as_json: bool) -> int:
         return 0
     width = max(map(len, summaries), default=0)
     # one table, whose columns stay aligned where the terminal is narrow
-    echo("\n".join(f"{one:{width}}  {text}" for one, text in summaries.items()))
+    echo("\n".join(f"{name:{width}}  {text}" for name, text in summaries.items()))
     return 0
 
 
@@ -79,7 +79,7 @@ def _drawn(result: Result, name: str, path: Path, beside: Beside, dark: bool) ->
         return drawn.read_bytes()
 
 
-def _of_this(diagnosis: Diagnosis | None, given: Path | None) -> Diagnosis | None:
+def _of_this(diagnosis: PrintedDiagnosis | None, given: Path | None) -> PrintedDiagnosis | None:
     """Return a diagnosis; raise InputError if one that was given is of another job, or of other inputs."""
     if given is not None and diagnosis is not None and not diagnosis.of_this:
         hint = "diagnose the job of this result again"

@@ -12,7 +12,7 @@ from metrocli.cli.look.held import held
 from metrocli.errors import UsageError
 
 if TYPE_CHECKING:
-    from metrocli.uncertainty.repeated import Repeated
+    from metrocli.uncertainty.repeated import RepeatedCalibrations
     from metrocli.uncertainty.repeated_sets import Repetition
 
 OF_SERIES, OF_SETS = ("max_en", "max_drift_en"), ("max_ratio",)
@@ -49,24 +49,32 @@ def _times(days: str | None, number: int) -> tuple[list[float], str]:
     return times, "d"
 
 
-def _figures_of_series(found: Repeated, files: tuple[Path, ...], times: list[float], time: str) -> dict[str, Any]:
+def _figures_of_series(
+    repeats: RepeatedCalibrations, files: tuple[Path, ...], times: list[float], time: str
+) -> dict[str, Any]:
     drift: dict[str, dict[str, Any]] = {}
-    for one in found.drifts:
-        row = {"rate": one.rate, "std": one.std, "unit": f"{one.unit}/{time}", "U": one.expanded, "en": one.en}
-        drift.setdefault(one.group, {})[one.name] = row
+    for compared in repeats.drifts:
+        row = {
+            "rate": compared.rate,
+            "std": compared.std,
+            "unit": f"{compared.unit}/{time}",
+            "U": compared.expanded,
+            "en": compared.en,
+        }
+        drift.setdefault(compared.group, {})[compared.name] = row
     pooled = [
         {"group": one.group, "unit": one.unit, "std": one.std, "expected": one.expected, "dof": one.dof}
-        for one in found.pooled
+        for one in repeats.pooled
     ]
     calibrations = [
         {"file": str(file), "time": at, "max_en": en}
-        for file, at, en in zip(files, times, (0.0, *found.against_first), strict=True)
+        for file, at, en in zip(files, times, (0.0, *repeats.against_first), strict=True)
     ]
-    figures = {"max_en": found.max_en, "max_drift_en": found.max_drift_en}
+    figures = {"max_en": repeats.max_en, "max_drift_en": repeats.max_drift_en}
     return {"calibrations": calibrations, "drift": drift, "pooled": pooled, **figures}
 
 
-def _text_of_series(calibrations: Repeated, files: tuple[Path, ...], time: str) -> str:
+def _text_of_series(calibrations: RepeatedCalibrations, files: tuple[Path, ...], time: str) -> str:
     from metrocli import units
     from metrocli.cli.columns import columns_text, worst_rows
 

@@ -19,8 +19,8 @@ from metrocli.errors import InputError, UsageError
 from metrocli.project import PROJECT_FILE
 
 if TYPE_CHECKING:
-    from metrocli.project.staleness import State
-    from metrocli.project.steps import Step
+    from metrocli.project.staleness import Staleness
+    from metrocli.project.steps import ProjectStep
     from metrocli.record import Record
     from metrocli.report.html import Html
 
@@ -100,11 +100,11 @@ def _page(result: Path, diagnosis: Path | None, home: Path, units: str, name: st
     stored, record = hdf5.read(result)
     stated = in_units(stored, units)
     tables = {}
-    for one in stated.shown:
-        if one.name in stated.tables and len(stated.tables[one.name]):
-            table = stated.tables[one.name]
-            kept = {name: table.columns[name] for name in one.columns or table if name in table}
-            tables[one.name] = columns.table_text(replace(table, columns=kept))
+    for shown in stated.shown:
+        if shown.name in stated.tables and len(stated.tables[shown.name]):
+            table = stated.tables[shown.name]
+            kept = {name: table.columns[name] for name in shown.columns or table if name in table}
+            tables[shown.name] = columns.table_text(replace(table, columns=kept))
     held = diagnosis_of(result, diagnosis, record)
     job = name or (_from(home, result.parent / record.job_file) if record.job_file else "JOB.yaml")
     record = with_standards(result, record)
@@ -115,7 +115,7 @@ def _project(place: Path, out: Path | None, units: str, done: Counter) -> dict[P
     """Return the page that leads to those of all results that exist, and these."""
     from metrocli.project.staleness import states
     from metrocli.project.steps import load_project, name_of_project, project_file
-    from metrocli.report.project_page import Entry, project_page
+    from metrocli.report.project_page import JobEntry, project_page
 
     file = project_file(place)
     index = out or file.parent / "report" / "index.html"
@@ -136,7 +136,7 @@ def _project(place: Path, out: Path | None, units: str, done: Counter) -> dict[P
         title = step.job.heading.title
         decided = state.record.conformity if state.record is not None else ""
         entries.append(
-            Entry(step.name, step.job.kind, title, status, state.reason, step.needs, own, page, decided, verdict)
+            JobEntry(step.name, step.job.kind, title, status, state.reason, step.needs, own, page, decided, verdict)
         )
     name = name_of_project(place) or file.parent.resolve().name
     return {index: project_page(name, entries, list(_charts(current, file.parent))), **pages}
@@ -148,12 +148,12 @@ def _verdict(result: Path, record: Record | None) -> str:
     return str(held.data["verdict"]) if held is not None and held.of_this else ""
 
 
-def _charts(found: Sequence[State], home: Path) -> Iterator[Html]:
+def _charts(judged: Sequence[Staleness], home: Path) -> Iterator[Html]:
     """Yield the control charts of each job with a list of parts."""
     from metrocli.project.provenance.comparison import table_of
     from metrocli.report.pictures import control_charts
 
-    several = [state for state in found if state.step.job.wishes.part is not None and state.label is not None]
+    several = [state for state in judged if state.step.job.wishes.part is not None and state.label is not None]
     for file, states in groupby(
         sorted(several, key=lambda state: str(state.step.job.file)), lambda state: state.step.job.file
     ):
@@ -170,7 +170,7 @@ def _page_name(output: Path, outputs: Sequence[Path], home: Path) -> str:
     return f"{_from(home, output.with_suffix('')).replace('/', '-')}.html"
 
 
-def _files(step: Step, made: set[Path], home: Path) -> list[str]:
+def _files(step: ProjectStep, made: set[Path], home: Path) -> list[str]:
     """Return the inputs that no job of the project writes, from the folder `home`; several of one key as one."""
     names = []
     for item in step.job.inputs:

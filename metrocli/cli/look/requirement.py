@@ -19,7 +19,7 @@ _FORM = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([0-9.eE+-]+)\s*")
 
 
 @dataclass(frozen=True)
-class Requirement:
+class FigureRequirement:
     """A condition such as `max_en < 1`."""
 
     text: str
@@ -27,9 +27,9 @@ class Requirement:
     comparison: str
     limit: float
 
-    def exit_code(self, found: object) -> int:
+    def exit_code(self, evaluated: object) -> int:
         """Print to stderr whether the figure, an attribute of `found`, meets the condition; return 0, or 6 if not."""
-        value = float(getattr(found, self.figure))
+        value = float(getattr(evaluated, self.figure))
         met = bool(_COMPARISONS[self.comparison](value, self.limit))
         echo(f"required {self.text}: {'met' if met else 'NOT met'} ({value:.4g})", err=True)
         return 0 if met else NOT_MET
@@ -40,14 +40,14 @@ def option(examples: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     return click.option("--require", metavar="CONDITION", help=f"Exit code 6 unless it is met, {examples}.")
 
 
-def read(text: str | None, figures: Sequence[str]) -> Requirement | None:
+def read(text: str | None, figures: Sequence[str]) -> FigureRequirement | None:
     """Return the condition, None if none is given; raises UsageError for one that is not on one of the figures."""
     if text is None:
         return None
     parts = _FORM.fullmatch(text)
     try:
         if parts and parts[1] in figures:
-            return Requirement(text, parts[1], parts[2], float(parts[3]))
+            return FigureRequirement(text, parts[1], parts[2], float(parts[3]))
     except ValueError:
         pass
     hint = f"write e.g. 'max_en < 1', with one of {', '.join(figures)}"

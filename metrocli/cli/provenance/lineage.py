@@ -54,7 +54,7 @@ def _nodes(origin: Origin) -> dict[Path, tuple[str, Origin]]:
     """Return a short name for each file."""
     from metrocli.project.provenance.lineage import files_of
 
-    return {one.path: (f"f{number}", one) for number, one in enumerate(files_of(origin))}
+    return {source.path: (f"f{number}", source) for number, source in enumerate(files_of(origin))}
 
 
 def _content(origin: Origin) -> str:

@@ -15,10 +15,10 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
-from metrocli.diagnosis.linear.candidates import Family
-from metrocli.diagnosis.linear.columns import Columns
+from metrocli.diagnosis.linear.candidates import CandidateGroup
+from metrocli.diagnosis.linear.columns import CandidateColumns
 from metrocli.diagnosis.linear.distributions import log_tail
-from metrocli.diagnosis.linear.projection import VISIBLE, System
+from metrocli.diagnosis.linear.projection import VISIBLE, Linearised
 from metrocli.diagnosis.linear.quadratics import orthonormal, ranks_of, roots
 
 LEAST_TESTS = 50.0
@@ -29,7 +29,9 @@ _LOST = 0.05
 """Largest share of the candidates that these members may not show"""
 
 
-def smallest_of_family(columns: Columns, gram: Array, scale: Array, noise: Array, squares: Array, dof: float) -> Array:
+def smallest_of_family(
+    columns: CandidateColumns, gram: Array, scale: Array, noise: Array, squares: Array, dof: float
+) -> Array:
     """Return ln of the smallest p-value of a family's alternatives for each draw of noise, (draws,)."""
     return smallest_in_noise(gram, columns.products(noise), scale, squares, dof, np.ones(columns.count, dtype=bool))
 
@@ -58,8 +60,8 @@ def effective_number_of_tests(log_p: Array) -> float:
 
 
 def of_some_members(
-    system: System, families: Sequence[Family], rng: np.random.Generator
-) -> tuple[System, Sequence[Family]]:
+    system: Linearised, families: Sequence[CandidateGroup], rng: np.random.Generator
+) -> tuple[Linearised, Sequence[CandidateGroup]]:
     """Return a system of some local members with all their rows, such as one point in ten, drawn evenly.
 
     The correlations of tests, and so their effective number, follow from the shape of a measurement and not from its
@@ -76,7 +78,7 @@ def of_some_members(
     own = basis.at(rows)
     # whole members: their local columns stay orthonormal, and orthogonal to the shared ones
     own = replace(own, shared=orthonormal(own.shared, VISIBLE))
-    fewer, lost = list[Family](), 0
+    fewer, lost = list[CandidateGroup](), 0
     for family in families:
         columns = family.columns.of_rows(kept)
         raw, gram = columns.norms(), columns.grams(own)

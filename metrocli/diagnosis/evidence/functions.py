@@ -15,7 +15,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.frozen import dataclass
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class Functions:
     """Their products without what the unknowns absorb, (columns, columns)"""
 
 
-def process_bases(job: AdjustedJob, system: System) -> Iterator[Functions]:
+def process_bases(job: AdjustedJob, system: Linearised) -> Iterator[Functions]:
     """Yield the functions of each covariate, independent in the units of each kind, and one for all readings."""
     named = [group.name for group in job.model.readings]
     alone = [one for one in job.covariates if not one.together and all(name in one.values for name in named)]
@@ -124,7 +124,7 @@ def process_bases(job: AdjustedJob, system: System) -> Iterator[Functions]:
                 yield basis
 
 
-def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> Functions | None:
+def _basis(job: AdjustedJob, system: Linearised, covariate: Covariate, by: str) -> Functions | None:
     from scipy.sparse import csr_matrix
 
     groups = job.model.readings

@@ -26,7 +26,7 @@ from metrocli.diagnosis.evidence.prices import gain_of_columns
 from metrocli.diagnosis.evidence.products import NEVER_HELD, local_columns, products_of, shared_columns, shared_parts
 from metrocli.diagnosis.evidence.state import State
 from metrocli.diagnosis.linear.basis import Basis
-from metrocli.diagnosis.linear.columns import Columns
+from metrocli.diagnosis.linear.columns import CandidateColumns
 from metrocli.diagnosis.linear.projection import VISIBLE
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.frozen import dataclass
@@ -99,11 +99,11 @@ class Fold:
         """Cache of what the held-out rows show of candidates."""
         return {}
 
-    def candidates(self, number: int) -> Columns:
+    def candidates(self, number: int) -> CandidateColumns:
         """Return the columns of a family at the held-out rows, which are numbered anew."""
         if number not in self._held:
             self._held[number] = self.measurement.families[number].columns.of_rows(self.mask)
-        return cast("Columns", self._held[number])
+        return cast("CandidateColumns", self._held[number])
 
     def grams(self, number: int, basis: Basis) -> Array:
         """Return the Gram matrices of a family's alternatives at the held-out rows, without what local columns take."""

@@ -12,7 +12,7 @@ from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import gain_of_columns
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.distributions import log_family, log_tail
 from metrocli.diagnosis.linear.projection import FLAT, VISIBLE
 from metrocli.diagnosis.linear.quadratics import quadratic
@@ -35,7 +35,7 @@ Alias = tuple[str, float, float]
 class Rival:
     """Another effect that would explain the readings as well."""
 
-    alternative: Alternative
+    alternative: Candidate
     correlation: float
     """Cosine between the fitted signature of the identified effect and the span of the rival's columns"""
     odds: float
@@ -48,7 +48,7 @@ class IdentifiedEffect:
 
     key: tuple[int, int]
     """Family and number among the candidates"""
-    alternative: Alternative
+    alternative: Candidate
     log_level: float
     """ln of the level of its test beside all else, counted over all tests"""
     values: Array

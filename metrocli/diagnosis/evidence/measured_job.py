@@ -19,10 +19,10 @@ from metrocli.diagnosis.evidence.functions import process_bases
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Knots
 from metrocli.diagnosis.evidence.prices import counted
-from metrocli.diagnosis.linear.candidates import Alternative, Family, families_of, families_throughout
-from metrocli.diagnosis.linear.columns import Columns
+from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup, families_of, families_throughout
+from metrocli.diagnosis.linear.columns import CandidateColumns
 from metrocli.diagnosis.linear.linearised import linearised
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import variance_groups
 from metrocli.effects.effect import Effect, Parameter
@@ -69,7 +69,7 @@ def measurement_of(
     )
 
 
-def _places(system: System, job: AdjustedJob) -> Index:
+def _places(system: Linearised, job: AdjustedJob) -> Index:
     """Return the rows of each reading that may be wrong; of single components, those of each by itself."""
     groups = [group for group in system.model.readings if group.name not in job.certified]
     most = max(len(group.observations.readings) for group in groups)
@@ -82,11 +82,13 @@ def _places(system: System, job: AdjustedJob) -> Index:
     return found[found >= 0][:, None] if job.single_components else found
 
 
-def _scatters(job: AdjustedJob, system: System, families: Sequence[Family]) -> list[tuple[Family, ...]]:
+def _scatters(
+    job: AdjustedJob, system: Linearised, families: Sequence[CandidateGroup]
+) -> list[tuple[CandidateGroup, ...]]:
     """Return the families of each effect that usually acts at all its places, if it has enough of them."""
     from metrocli.effects.extension import can_act_everywhere
 
-    by_name: dict[str, list[Family]] = {}
+    by_name: dict[str, list[CandidateGroup]] = {}
     for family in families:
         effect = family.alternatives[0].effect if family.alternatives else None
         if effect is not None and effect.of_all and can_act_everywhere(system.model, effect):
@@ -100,7 +102,7 @@ def _scatters(job: AdjustedJob, system: System, families: Sequence[Family]) -> l
     return found
 
 
-def _with_standing(job: AdjustedJob, system: System) -> System:
+def _with_standing(job: AdjustedJob, system: Linearised) -> Linearised:
     """Return a system with the residuals that it would have without the effects at fixed sizes in its model.
 
     Their contribution is linear about their sizes theta: `r + G theta`.
@@ -111,7 +113,7 @@ def _with_standing(job: AdjustedJob, system: System) -> System:
     return replace(system, residual=system.seen(residual)) if job.standing else system
 
 
-def unknown_families(job: AdjustedJob, system: System) -> Iterator[Family]:
+def unknown_families(job: AdjustedJob, system: Linearised) -> Iterator[CandidateGroup]:
     """Yield the waves of each periodic covariate, and the motion in proportion to each that is one."""
     for covariate in job.covariates:
         columns = []
@@ -123,13 +125,13 @@ def unknown_families(job: AdjustedJob, system: System) -> Iterator[Family]:
             yield _family(system, covariate.name, columns)
 
 
-def _family(system: System, name: str, columns: Sequence[Array]) -> Family:
-    whole = Columns.of(np.stack(columns, axis=1))
-    alternatives = tuple(Alternative(_EFFECT, (str(number),)) for number in range(len(columns)))
-    return Family(f"varies with {name}", alternatives, whole, whole.norms(), whole.grams(system.basis), name)
+def _family(system: Linearised, name: str, columns: Sequence[Array]) -> CandidateGroup:
+    whole = CandidateColumns.of(np.stack(columns, axis=1))
+    alternatives = tuple(Candidate(_EFFECT, (str(number),)) for number in range(len(columns)))
+    return CandidateGroup(f"varies with {name}", alternatives, whole, whole.norms(), whole.grams(system.basis), name)
 
 
-def _motion(job: AdjustedJob, system: System, covariate: Covariate) -> Array:
+def _motion(job: AdjustedJob, system: Linearised, covariate: Covariate) -> Array:
     """Return the coordinates of a covariate, which are changes of the readings themselves, whitened."""
     found = np.zeros((system.rows, len(next(iter(covariate.values.values())))))
     for group in job.model.readings:
@@ -139,7 +141,7 @@ def _motion(job: AdjustedJob, system: System, covariate: Covariate) -> Array:
     return found
 
 
-def _waves(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Array]:
+def _waves(job: AdjustedJob, system: Linearised, covariate: Covariate) -> Iterator[Array]:
     """Yield cosine and sine of each component, from one period over the range up to one in two steps (Nyquist)."""
     values = {name: one for name, one in covariate.values.items() if np.ndim(one) == 1}
     every = np.concatenate([*values.values(), np.zeros(0)])

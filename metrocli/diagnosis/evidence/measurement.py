@@ -32,8 +32,8 @@ from metrocli.diagnosis.evidence.parts import (
 )
 from metrocli.diagnosis.evidence.prices import OF_ALL, OF_UNITS, PRIOR, Prices, price_of_variance
 from metrocli.diagnosis.linear.basis import Basis
-from metrocli.diagnosis.linear.candidates import Alternative, Family, NotTested
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup, NotTested
+from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.frozen import dataclass
 
 LENGTHS = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4)
@@ -51,11 +51,11 @@ class Measurement:
     """A job linearised about a solution, with all that can explain its residuals."""
 
     job: AdjustedJob
-    system: System
-    families: tuple[Family, ...]
+    system: Linearised
+    families: tuple[CandidateGroup, ...]
     """Candidates: the effects at their places"""
     not_tested: list[NotTested]
-    scatters: tuple[tuple[Family, ...], ...]
+    scatters: tuple[tuple[CandidateGroup, ...], ...]
     """Families of each effect that may act at all its places at once"""
     knots: tuple[Knots, ...]
     """Functions of the covariates with which errors may be correlated"""
@@ -142,7 +142,7 @@ class Measurement:
         """The price of a variance group of its own."""
         return price_of_variance(len(self.units))
 
-    def alternative(self, key: tuple[int, int]) -> Alternative:
+    def alternative(self, key: tuple[int, int]) -> Candidate:
         """Return an alternative by its family and number."""
         return self.families[key[0]].alternatives[key[1]]
 

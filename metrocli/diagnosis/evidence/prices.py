@@ -12,9 +12,9 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.evidence.counting import effective_number_of_tests, of_some_members, smallest_of_family
-from metrocli.diagnosis.linear.candidates import Family
+from metrocli.diagnosis.linear.candidates import CandidateGroup
 from metrocli.diagnosis.linear.distributions import critical, log_family, single_level
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.frozen import dataclass
 
 LEVEL = 0.03
@@ -78,7 +78,7 @@ def price_of_variance(tests: float, level: float = LEVEL) -> float:
     return float(ndtri(level / max(tests, 1.0)) ** 2 / 2)
 
 
-def counted(system: System, families: Sequence[Family], readings: int, rng: np.random.Generator) -> Prices:
+def counted(system: Linearised, families: Sequence[CandidateGroup], readings: int, rng: np.random.Generator) -> Prices:
     """Return the prices, with the effective numbers of tests from simulated white noise.
 
     Errors of single readings are nearly independent tests, so their number is that of the readings.

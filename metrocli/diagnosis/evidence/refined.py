@@ -16,8 +16,8 @@ from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Fixed
 from metrocli.diagnosis.evidence.prices import gain_of_columns
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.linear.candidates import Alternative, Family
-from metrocli.diagnosis.linear.column_parts import Own
+from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup
+from metrocli.diagnosis.linear.column_parts import OwnColumns
 from metrocli.diagnosis.linear.quadratics import quadratic
 from metrocli.diagnosis.linear.scans import is_filled, thinned
 from metrocli.diagnosis.linear.signatures import signature
@@ -57,7 +57,7 @@ def refined(state: State, waves: Collection[tuple[int, int]] | None = None) -> S
 class _Tried:
     """An alternative with what it explains beside a state, and its whole columns."""
 
-    alternative: Alternative
+    alternative: Candidate
     explained: float
     rank: int
     whole: Array
@@ -72,11 +72,11 @@ class _Scan:
     name: str
 
     @property
-    def family(self) -> Family:
+    def family(self) -> CandidateGroup:
         """The family of the effect."""
         return self.less.measurement.families[self.one.family]
 
-    def tried(self, alternative: Alternative) -> _Tried | None:
+    def tried(self, alternative: Candidate) -> _Tried | None:
         """Return what an alternative explains; None if it has no value at some reading."""
         m = self.less.measurement
         try:
@@ -90,7 +90,7 @@ class _Scan:
         (t,), (q,) = quadratic(gram[None], right[None], np.linalg.norm(whole, axis=0)[None])
         return _Tried(alternative, float(t), int(q), whole)
 
-    def at(self, start: Alternative, value: float) -> _Tried | None:
+    def at(self, start: Candidate, value: float) -> _Tried | None:
         """Return what an alternative with another value of the parameter explains."""
         scanned = tuple((key, value if key == self.name else old) for key, old in start.scanned)
         return self.tried(replace(start, scanned=scanned))
@@ -107,7 +107,7 @@ class _Scan:
             found += [max(near, key=lambda one: one.explained)] if near else []
         return found
 
-    def _starts(self) -> list[Alternative]:
+    def _starts(self) -> list[Candidate]:
         """Return the alternatives that differ in the parameter only and are nearly as good, the best first.
 
         Of neighbours in the scan only the better one is a start.
@@ -121,7 +121,7 @@ class _Scan:
         ranked = sorted(np.flatnonzero(peaks).tolist(), key=lambda at: -gains[at])[:_STARTS]
         return [self.family.alternatives[alike[at]] for at in ranked]
 
-    def _between(self, start: Alternative) -> Array:
+    def _between(self, start: Candidate) -> Array:
         """Return values of the parameter between the tried neighbours of one."""
         parameter = next(p for p in start.effect.scanned if p.name == self.name)
         if parameter.grid is None:
@@ -183,13 +183,13 @@ def _closer(state: State, number: int, name: str) -> State:
     return replace(state, measurement=grown).with_fixed(number, new)
 
 
-def _differs_in(one: Alternative, other: Alternative, name: str) -> bool:
+def _differs_in(one: Candidate, other: Candidate, name: str) -> bool:
     """Return whether two alternatives of a cause differ in one scanned parameter at most."""
     others = [{key: value for key, value in each.scanned if key != name} for each in (one, other)]
     return one.like(other) and others[0] == others[1]
 
 
-def _with_alternative(m: Measurement, number: int, alternative: Alternative, whole: Array) -> Measurement:
+def _with_alternative(m: Measurement, number: int, alternative: Candidate, whole: Array) -> Measurement:
     """Return a measurement with one more alternative of a family, of whole columns."""
     family, seen = m.families[number], m.system.seen(whole)
     grown = replace(
@@ -198,6 +198,6 @@ def _with_alternative(m: Measurement, number: int, alternative: Alternative, who
         columns=family.columns.followed_by(whole),
         raw=np.concatenate([family.raw, np.linalg.norm(whole, axis=0)[None]]),
         gram=np.concatenate([family.gram, (seen.T @ seen)[None]]),
-        whole={**family.whole, family.columns.count: Own(np.arange(len(whole)), whole)},
+        whole={**family.whole, family.columns.count: OwnColumns(np.arange(len(whole)), whole)},
     )
     return replace(m, families=(*m.families[:number], grown, *m.families[number + 1 :]))

@@ -14,8 +14,8 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.evidence.measurement import Measurement
 from metrocli.diagnosis.evidence.parts import Knots
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.linear.candidates import Family
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.candidates import CandidateGroup
+from metrocli.diagnosis.linear.projection import Linearised
 
 _ROUNDING = 1e-9
 
@@ -79,12 +79,12 @@ def _system_weighted(measurement: Measurement, ratios: Mapping[int, float], fact
     )
 
 
-def _weighted(family: Family, system: System, factor: Array) -> Family:
+def _weighted(family: CandidateGroup, system: Linearised, factor: Array) -> CandidateGroup:
     columns = family.columns.weighted(factor)
     return replace(family, columns=columns, raw=columns.norms(), gram=columns.grams(system.basis))
 
 
-def _knots(knots: Knots, system: System, factor: Array) -> Knots:
+def _knots(knots: Knots, system: Linearised, factor: Array) -> Knots:
     from scipy.sparse import diags
 
     functions = knots.functions

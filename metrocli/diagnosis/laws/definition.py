@@ -43,13 +43,13 @@ def written(law: Law) -> Written:
         form, acting = term.form, term.spot.acting
         known = acting.variables_at({})
         unit = _unit_of(term)
-        one = compound(unit).factor
+        per_unit = compound(unit).factor
         scanned = next(shapes) if form.scanned is not None else ""
         if form.scanned is not None:
             scan[scanned] = (form.scanned, _text(compound(known[form.variables[0]].unit).powers))
         for factor, size, std in zip(form.factors, sizes.tolist(), stds.tolist(), strict=True):
             name = next(names)
-            parameters[name] = (size / one, std / one, unit)
+            parameters[name] = (size / per_unit, std / per_unit, unit)
             text = factor.replace("{s}", scanned)
             adds.setdefault(term.spot.component, []).append(name if text == "1" else f"{name}*{text}")
     return Written({key: " + ".join(parts) for key, parts in adds.items()}, parameters, scan)
@@ -83,7 +83,7 @@ def as_define(law: Law, name: str) -> dict[str, Any]:
     """Return the entry of a law under `define:`, with `cause: unknown`."""
     texts = written(law)
     scalar = set(texts.adds) == {""}
-    found: dict[str, Any] = {
+    definition: dict[str, Any] = {
         "name": name,
         "cause": "unknown",
         "acts_on": law.terms[0].spot.acting.name,
@@ -94,10 +94,10 @@ def as_define(law: Law, name: str) -> dict[str, Any]:
         },
     }
     if law.terms[0].spot.where:
-        found["where"] = [key for key, _ in law.terms[0].spot.where]
+        definition["where"] = [key for key, _ in law.terms[0].spot.where]
     if texts.scan:
-        found["scan"] = {key: dict(_range(value, unit)) for key, (value, unit) in texts.scan.items()}
-    return found
+        definition["scan"] = {key: dict(_range(value, unit)) for key, (value, unit) in texts.scan.items()}
+    return definition
 
 
 def _range(value: float, unit: str) -> Iterator[tuple[str, str]]:

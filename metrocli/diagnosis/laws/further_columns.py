@@ -23,14 +23,14 @@ def kept(values: Mapping[str, Array], of_data: Collection[str]) -> dict[str, Arr
 
     The time counts also by its order, so that a column that numbers the readings follows it.
     """
-    found = {name: one for name, one in values.items() if name not in of_data}
-    order = {"order": np.unique(found["t"], return_inverse=True)[1].astype(float)} if "t" in found else {}
-    for name in (one for one in values if one in of_data and powers_are_tried(one)):
-        if len(np.unique(values[name])) >= _FEWEST and not _follows(values[name], (found | order).values()):
-            found[name] = values[name]
-    return found
+    columns = {name: column for name, column in values.items() if name not in of_data}
+    order = {"order": np.unique(columns["t"], return_inverse=True)[1].astype(float)} if "t" in columns else {}
+    for name in (column for column in values if column in of_data and powers_are_tried(column)):
+        if len(np.unique(values[name])) >= _FEWEST and not _follows(values[name], (columns | order).values()):
+            columns[name] = values[name]
+    return columns
 
 
 def _follows(values: Array, others: Collection[Array]) -> bool:
-    varying = [one for one in others if np.ptp(one) > 0]
-    return any(abs(float(np.corrcoef(values, one)[0, 1])) > _ALIKE for one in varying)
+    varying = [other for other in others if np.ptp(other) > 0]
+    return any(abs(float(np.corrcoef(values, column)[0, 1])) > _ALIKE for column in varying)

@@ -13,17 +13,17 @@ from itertools import count, groupby
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.chain import Local
+from metrocli.adjust.model.chain import LinkContext
 from metrocli.adjust.model.groups import listed_values
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.prices import Prices, counted
 from metrocli.diagnosis.laws.further_columns import kept
-from metrocli.diagnosis.laws.terms import Form, columns_of, forms_of
-from metrocli.diagnosis.linear.candidates import Alternative, Family
-from metrocli.diagnosis.linear.column_parts import Part
-from metrocli.diagnosis.linear.columns import Columns
-from metrocli.diagnosis.linear.projection import System, run_of
+from metrocli.diagnosis.laws.terms import TermForm, columns_of, forms_of
+from metrocli.diagnosis.linear.candidates import Candidate, CandidateGroup
+from metrocli.diagnosis.linear.column_parts import StackedColumns
+from metrocli.diagnosis.linear.columns import CandidateColumns
+from metrocli.diagnosis.linear.projection import Linearised, run_of
 from metrocli.effects.acting import Acting
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.frozen import dataclass
@@ -59,7 +59,7 @@ class Term:
     """A form at a spot."""
 
     spot: Spot
-    form: Form
+    form: TermForm
 
     @property
     def place(self) -> tuple[str, Where]:
@@ -88,14 +88,14 @@ class _Carrier:
     def of(cls, spot: Spot, change: Array, values: Mapping[str, Array]) -> _Carrier:
         """Return what a change of all rows (rows,) is where it is not zero."""
         rows = np.flatnonzero(change)
-        return cls(spot, rows, change[rows], {name: one[rows] for name, one in values.items()})
+        return cls(spot, rows, change[rows], {name: column[rows] for name, column in values.items()})
 
-    def forms(self, periods: int) -> list[Form]:
+    def forms(self, periods: int) -> list[TermForm]:
         """Return the forms of the variables that vary here."""
-        values = {name: one for name, one in self.values.items() if np.ptp(one) > 0}
+        values = {name: column for name, column in self.values.items() if np.ptp(column) > 0}
         return list(forms_of(values, {name: values[name] for name in _ELAPSED if name in values}, periods))
 
-    def columns(self, forms: Sequence[Form]) -> Array:
+    def columns(self, forms: Sequence[TermForm]) -> Array:
         """Return the whitened columns of forms of one kind, (r, forms, factors)."""
         return columns_of(forms, self.values) * self.change[:, None, None]
 
@@ -103,7 +103,7 @@ class _Carrier:
 class Library:
     """All terms for a job about a linearised system."""
 
-    def __init__(self, job: AdjustedJob, system: System) -> None:
+    def __init__(self, job: AdjustedJob, system: Linearised) -> None:
         self.job, self.system = job, system
         self.terms: list[tuple[Term, ...]] = []
         """The terms of each family, in the order of its alternatives"""
@@ -115,9 +115,9 @@ class Library:
         return list(_carriers(self.job, self.system))
 
     @cached_property
-    def families(self) -> tuple[Family, ...]:
+    def families(self) -> tuple[CandidateGroup, ...]:
         """One family for each form and number of columns, with as many periods as the memory allows."""
-        by_kind: dict[tuple[str, int], list[tuple[_Carrier, list[Form]]]] = {}
+        by_kind: dict[tuple[str, int], list[tuple[_Carrier, list[TermForm]]]] = {}
         for carrier, forms in self._forms():
             for kind, alike in groupby(sorted(forms, key=_kind_of), key=_kind_of):
                 by_kind.setdefault(kind, []).append((carrier, list(alike)))
@@ -128,25 +128,25 @@ class Library:
         """What terms pay, by the number of independent tests of each form."""
         return counted(self.system, self.families, 1, np.random.default_rng(_SEED))
 
-    def _forms(self) -> list[tuple[_Carrier, list[Form]]]:
+    def _forms(self) -> list[tuple[_Carrier, list[TermForm]]]:
         for periods in (59, 29, 15, 7):
-            found = [(carrier, carrier.forms(periods)) for carrier in self._carriers]
+            carried = [(carrier, carrier.forms(periods)) for carrier in self._carriers]
             # a term at one place has the rows of its readings only
-            numbers = sum(len(form.factors) * len(carrier.rows) for carrier, forms in found for form in forms)
+            numbers = sum(len(form.factors) * len(carrier.rows) for carrier, forms in carried for form in forms)
             if numbers <= MOST_NUMBERS:
-                return found
-        return [(carrier, forms) for carrier, forms in found if not carrier.spot.where]
+                return carried
+        return [(carrier, forms) for carrier, forms in carried if not carrier.spot.where]
 
-    def _family(self, kind: str, factors: int, items: Sequence[tuple[_Carrier, list[Form]]]) -> Family:
-        parts, terms = list[Part](), list[Term]()
+    def _family(self, kind: str, factors: int, items: Sequence[tuple[_Carrier, list[TermForm]]]) -> CandidateGroup:
+        parts, terms = list[StackedColumns](), list[Term]()
         for carrier, forms in items:
             numbers = np.arange(len(terms), len(terms) + len(forms))
-            parts.append(Part(carrier.rows, carrier.columns(forms), numbers))
+            parts.append(StackedColumns(carrier.rows, carrier.columns(forms), numbers))
             terms += [Term(carrier.spot, form) for form in forms]
         self.terms.append(tuple(terms))
-        columns = Columns(len(terms), factors, tuple(parts))
-        alternatives = tuple(Alternative(_EFFECT, (str(number),)) for number in range(len(terms)))
-        return Family(kind, alternatives, columns, columns.norms(), columns.grams(self.system.basis))
+        columns = CandidateColumns(len(terms), factors, tuple(parts))
+        alternatives = tuple(Candidate(_EFFECT, (str(number),)) for number in range(len(terms)))
+        return CandidateGroup(kind, alternatives, columns, columns.norms(), columns.grams(self.system.basis))
 
     def columns(self, term: Term) -> Array:
         """Return the whitened columns of a term, (rows, factors)."""
@@ -173,19 +173,19 @@ class Library:
         return full
 
 
-def _kind_of(form: Form) -> tuple[str, int]:
+def _kind_of(form: TermForm) -> tuple[str, int]:
     return form.kind, len(form.factors)
 
 
-def _carriers(job: AdjustedJob, system: System) -> Iterator[_Carrier]:
-    found: list[Array] = []
+def _carriers(job: AdjustedJob, system: Linearised) -> Iterator[_Carrier]:
+    columns: list[Array] = []
     for acting in job.places:
         whole, values = _at(job, system, acting)
         for number, name in enumerate(acting.components):
             change = whole[:, number]
-            if not np.abs(change).max(initial=0.0) > 0 or _alike(change, found):
+            if not np.abs(change).max(initial=0.0) > 0 or _alike(change, columns):
                 continue
-            found.append(change)
+            columns.append(change)
             yield _Carrier.of(Spot(acting, name, ()), change, values)
             for key in acting.where:
                 if key in job.units:
@@ -193,7 +193,7 @@ def _carriers(job: AdjustedJob, system: System) -> Iterator[_Carrier]:
 
 
 def _at_places(
-    job: AdjustedJob, system: System, spot: Spot, key: str, change: Array, values: dict[str, Array]
+    job: AdjustedJob, system: Linearised, spot: Spot, key: str, change: Array, values: dict[str, Array]
 ) -> Iterator[_Carrier]:
     place = job.model.places[key]
     if len(place.names) > _MOST_PLACES:
@@ -208,13 +208,13 @@ def _at_places(
             yield _Carrier.of(replace(spot, where=((key, name),)), change * mask, values)
 
 
-def _alike(change: Array, found: Sequence[Array]) -> bool:
+def _alike(change: Array, earlier: Sequence[Array]) -> bool:
     return any(
-        float(change @ other) ** 2 > (1 - _SAME) * float(change @ change) * float(other @ other) for other in found
+        float(change @ other) ** 2 > (1 - _SAME) * float(change @ change) * float(other @ other) for other in earlier
     )
 
 
-def _at(job: AdjustedJob, system: System, acting: Acting) -> tuple[Array, dict[str, Array]]:
+def _at(job: AdjustedJob, system: Linearised, acting: Acting) -> tuple[Array, dict[str, Array]]:
     """Return the whitened change of all rows by each component (rows, components), and the variables (rows,)."""
     whole = np.zeros((system.rows, len(acting.components)))
     values: dict[str, Array] = {}
@@ -236,16 +236,18 @@ def _at(job: AdjustedJob, system: System, acting: Acting) -> tuple[Array, dict[s
         factor = observations.deviations.T.ravel() / system.scale[rows]
         whitened = np.moveaxis(observations.whitened(np.array(by_input)), -1, 0).reshape(n * d, -1)
         whole[rows] = whitened * factor[:, None]
-        local = Local(job.model.blocks, observations, frozenset())
-        before = Local(listed, observations, frozenset())
+        local = LinkContext(job.model.blocks, observations, frozenset())
+        before = LinkContext(listed, observations, frozenset())
         value_listed = run_of(group, listed).values[at + 1] if listed is not job.model.blocks else value
-        for name, one in known.items():
-            there = observations.conditions.keys() >= set(one.needs) and job.model.blocks.keys() >= set(one.blocks)
+        for name, variable in known.items():
+            there = observations.conditions.keys() >= set(variable.needs) and job.model.blocks.keys() >= set(
+                variable.blocks
+            )
             if name in own or name.startswith("beam_") or not there:
-                partly |= {name} if one.of_data else set()
+                partly |= {name} if variable.of_data else set()
                 continue
-            full = np.broadcast_to(one.at(value, local).value[0], (n,))
-            moved = full - one.at(value_listed, before).value[0]
+            full = np.broadcast_to(variable.at(value, local).value[0], (n,))
+            moved = full - variable.at(value_listed, before).value[0]
             # the height of a target of a flat board is what the residuals made of it
             if np.isfinite(full).all() and moved.std() <= _ESTIMATED * full.std():
                 values[name] = values.get(name, np.zeros(system.rows)) + system.spread(group, np.array(full))

@@ -21,8 +21,8 @@ from metrocli.diagnosis.laws.library import Library, Term
 from metrocli.diagnosis.laws.near import near_effects
 from metrocli.diagnosis.laws.steps import Lawful, among_terms, columns_of_terms, forward
 from metrocli.diagnosis.laws.terms import columns_of
-from metrocli.diagnosis.linear.candidates import Alternative
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.candidates import Candidate
+from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.frozen import dataclass
 
 _LAW = float(np.log(30.0))
@@ -77,20 +77,20 @@ class Law:
     """Root mean square of what it explains over the readings on which it acts, in their unit"""
     data: LawData | None
     """None for a constant, which has no variable"""
-    near: tuple[tuple[Alternative, float], ...] = ()
+    near: tuple[tuple[Candidate, float], ...] = ()
     """Effects of the catalogue that change the readings nearly as it does, each with the cosine, the nearest first"""
     chosen: bool = False
 
 
 @dataclass(frozen=True)
-class Found:
+class LawSearchResult:
     """A state that holds where laws were sought, and the laws, one for each number of terms."""
 
     state: State
     laws: tuple[Law, ...] = ()
 
 
-def with_laws(state: State, plain: State, ordered: Ordered = map) -> Found:
+def with_laws(state: State, plain: State, ordered: Ordered = map) -> LawSearchResult:
     """Return the state with a law in it, where a law explains the readings better than what it replaces.
 
     Effects, correlated errors and noise of variance groups can imitate a law: three jumps do a saturation, an error
@@ -99,7 +99,7 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> Found:
     """
     m = state.measurement
     if not m.job.places or m.system.rows > _MOST_ROWS or m.job.budget.ended:
-        return Found(state)
+        return LawSearchResult(state)
     library = Library(m.job, plain.measurement.system)
     best: tuple[Lawful, State] | None = None
     for base in _bases(plain):
@@ -108,22 +108,22 @@ def with_laws(state: State, plain: State, ordered: Ordered = map) -> Found:
         if lawful is not None and lawful.steps and (best is None or lawful.state.score > best[0].state.score):
             best = lawful, base
     if best is None or best[0].state.score < state.score + _LAW:
-        return Found(state)
+        return LawSearchResult(state)
     lawful, base = best
     gains = _gains(lawful, base, ordered)
-    found = [_law(lawful.first(count), base, gain, state) for count, gain in enumerate(gains, 1)]
-    chosen = max(found, key=lambda one: one.gain.log_score)
+    simpler = [_law(lawful.first(count), base, gain, state) for count, gain in enumerate(gains, 1)]
+    chosen = max(simpler, key=lambda law: law.gain.log_score)
     surely = best[0].state.score > state.score + _SURELY and chosen.gain.log_score > 0
     if not (chosen.gain.shown or surely) or _is_named(chosen, state):
-        return Found(state)
-    laws = tuple(replace(one, chosen=one is chosen) for one in found)
-    terms = [one for _, one in lawful.steps[: len(chosen.terms)]]
-    return Found(State.of(base.measurement, (*base.fixed, *terms), base.random, base.logs, 0), laws)
+        return LawSearchResult(state)
+    laws = tuple(replace(law, chosen=law is chosen) for law in simpler)
+    terms = [part for _, part in lawful.steps[: len(chosen.terms)]]
+    return LawSearchResult(State.of(base.measurement, (*base.fixed, *terms), base.random, base.logs, 0), laws)
 
 
 def _is_named(law: Law, state: State) -> bool:
     """Return whether a law is nearly an identified effect: a part of its parameters that needs fewer of them."""
-    spots = {state.measurement.alternative(one.key).spot for one in state.named}
+    spots = {state.measurement.alternative(part.key).spot for part in state.named}
     return any(effect.spot in spots for effect, _ in law.near)
 
 
@@ -154,8 +154,8 @@ class _Folds:
         """Return the predictions of a fold without and with laws of 1, 2, ... terms."""
         state, m = self.lawful.state, self.lawful.state.measurement
         fold = Fold(m, np.flatnonzero(self.rows == number))
-        terms = {id(one) for _, one in self.lawful.steps}
-        bare = Model(tuple(one for one in state.fixed if id(one) not in terms), state.random, state.logs)
+        terms = {id(part) for _, part in self.lawful.steps}
+        bare = Model(tuple(part for part in state.fixed if id(part) not in terms), state.random, state.logs)
         before, model, pairs = fold.predicted(bare), bare, list[tuple[Held, Held]]()
         for count in range(len(self.lawful.steps)):
             if len(model.fixed) == len(bare.fixed) + count:
@@ -166,9 +166,9 @@ class _Folds:
 
     def _chosen(self, fold: Fold, model: Model, count: int) -> Fixed | None:
         """Return the term that the other readings choose; None if they choose none."""
-        found, library = self.lawful, self.lawful.library
-        train = Train.of(fold, model, found.state)
-        place = found.terms[0].place
+        lawful, library = self.lawful, self.lawful.library
+        train = Train.of(fold, model, lawful.state)
+        place = lawful.terms[0].place
         best, chosen = 0.0, None
         for number, terms in enumerate(library.terms):
             net = train.nets(number)
@@ -177,13 +177,13 @@ class _Folds:
             if len(net) and net.max() > best:
                 best, chosen = float(net.max()), (number, int(np.argmax(net)))
         # the refined term has a value between those of the scan, which is better where its neighbours are chosen
-        term, one = found.steps[count]
+        term, part = lawful.steps[count]
         if chosen is not None and library.terms[chosen[0]][chosen[1]].is_like(term):
-            return one
+            return part
         if chosen is None:
             return None
-        price = found.state.measurement.prices.of_columns(chosen[0], 1)
-        return found.state.measurement.term(library.columns(library.terms[chosen[0]][chosen[1]]), chosen, price)
+        price = lawful.state.measurement.prices.of_columns(chosen[0], 1)
+        return lawful.state.measurement.term(library.columns(library.terms[chosen[0]][chosen[1]]), chosen, price)
 
 
 def _law(lawful: Lawful, base: State, gain: Gain, instead: State) -> Law:
@@ -233,13 +233,13 @@ def _data(library: Library, terms: Sequence[Term], sizes: Array, after: Array) -
     x = library.values(terms, name)[rows]
     steps = np.linspace(x.min(), x.max(), _STEPS)
     factors = [columns_of([term.form], {name: steps})[:, 0] for term in terms]
-    curve = np.concatenate([np.broadcast_to(one, (_STEPS, one.shape[1])) for one in factors], axis=1) @ sizes
+    curve = np.concatenate([np.broadcast_to(factor, (_STEPS, factor.shape[1])) for factor in factors], axis=1) @ sizes
     law, residual = law[rows] / change[rows], residual[rows] / change[rows]
     unit, adds_unit = spot.acting.variables_at({})[name].unit, spot.acting.unit_of(spot.component)
     return LawData(name, unit, x, law, residual, adds_unit, (steps, curve))
 
 
-def _showing(system: System, explained: Array) -> tuple[str, Mask]:
+def _showing(system: Linearised, explained: Array) -> tuple[str, Mask]:
     """Return the unit of the readings that show most of what a law explains (rows,), whitened, and their rows.
 
     Angles may show nothing of a law of distances.

@@ -42,13 +42,13 @@ class Lawful:
         """The terms, in the order in which they entered."""
         return tuple(term for term, _ in self.steps)
 
-    def plus(self, term: Term, one: Fixed) -> Lawful:
+    def plus(self, term: Term, part: Fixed) -> Lawful:
         """Return the state with one more term."""
-        return Lawful(self.state.plus([one]), self.library, (*self.steps, (term, one)))
+        return Lawful(self.state.plus([part]), self.library, (*self.steps, (term, part)))
 
     def first(self, count: int) -> Lawful:
         """Return the state with the first terms only."""
-        gone = [one for _, one in self.steps[count:]]
+        gone = [part for _, part in self.steps[count:]]
         return Lawful(self.state.minus(gone), self.library, self.steps[:count]) if gone else self
 
 
@@ -81,12 +81,12 @@ def forward(lawful: Lawful, price: float, most: int = MOST_TERMS) -> Lawful:
     """
     budget = lawful.state.measurement.job.budget
     while len(lawful.steps) < most and lawful.state.freedoms > _LEAST_DOF and not budget.spent():
-        found = best_terms(lawful)
-        if not found or found[0][0] < -_NEAR:
+        tried = best_terms(lawful)
+        if not tried or tried[0][0] < -_NEAR:
             break
-        near = [one for one in found if one[0] > found[0][0] - _NEAR][:_MOST_REFINED]
+        near = [term for term in tried if term[0] > tried[0][0] - _NEAR][:_MOST_REFINED]
         refined = [lawful.plus(*_refined(lawful, number, at)) for _, number, at in near]
-        best = max(refined, key=lambda one: one.state.score)
+        best = max(refined, key=lambda term: term.state.score)
         if best.state.score < lawful.state.score + price:
             break
         lawful = best
@@ -99,7 +99,7 @@ def best_terms(lawful: Lawful) -> list[tuple[float, int, int]]:
     All terms of a law act on one quantity at one place.
     """
     place = lawful.terms[0].place if lawful.terms else None
-    found: dict[tuple[int, str, Where, str], tuple[float, int, int]] = {}
+    best: dict[tuple[int, str, Where, str], tuple[float, int, int]] = {}
     for number, terms in enumerate(lawful.library.terms):
         gain, price, _ = lawful.state.gains_of_family(number)
         net = np.where(gain > 0, gain - price, -np.inf)
@@ -108,9 +108,9 @@ def best_terms(lawful: Lawful) -> list[tuple[float, int, int]]:
                 break
             term = terms[at]
             spot = number, *term.place, term.spot.component
-            if (place is None or term.place == place) and spot not in found:
-                found[spot] = float(net[at]), number, at
-    return sorted(found.values(), key=lambda one: -one[0])
+            if (place is None or term.place == place) and spot not in best:
+                best[spot] = float(net[at]), number, at
+    return sorted(best.values(), key=lambda one: -one[0])
 
 
 def _refined(lawful: Lawful, family: int, number: int) -> tuple[Term, Fixed]:
@@ -121,16 +121,16 @@ def _refined(lawful: Lawful, family: int, number: int) -> tuple[Term, Fixed]:
     if term.form.scanned is None or term.form.kind == STEPS:
         return term, state.measurement.term(library.columns(term), (family, number), price)
     alike = (
-        one.form.scanned
-        for one in library.terms[family]
-        if one.spot == term.spot and one.form.variables == term.form.variables
+        refined.form.scanned
+        for refined in library.terms[family]
+        if refined.spot == term.spot and refined.form.variables == term.form.variables
     )
     values = np.array(sorted(value for value in alike if value is not None))
     here = int(np.argmin(np.abs(values - term.form.scanned)))
     low, high = values[max(here - 1, 0)], values[min(here + 1, len(values) - 1)]
     for _ in range(_ROUNDS):
         tried = [term.at(float(value)) for value in 1 / np.linspace(1 / low, 1 / high, _FINE)]
-        columns = np.stack([library.columns(one) for one in tried], axis=1)
+        columns = np.stack([library.columns(refined) for refined in tried], axis=1)
         n, k, q = columns.shape
         left = state.seen(columns.reshape(n, k * q)).reshape(n, k, q)
         right = (columns.reshape(n, k * q).T @ state.residual).reshape(k, q)

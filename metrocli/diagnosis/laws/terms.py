@@ -23,7 +23,7 @@ _HARMONICS, _POWERS = 4, 3
 
 
 @dataclass(frozen=True)
-class Form:
+class TermForm:
     """One form of a term: the texts of its factors, in which `{s}` stands for the scanned value."""
 
     kind: str
@@ -48,7 +48,7 @@ def _order(factor: str) -> int:
     return int(head[0]) if head[1] else 1
 
 
-def columns_of(forms: Sequence[Form], values: Mapping[str, Array]) -> Array:
+def columns_of(forms: Sequence[TermForm], values: Mapping[str, Array]) -> Array:
     """Return the factors of forms of one kind as columns, (rows, forms, factors), from the variables (rows,).
 
     A constant has one row, whatever their number.
@@ -70,50 +70,52 @@ def columns_of(forms: Sequence[Form], values: Mapping[str, Array]) -> Array:
     return np.asarray(1 - np.exp(-v / s) if kind == SATURATIONS else (v > s).astype(float))[:, :, None]
 
 
-def forms_of(values: Mapping[str, Array], elapsed: Mapping[str, Array], periods: int) -> Iterator[Form]:
+def forms_of(values: Mapping[str, Array], elapsed: Mapping[str, Array], periods: int) -> Iterator[TermForm]:
     """Yield all forms in some variables (rows,); `elapsed` are those that begin at 0 and grow, such as the time.
 
     At most `periods` periods are tried for each variable, from one over its range to that many halves.
     """
-    yield Form("constant", ("1",), ())
+    yield TermForm("constant", ("1",), ())
     smooth = [name for name in values if powers_are_tried(name)]
     for name in values:
         if name in _ANGLES:
             for order in range(1, _HARMONICS + 1):
                 turn = f"{order}*{name}" if order > 1 else name
-                yield Form("harmonics", (f"sin({turn})", f"cos({turn})"), (name,))
+                yield TermForm("harmonics", (f"sin({turn})", f"cos({turn})"), (name,))
         elif name.startswith(_SIDE):
-            yield Form("direction", (name,), (name,))
+            yield TermForm("direction", (name,), (name,))
     for name in smooth:
         for power in range(1, _POWERS + 1):
-            yield Form("powers", (f"{name}**{power}" if power > 1 else name,), (name,) * power)
+            yield TermForm("powers", (f"{name}**{power}" if power > 1 else name,), (name,) * power)
         yield from _waves(name, values[name], periods)
-    yield from (Form("products", (f"{a}*{b}",), (a, b)) for a, b in combinations(values, 2) if {a, b} - set(_ANGLES))
+    yield from (
+        TermForm("products", (f"{a}*{b}",), (a, b)) for a, b in combinations(values, 2) if {a, b} - set(_ANGLES)
+    )
     for name, times in elapsed.items():
         yield from _saturations(name, times)
         yield from _steps(name, times)
 
 
-def _waves(name: str, values: Array, periods: int) -> Iterator[Form]:
+def _waves(name: str, values: Array, periods: int) -> Iterator[TermForm]:
     """Yield sine and cosine, their frequencies half a period over the range apart, so that none lies between them."""
     span, steps = float(np.ptp(values)), len(np.unique(values))
     if steps < 6:
         return
     for turns in np.arange(1.0, min((steps - 1) / 2, periods / 2 + 0.5) + 0.1, 0.5):
         texts = (f"sin(2*pi*{name}/{{s}})", f"cos(2*pi*{name}/{{s}})")
-        yield Form(WAVES, texts, (name,), span / float(turns))
+        yield TermForm(WAVES, texts, (name,), span / float(turns))
 
 
-def _saturations(name: str, values: Array) -> Iterator[Form]:
+def _saturations(name: str, values: Array) -> Iterator[TermForm]:
     span = float(np.ptp(values))
     if span > 0:
         for constant in np.geomspace(span / 100, span, 30):
-            yield Form(SATURATIONS, (f"(1 - exp(-{name}/{{s}}))",), (name,), float(constant))
+            yield TermForm(SATURATIONS, (f"(1 - exp(-{name}/{{s}}))",), (name,), float(constant))
 
 
-def _steps(name: str, values: Array) -> Iterator[Form]:
+def _steps(name: str, values: Array) -> Iterator[TermForm]:
     unique = np.unique(values)
     middles = (unique[1:] + unique[:-1]) / 2
     kept = middles[np.unique(np.linspace(0, len(middles) - 1, 80).astype(int))] if len(middles) else middles
     for at in kept.tolist():
-        yield Form(STEPS, (f"(1 + ({name} - {{s}})/abs({name} - {{s}}))/2",), (name,), at)
+        yield TermForm(STEPS, (f"(1 + ({name} - {{s}})/abs({name} - {{s}}))/2",), (name,), at)

@@ -61,15 +61,15 @@ class Basis:
         if _has_few(flat):
             there = rows_with_values(flat)
             flat, sparse, shared = flat[there], sparse[there], shared[there]
-        found = np.concatenate([sparse.T @ flat, shared.T @ flat])
-        return np.asarray(found.reshape(len(found), *values.shape[1:]))
+        along = np.concatenate([sparse.T @ flat, shared.T @ flat])
+        return np.asarray(along.reshape(len(along), *values.shape[1:]))
 
     def combined(self, coordinates: Array) -> Array:
         """Return `b coordinates`, (rows, ...)."""
         flat = flat_columns(coordinates)
         count = self._sparse.shape[1]
-        found = self._sparse @ flat[:count] + self.shared @ flat[count:]
-        return np.asarray(found.reshape(len(found), *coordinates.shape[1:]))
+        sums = self._sparse @ flat[:count] + self.shared @ flat[count:]
+        return np.asarray(sums.reshape(len(sums), *coordinates.shape[1:]))
 
     def take_from(self, values: Array, coordinates: Array) -> None:
         """Subtract `b coordinates` from values (rows, k) where they are, some rows at a time."""
@@ -82,8 +82,8 @@ class Basis:
         """Return the sum of squares of each row, the share of a reading that the unknowns absorb."""
         own = np.arange(len(self.local))[rows]
         some = (own[start : start + _AT_ONCE] for start in range(0, max(len(own), 1), _AT_ONCE))
-        parts = ((self.local[one], self.shared[one]) for one in some)
-        return np.concatenate([sum(np.einsum("rk,rk->r", one, one) for one in both) for both in parts])
+        parts = ((self.local[part], self.shared[part]) for part in some)
+        return np.concatenate([sum(np.einsum("rk,rk->r", part, part) for part in both) for both in parts])
 
     @cached_property
     def gram_of_shared(self) -> Array:
@@ -103,16 +103,16 @@ class Basis:
             parts = [inside, np.tensordot(self.shared.T, values, 1)] if self.shared.shape[1] else [inside]
         else:
             parts = [self.coordinates(values)]
-        return np.asarray(sum(grams_of(one) for one in parts))
+        return np.asarray(sum(grams_of(part) for part in parts))
 
     def gram_of(self, columns: csr_matrix) -> Array:
         """Return `g' b b' g` of sparse columns (rows, k), (k, k): the products that the unknowns absorb."""
         shared = columns.T @ self.shared
-        found = shared @ shared.T
+        gram = shared @ shared.T
         for rows in self._of_whole_members():
             local = columns[rows].T @ self.at(rows)._sparse
-            found += (local @ local.T).toarray()
-        return np.asarray(found)
+            gram += (local @ local.T).toarray()
+        return np.asarray(gram)
 
     def _of_whole_members(self) -> Iterator[Index]:
         """Yield all rows, those of some whole members at once."""
@@ -128,13 +128,13 @@ class Basis:
         """
         member, values = self.member[rows][::-1], values[::-1]
         local = np.where(member[:, None] >= 0, self.local[rows][::-1], 0.0)
-        found = np.einsum("rk,rk->r", local, local)[:, None] * values / 2
+        growth = np.einsum("rk,rk->r", local, local)[:, None] * values / 2
         for _, at in members_of_equal_size(member, self.members):
             if at.shape[1] > 1:
                 added = local[at][..., :, None] * values[at][..., None, :]
                 before = np.cumsum(added, axis=1)[:, :-1]
-                found[at[:, 1:]] += np.einsum("mrk,mrkq->mrq", local[at[:, 1:]], before)
-        return np.asarray(found[::-1])
+                growth[at[:, 1:]] += np.einsum("mrk,mrkq->mrq", local[at[:, 1:]], before)
+        return np.asarray(growth[::-1])
 
     def at(self, rows: Index) -> Basis:
         """Return some rows of the basis, with the columns of the members that they use."""
@@ -216,7 +216,7 @@ class Basis:
         if np.bincount(self.member[own] + 1, minlength=2)[1:].max() <= 1:
             # one row for each member: the columns of members that they use are orthogonal
             shared = self.shared[own].T @ self.shared[own]
-            of_local, of_shared = ((one[own] ** 2).sum(axis=1) for one in (self.local, self.shared))
+            of_local, of_shared = ((part[own] ** 2).sum(axis=1) for part in (self.local, self.shared))
             squares = of_local @ (of_local + 2 * of_shared) + (shared**2).sum()
             return float(of_local.sum() + np.trace(shared)), float(squares)
         gram = self.part(rows)
@@ -224,7 +224,7 @@ class Basis:
 
     def holds_whole_members(self, rows: Index) -> bool:
         """Whether some rows contain all rows of each local member that they use."""
-        there, whole = (np.bincount(one + 1, minlength=self.members + 1) for one in (self.member[rows], self.member))
+        there, whole = (np.bincount(part + 1, minlength=self.members + 1) for part in (self.member[rows], self.member))
         return bool(((there == 0) | (there == whole))[1:].all())
 
 

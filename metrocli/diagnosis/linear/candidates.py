@@ -6,7 +6,7 @@ Method: docs/algorithms/what-can-be-seen.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import field
 from itertools import product
 
 import numpy as np
@@ -14,9 +14,9 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.basis import rows_with_values
-from metrocli.diagnosis.linear.column_parts import Course, Own, Step
-from metrocli.diagnosis.linear.columns import Columns, gathered, joined
-from metrocli.diagnosis.linear.projection import VISIBLE, System
+from metrocli.diagnosis.linear.column_parts import Course, OwnColumns, StepColumns
+from metrocli.diagnosis.linear.columns import CandidateColumns, gathered, joined
+from metrocli.diagnosis.linear.projection import VISIBLE, Linearised
 from metrocli.diagnosis.linear.scans import any_apart, is_filled, scanned_columns, scans, sketch_vectors
 from metrocli.diagnosis.linear.signatures import BEYOND, beyond_plausible, of_places, scan
 from metrocli.effects.effect import Effect
@@ -31,7 +31,7 @@ _SMALL = 1e-6
 
 
 @dataclass(frozen=True)
-class Alternative:
+class Candidate:
     """One form of a cause at one place."""
 
     effect: Effect
@@ -58,11 +58,11 @@ class Alternative:
         """Cause, place and form (by time, by temperature), without the values of scanned parameters."""
         return *self.spot, self.effect.by
 
-    def like(self, other: Alternative) -> bool:
+    def like(self, other: Candidate) -> bool:
         """Return whether it differs from another alternative in the values of scanned parameters at most."""
         return (self.form, self.parameters, self.named) == (other.form, other.parameters, other.named)
 
-    def far_from(self, other: Alternative) -> float:
+    def far_from(self, other: Candidate) -> float:
         """Return the distance of its scanned parameters from those of another alternative."""
         own = dict(self.scanned)
         return sum(abs(own[key] - value) for key, value in other.scanned)
@@ -77,12 +77,12 @@ class Alternative:
 
 
 @dataclass(frozen=True)
-class Family:
+class CandidateGroup:
     """A cause with all its alternatives that have the same number of columns."""
 
     name: str
-    alternatives: tuple[Alternative, ...]
-    columns: Columns
+    alternatives: tuple[Candidate, ...]
+    columns: CandidateColumns
     """The whitened signatures"""
     raw: Array
     """Norm of each whole whitened signature, (alternatives, parameters)"""
@@ -90,7 +90,7 @@ class Family:
     """`G'MG` of each alternative, (alternatives, parameters, parameters)"""
     unknown: str = ""
     """Covariate of a family whose cause is not known; "" for effects"""
-    whole: Mapping[int, Own | Step] = field(default_factory=dict)
+    whole: Mapping[int, OwnColumns | StepColumns] = field(default_factory=dict)
     """Whole signatures of the alternatives whose columns are their visible parts"""
 
     @property
@@ -98,7 +98,7 @@ class Family:
         """Name, number of alternatives and number of columns of each, by which families of other tests are matched."""
         return self.name, self.columns.count, self.columns.parameters
 
-    def absorbed_by(self, system: System, chosen: Sequence[int]) -> Array:
+    def absorbed_by(self, system: Linearised, chosen: Sequence[int]) -> Array:
         """Return the coordinates of what the unknowns absorb of some alternatives, (unknowns, chosen, parameters)."""
         full = self.columns.whole(chosen, system.rows)
         for at, number in enumerate(chosen):
@@ -107,7 +107,7 @@ class Family:
                 full[self.whole[number].rows, at] = self.whole[number].values
         return system.basis.coordinates(full)
 
-    def has_gaps(self, system: System, chosen: Sequence[int]) -> bool:
+    def has_gaps(self, system: Linearised, chosen: Sequence[int]) -> bool:
         """Return whether the scan of a cause at one place, by its alternatives, misses forms between its values."""
         effect = self.alternatives[chosen[0]].effect
         if not is_filled(effect):
@@ -126,9 +126,9 @@ class NotTested:
     where: Mapping[str, str] = field(default_factory=dict)
 
 
-def families_of(job: AdjustedJob, system: System) -> tuple[list[Family], list[NotTested]]:
+def families_of(job: AdjustedJob, system: Linearised) -> tuple[list[CandidateGroup], list[NotTested]]:
     """Return the candidates of all effects that the data can test, and the effects that they cannot test."""
-    families: dict[tuple[str, int], list[Family]] = {}
+    families: dict[tuple[str, int], list[CandidateGroup]] = {}
     missing: list[NotTested] = []
     for effect in job.effects:
         if effect.of_one_reading or effect.throughout:
@@ -139,31 +139,28 @@ def families_of(job: AdjustedJob, system: System) -> tuple[list[Family], list[No
         missing += _untestable(job.model, effect)
         for family in _of_effect(job, system, effect, missing):
             families.setdefault((family.name, family.columns.parameters), []).append(family)
-    tested = {one.effect.form for parts in families.values() for part in parts for one in part.alternatives}
-    return [*map(_joined, families.values())], [one for one in missing if one.where or one.effect.form not in tested]
+    tested = {candidate.effect.form for parts in families.values() for part in parts for candidate in part.alternatives}
+    untested = [gap for gap in missing if gap.where or gap.effect.form not in tested]
+    return [*map(_joined, families.values())], untested
 
 
-def families_throughout(job: AdjustedJob, system: System) -> tuple[Family, ...]:
+def families_throughout(job: AdjustedJob, system: Linearised) -> tuple[CandidateGroup, ...]:
     """Return the effects that are sought at all their places at once only, as far as they can act somewhere."""
-    wanted = [one for one in job.effects if one.throughout and set(one.keys) <= set(job.model.places)]
+    wanted = [effect for effect in job.effects if effect.throughout and set(effect.keys) <= set(job.model.places)]
     return tuple(family for effect in wanted for family in _of_effect(job, system, effect, []))
 
 
-def _joined(parts: Sequence[Family]) -> Family:
+def _joined(parts: Sequence[CandidateGroup]) -> CandidateGroup:
     if len(parts) == 1:
         return parts[0]
-    firsts = np.cumsum([0, *(part.columns.count for part in parts)])
-    return Family(
+    placed = zip(np.cumsum([0, *(part.columns.count for part in parts[:-1])]).tolist(), parts, strict=True)
+    return CandidateGroup(
         parts[0].name,
-        tuple(one for part in parts for one in part.alternatives),
+        tuple(candidate for part in parts for candidate in part.alternatives),
         joined([part.columns for part in parts]),
         np.concatenate([part.raw for part in parts]),
         np.concatenate([part.gram for part in parts]),
-        whole={
-            first + number: own
-            for first, part in zip(firsts.tolist(), parts, strict=False)
-            for number, own in part.whole.items()
-        },
+        whole={at + number: own for at, part in placed for number, own in part.whole.items()},
     )
 
 
@@ -173,10 +170,10 @@ def _untestable(model: Model, effect: Effect) -> list[NotTested]:
     if not places and (effect.definition or effect.keys[0] in model.places):
         few = "this measurement has no" if effect.definition else "all readings share one"
         return [NotTested(effect, f"{few} {effect.keys[0]}")]
-    found = [NotTested(effect, lacking(model, effect, at), at) for at in places if not can_act(model, effect, at)]
-    if len(found) == len(places) and len({one.reason for one in found}) == 1:
-        return [NotTested(effect, found[0].reason)]
-    return found
+    gaps = [NotTested(effect, lacking(model, effect, at), at) for at in places if not can_act(model, effect, at)]
+    if len(gaps) == len(places) and len({gap.reason for gap in gaps}) == 1:
+        return [NotTested(effect, gaps[0].reason)]
+    return gaps
 
 
 def instances(model: Model, effect: Effect) -> list[tuple[str, ...]]:
@@ -188,26 +185,27 @@ def _places(model: Model, effect: Effect) -> list[tuple[str, ...]]:
     return list(product(*(names_for(model, effect, key) for key in effect.keys)))[:_MOST_PLACES]
 
 
-def _of_effect(job: AdjustedJob, system: System, effect: Effect, missing: list[NotTested]) -> Iterator[Family]:
+def _of_effect(
+    job: AdjustedJob, system: Linearised, effect: Effect, missing: list[NotTested]
+) -> Iterator[CandidateGroup]:
     """Yield the families of an effect; add to `missing` where it has no value at a reading."""
     places = _absent(job.model, effect)
     together = bool(effect.keys) and not effect.selects and all(job.model.places[key].index for key in effect.keys)
     for chosen in [places] if together else [[place] for place in places]:
-        by_size: dict[int, list[_Columns]] = {}
+        by_size: dict[int, list[_Visible]] = {}
         try:
-            for item in _columns(job, system, effect, chosen) if chosen else ():
-                if effect.limited and beyond_plausible(system, item.own, effect, item.alternative.parameters):
-                    missing.append(NotTested(effect, BEYOND, item.alternative.where))
+            for candidate, own in _columns(job, system, effect, chosen) if chosen else ():
+                if effect.limited and beyond_plausible(system, own, effect, candidate.parameters):
+                    missing.append(NotTested(effect, BEYOND, candidate.where))
                 else:
-                    by_size.setdefault(item.own.values.shape[1], []).append(item)
+                    by_size.setdefault(own.values.shape[1], []).append((candidate, own))
         except NoValueAtReadingError as error:
             at = {} if together else dict(zip(effect.keys, chosen[0], strict=True))
             missing.append(NotTested(effect, str(error), at))
-        for items in by_size.values():
-            yield _family(system, items)
+        yield from (_family(system, items) for items in by_size.values())
 
 
-def _family(system: System, items: Sequence[_Columns]) -> Family:
+def _family(system: Linearised, items: Sequence[_Visible]) -> CandidateGroup:
     """Return the family of some alternatives: whole columns, or their visible parts where these are small.
 
     `|g|^2 - |b'g|^2` keeps few digits of a small difference, so such a part is projected. Columns that are not visible
@@ -219,37 +217,33 @@ def _family(system: System, items: Sequence[_Columns]) -> Family:
     shown = np.einsum("kqq->kq", gram) / np.where(raw > 0, raw, 1.0) ** 2
     visible = ~(shown < VISIBLE**2).all(axis=1)
     weak = visible & (shown < _SMALL).any(axis=1)
-    changed, found = ~visible | weak, list(items)
+    changed, shown_items = ~visible | weak, list(items)
     for number in np.flatnonzero(changed).tolist():
-        own = Own(np.zeros(0, dtype=np.intp), np.zeros((0, raw.shape[1])))
+        own = OwnColumns(np.zeros(0, dtype=np.intp), np.zeros((0, raw.shape[1])))
         if weak[number]:
             seen = system.seen(columns.whole([number], system.rows)[:, 0])
-            own = Own(rows := rows_with_values(seen), seen[rows])
-        found[number] = replace(found[number], own=own)
+            own = OwnColumns(rows := rows_with_values(seen), seen[rows])
+        shown_items[number] = (items[number][0], own)
         gram[number] = own.values.T @ own.values
         visible[number] = len(own.rows) > 0
-    somewhere = {items[int(number)].alternative.instance for number in np.flatnonzero(visible)}
-    kept = [i for i, item in enumerate(items) if visible[i] or item.alternative.instance not in somewhere]
-    return Family(
-        items[0].alternative.effect.name,
-        tuple(items[number].alternative for number in kept),
-        _gathered([found[number] for number in kept]) if changed.any() else columns,
+    somewhere = {items[int(number)][0].instance for number in np.flatnonzero(visible)}
+    kept = [i for i, (candidate, _) in enumerate(items) if visible[i] or candidate.instance not in somewhere]
+    return CandidateGroup(
+        items[0][0].effect.name,
+        tuple(items[number][0] for number in kept),
+        _gathered([shown_items[number] for number in kept]) if changed.any() else columns,
         raw[kept],
         gram[kept],
-        whole={at: items[number].own for at, number in enumerate(kept) if changed[number]},
+        whole={at: items[number][1] for at, number in enumerate(kept) if changed[number]},
     )
 
 
-def _gathered(items: Sequence[_Columns]) -> Columns:
-    return gathered((item.alternative.instance, item.own) for item in items)
+_Visible = tuple[Candidate, OwnColumns | StepColumns]
+"""A candidate with its columns at the rows that they change"""
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """One alternative with its columns at the rows that they change."""
-
-    alternative: Alternative
-    own: Own | Step
+def _gathered(items: Sequence[_Visible]) -> CandidateColumns:
+    return gathered((candidate.instance, own) for candidate, own in items)
 
 
 def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
@@ -257,29 +251,32 @@ def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
 
     Effects with scanned parameters can act at a place more than once.
     """
-    same = [one for one in model.added if (one.effect.name, one.effect.by) == (effect.name, effect.by)]
-    added = [one for one in same if one.columns and not one.std]
-    there = {place for one in added for place in one.instances}
+    same = [extra for extra in model.added if (extra.effect.name, extra.effect.by) == (effect.name, effect.by)]
+    added = [extra for extra in same if extra.columns and not extra.std]
+    there = {place for extra in added for place in extra.instances}
     places = instances(model, effect)
     return places if effect.scanned else [place for place in places if place not in there]
 
 
-def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]) -> Iterator[_Columns]:
+def _columns(
+    job: AdjustedJob, system: Linearised, effect: Effect, places: Sequence[tuple[str, ...]]
+) -> Iterator[_Visible]:
     """Yield for each place and scan the columns of its parameters."""
     if effect.is_step:
         yield from _steps(job, system, effect, places)
         return
     for scanned, (full, block, chosen) in scanned_columns(job.model, system, effect, places):
         for place, names, own in of_places(job.model, block, chosen, places):
-            changed = Own.of(full, own, system.same_rows)
+            changed = OwnColumns.of(full, own, system.same_rows)
             if len(changed.rows) >= job.fewest:
-                named = tuple(
-                    (p.name, job.model.places[p.place].names[int(scanned[p.name])]) for p in effect.scanned if p.place
-                )
-                yield _Columns(Alternative(effect, place, tuple(scanned.items()), names, named), changed)
+                placed = [p for p in effect.scanned if p.place]
+                named = tuple((p.name, job.model.places[p.place].names[int(scanned[p.name])]) for p in placed)
+                yield Candidate(effect, place, tuple(scanned.items()), names, named), changed
 
 
-def _steps(job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]) -> Iterator[_Columns]:
+def _steps(
+    job: AdjustedJob, system: Linearised, effect: Effect, places: Sequence[tuple[str, ...]]
+) -> Iterator[_Visible]:
     """Yield for each place and time the columns of an effect that acts from this time on.
 
     They are those of the effect that acts from the earliest time on, without the rows before.
@@ -291,10 +288,10 @@ def _steps(job: AdjustedJob, system: System, effect: Effect, places: Sequence[tu
     full, block, chosen = next(scan(job.model, system, effect, places, [{name: float(np.nanmin(times))}]))
     courses = []
     for place, names, own in of_places(job.model, block, chosen, places):
-        course = Course.of(Own.of(full, own), times)
+        course = Course.of(OwnColumns.of(full, own), times)
         courses.append((place, names, course, times[course.rows]))
     for scanned in tried:
         for place, names, course, ordered in courses:
             begin = int(np.searchsorted(ordered, scanned[name]))
             if len(course.rows) - begin >= job.fewest:
-                yield _Columns(Alternative(effect, place, tuple(scanned.items()), names), Step(course, begin))
+                yield Candidate(effect, place, tuple(scanned.items()), names), StepColumns(course, begin)

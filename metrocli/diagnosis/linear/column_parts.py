@@ -57,7 +57,7 @@ class ColumnPart(Protocol):
 
 
 @dataclass(frozen=True)
-class Own:
+class OwnColumns:
     """The columns of one alternative at the rows that they change."""
 
     rows: Index
@@ -71,7 +71,7 @@ class Own:
         return int(self.values.shape[1])
 
     @classmethod
-    def of(cls, full: Array, own: Mask, held: Callable[[Index], Index] = lambda rows: rows) -> Own:
+    def of(cls, full: Array, own: Mask, held: Callable[[Index], Index] = lambda rows: rows) -> OwnColumns:
         """Return some of the columns (rows, k), chosen by a mask (k,), at the rows where any of them is not zero.
 
         `held` returns the array in which equal rows are stored, so that they are stored once.
@@ -91,14 +91,14 @@ class Course:
     """(r, parameters)"""
 
     @classmethod
-    def of(cls, own: Own, times: Array) -> Course:
+    def of(cls, own: OwnColumns, times: Array) -> Course:
         """Return columns by the times of all rows, (rows,)."""
         order = np.argsort(times[own.rows], kind="stable")
         return cls(own.rows[order], own.values[order])
 
 
 @dataclass(frozen=True)
-class Step:
+class StepColumns:
     """The columns of one alternative that acts from some time on."""
 
     course: Course
@@ -122,7 +122,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Part:
+class StackedColumns:
     """Alternatives that change the same rows."""
 
     rows: Index
@@ -139,8 +139,8 @@ class Part:
     def products(self, visible: Array, at: Index | slice = slice(None)) -> Array:
         """Return the products of some alternatives with visible vectors (rows, m), (alternatives, parameters, m)."""
         chosen = self.values[:, at]
-        found = chosen.reshape(len(self.rows), -1).T @ visible[self._place]
-        return np.asarray(found.reshape(*chosen.shape[1:], visible.shape[1]))
+        of_part = chosen.reshape(len(self.rows), -1).T @ visible[self._place]
+        return np.asarray(of_part.reshape(*chosen.shape[1:], visible.shape[1]))
 
     def dense(self, at: Index | slice = slice(None)) -> Array:
         """Return the columns of some alternatives at the rows, (r, alternatives, parameters)."""
@@ -153,25 +153,25 @@ class Part:
     def grams(self, basis: Basis) -> Array:
         """Return `g' (I - b b') g` of each alternative, (alternatives, parameters, parameters)."""
         _, count, q = self.values.shape
-        step, absorbs, found = max(_AT_ONCE // max(q, 1), 1), basis.at(self.rows), np.zeros((count, q, q))
+        step, absorbs, squares = max(_AT_ONCE // max(q, 1), 1), basis.at(self.rows), np.zeros((count, q, q))
         for start in range(0, count, step):
             values = self.values[:, start : start + step]
             turned = np.ascontiguousarray(np.moveaxis(values, 1, 0))
-            found[start : start + step] = np.matmul(np.swapaxes(turned, 1, 2), turned) - absorbs.grams(values)
-        return found
+            squares[start : start + step] = np.matmul(np.swapaxes(turned, 1, 2), turned) - absorbs.grams(values)
+        return squares
 
-    def cut(self, there: Mask) -> Part:
+    def cut(self, there: Mask) -> StackedColumns:
         """Return the part at some of its rows (r,)."""
         own = np.flatnonzero(there)
-        return Part(self.rows[own], self.values.take(own, axis=0), self.numbers)
+        return StackedColumns(self.rows[own], self.values.take(own, axis=0), self.numbers)
 
-    def numbered(self, rows: Index, numbers: Index) -> Part:
+    def numbered(self, rows: Index, numbers: Index) -> StackedColumns:
         """Return the part with other numbers of its rows and its alternatives."""
-        return Part(rows, self.values, numbers)
+        return StackedColumns(rows, self.values, numbers)
 
-    def weighted(self, factor: Array) -> Part:
+    def weighted(self, factor: Array) -> StackedColumns:
         """Return the columns with their rows multiplied by a factor (all rows,)."""
-        return Part(self.rows, self.values * factor[self.rows, None, None], self.numbers)
+        return StackedColumns(self.rows, self.values * factor[self.rows, None, None], self.numbers)
 
 
 @dataclass(frozen=True)
@@ -202,8 +202,8 @@ class Steps:
     def _from_each_on(self, sums: Iterable[Array]) -> Array:
         """Return the sums from each alternative's time on, of those over the stretches, the last stretch first."""
         first, own = self._stretches
-        found = np.cumsum(sums if isinstance(sums, np.ndarray) else np.stack(list(sums)), axis=0)
-        return np.asarray(found[len(first) - 1 - own])
+        sums_so_far = np.cumsum(sums if isinstance(sums, np.ndarray) else np.stack(list(sums)), axis=0)
+        return np.asarray(sums_so_far[len(first) - 1 - own])
 
     def _slices(self) -> Iterator[slice]:
         """Yield the rows of each stretch, the last stretch first."""

@@ -17,7 +17,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.linear.basis import Basis, grams_of
-from metrocli.diagnosis.linear.column_parts import ColumnPart, Own, Part, Step, Steps
+from metrocli.diagnosis.linear.column_parts import ColumnPart, OwnColumns, StackedColumns, StepColumns, Steps
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
@@ -44,7 +44,7 @@ class Stacked:
         """Return the parts, apart by their size."""
         from scipy.sparse import csc_matrix
 
-        small = [part for part in parts if isinstance(part, Part) and len(part.rows) < _SMALL]
+        small = [part for part in parts if isinstance(part, StackedColumns) and len(part.rows) < _SMALL]
         values = [np.moveaxis(part.values, 0, 2).ravel() for part in small]
         counts = [len(part.numbers) * part.values.shape[2] for part in small]
         places = [np.tile(part.rows, count) for part, count in zip(small, counts, strict=True)]
@@ -59,12 +59,12 @@ class Stacked:
 
     def products(self, visible: Array, parameters: int) -> Array:
         """Return the products with visible vectors (rows, m), (alternatives, parameters, m)."""
-        found = self.columns @ visible[: self.columns.shape[1]]
-        return np.asarray(found.reshape(len(self.numbers), parameters, visible.shape[1]))
+        sums = self.columns @ visible[: self.columns.shape[1]]
+        return np.asarray(sums.reshape(len(self.numbers), parameters, visible.shape[1]))
 
 
 @dataclass(frozen=True)
-class Columns:
+class CandidateColumns:
     """The columns of all alternatives of a family."""
 
     count: int
@@ -76,10 +76,10 @@ class Columns:
     """Cache: many small parts as one sparse matrix"""
 
     @classmethod
-    def of(cls, values: Array) -> Columns:
+    def of(cls, values: Array) -> CandidateColumns:
         """Return dense columns (rows, alternatives, parameters)."""
         rows, count, parameters = values.shape
-        return cls(count, parameters, (Part(np.arange(rows), values, np.arange(count)),))
+        return cls(count, parameters, (StackedColumns(np.arange(rows), values, np.arange(count)),))
 
     def products(self, visible: Array, chosen: Sequence[int] | None = None) -> Array:
         """Return the products of the columns with visible vectors (rows, m), (alternatives, parameters, m).
@@ -87,21 +87,21 @@ class Columns:
         `chosen` limits them to some alternatives, in this order.
         """
         if chosen is None:
-            found = np.zeros((self.count, self.parameters, visible.shape[1]))
+            sums = np.zeros((self.count, self.parameters, visible.shape[1]))
             parts = self.parts
             if len(parts) > _MANY:
                 if not self.stacked:
                     self.stacked.append(Stacked.of(parts))
                 stacked = self.stacked[0]
-                found[stacked.numbers] = stacked.products(visible, self.parameters)
+                sums[stacked.numbers] = stacked.products(visible, self.parameters)
                 parts = stacked.others
             for part in parts:
-                found[part.numbers] = part.products(visible)
-            return found
-        found = np.zeros((len(chosen), self.parameters, visible.shape[1]))
+                sums[part.numbers] = part.products(visible)
+            return sums
+        sums = np.zeros((len(chosen), self.parameters, visible.shape[1]))
         for part, own, at in self._among(chosen):
-            found[own] = part.products(visible, at)
-        return found
+            sums[own] = part.products(visible, at)
+        return sums
 
     @cached_property
     def _held(self) -> tuple[Index, Index]:
@@ -128,76 +128,76 @@ class Columns:
 
     def grams(self, basis: Basis) -> Array:
         """Return `g' M g` of each alternative, (alternatives, parameters, parameters), M without a basis."""
-        found = np.zeros((self.count, self.parameters, self.parameters))
+        sums = np.zeros((self.count, self.parameters, self.parameters))
         rows = len(basis.local)
         if len(self.parts) > _MANY and rows * self.count * self.parameters <= _DENSE:
             whole = self.whole(range(self.count), rows)
             return np.asarray(grams_of(whole) - basis.grams(whole))
         for part in self.parts:
-            found[part.numbers] = part.grams(basis)
-        return found
+            sums[part.numbers] = part.grams(basis)
+        return sums
 
     def norms(self) -> Array:
         """Return the norm of each whole column, (alternatives, parameters)."""
-        found = np.zeros((self.count, self.parameters))
+        lengths = np.zeros((self.count, self.parameters))
         for part in self.parts:
-            found[part.numbers] = part.norms()
-        return found
+            lengths[part.numbers] = part.norms()
+        return lengths
 
-    def at(self, rows: Mask) -> Columns:
+    def at(self, rows: Mask) -> CandidateColumns:
         """Return the columns at some rows only, which keep their numbers."""
         cut = (part.cut(there) for part in self.parts if (there := rows[part.rows]).any())
         return replace(self, parts=tuple(part for part in cut if len(part.numbers)), stacked=[])
 
-    def weighted(self, factor: Array) -> Columns:
+    def weighted(self, factor: Array) -> CandidateColumns:
         """Return the columns with their rows multiplied by a factor (rows,)."""
         return replace(self, parts=tuple(part.weighted(factor) for part in self.parts), stacked=[])
 
-    def of_rows(self, rows: Mask) -> Columns:
+    def of_rows(self, rows: Mask) -> CandidateColumns:
         """Return the columns of a system that has some rows only, which are numbered anew."""
         new = np.cumsum(rows) - 1
         cut = self.at(rows)
         parts = tuple(part.numbered(new[part.rows], part.numbers) for part in cut.parts)
         return replace(cut, parts=parts, stacked=[])
 
-    def followed_by(self, values: Array) -> Columns:
+    def followed_by(self, values: Array) -> CandidateColumns:
         """Return the columns with one alternative more, of columns (rows, parameters)."""
         rows = np.flatnonzero(values.any(axis=1))
-        part = Part(rows, values[rows][:, None], np.array([self.count]))
+        part = StackedColumns(rows, values[rows][:, None], np.array([self.count]))
         return replace(self, count=self.count + 1, parts=(*self.parts, part), stacked=[])
 
 
-def gathered(items: Iterable[tuple[object, Own | Step]]) -> Columns:
+def gathered(items: Iterable[tuple[object, OwnColumns | StepColumns]]) -> CandidateColumns:
     """Return the columns of alternatives, each with a label.
 
     Alternatives of equal labels, such as the periods of a wave in one tracer, share a part with the rows of all of
     them. Steps of the same course share the course.
     """
-    by_label: dict[object, list[tuple[int, Own]]] = {}
-    by_course: dict[int, list[tuple[int, Step]]] = {}
+    by_label: dict[object, list[tuple[int, OwnColumns]]] = {}
+    by_course: dict[int, list[tuple[int, StepColumns]]] = {}
     parts: list[ColumnPart] = []
     count = 0
-    for number, (label, one) in enumerate(items):
-        if isinstance(one, Step):
-            by_course.setdefault(id(one.course), []).append((number, one))
+    for number, (label, own) in enumerate(items):
+        if isinstance(own, StepColumns):
+            by_course.setdefault(id(own.course), []).append((number, own))
         else:
-            by_label.setdefault(label, []).append((number, one))
-        count, parameters = number + 1, one.parameters
+            by_label.setdefault(label, []).append((number, own))
+        count, parameters = number + 1, own.parameters
     for steps in by_course.values():
-        begins, numbers = np.array([[one.begin, number] for number, one in steps]).T
+        begins, numbers = np.array([[step.begin, number] for number, step in steps]).T
         parts.append(Steps(steps[0][1].course, begins, numbers))
     for held in by_label.values():
         numbers, first = np.array([number for number, _ in held]), held[0][1].rows
-        if all(np.array_equal(one.rows, first) for _, one in held):
+        if all(np.array_equal(columns.rows, first) for _, columns in held):
             if len(first):
-                parts.append(Part(first, side_by_side([one.values for _, one in held]), numbers))
+                parts.append(StackedColumns(first, side_by_side([columns.values for _, columns in held]), numbers))
             continue
-        union = np.unique(np.concatenate([one.rows for _, one in held]))
+        union = np.unique(np.concatenate([columns.rows for _, columns in held]))
         full = np.zeros((len(union), len(held), parameters))
-        for at, (_, one) in enumerate(held):
-            full[np.searchsorted(union, one.rows), at] = one.values
-        parts.append(Part(union, full, numbers))
-    return Columns(count, parameters, tuple(parts))
+        for at, (_, own) in enumerate(held):
+            full[np.searchsorted(union, own.rows), at] = own.values
+        parts.append(StackedColumns(union, full, numbers))
+    return CandidateColumns(count, parameters, tuple(parts))
 
 
 def side_by_side(several: Sequence[Array]) -> Array:
@@ -205,11 +205,11 @@ def side_by_side(several: Sequence[Array]) -> Array:
     return several[0][:, None] if len(several) == 1 else np.stack(several, axis=1)
 
 
-def joined(several: Sequence[Columns]) -> Columns:
+def joined(several: Sequence[CandidateColumns]) -> CandidateColumns:
     """Return the columns of several families of as many parameters, none of them cut, one after the other."""
     parts: list[ColumnPart] = []
     count = 0
-    for one in several:
-        parts += [part.numbered(part.rows, part.numbers + count) for part in one.parts]
-        count += one.count
-    return Columns(count, several[0].parameters, tuple(parts))
+    for columns in several:
+        parts += [part.numbered(part.rows, part.numbers + count) for part in columns.parts]
+        count += columns.count
+    return CandidateColumns(count, several[0].parameters, tuple(parts))

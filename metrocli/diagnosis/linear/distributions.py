@@ -29,11 +29,11 @@ def log_tail(share: Array, q: float, rest: float) -> Array:
 
 def log_levels(share: Array, rank: Array, dof: float) -> Array:
     """Return ln of the p-value of candidates that take a share of the squares with `rank` of `dof` directions, (k,)."""
-    share, found = np.clip(share, 0.0, 1.0), np.zeros(len(share))
+    share, levels = np.clip(share, 0.0, 1.0), np.zeros(len(share))
     for q in np.unique(rank[rank > 0]):
         if dof > q:
-            found[rank == q] = log_tail(share[rank == q], float(q), dof - q)
-    return np.minimum(found, 0.0)
+            levels[rank == q] = log_tail(share[rank == q], float(q), dof - q)
+    return np.minimum(levels, 0.0)
 
 
 def log_family(log_p: Array | float, tests: float) -> Array:
@@ -54,8 +54,8 @@ def noncentrality(level: float, q: int, rest: float, power: float = 0.8) -> floa
     from scipy.special import ncfdtrinc
 
     bound = critical(level, q, rest)
-    found = float(ncfdtrinc(q, rest, 1 - power, bound))
-    return found if np.isfinite(found) and found > 0 else float(q * bound)
+    parameter = float(ncfdtrinc(q, rest, 1 - power, bound))
+    return parameter if np.isfinite(parameter) and parameter > 0 else float(q * bound)
 
 
 def power(level: float, q: int, rest: float, noncentralities: Array) -> Array:

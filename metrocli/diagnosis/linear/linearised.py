@@ -13,11 +13,11 @@ import numpy as np
 from metrocli.adjust.datum import Frame, open_frame
 from metrocli.adjust.decompositions import thin_svd
 from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.groups import Linear
+from metrocli.adjust.model.groups import LinearGroup
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout, single_touch, without_elimination
 from metrocli.diagnosis.linear.basis import Basis, members_of_equal_size
-from metrocli.diagnosis.linear.projection import MOST_NUMBERS, System, by_rows, scatter
+from metrocli.diagnosis.linear.projection import MOST_NUMBERS, Linearised, by_rows, scatter
 from metrocli.diagnosis.linear.quadratics import orthonormalised
 from metrocli.diagnosis.linear.solver import Solver
 from metrocli.effects.model import Model
@@ -30,7 +30,7 @@ _WELL = 1e-5
 """Singular value of unit columns that the Gram matrix still resolves; those that a datum leaves open are 0"""
 
 
-def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> System:
+def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> Linearised:
     """Return the model as a linear system; `weights` (n,) multiply the whitened rows of the readings of a group.
 
     The unknowns of one block are local: each reading uses one of its members (point, image). Their columns are removed
@@ -53,7 +53,7 @@ def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> Syst
     rows = _Rows.joined(parts)
     basis, solver, sizes = _factored(model, local, layout, whole, rows)
     residual = np.concatenate(residuals)
-    system = System(model, whole, residual, basis, solver, first, np.concatenate(scales), sizes)
+    system = Linearised(model, whole, residual, basis, solver, first, np.concatenate(scales), sizes)
     return replace(system, residual=system.seen(residual))
 
 
@@ -63,7 +63,7 @@ def shared_unknowns(model: Model) -> int:
 
 
 @dataclass(frozen=True)
-class Local:
+class LocalMembers:
     """The members of a block whose unknowns are local: no reading uses two of them."""
 
     block: Block | None
@@ -71,7 +71,7 @@ class Local:
     """Which members are local, (members,)"""
 
 
-def local_members(model: Model) -> Local:
+def local_members(model: Model) -> LocalMembers:
     """Return the block with the most unknowns of which no reading uses two members.
 
     A few conditions, such as calibrated distances, may use two: their members are shared.
@@ -80,18 +80,18 @@ def local_members(model: Model) -> Local:
     candidates = [block for block in model.blocks.values() if block.free.any() and single_touch(block, measured)]
     block = max(candidates, key=lambda one: int(one.free.sum()), default=None)
     if block is None or len(block.members) < 2:
-        return Local(None, np.zeros(0, dtype=bool))
+        return LocalMembers(None, np.zeros(0, dtype=bool))
     members = np.ones(len(block.members), dtype=bool)
     for group in model.groups:
         index = group.observations.index.get(block.name) if block.name in group.chain.blocks else None
         if index is not None and index.ndim > 1 and len(index) > 1:
             members[np.unique(index)] = False
         elif index is None and block.name in group.chain.blocks:
-            return Local(None, np.zeros(0, dtype=bool))
-    return Local(block, members)
+            return LocalMembers(None, np.zeros(0, dtype=bool))
+    return LocalMembers(block, members)
 
 
-def _shared(model: Model, local: Local) -> Layout:
+def _shared(model: Model, local: LocalMembers) -> Layout:
     """Return the numbers of the unknowns that are not local."""
     if local.block is None:
         return without_elimination(model.blocks)
@@ -110,7 +110,7 @@ class _Rows:
     """(rows, width)"""
 
     @classmethod
-    def of(cls, local: Local, layout: Layout, linear: Linear) -> _Rows:
+    def of(cls, local: LocalMembers, layout: Layout, linear: LinearGroup) -> _Rows:
         """Return the rows of a group, ordered by reading."""
         d, n = linear.residual.shape
         block = local.block
@@ -137,9 +137,9 @@ class _Rows:
         if len(parts) == 1:
             return parts[0]
         return _Rows(
-            np.concatenate([one.local for one in parts]),
-            np.concatenate([one.member for one in parts]),
-            np.concatenate([one.shared for one in parts]),
+            np.concatenate([rows.local for rows in parts]),
+            np.concatenate([rows.member for rows in parts]),
+            np.concatenate([rows.shared for rows in parts]),
         )
 
 
@@ -152,7 +152,9 @@ def _must_fit(model: Model, layout: Layout) -> None:
         )
 
 
-def _factored(model: Model, local: Local, layout: Layout, whole: Layout, rows: _Rows) -> tuple[Basis, Solver, Array]:
+def _factored(
+    model: Model, local: LocalMembers, layout: Layout, whole: Layout, rows: _Rows
+) -> tuple[Basis, Solver, Array]:
     """Return basis, solver and the norm of the column of each unknown."""
     members = len(local.members)
     own, inverses = _orthonormal_members(rows.local, rows.member, members)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.adjust.model.observations import Mask
-from metrocli.diagnosis.adjusted_job import AdjustedJob, Part
+from metrocli.diagnosis.adjusted_job import AdjustedJob, MemberSubset
 from metrocli.diagnosis.linear.linearised import local_members, shared_unknowns
 from metrocli.diagnosis.linear.projection import MOST_NUMBERS
 from metrocli.diagnosis.linear.scans import most_tried
@@ -93,12 +93,14 @@ def part_of(job: AdjustedJob, share: float) -> AdjustedJob | None:
         job,
         model=replace(fewer, groups=groups, datum=datum),
         covariates=tuple(
-            replace(one, values={name: _some(values, kept.get(name)) for name, values in one.values.items()})
-            for one in job.covariates
+            replace(
+                covariate, values={name: _some(values, kept.get(name)) for name, values in covariate.values.items()}
+            )
+            for covariate in job.covariates
         ),
         folds={name: _some(values, kept.get(name)) for name, values in job.folds.items()},
         replicates={name: _some(values, kept.get(name)) for name, values in job.replicates.items()},
-        part=Part(block.name, count, len(members)),
+        part=MemberSubset(block.name, count, len(members)),
     )
 
 
@@ -119,8 +121,8 @@ def needed(job: AdjustedJob) -> float:
 
 def _columns_of_effects(job: AdjustedJob, rows: int) -> int:
     """Return how many columns of effects each row has at most, those of a step once."""
-    sought = (one for one in job.effects if not one.of_one_reading and one.name not in job.not_sought)
-    return sum(len(one.parameters) * math.prod(_tried(job.model, one, rows)) for one in sought)
+    sought = (effect for effect in job.effects if not effect.of_one_reading and effect.name not in job.not_sought)
+    return sum(len(effect.parameters) * math.prod(_tried(job.model, effect, rows)) for effect in sought)
 
 
 def _tried(model: Model, effect: Effect, rows: int) -> Iterator[int]:
@@ -137,16 +139,16 @@ def at_hand() -> float:
 
 def _free() -> list[float]:
     """Return what the system and the control group of the process have left, where they say so."""
-    found = []
+    limits = []
     for line in _text("/proc/meminfo").splitlines():
         if line.startswith("MemAvailable:"):
-            found.append(float(line.split()[1]) * 1024)
+            limits.append(float(line.split()[1]) * 1024)
     most, taken = (_text(f"/sys/fs/cgroup/memory.{name}").strip() for name in ("max", "current"))
     if most.isdigit() and taken.isdigit():
         # files that were read stay in memory until it is needed
         kept = [float(line.split()[1]) for line in _text(_STATISTICS).splitlines() if line.startswith("inactive_file ")]
-        found.append(float(most) - float(taken) + sum(kept))
-    return found
+        limits.append(float(most) - float(taken) + sum(kept))
+    return limits
 
 
 def _left_by_limits() -> list[float]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.chain import Link, through
-from metrocli.adjust.model.groups import Group, Linear
+from metrocli.adjust.model.groups import Group, LinearGroup
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout
 from metrocli.diagnosis.linear.basis import Basis
@@ -38,7 +38,7 @@ MOST_NUMBERS = 60_000_000
 
 
 @dataclass(frozen=True)
-class System:
+class Linearised:
     """A model linearised at its values, with one row for each component of each reading, reading by reading."""
 
     model: Model
@@ -57,7 +57,7 @@ class System:
     """Norm of J's column of each unknown, (unknowns,)"""
     idle: int = 0
     """Number of rows that are left out; they are zero everywhere"""
-    runs: dict[str, Run] = field(default_factory=dict, compare=False, repr=False)
+    runs: dict[str, ChainValues] = field(default_factory=dict, compare=False, repr=False)
     """Cache of the values along the chains, by group"""
     sets_of_rows: list[Index] = field(default_factory=list, compare=False, repr=False)
     """The sets of rows that candidates change: those of a tracer are the same for many"""
@@ -132,7 +132,7 @@ class System:
         shown = np.linalg.norm(left, axis=0) > VISIBLE * np.linalg.norm(values, axis=0)
         return np.asarray(np.where(shown, left, 0.0)), inside
 
-    def with_unknowns(self, columns: Array) -> System:
+    def with_unknowns(self, columns: Array) -> Linearised:
         """Return the system with further unknowns of orthonormal visible columns (rows, k)."""
         left = self.residual - columns @ (columns.T @ self.residual)
         return replace(self, basis=self.basis.with_shared(columns), residual=left)
@@ -156,24 +156,24 @@ class System:
 
     def rows_at(self, where: Mapping[str, str]) -> Mask:
         """Return the rows of the readings at a place, such as those of one tracer; an axis or an encoder has none."""
-        found = np.zeros(self.rows, dtype=bool)
+        rows = np.zeros(self.rows, dtype=bool)
         for group in self.model.readings:
             inside = np.ones(group.observations.count)
             for key, name in where.items():
                 place = self.model.places[key]
                 index = group.observations.index.get(place.index)
                 inside *= 0.0 if index is None else index == place.names.index(name)
-            found |= self.spread(group, inside) > 0
-        return found
+            rows |= self.spread(group, inside) > 0
+        return rows
 
     def same_rows(self, rows: Index) -> Index:
         """Return the set of rows that equals some rows, which is held once."""
-        found = next((one for one in self.sets_of_rows if np.array_equal(one, rows)), None)
-        if found is None:
+        same = next((row for row in self.sets_of_rows if np.array_equal(row, rows)), None)
+        if same is None:
             self.sets_of_rows.append(rows)
-        return rows if found is None else found
+        return rows if same is None else same
 
-    def run(self, group: Group) -> Run:
+    def run(self, group: Group) -> ChainValues:
         """Return the values and derivatives along the chain of a group."""
         if group.name not in self.runs:
             self.runs[group.name] = run_of(group, self.model.blocks)
@@ -196,7 +196,7 @@ class System:
 
 
 @dataclass(frozen=True)
-class Run:
+class ChainValues:
     """The values before each link of a chain, and the derivatives of the reading by them."""
 
     links: tuple[Link, ...]
@@ -206,17 +206,19 @@ class Run:
     """Derivatives (d, in, n) by the input of each link except the first; None for that of the reading by itself"""
 
 
-def run_of(group: Group, blocks: Mapping[str, Block]) -> Run:
+def run_of(group: Group, blocks: Mapping[str, Block]) -> ChainValues:
     """Return the values and derivatives along a chain at the values of the blocks."""
     links, steps = group.chain.links, group.chain.steps(blocks, group.observations, frozenset(blocks))
     outer: list[Array | None] = [None]
     for step in steps[:0:-1]:
         after, by_input = outer[0], step.by_input
         outer.insert(0, after if by_input is None else by_input if after is None else through(after, by_input))
-    return Run(links, (np.zeros((0, group.observations.count)), *(step.value for step in steps)), (None, *outer))
+    return ChainValues(
+        links, (np.zeros((0, group.observations.count)), *(step.value for step in steps)), (None, *outer)
+    )
 
 
-def by_rows(linear: Linear) -> Array:
+def by_rows(linear: LinearGroup) -> Array:
     """Return the residuals of a group ordered by reading, with the components of a reading side by side."""
     return np.ascontiguousarray(linear.residual.T).ravel()
 

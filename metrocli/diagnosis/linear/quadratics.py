@@ -28,12 +28,12 @@ def roots(gram: Array, scale: Array) -> Array:
         good = value > VISIBLE**2
         return np.where(good, 1 / np.sqrt(np.where(good, value, 1.0)), 0.0) / s[:, :, None]
     scaled = gram / (s[:, :, None] * s[:, None, :])
-    found, rest = _triangular(scaled)
+    triangular, rest = _triangular(scaled)
     if rest.any():
         values, vectors = np.linalg.eigh(scaled[rest])
         good = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])
-        found[rest] = vectors * np.where(good, 1 / np.sqrt(np.where(good, values, 1.0)), 0.0)[:, None, :]
-    return np.asarray(found / s[:, :, None])
+        triangular[rest] = vectors * np.where(good, 1 / np.sqrt(np.where(good, values, 1.0)), 0.0)[:, None, :]
+    return np.asarray(triangular / s[:, :, None])
 
 
 def _triangular(gram: Array) -> tuple[Array, Mask]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Mask
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import of_places, scan_with_values
 from metrocli.effects.effect import Effect
 from metrocli.effects.links.own import NoValueAtReadingError
@@ -42,7 +42,7 @@ def scans(model: Model, effect: Effect, rows: int) -> list[dict[str, float]]:
             grid = parameter.grid(model.readings[0].observations.conditions)
             values = thinned(grid, parameter.tried if effect.is_step else min(parameter.tried, _of_each(effect, rows)))
         grids.append([(parameter.name, float(value)) for value in values])
-    return [dict(one) for one in itertools.product(*grids)]
+    return [dict(combination) for combination in itertools.product(*grids)]
 
 
 def thinned(values: Array, most: int) -> Array:
@@ -54,7 +54,7 @@ def thinned(values: Array, most: int) -> Array:
 
 def most_tried(effect: Effect, rows: int) -> int:
     """Return how many values of a scanned parameter are tried at most, those in between included."""
-    tried = max((one.tried for one in effect.scanned), default=1)
+    tried = max((parameter.tried for parameter in effect.scanned), default=1)
     if is_filled(effect):
         return max(tried, min(_MOST, _held(effect, rows)))
     return tried if effect.is_step else min(tried, _of_each(effect, rows))
@@ -62,7 +62,7 @@ def most_tried(effect: Effect, rows: int) -> int:
 
 def _of_each(effect: Effect, rows: int) -> int:
     """Return how many values of each scanned number are tried at most, so that the columns of all combinations fit."""
-    numbers = sum(one.grid is not None for one in effect.scanned)
+    numbers = sum(parameter.grid is not None for parameter in effect.scanned)
     return int(_held(effect, rows) ** (1 / max(numbers, 1)) + 1e-9)
 
 
@@ -78,7 +78,7 @@ def is_filled(effect: Effect) -> bool:
 
 
 def scanned_columns(
-    model: Model, system: System, effect: Effect, places: Sequence[tuple[str, ...]]
+    model: Model, system: Linearised, effect: Effect, places: Sequence[tuple[str, ...]]
 ) -> Iterator[tuple[Mapping[str, float], tuple[Array, Block, Mask]]]:
     """Yield the scanned values with what `scan` yields, and values in between until neighbours' columns are alike.
 
@@ -94,19 +94,19 @@ def scanned_columns(
     seen, sketches = sketch_vectors(system), dict[float, list[Array]]()
     wanted, left = start, most_tried(effect, system.rows) - len(start)
     while wanted:
-        for scanned, found in _with_values(model, system, effect, places, wanted, first=wanted is start):
-            full, block, chosen = found
+        for scanned, columns in _with_values(model, system, effect, places, wanted, first=wanted is start):
+            full, block, chosen = columns
             products = seen.T @ full
             some = itertools.islice(of_places(model, block, chosen, places), _PLACES)
-            sketches[scanned[parameter.name]] = [products[:, own] for _, _, own in some]
-            yield scanned, found
+            sketches[scanned[parameter.name]] = [_orthonormal(products[:, own]) for _, _, own in some]
+            yield scanned, columns
         between = _between(sketches, grid)[: max(left, 0)]
         wanted, left = [{parameter.name: value} for value in between], left - len(between)
 
 
 def _with_values(
     model: Model,
-    system: System,
+    system: Linearised,
     effect: Effect,
     places: Sequence[tuple[str, ...]],
     wanted: Sequence[Mapping[str, float]],
@@ -121,13 +121,16 @@ def _with_values(
             raise
 
 
-def sketch_vectors(system: System) -> Array:
+def sketch_vectors(system: Linearised) -> Array:
     """Return random visible vectors (rows, draws), whose products with columns keep the cosines between these."""
     return system.seen(np.random.default_rng(0).standard_normal((system.rows, _DRAWS)))
 
 
 def _between(sketches: Mapping[float, Sequence[Array]], grid: Array) -> list[float]:
-    """Return the grid values halfway between neighbours whose columns differ at any place, the widest gaps first."""
+    """Return the grid values halfway between neighbours whose columns differ at any place, the widest gaps first.
+
+    `sketches` are orthonormal bases of the columns at each place, by value.
+    """
     tried = sorted(sketches)
     at = np.searchsorted(grid, tried)
     cosines = [
@@ -140,14 +143,13 @@ def _between(sketches: Mapping[float, Sequence[Array]], grid: Array) -> list[flo
 
 def any_apart(products: Array) -> bool:
     """Return whether a form between any two neighbours can be missed, from their sketches (alternatives, q, draws)."""
-    return any(_alike(a.T, b.T) < _APART for a, b in itertools.pairwise(products))
+    return any(_alike(*both) < _APART for both in itertools.pairwise(_orthonormal(one.T) for one in products))
 
 
-def _alike(one: Array, other: Array) -> float:
-    """Return the mean squared cosine between the spans of two sets of columns (n, q); 1 where one has none."""
-    bases = [_orthonormal(columns) for columns in (one, other)]
-    fewest = min(basis.shape[1] for basis in bases)
-    return float(((bases[0].T @ bases[1]) ** 2).sum() / fewest) if fewest else 1.0
+def _alike(basis: Array, other: Array) -> float:
+    """Return the mean squared cosine between the spans of two orthonormal bases (n, q); 1 where one has none."""
+    fewest = min(basis.shape[1], other.shape[1])
+    return float(((basis.T @ other) ** 2).sum() / fewest) if fewest else 1.0
 
 
 def _orthonormal(columns: Array) -> Array:

@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.chain import Local, through
+from metrocli.adjust.model.chain import LinkContext, through
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Mask
-from metrocli.diagnosis.linear.column_parts import Own, Step
-from metrocli.diagnosis.linear.projection import System, scatter
+from metrocli.diagnosis.linear.column_parts import OwnColumns, StepColumns
+from metrocli.diagnosis.linear.projection import Linearised, scatter
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import with_effect
 from metrocli.effects.links.own import NoValueAtReadingError
@@ -25,25 +25,27 @@ BEYOND = "the measurement sees only sizes beyond the plausible"
 
 
 def signature(
-    model: Model, system: System, effect: Effect, place: tuple[str, ...], scanned: Mapping[str, float]
+    model: Model, system: Linearised, effect: Effect, place: tuple[str, ...], scanned: Mapping[str, float]
 ) -> Array:
     """Return the whitened columns of an effect at one place, (rows, parameters)."""
     full, _, _ = next(scan(model, system, effect, [place], [scanned]))
     return full
 
 
-def beyond_plausible(system: System, own: Own | Step, effect: Effect, parameters: Sequence[str]) -> bool:
+def beyond_plausible(
+    system: Linearised, own: OwnColumns | StepColumns, effect: Effect, parameters: Sequence[str]
+) -> bool:
     """Return whether the measurement sees a cause only where each of its parameters is larger than plausible."""
     whole = np.zeros((system.rows, len(parameters)))
     whole[own.rows] = own.values
-    plausible = {one.name: one.plausible for one in effect.parameters}
+    plausible = {parameter.name: parameter.plausible for parameter in effect.parameters}
     least = np.linalg.norm(system.seen(whole), axis=0) * [plausible[name] for name in parameters]
     return bool((least < 1).all())
 
 
 def scan(
     model: Model,
-    system: System,
+    system: Linearised,
     effect: Effect,
     places: Sequence[tuple[str, ...]],
     scans: Sequence[Mapping[str, float]],
@@ -63,16 +65,16 @@ def scan(
         blocks = {**extended.blocks, block.name: block}
         full = np.zeros((system.rows, int(chosen.sum())))
         for group in extended.readings:
-            found = _whitened(system, group, blocks, block, chosen)
+            columns = _whitened(system, group, blocks, block, chosen)
             start = system.first[group.name]
-            factor = group.observations.deviations.T.ravel() / system.scale[start : start + len(found)]
-            full[start : start + len(found)] = found * factor[:, None]
+            factor = group.observations.deviations.T.ravel() / system.scale[start : start + len(columns)]
+            full[start : start + len(columns)] = columns * factor[:, None]
         yield full, block, chosen
 
 
 def scan_with_values(
     model: Model,
-    system: System,
+    system: Linearised,
     effect: Effect,
     places: Sequence[tuple[str, ...]],
     scans: Sequence[Mapping[str, float]],
@@ -85,16 +87,16 @@ def scan_with_values(
         yield from zip(scans, scan(model, system, effect, places, scans) if scans else (), strict=True)
         return
     without: NoValueAtReadingError | None = None
-    found = 0
+    count = 0
     for values in scans:
         try:
             columns = next(scan(model, system, effect, places, [values]))
         except NoValueAtReadingError as error:
             without = error
             continue
-        found += 1
+        count += 1
         yield values, columns
-    if without is not None and not found:
+    if without is not None and not count:
         raise without
 
 
@@ -124,7 +126,7 @@ def _at(block: Block, values: Mapping[str, float]) -> Block:
     return replace(block, values=moved)
 
 
-def _whitened(system: System, group: Group, blocks: Mapping[str, Block], block: Block, chosen: Mask) -> Array:
+def _whitened(system: Linearised, group: Group, blocks: Mapping[str, Block], block: Block, chosen: Mask) -> Array:
     """Return the whitened derivatives of a group by the chosen entries of a block, (rows of the group, entries)."""
     numbers = np.full(block.values.shape, -1, dtype=np.intp)
     numbers[chosen] = np.arange(int(chosen.sum()))
@@ -134,7 +136,7 @@ def _whitened(system: System, group: Group, blocks: Mapping[str, Block], block: 
     if block.name in group.chain.blocks:
         fast = columns_by_splicing(system, group, blocks, block)
         if fast is not None:
-            index = Local(blocks, observations, frozenset()).slots(block.name)
+            index = LinkContext(blocks, observations, frozenset()).slots(block.name)
             scatter(full, np.broadcast_to(observations.whitened(fast), (d, block.size, n)), numbers[index])
         else:
             for touch in group.linear(blocks, frozenset({block.name})).touches:
@@ -142,20 +144,20 @@ def _whitened(system: System, group: Group, blocks: Mapping[str, Block], block: 
     return full.reshape(n * d, -1)
 
 
-def columns_by_splicing(system: System, group: Group, blocks: Mapping[str, Block], block: Block) -> Array | None:
+def columns_by_splicing(system: Linearised, group: Group, blocks: Mapping[str, Block], block: Block) -> Array | None:
     """Return the derivatives (d, size, n) by the block of a link that is inserted into the chain without a change.
 
     The other links keep their values and derivatives, which saves their evaluation. None if the inserted link changes
     the values, so that the whole chain must be evaluated.
     """
-    before = next(one for one in system.model.groups if one.name == group.name)
+    before = next(other for other in system.model.groups if other.name == group.name)
     links, old = group.chain.links, before.chain.links
     at = next((i for i, link in enumerate(links) if i == len(old) or link is not old[i]), 0)
     if at == 0 or len(links) != len(old) + 1 or any(a is not b for a, b in zip(links[at + 1 :], old[at:], strict=True)):
         return None
     run = system.run(before)
     value, outer = run.values[at], run.outer[at]
-    step = links[at].step(value, Local(blocks, group.observations, frozenset({block.name})))
+    step = links[at].step(value, LinkContext(blocks, group.observations, frozenset({block.name})))
     inner = step.by_block.get(block.name)
     same = np.array_equal(step.value, np.broadcast_to(value, step.value.shape))
     if inner is None or inner.ndim != 3 or group.weights is not None or not same:

@@ -47,22 +47,22 @@ class Solver:
         members, _, q = self.inverses.shape
         fixed = members * q + self.shared.shape[1]
         shared = self.shared @ flat[members * q : fixed]
-        found = np.zeros((self.width, flat.shape[1]))
-        found[self.places[1]] = shared
+        delta = np.zeros((self.width, flat.shape[1]))
+        delta[self.places[1]] = shared
         if members:
             own = flat[: members * q].reshape(members, q, flat.shape[1])
             own = np.matmul(self.inverses, own - np.tensordot(self.coupling, shared, 1))
             numbers, free = self._free
-            found[numbers] = own.reshape(self.places[0].size, flat.shape[1])[free]
+            delta[numbers] = own.reshape(self.places[0].size, flat.shape[1])[free]
         if self.movements.shape[1]:
-            found -= self.movements @ (self.conditions @ found)
+            delta -= self.movements @ (self.conditions @ delta)
         if self.random.shape[1]:
-            found += self.random @ flat[fixed:]
-        return found.reshape(len(found), *coordinates.shape[1:])
+            delta += self.random @ flat[fixed:]
+        return delta.reshape(len(delta), *coordinates.shape[1:])
 
     def own_change(self, basis: Basis, rows: Index) -> Array:
         """Return the change of each row's own member by a unit error of that row, (rows, size); 0 without a member."""
-        found = np.zeros((len(rows), self.inverses.shape[1]))
+        delta = np.zeros((len(rows), self.inverses.shape[1]))
         fixed = self.shared.shape[1]
         free = np.where(self.places[0] >= 0, 1.0, 0.0)
         unknowns = np.maximum(self.places[0], 0)
@@ -81,5 +81,5 @@ class Solver:
                 change -= amounts @ np.swapaxes(self.movements[unknowns[members]], 1, 2)
             if self.random.shape[1]:
                 change += others[:, :, fixed:] @ np.swapaxes(self.random[unknowns[members]], 1, 2)
-            found[at] = change * free[members][:, None]
-        return found
+            delta[at] = change * free[members][:, None]
+        return delta

@@ -12,11 +12,11 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.detectability import Candidate, Design
+from metrocli.diagnosis.detectability import Detectability, DetectableCandidate
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.distributions import power
-from metrocli.diagnosis.next_readings.pool import Known, Pool, pool_of
+from metrocli.diagnosis.next_readings.pool import KnownErrors, Pool, pool_of
 from metrocli.diagnosis.next_readings.proposals import Proposal, proposals
 from metrocli.diagnosis.next_readings.separation import chance_to_separate
 from metrocli.errors import UsageError
@@ -41,7 +41,7 @@ _SINGLE = "it spoils one reading, and every reading is tested for it"
 
 
 @dataclass(frozen=True)
-class Aim:
+class OpenQuestion:
     """A question that further readings shall decide."""
 
     why: str
@@ -68,7 +68,7 @@ class Next:
     """The next readings, in the order in which they help most, and what they decide."""
 
     readings: tuple[NextReading, ...]
-    aims: tuple[Aim, ...]
+    aims: tuple[OpenQuestion, ...]
 
 
 @dataclass(frozen=True)
@@ -85,9 +85,9 @@ class _Test:
 
     def powers(self, pool: Pool, grams: Array) -> tuple[Array, Array]:
         """Return the power with amounts of information (k, q, q), and the non-centralities, (k,) each."""
-        found = pool.noncentrality(grams, self.sizes)
+        noncentrality = pool.noncentrality(grams, self.sizes)
         dof = max(pool.dof - len(pool.gram), 1)
-        return power(_LEVEL, self.parameters, dof, np.minimum(found, _CERTAIN)), found
+        return power(_LEVEL, self.parameters, dof, np.minimum(noncentrality, _CERTAIN)), noncentrality
 
     def power(self, pool: Pool) -> float:
         """Return the power of the test, or the chance to leave the true one of an effect and its rival only."""
@@ -99,13 +99,15 @@ class _Test:
 
 def next_readings(diagnosis: Diagnosis, count: int) -> Next:
     """Return the readings that best tell apart what is indistinct, or show what cannot be seen."""
-    job, known = diagnosis.job, Known.from_diagnosis(diagnosis)
+    job, known = diagnosis.job, KnownErrors.from_diagnosis(diagnosis)
     proposed = proposals(job)
     tests = list(_of_indistinct(diagnosis, proposed, known)) if proposed else []
     if not tests and proposed:
-        unseen = sorted(filter(_is_unseen, diagnosis.design.candidates), key=lambda one: -one.hides.size)
-        tried = [_of_candidate(job, one.alternative, proposed, known) for one in unseen[:_TRIED]]
-        tests = [one for one in tried if _can_rise(one, count)][:_UNSEEN]
+        unseen = sorted(
+            filter(_is_unseen, diagnosis.design.candidates), key=lambda candidate: -candidate.undetected.size
+        )
+        tried = [_of_candidate(job, candidate.alternative, proposed, known) for candidate in unseen[:_TRIED]]
+        tests = [test for test in tried if _can_rise(test, count)][:_UNSEEN]
     return _chosen(tests, proposed, count)
 
 
@@ -115,44 +117,50 @@ def _can_rise(test: _Test, count: int) -> bool:
     return float(most.max()) - test.power(test.now) > _HELPS
 
 
-def revealing(job: AdjustedJob, design: Design, wanted: str, count: int) -> Next:
+def revealing(job: AdjustedJob, design: Detectability, wanted: str, count: int) -> Next:
     """Return the readings that best show an effect, written as `NAME` or `NAME:PLACE`, before anything is measured.
 
     Raises UsageError if the job has no such candidate.
     """
-    known: dict[str, Alternative] = {}
-    for one in design.candidates:
-        known.setdefault(_label(one.alternative), one.alternative)  # of several forms of a cause the usual one is first
+    known: dict[str, Candidate] = {}
+    for candidate in design.candidates:
+        known.setdefault(
+            _label(candidate.alternative), candidate.alternative
+        )  # of several forms of a cause the usual one is first
     name, _, place = wanted.partition(":")
     label = f"{name}:{place.partition('=')[2]}"
-    found = known.get(wanted) or known.get(label)
-    if found is None:
+    wanted_candidate = known.get(wanted) or known.get(label)
+    if wanted_candidate is None:
         hint = suggestion(wanted, list(known)) if known else "this job has no candidates"
         reason = next(_reasons(design, name, place.rpartition("=")[2]), "")
-        said = f"is no candidate here: {reason}" if reason else f"is no effect that this measurement could have; {hint}"
-        raise UsageError(f"--reveal: '{wanted}' {said}")
+        message = (
+            f"is no candidate here: {reason}" if reason else f"is no effect that this measurement could have; {hint}"
+        )
+        raise UsageError(f"--reveal: '{wanted}' {message}")
     proposed = proposals(job)
-    return _chosen([_of_candidate(job, found, proposed, Known())] if proposed else [], proposed, count)
+    return _chosen([_of_candidate(job, wanted_candidate, proposed, KnownErrors())] if proposed else [], proposed, count)
 
 
-def _reasons(design: Design, name: str, place: str) -> Iterator[str]:
+def _reasons(design: Detectability, name: str, place: str) -> Iterator[str]:
     """Yield why an effect is no candidate at a place, or at all places, though the kind has it."""
-    missing = [one for one in design.not_tested if one.effect.name == name]
-    yield from (one.reason for one in missing if not (place and one.where) or place in one.where.values())
-    scatters = [one for one in design.scatters if one.effect.name == name]
-    yield from (_EVERYWHERE if one.testable else one.reason for one in scatters)
-    yield from (_SINGLE for one in design.readings if one.effect.name == name)
+    missing = [untested for untested in design.not_tested if untested.effect.name == name]
+    yield from (
+        untested.reason for untested in missing if not (place and untested.where) or place in untested.where.values()
+    )
+    scatters = [scatter for scatter in design.scatters if scatter.effect.name == name]
+    yield from (_EVERYWHERE if scatter.testable else scatter.reason for scatter in scatters)
+    yield from (_SINGLE for reading in design.readings if reading.effect.name == name)
 
 
-def _label(alternative: Alternative) -> str:
+def _label(alternative: Candidate) -> str:
     return ":".join([alternative.effect.name, *alternative.instance])
 
 
-def _is_unseen(candidate: Candidate) -> bool:
+def _is_unseen(candidate: DetectableCandidate) -> bool:
     return not candidate.testable or candidate.detectable > candidate.plausible
 
 
-def _of_indistinct(diagnosis: Diagnosis, proposed: Sequence[Proposal], known: Known) -> Iterator[_Test]:
+def _of_indistinct(diagnosis: Diagnosis, proposed: Sequence[Proposal], known: KnownErrors) -> Iterator[_Test]:
     """Yield for each finding and rival the test whether the finding is needed beside the rival."""
     named = [finding.effect for finding in diagnosis.findings]
     for one in named:
@@ -163,7 +171,7 @@ def _of_indistinct(diagnosis: Diagnosis, proposed: Sequence[Proposal], known: Kn
             yield _Test(why, int(one.seen.sum()), one.values, pool, rival.odds)
 
 
-def _of_candidate(job: AdjustedJob, alternative: Alternative, proposed: Sequence[Proposal], known: Known) -> _Test:
+def _of_candidate(job: AdjustedJob, alternative: Candidate, proposed: Sequence[Proposal], known: KnownErrors) -> _Test:
     """Return the test of an effect of its largest usual size, all its parameters alike."""
     count = len(alternative.parameters)
     sizes = np.full(count, alternative.effect.plausible / np.sqrt(count))
@@ -173,8 +181,8 @@ def _of_candidate(job: AdjustedJob, alternative: Alternative, proposed: Sequence
 def _chosen(tests: Sequence[_Test], proposed: Sequence[Proposal], count: int) -> Next:
     """Return so many proposals, each the one that raises the sum of powers most beside those before it."""
     before = [test.power(test.now) for test in tests]
-    pools, found = [test.now for test in tests], list[NextReading]()
-    while pools and len(found) < count:
+    pools, readings = [test.now for test in tests], list[NextReading]()
+    while pools and len(readings) < count:
         with_each = [t.powers(p, p.gram + p.gains()) for t, p in zip(tests, pools, strict=True)]
         reached = np.stack([powers for powers, _ in with_each])
         even = sum(np.log1p(noncentralities) for _, noncentralities in with_each)
@@ -182,20 +190,25 @@ def _chosen(tests: Sequence[_Test], proposed: Sequence[Proposal], count: int) ->
         so_far = [t.powers(p, p.gram[None])[0][0] for t, p in zip(tests, pools, strict=True)]
         most = int(np.argmax(reached[:, best] - so_far))
         pools = [pool.with_proposal(best) for pool in pools]
-        found.append(NextReading(proposed[best], tests[most].why, tests[most].power(pools[most])))
+        readings.append(NextReading(proposed[best], tests[most].why, tests[most].power(pools[most])))
     after = [test.power(pool) for test, pool in zip(tests, pools, strict=True)]
     helps = sum(after) - sum(before) > _HELPS * len(tests)
     after = after if helps else before
-    aims = (Aim(test.why, *powers) for test, *powers in zip(tests, before, after, strict=True))
-    return Next(tuple(found) if helps else (), tuple(aims))
+    aims = (OpenQuestion(test.why, *powers) for test, *powers in zip(tests, before, after, strict=True))
+    return Next(tuple(readings) if helps else (), tuple(aims))
 
 
-def as_data(found: Next) -> dict[str, Any]:
+def as_data(chosen: Next) -> dict[str, Any]:
     """Return the next readings as plain data."""
     return {
         "next": [
-            {"do": one.proposal.do, "where": dict(one.proposal.where), "why": one.why, "power": one.power}
-            for one in found.readings
+            {
+                "do": reading.proposal.do,
+                "where": dict(reading.proposal.where),
+                "why": reading.why,
+                "power": reading.power,
+            }
+            for reading in chosen.readings
         ],
-        "next_aims": [{"why": one.why, "before": one.before, "after": one.after} for one in found.aims],
+        "next_aims": [{"why": aim.why, "before": aim.before, "after": aim.after} for aim in chosen.aims],
     }

@@ -20,13 +20,13 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.linearised import linearised
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.quadratics import roots
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.next_readings.proposals import Proposal, with_proposals
-from metrocli.diagnosis.noise import Unit, weights_of
+from metrocli.diagnosis.noise import VarianceGroup, weights_of
 from metrocli.effects.extension import with_effect
 from metrocli.frozen import dataclass
 
@@ -35,21 +35,21 @@ _WEIGHT = 1e-4
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownErrors:
     """What is known of the readings so far."""
 
     noise: float = 1.0
     """The true noise relative to what is declared"""
-    units: tuple[Unit, ...] = ()
+    units: tuple[VarianceGroup, ...] = ()
     """Noisier units"""
     wrong: tuple[Mapping[str, str], ...] = ()
     """Keys of wrong readings, which count nothing"""
 
     @staticmethod
-    def from_diagnosis(diagnosis: Diagnosis) -> Known:
+    def from_diagnosis(diagnosis: Diagnosis) -> KnownErrors:
         """Return what a diagnosis found out about the readings."""
-        wrong = tuple(one.keys for one in diagnosis.outliers)
-        return Known(diagnosis.noise.ratio, diagnosis.noisier_units, wrong)
+        wrong = tuple(outlier.keys for outlier in diagnosis.outliers)
+        return KnownErrors(diagnosis.noise.ratio, diagnosis.variance_groups, wrong)
 
 
 @dataclass(frozen=True)
@@ -80,14 +80,14 @@ class Pool:
     def gains(self) -> Array:
         """Return what each proposal would add to the information, (proposals, q, q)."""
         q = len(self.gram)
-        found = np.zeros((len(self.rows), q, q))
+        information = np.zeros((len(self.rows), q, q))
         for size in {len(rows) for rows in self.rows}:
             alike = [number for number, rows in enumerate(self.rows) if len(rows) == size]
             at = np.stack([self.rows[number] for number in alike])
             inner = np.eye(size) + self.covariance[at[:, :, None], at[:, None, :]]
             e = self.left[at]
-            found[alike] = np.swapaxes(e, 1, 2) @ np.linalg.solve(inner, e)
-        return found
+            information[alike] = np.swapaxes(e, 1, 2) @ np.linalg.solve(inner, e)
+        return information
 
     def with_proposal(self, number: int) -> Pool:
         """Return the pool after a proposal is carried out; it can be carried out once more."""
@@ -121,19 +121,19 @@ class Pool:
 def pool_of(
     job: AdjustedJob,
     proposed: Sequence[Proposal],
-    effects: Sequence[Alternative],
-    beside: Sequence[Alternative] = (),
-    known: Known | None = None,
+    effects: Sequence[Candidate],
+    beside: Sequence[Candidate] = (),
+    known: KnownErrors | None = None,
 ) -> Pool:
     """Return the pool of proposals for effects beside the unknowns of a job and the effects `beside`."""
-    known = Known() if known is None else known
+    known = KnownErrors() if known is None else known
     whole = with_proposals(job.model, proposed)
-    for one in beside:
-        whole = with_effect(whole, one.effect, [one.instance], dict(one.scanned))
+    for candidate in beside:
+        whole = with_effect(whole, candidate.effect, [candidate.instance], dict(candidate.scanned))
     old = {group.name: group.observations.count for group in job.model.groups}
     system = linearised(whole, _weights(job, proposed, known, old))
     rows, numbers = _rows_of(system, old, proposed)
-    columns = [signature(whole, system, one.effect, one.instance, dict(one.scanned)) for one in effects]
+    columns = [signature(whole, system, effect.effect, effect.instance, dict(effect.scanned)) for effect in effects]
     full = np.concatenate(columns, axis=1) / known.noise
     first = full.copy()
     first[rows] = 0.0
@@ -155,13 +155,15 @@ def pool_of(
     )
 
 
-def _weights(job: AdjustedJob, proposed: Sequence[Proposal], known: Known, old: Mapping[str, int]) -> dict[str, Array]:
+def _weights(
+    job: AdjustedJob, proposed: Sequence[Proposal], known: KnownErrors, old: Mapping[str, int]
+) -> dict[str, Array]:
     """Return factors on the whitened readings of each group: of noisier units, of wrong readings, and of proposals."""
     whole = replace(job, model=with_proposals(job.model, proposed))
-    found = dict(weights_of(whole, known.units))
+    weights = dict(weights_of(whole, known.units))
     for group in whole.model.readings:
         keys, count = group.observations.keys, group.observations.count
-        factor = found.get(group.name, np.ones(count)).copy()
+        factor = weights.get(group.name, np.ones(count)).copy()
         factor[old[group.name] :] *= _WEIGHT
         for wrong in known.wrong:
             names = {key: name for key, name in wrong.items() if key != "component"}
@@ -169,19 +171,21 @@ def _weights(job: AdjustedJob, proposed: Sequence[Proposal], known: Known, old: 
             if names.keys() <= keys.keys():
                 same = [np.asarray(keys[key]) == name for key, name in names.items()]
                 factor[np.all(same, axis=0) & (np.arange(count) < old[group.name])] *= _WEIGHT
-        found[group.name] = factor
-    return found
+        weights[group.name] = factor
+    return weights
 
 
-def _rows_of(system: System, old: Mapping[str, int], proposed: Sequence[Proposal]) -> tuple[Index, tuple[Index, ...]]:
+def _rows_of(
+    system: Linearised, old: Mapping[str, int], proposed: Sequence[Proposal]
+) -> tuple[Index, tuple[Index, ...]]:
     """Return the rows of all proposals in the system, and for each proposal the numbers of its own among these."""
     place = dict(old)
     rows: list[Index] = []
     numbers: list[Index] = []
     count = 0
-    for one in proposed:
+    for proposal in proposed:
         own = []
-        for name, added in one.added.items():
+        for name, added in proposal.added.items():
             d, n = added.readings.shape
             own.append(system.first[name] + d * place[name] + np.arange(d * n))
             place[name] += n

@@ -36,15 +36,15 @@ class Proposal:
     @property
     def size(self) -> int:
         """Number of components of its readings."""
-        return sum(one.readings.size for one in self.added.values())
+        return sum(observations.readings.size for observations in self.added.values())
 
 
 def proposals(job: AdjustedJob) -> list[Proposal]:
     """Return the readings that a job could still make, evenly spaced ones if there are too many."""
-    found = list(_all(job))
-    rows = sum(one.size for one in found)
+    every = list(_all(job))
+    rows = sum(proposal.size for proposal in every)
     step = max(1, -(-rows // MOST_ROWS))
-    return found[::step]
+    return every[::step]
 
 
 def _all(job: AdjustedJob) -> Iterator[Proposal]:
@@ -117,8 +117,8 @@ def with_proposals(model: Model, chosen: Sequence[Proposal]) -> Model:
     groups = []
     for group in model.groups:
         observations = group.observations
-        for one in chosen:
-            if group.name in one.added:
-                observations = observations.followed_by(one.added[group.name])
+        for proposal in chosen:
+            if group.name in proposal.added:
+                observations = observations.followed_by(proposal.added[group.name])
         groups.append(group if observations is group.observations else group.with_observations(observations))
     return replace(model, groups=tuple(groups))

@@ -44,20 +44,20 @@ def chance_to_separate(now: Pool, then: Pool, columns: int, odds: float) -> floa
     rng = np.random.default_rng(_SEED)
     named, rival = slice(0, columns), slice(columns, len(now.gram))
     before = [_fits(now, part, now.right[None]) for part in (named, rival)]
-    evidences = [one.evidence(np.array([now.squares]), now.dof)[0] for one in before]
+    evidences = [fits.evidence(np.array([now.squares]), now.dof)[0] for fits in before]
     counted = float(np.log(odds) - (evidences[1] - evidences[0]))
-    found = 0.0
+    chance = 0.0
     for true, weight in ((0, 1 / (1 + odds)), (1, odds / (1 + odds))):
         fit, part = before[true], (named, rival)[true]
         sizes = (fit.along + rng.normal(size=(_DRAWS, fit.along.shape[1]))) @ fit.root.T
         read = sizes @ then.made[:, part].T + rng.normal(size=(_DRAWS, len(then.made)))
         right, squares = now.right + read @ then.made, now.squares + (read**2).sum(axis=1)
         both = [_fits(then, own, right) for own in (named, rival)]
-        more = [one.evidence(squares, then.dof) for one in both]
+        more = [fits.evidence(squares, then.dof) for fits in both]
         log_odds = (more[0] - more[1] - counted) * (1 if true else -1)
         left = ~_explains(then, both[true], both[1 - true], (part, (rival, named)[true]), squares, log_odds)
-        found += weight * float((left & (log_odds < 0)).mean())
-    return found
+        chance += weight * float((left & (log_odds < 0)).mean())
+    return chance
 
 
 def _fits(pool: Pool, own: slice, right: Array) -> _Fits:
@@ -67,10 +67,10 @@ def _fits(pool: Pool, own: slice, right: Array) -> _Fits:
 
 
 def _explains(
-    pool: Pool, one: _Fits, other: _Fits, parts: tuple[slice, slice], squares: Array, log_odds: Array
+    pool: Pool, fits: _Fits, other: _Fits, parts: tuple[slice, slice], squares: Array, log_odds: Array
 ) -> Mask:
     """Return in which draws another effect explains the readings as well as one that is identified, (draws,)."""
-    across = one.root.T @ pool.gram[parts[0], parts[1]] @ other.root
-    cosines2 = ((one.along @ across) ** 2).sum(axis=1) / np.maximum(one.gains, 1e-300)
-    variance = (squares - one.gains) / max(pool.dof - one.rank, 1)
-    return explains_as_well(log_odds, np.minimum(cosines2, 1.0), one.gains / variance)
+    across = fits.root.T @ pool.gram[parts[0], parts[1]] @ other.root
+    cosines2 = ((fits.along @ across) ** 2).sum(axis=1) / np.maximum(fits.gains, 1e-300)
+    variance = (squares - fits.gains) / max(pool.dof - fits.rank, 1)
+    return explains_as_well(log_odds, np.minimum(cosines2, 1.0), fits.gains / variance)

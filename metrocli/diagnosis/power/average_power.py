@@ -13,7 +13,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.evidence.prices import LEVEL
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.hidden_change import HiddenChange, hidden_by_scatter
+from metrocli.diagnosis.hidden_change import UndetectedBias, hidden_by_scatter
 from metrocli.diagnosis.linear.distributions import noncentrality, power
 from metrocli.effects.effect import Effect
 from metrocli.frozen import dataclass
@@ -52,19 +52,19 @@ def size_found(grams: Array, ranks: Array, level: float, dof: int, wanted: float
     return _size(mean_power, wanted, max(float(roots[-1]) for roots, _ in curves.values()) / float(strengths.max()))
 
 
-def size_separated(gram: Array, imitated: Array, wanted: float) -> float:
+def size_separated(gram: Array, confounded: Array, wanted: float) -> float:
     """Return the size `a` at which an effect is taken for itself and not for another with a mean probability.
 
     The probability is the mean of `Phi(a |Gd| sqrt((1 - rho) / 2))` over directions d: the larger of two correlated
     projections is that of the right one. G (n, q) is the whitened change of the readings, `gram` is G'G, and rho is
-    the cosine of Gd with the span of the other's orthonormal columns b: `imitated` is b'G (p, q). A direction that the
-    other imitates counts as half a case.
+    the cosine of Gd with the span of the other's orthonormal columns b: `confounded` is b'G (p, q). A direction that
+    the other can mimic counts as half a case.
     """
     from scipy.special import ndtr
 
     towards = directions(gram.shape[1])
     squares = np.einsum("da,ab,db->d", towards, gram, towards)
-    shared = ((imitated @ towards.T) ** 2).sum(axis=0)
+    shared = ((confounded @ towards.T) ** 2).sum(axis=0)
     cosine = np.sqrt(np.minimum(shared / np.maximum(squares, _NOTHING), 1.0))
     strengths = np.sqrt(squares * np.maximum(1 - cosine, _NOTHING) / 2)
     return _size(lambda size: float(ndtr(size * strengths).mean()), wanted, 1 / float(strengths.max()))
@@ -111,7 +111,7 @@ class ScatterCandidate:
     effect: Effect
     detectable: float
     """Standard deviation of its sizes that is found in 80 of 100 cases; inf if none is"""
-    hides: HiddenChange
+    undetected: UndetectedBias
     """Change of the delivered result that is exceeded in 5 % of cases, by a scatter that is found with 95 % power"""
 
     @property
@@ -129,9 +129,9 @@ def scatter_candidates(state: State, noise: float = 1.0) -> tuple[ScatterCandida
     """Return what can be detected of effects that are sought throughout, for a noise in units of the declared one."""
     m = state.measurement
     return tuple(
-        _candidate(state, one, noise)
-        for one in m.job.effects
-        if one.throughout and one.name not in m.job.not_sought and m.system.dof > 1
+        _candidate(state, effect, noise)
+        for effect in m.job.effects
+        if effect.throughout and effect.name not in m.job.not_sought and m.system.dof > 1
     )
 
 
@@ -139,9 +139,9 @@ def _candidate(state: State, effect: Effect, noise: float) -> ScatterCandidate:
     m = state.measurement
     number = next((i for i, own in enumerate(m.scatters) if own[0].name == effect.name), None)
     if number is None:
-        return ScatterCandidate(effect, float("inf"), HiddenChange(0.0))
-    one = m.scatter(number)
-    left = one.columns.T @ state.seen(one.columns) * one.unit**-2
+        return ScatterCandidate(effect, float("inf"), UndetectedBias(0.0))
+    part = m.scatter(number)
+    left = part.columns.T @ state.seen(part.columns) * part.unit**-2
     eigenvalues = np.linalg.eigvalsh(left)
     seen = eigenvalues[eigenvalues > _SEEN * eigenvalues[-1]], m.dof, effect.plausible / noise
     size, hidden = (_scatter_found(*seen, beyond) * noise for beyond in (_EIGHTY, _NINETY_FIVE))

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Local, Step, through
+from metrocli.adjust.model.chain import LinkContext, Step, through
 from metrocli.adjust.model.quantities import AtQuantity, OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.effects.acting import Variable, components
@@ -25,7 +25,7 @@ class EncoderOffset(AtQuantity):
 
     component: int
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the angles (2, n)."""
         by_block = np.zeros((2, 1, 1))
         by_block[self.component] = 1.0
@@ -40,7 +40,7 @@ class EncoderLag(AtQuantity):
     direction: str
     """Condition: 1 where the angle grew, -1 where it fell, 0 if it never moves"""
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the angles (2, n)."""
         by_block = np.zeros((2, 1, value.shape[1]))
         by_block[self.component, 0] = -local.observations.conditions[self.direction] / 2
@@ -57,7 +57,7 @@ class Harmonic(AtQuantity):
     component: int
     order: int = 1
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the angles (2, n)."""
         c, s = local.rows(self.block)
         angle, n = self.order * value[self.component], value.shape[1]
@@ -75,7 +75,7 @@ class Harmonic(AtQuantity):
 class NonOrthogonality(AtQuantity):
     """The tilt axis is not square to the base axis: `base += angle tan(tilt)`; column angle [rad]."""
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the angles (2, n)."""
         angle, n = local.rows(self.block)[0], value.shape[1]
         tangent = np.tan(value[1])
@@ -90,7 +90,7 @@ class NonOrthogonality(AtQuantity):
 class BaseTilt(AtQuantity):
     """The base axis is `Rx(tx) Ry(ty) z`, so the unit sees a beam b as `Ry(-ty) Rx(-tx) b`; columns tx, ty [rad]."""
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the beam (3, n)."""
         tx, ty = local.rows(self.block)[:, 0]
         cx, sx, cy, sy = np.cos(tx), np.sin(tx), np.cos(ty), np.sin(ty)
@@ -139,7 +139,7 @@ class OnPoint:
         """The blocks of the link."""
         return self.link.blocks
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         seen, to_polar = polar(value)
         moved = self.link.step(seen, local)
@@ -157,7 +157,7 @@ class Tilted(OfBlock):
 
     takes = gives = Quantity.POINT_IN_TRACKER
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         later = later_than(local, self.block)
         rx, ry = local.rows(self.block)[:2] * later
@@ -177,7 +177,7 @@ class Turned(OfBlock):
 
     takes = gives = Quantity.POINT_IN_TRACKER
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         later = later_than(local, self.block)
         back = _turned_back(2, local.rows(self.block)[0] * later)
@@ -198,7 +198,7 @@ def _seen_through(back: Array, value: Array) -> Array:
     return np.stack([(row * value).sum(axis=0) for row in back])
 
 
-def later_than(local: Local, block: str) -> Array:
+def later_than(local: LinkContext, block: str) -> Array:
     """Return 1 for readings from the time `at` on, the last column of the block, else 0, (n,)."""
     return np.asarray(local.observations.conditions["t"] >= local.rows(block)[-1], dtype=float)
 
@@ -209,7 +209,7 @@ class TrackerMoves(OfBlock):
 
     takes = gives = Quantity.POINT_IN_MACHINE
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n), displaced by `-v t`, since the readings depend only on the relative position."""
         elapsed = local.observations.conditions[ELAPSED]
         moved = value - local.rows(self.block) * elapsed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
@@ -19,7 +19,7 @@ class Growth(OfBlock):
 
     takes = gives = Quantity.BALL_IN_ARTEFACT
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the ball (3, n)."""
         factor = 1 + local.rows(self.block)
         return Step(value * factor, factor[:, None] * _EYE, {self.block: value[:, None]})
@@ -31,7 +31,7 @@ class BallShift(OfBlock):
 
     takes = gives = Quantity.BALL_IN_ARTEFACT
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the ball (3, n)."""
         rows = local.rows(self.block)
         later = (local.index(VIEW) >= rows[3]).astype(float)
@@ -46,7 +46,7 @@ class Bending(OfBlock):
 
     takes = gives = Quantity.MACHINE_READING
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         by_block = np.zeros((3, 1, value.shape[1]))
         by_block[2, 0] = -local.observations.conditions[HOLLOW]
@@ -60,7 +60,7 @@ class ReadingDrift(OfBlock):
     condition: str
     takes = gives = Quantity.MACHINE_READING
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         term = local.observations.conditions[self.condition]
         return Step(value + local.rows(self.block) * term, _EYE, {self.block: _EYE * term})
@@ -72,7 +72,7 @@ class ReadingStep(OfBlock):
 
     takes = gives = Quantity.MACHINE_READING
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         rows = local.rows(self.block)
         later = (local.observations.conditions["t"] >= rows[3]).astype(float)
@@ -88,7 +88,7 @@ class ReadingScale(OfBlock):
     axis: int
     takes = gives = Quantity.MACHINE_READING
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         scale = local.rows(self.block)[0]
         by_point = np.tile(_EYE, value.shape[1])

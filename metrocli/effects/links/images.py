@@ -7,7 +7,7 @@ from dataclasses import field, replace
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.chain import Chain, LinkContext, Step
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
@@ -30,7 +30,7 @@ class LensChange(OfBlock):
     """Block of the lens"""
     takes = gives = Quantity.PARAMETERS
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the lens parameters for each reading (size, n), with derivatives by the input and its own block."""
         names, theta = local.blocks[self.varies].columns, local.rows(self.block)
         passed = local.observations.conditions[self.condition] if self.condition else np.ones(value.shape[1])
@@ -75,7 +75,7 @@ class TargetEccentricity(OfBlock):
         """Return the effect as it acts behind these links."""
         return replace(self, before=before)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n), with derivatives by the point, the factor and the blocks that orient the normal."""
         normal, turns = self._normal(local)
         factor = local.rows(self.block)[0]
@@ -88,7 +88,7 @@ class TargetEccentricity(OfBlock):
         by_block = {name: _along_normal(normal, turn) * (factor * share) for name, turn in turns.items()}
         return Step(value - factor * share * away, by_point, {**by_block, self.block: (-share * away)[:, None]})
 
-    def _normal(self, local: Local) -> tuple[Array, Mapping[str, Array]]:
+    def _normal(self, local: LinkContext) -> tuple[Array, Mapping[str, Array]]:
         """Return the normal of the target's plane in the camera (3, n), with derivatives by the blocks before.
 
         It is the difference of two points 1 mm apart along the normal: exact, since the links before are rigid motions.

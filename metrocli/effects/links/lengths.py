@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.effects.effect import ELAPSED
@@ -22,7 +22,7 @@ class LengthTerms(OfBlock):
     conditions: tuple[str, ...]
     takes = gives = Quantity.LENGTH
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the length (1, n)."""
         terms = np.stack([local.observations.conditions[name] for name in self.conditions])
         added = (local.rows(self.block) * terms).sum(axis=0)
@@ -35,7 +35,7 @@ class LengthJump(OfBlock):
 
     takes = gives = Quantity.LENGTH
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the length (1, n)."""
         step, at = local.rows(self.block)
         later = (local.observations.conditions["t"] >= at).astype(float)
@@ -50,7 +50,7 @@ class LengthOffset(OfBlock):
 
     takes = gives = Quantity.LENGTH
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the length (1, n)."""
         return Step(value + local.rows(self.block), _AS_IT_IS, {self.block: np.ones((1, 1, value.shape[1]))})
 
@@ -61,7 +61,7 @@ class LengthScale(OfBlock):
 
     takes = gives = Quantity.LENGTH
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the length (1, n)."""
         factor = 1 + local.rows(self.block)
         return Step(value * factor, factor[:, None] * _AS_IT_IS, {self.block: value[:, None]})
@@ -83,7 +83,7 @@ class BeamScale(OfBlock):
         """The block of tracers, where the beams begin, and its own block."""
         return (self.tracer, self.block)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n), displaced along its beam, with derivatives by point, tracer and its own block."""
         beam = value - local.rows(self.tracer)[:3]
         factor = local.observations.conditions[self.condition] if self.condition else np.ones(beam.shape[1])
@@ -110,7 +110,7 @@ class AirGradient(OfBlock):
         """The block of tracers, where the beams begin, and its own block."""
         return (self.tracer, self.block)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n), displaced along its beam, with derivatives by point, tracer and its own block."""
         beam = value - local.rows(self.tracer)[:3]
         gradient, half = local.rows(self.block)[0], beam[2] / 2
@@ -128,7 +128,7 @@ class TracerDrift(OfBlock):
 
     takes = gives = Quantity.POINT_IN_MACHINE
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         t = local.observations.conditions[ELAPSED]
         return Step(value - local.rows(self.block) * t, _EYE, {self.block: -_EYE * t})
@@ -153,7 +153,7 @@ class _BesideBeam(OfBlock):
         """The block of the launch unit, where the beams begin, and its own block."""
         return (self.unit, self.block)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n) to which a beam without offset would run in this direction, with derivatives."""
         h = local.rows(self.block)[0]
         across, turns = self.across(value - local.rows(self.unit)[:3])

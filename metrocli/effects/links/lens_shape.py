@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
@@ -94,7 +94,7 @@ class LensShape:
         """Its own block."""
         return (self.block,)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the shifted image point (2, n) [px], with derivatives by the image point and the unknowns."""
         both = self.to_coefficients.reshape(2, -1, self.to_coefficients.shape[1])
         coefficients = both @ local.rows(self.block)[:, 0]

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.chain import Chain, LinkContext, Step
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.effects.effect import ELAPSED
@@ -49,11 +49,11 @@ class AxisErrorEffect(OfBlock):
         derivative[list(rows)] = by_block
         return Step(total, None, {self.block: derivative})
 
-    def linear(self, value: Array, local: Local, rows: Sequence[int], by_block: Array) -> Step:
+    def linear(self, value: Array, local: LinkContext, rows: Sequence[int], by_block: Array) -> Step:
         """Return the errors plus `by_block p` in some rows, p the columns of its own block."""
         return self.added(value, rows, np.einsum("rcn,cn->rn", by_block, self.columns(local, by_block)), by_block)
 
-    def columns(self, local: Local, by_block: Array) -> Array:
+    def columns(self, local: LinkContext, by_block: Array) -> Array:
         """Return the values of its own block at each reading, (columns, n)."""
         return np.broadcast_to(local.rows(self.block), by_block.shape[1:])
 
@@ -73,7 +73,7 @@ class OnAxis(AxisErrorEffect):
         """The row of the error of the axis in its own motion: positioning, or the angle of a rotary axis."""
         return self.row(AXES.index(self.axis) if self.axis in AXES else THETA + TURNING.index(self.axis))
 
-    def proportional(self, factor: Array, value: Array, local: Local) -> Step:
+    def proportional(self, factor: Array, value: Array, local: LinkContext) -> Step:
         """Return the errors with `p factor` more in the axis' own motion, p the only column of the effect's block."""
         return self.linear(value, local, [self.own], factor[None, None])
 
@@ -94,7 +94,7 @@ def _machine(machine: Machine | None) -> Machine:
 class Backlash(OnAxis):
     """Backlash: `+width/2` of an axis after a positive move, `-width/2` after a negative; column width [mm, rad]."""
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         return self.proportional(np.sign(local.observations.conditions[f"from_{self.axis}"]) / 2, value, local)
 
@@ -103,7 +103,7 @@ class Backlash(OnAxis):
 class BacklashGrowth(OnAxis):
     """Backlash that grows along the axis: `+-growth pos/2`, pos the commanded position; column growth [1]."""
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         given = local.observations.conditions
         return self.proportional(np.sign(given[f"from_{self.axis}"]) * given[self.axis] / 2, value, local)
@@ -113,7 +113,7 @@ class BacklashGrowth(OnAxis):
 class ServoLag(OnAxis):
     """Lag behind the command: `-tau v` along an axis, v its speed [mm/s]; column tau [s]."""
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         return self.proportional(-local.observations.conditions[SPEED.format(axis=self.axis)], value, local)
 
@@ -122,7 +122,7 @@ class ServoLag(OnAxis):
 class ThermalGrowth(OnAxis):
     """Growth of a scale: `rate t pos` along an axis, pos its commanded position; column rate [1/s]."""
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         given = local.observations.conditions
         return self.proportional(given[ELAPSED] * given[self.axis], value, local)
@@ -136,7 +136,7 @@ class ScrewPitchError(OnAxis):
     amplitude 0.
     """
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         amplitude, phase, period = local.rows(self.block)
         return self.wave(2 * np.pi * local.observations.conditions[self.axis] / period + phase, amplitude, value)
@@ -149,7 +149,7 @@ class StraightnessReversal(OnAxis):
     shifted: str = "x"
     """Axis b"""
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         side = np.sign(local.observations.conditions[f"from_{self.axis}"]) / 2
         return self.linear(value, local, [self.row(AXES.index(self.shifted))], side[None, None])
@@ -162,7 +162,7 @@ class Hysteresis(OnAxis):
     s = +1 after a positive move of the axis, -1 after a negative one; w is its way since it turned.
     """
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         width, length = local.rows(self.block)
         given = local.observations.conditions
@@ -177,7 +177,7 @@ class AngularReversal(OnAxis):
     s = +1 after a positive move of the axis, -1 after a negative one.
     """
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         half = np.sign(local.observations.conditions[f"from_{self.axis}"]) / 2
         return self.linear(value, local, [self.row(THETA + k) for k in range(3)], np.eye(3)[:, :, None] * half)
@@ -199,7 +199,7 @@ class LoadSag(AtBed):
 
     pair: str = "yz"
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         first, second = (local.observations.conditions[axis] for axis in self.pair)
         return self.linear(value, local, self.rows([2]), (first * second)[None, None])
@@ -209,7 +209,7 @@ class LoadSag(AtBed):
 class MachineDrift(AtBed):
     """The machine drifts against its bed: `d += v t`; columns vx, vy, vz [mm/s]."""
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         elapsed = local.observations.conditions[ELAPSED]
         return self.linear(value, local, self.rows([0, 1, 2]), np.eye(3)[:, :, None] * elapsed)
@@ -227,7 +227,7 @@ class LineTerm(OfBlock):
         """The block of lines, which only readings of a laser have, and its own block."""
         return (LINE, self.block)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the motion (6, n)."""
         given = local.observations.conditions
         factor = np.prod([given[name] for name in self.conditions], axis=0)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import AtQuantity
 from metrocli.arrays import Array
@@ -44,7 +44,7 @@ class OwnTerms(AtQuantity):
         """The blocks on which its variables depend, and its own block."""
         return (*dict.fromkeys(name for variable in self.variables for name in variable.blocks), self.block)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the quantity (d, n); raises NoValueAtReadingError if an expression has no value at a reading."""
         d, n = len(value), local.observations.count
         rows, last = local.rows(self.block), local.members(self.block)[-1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import AtQuantity, OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
@@ -23,7 +23,7 @@ class PointStep(OfBlock):
     condition: str = "t"
     takes = gives = Quantity.POINT_IN_MACHINE
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         rows = local.rows(self.block)
         later = self.sign * (local.observations.conditions[self.condition] >= rows[3])
@@ -43,7 +43,7 @@ class AxisError(OfBlock):
     along: int
     takes = gives = Quantity.POINT_IN_MACHINE
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         error = local.rows(self.block)[0]
         by_point = np.tile(_EYE, value.shape[1])
@@ -57,7 +57,7 @@ class AxisError(OfBlock):
 class Growth(AtQuantity):
     """A point moves away from the origin: `X (1 + s)`; column scale, s [1]."""
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n), with derivatives `(1 + s) I` by the point and X by the scale."""
         growth = 1 + local.rows(self.block)[0]
         return Step(value * growth, growth * _EYE, {self.block: value[:, None]})
@@ -69,7 +69,7 @@ class PlaneBend(OfBlock):
 
     takes = gives = Quantity.POINT_ON_BOARD
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         xx, xy, yy = local.rows(self.block)
         x, y, _ = value
@@ -89,7 +89,7 @@ class Stretch(AtQuantity):
     Growth of both axes alike is a scale, which poses absorb.
     """
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n), with derivatives by the point and by stretch and shear."""
         stretch, shear = local.rows(self.block)
         x, y, _ = value
@@ -120,7 +120,7 @@ class RowShear(OfBlock):
         """The blocks of poses and lens, and its own block."""
         return (self.pose, self.lens, self.block)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the image point (2, n), with derivatives by the point, the lens and the motion."""
         shear, lens, cy = local.rows(self.block), local.rows(self.lens), local.blocks[self.lens].column("cy")
         later = value[1] - lens[cy]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import AtQuantity, OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
@@ -25,7 +25,7 @@ class Shift(AtQuantity):
     condition: str = ""
     first: int = 0
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         shift = local.rows(self.block)
         by_shift = self.sign * _EYE[:, self.first : self.first + len(shift)]
@@ -53,7 +53,7 @@ class MachineBow(OfBlock):
         """The block of commanded poses, and its own block."""
         return (self.poses, self.block)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n) relative to the true position of the machine."""
         commanded, bends = local.rows(self.poses), local.rows(self.block)
         along, n = local.members(self.poses)[:, self.axis], value.shape[1]
@@ -85,7 +85,7 @@ class MachineError(OfBlock):
         """The block of commanded poses, and its own block."""
         return (self.poses, self.block)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n) relative to the true position of the machine."""
         error = local.rows(self.block)[0]
         commanded = local.rows(self.poses)
@@ -105,7 +105,7 @@ class CouplingTilt(OfBlock):
 
     takes = gives = Quantity.POINT_IN_TAPER
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         angles = local.members(self.block)[-1]
         (ca, cb), (sa, sb) = np.cos(angles), np.sin(angles)
@@ -136,7 +136,7 @@ class MachineAngles(OfBlock):
         """The block of commanded poses, and its own block."""
         return (self.poses, self.block)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n) relative to the spindle as it truly stands."""
         commanded, rates = local.rows(self.poses), local.rows(self.block)
         along = local.members(self.poses)[:, self.axis]

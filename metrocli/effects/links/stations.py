@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.model.chain import IDENTITY, Chain, Local, Step
+from metrocli.adjust.model.chain import IDENTITY, Chain, LinkContext, Step
 from metrocli.adjust.model.groups import ReadBlock, ReadEntries
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
@@ -29,7 +29,7 @@ class StationDrift(OfBlock):
 
     takes = gives = Quantity.POINT_IN_MACHINE
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         given = local.observations.conditions
         later = given["t"] - given[BEGUN]
@@ -47,7 +47,7 @@ class TargetRaised(OfBlock):
         """The block of set-ups, which only sightings of raised targets have, and its own block."""
         return (SETUP, self.block)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         up = target_vertical(local)
         return Step(value + up * local.rows(self.block)[0], IDENTITY, {self.block: up[:, None]})
@@ -64,7 +64,7 @@ class StationRaised(OfBlock):
         """The block of stations over points, and its own block."""
         return (OVER, self.block)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point relative to the true station, (3, n)."""
         up = station_vertical(local)
         return Step(value - up * local.rows(self.block)[0], IDENTITY, {self.block: -up[:, None]})
@@ -88,7 +88,7 @@ class ListedWrongly(OfBlock):
         last = before.links[-1]
         return replace(self, reader=last if isinstance(last, ReadBlock | ReadEntries) else None)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the coordinates less their list, (c, n)."""
         if self.reader is None:
             raise ValueError("ListedWrongly acts behind what reads coordinates")
@@ -116,7 +116,7 @@ class HeightStep(OfBlock):
     """Condition: t or method"""
     takes = gives = Quantity.HEIGHT_DIFFERENCE
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the height difference (1, n)."""
         given, (height, at) = local.observations.conditions, local.rows(self.block)
         sign = given[heights_of(self.mark)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.effects.effect import ELAPSED
@@ -14,12 +14,12 @@ from metrocli.instruments.axes.kinematics import FIRST_SEEN, ON_WORKPIECE
 from metrocli.instruments.axes.rotary import ANGLE
 
 
-def _angle(axis: str, local: Local) -> Array:
+def _angle(axis: str, local: LinkContext) -> Array:
     """Return the commanded angle of an axis at each reading [rad]."""
     return local.observations.conditions[ANGLE.format(axis=axis)]
 
 
-def _step(local: Local, at: Array) -> Array:
+def _step(local: LinkContext, at: Array) -> Array:
     """Return 1 for readings from the time `at` on, else 0."""
     return (local.observations.conditions["t"] >= at).astype(float)
 
@@ -31,7 +31,7 @@ class WormError(OnAxis):
     Its derivatives are taken along the phasor and across it (`Space.WAVE`).
     """
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         amplitude, phase, periods = local.rows(self.block)
         return self.wave(periods * _angle(self.axis, local) + phase, amplitude, value)
@@ -41,7 +41,7 @@ class WormError(OnAxis):
 class EncoderEccentricity(OnAxis):
     """`c1 (cos s - cos s0) + s1 (sin s - sin s0)` in the angle of an axis, s0 the zero of its table; columns c1, s1."""
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         angle, zero = _angle(self.axis, local), self.zero
         by_block = np.stack([np.cos(angle) - np.cos(zero), np.sin(angle) - np.sin(zero)])
@@ -58,7 +58,7 @@ class EncoderEccentricity(OnAxis):
 class Wobble(OnAxis):
     """`c cos ns + s sin ns` in each tilt of an axis; columns c1, s1 of the first tilt, c2, s2 of the other, n."""
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         rows = local.rows(self.block)
         angle = rows[4] * _angle(self.axis, local)
@@ -73,7 +73,7 @@ class Wobble(OnAxis):
 class AxisJump(OnAxis):
     """The line of an axis is displaced from a time on: `o += d`; columns dx, dy, dz without that along it, at [s]."""
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         across = [k for k in range(3) if TURNING[k] != self.axis]
         later = _step(local, local.rows(self.block)[2])
@@ -86,7 +86,7 @@ class AxisJump(OnAxis):
 class PivotDrift(OnAxis):
     """The line of an axis drifts: `o += v t`; columns vx, vy, vz without that along it [mm/s]."""
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         across = [k for k in range(3) if TURNING[k] != self.axis]
         by_block = np.eye(2)[:, :, None] * local.observations.conditions[ELAPSED]
@@ -99,7 +99,7 @@ class LoadUnbalance(OnAxis):
 
     carried: str = "c"
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the errors."""
         tilt, angle = _angle(self.axis, local), _angle(self.carried, local)
         by_block = np.cos(tilt) * np.stack([np.cos(angle), np.sin(angle)])
@@ -117,7 +117,7 @@ class BallMoves(OfBlock):
     varies = ON_WORKPIECE
     takes = gives = Quantity.PARAMETERS
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n)."""
         rows = np.broadcast_to(local.rows(self.block), (4, value.shape[1]))
         later = _step(local, rows[3]) * (local.observations.conditions[FIRST_SEEN] < rows[3])

@@ -16,10 +16,10 @@ from metrocli.effects.effect import Parameter
 from metrocli.errors import Fault
 from metrocli.expressions.dimensions import Compound, base_unit
 from metrocli.expressions.expression import CONSTANTS, FUNCTIONS, NAME, ExpressionError
-from metrocli.expressions.written import AnyQuantity, Measure, Model, ModelText
+from metrocli.expressions.written import AnyQuantity, Measure, ModelText, WrittenExpression
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
-from metrocli.settings import BAD, At, ListOf, MapOf, Placed, Schema, Section, Text, Whole, setting
+from metrocli.settings import BAD, At, ListOf, LocatedValue, MapOf, Schema, Section, Text, Whole, setting
 from metrocli.words import in_a_row, nearest
 
 WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -111,7 +111,7 @@ def _base_unit(unit: Compound) -> str:
     return base_unit(tuple(sorted(unit.powers, key=lambda power: power[1] < 0)))
 
 
-def values_tried(name: str, scan: Scan, adds: Iterable[Model]) -> Array:
+def values_tried(name: str, scan: Scan, adds: Iterable[WrittenExpression]) -> Array:
     """Return the values of a scan, even in 1/value for a name that only divides, such as a period, else even.
 
     Between those that are tried are those by which the best one is refined.
@@ -122,7 +122,7 @@ def values_tried(name: str, scan: Scan, adds: Iterable[Model]) -> Array:
     return np.linspace(low, high, count)
 
 
-def _only_divides(model: Model, name: str) -> bool:
+def _only_divides(model: WrittenExpression, name: str) -> bool:
     """Return whether a name occurs in an expression only behind a division sign, as the period of a wave does."""
     text = model.expression.text
     named = [part for part in model.expression.parts if part.operation == NAME and part.name == name]
@@ -133,7 +133,7 @@ def _only_divides(model: Model, name: str) -> bool:
 class Given:
     """A parameter of an effect."""
 
-    unit: Placed = setting(At(Text()), "unit of the parameter, such as um, rad or 1")
+    unit: LocatedValue = setting(At(Text()), "unit of the parameter, such as um, rad or 1")
     plausible: Measure = setting(AnyQuantity(), "largest size that can be believed, such as 50 um")
 
 
@@ -169,14 +169,16 @@ class Adds:
 class Definition:
     """A user-defined effect."""
 
-    name: Placed = setting(At(Text()), "its name, in lower case with hyphens")
-    acts_on: Placed = setting(At(Text()), "the quantity on which it acts; `metrocli effects KIND` lists them")
-    adds: Mapping[str, Model] = setting(Adds(), "what it adds, in its parameters and the variables known there")
+    name: LocatedValue = setting(At(Text()), "its name, in lower case with hyphens")
+    acts_on: LocatedValue = setting(At(Text()), "the quantity on which it acts; `metrocli effects KIND` lists them")
+    adds: Mapping[str, WrittenExpression] = setting(
+        Adds(), "what it adds, in its parameters and the variables known there"
+    )
     parameters: Mapping[str, Given] = setting(
         MapOf(Section(Given)), "its parameters, each {unit: um, plausible: 50 um}"
     )
     cause: str = setting(Text(), "the cause in one sentence", default="a user-defined cause")
-    where: tuple[Placed, ...] = setting(
+    where: tuple[LocatedValue, ...] = setting(
         ListOf(At(Text())), "kinds of place, with sizes of its own at each, such as [tracer]", default=()
     )
     scan: Mapping[str, Scan] = setting(

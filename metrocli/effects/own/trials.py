@@ -8,7 +8,7 @@ from contextlib import suppress
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.chain import Link, Local, Step
+from metrocli.adjust.model.chain import Link, LinkContext, Step
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array
 from metrocli.effects.acting import Acting, Variable
@@ -66,7 +66,7 @@ def _of_link(effect: Effect, link: Link, size: int) -> Iterator[str]:
         block = Block("own", row, names, space=effect.space)
         block = block if move is None else block.moved(move)
         observations = Observations(np.zeros((size, _N)), np.ones(1), conditions=conditions)
-        return link.step(at, Local({"own": block}, observations, frozenset({"own"})))
+        return link.step(at, LinkContext({"own": block}, observations, frozenset({"own"})))
 
     if not np.allclose(step(dict.fromkeys(plain, 0.0)).value, value, rtol=0, atol=1e-12):
         yield "it is not 0 where all its parameters are 0"

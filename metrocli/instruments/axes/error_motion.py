@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
@@ -30,7 +30,7 @@ class Undisturbed:
     gives = Quantity.AXIS_ERRORS
     blocks = ()
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return zeros."""
         return Step(np.zeros((ROWS * len(self.machine.axes), 1)))
 
@@ -48,7 +48,7 @@ class ErrorMotion:
         """Names of the blocks of the axes, of squareness, and of the tool vectors, which are part of the levers."""
         return (*(axis.block for axis in self.machine.axes), SQUARENESS, TOOL)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return d and theta, with derivatives by the two (or four) knots of each axis on which a reading depends."""
         position = np.stack([local.observations.conditions[name] for name in POSITION])
         tool = local.rows(TOOL)
@@ -113,7 +113,7 @@ class ReachedPoint:
     gives = Quantity.POINT_IN_MACHINE
     blocks = (TOOL,)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point, (3, n), with its derivatives by the motion, (3, 6, 1), and by the tool, (3, 3, 1)."""
         position = np.stack([local.observations.conditions[name] for name in POSITION])
         by_motion = np.eye(6)[:3, :, None]

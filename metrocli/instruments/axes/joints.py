@@ -18,7 +18,7 @@ _EYE = np.eye(3)
 
 
 @dataclass(frozen=True)
-class Motion:
+class JointMotion:
     """A motion of each reading, and its derivatives by the parameters."""
 
     rotation: Array
@@ -42,7 +42,7 @@ class Motion:
         return times(inverse, point - self.shift), -through(inverse, changed)
 
 
-def slide(axis: int, position: Array, errors: Array, squareness: Array) -> Motion:
+def slide(axis: int, position: Array, errors: Array, squareness: Array) -> JointMotion:
     """Return the motion of a linear joint along x, y or z: `Trans(s u + E) Rot(theta)`.
 
     u is (1, 0, 0), (-sin C0Y, cos C0Y, 0) or (sin B0Z, -sin A0Z cos B0Z, cos A0Z cos B0Z), with the squareness errors
@@ -61,10 +61,10 @@ def slide(axis: int, position: Array, errors: Array, squareness: Array) -> Motio
     shifts[:, :3] = _EYE[:, :, None]
     shifts[:, 3:6] = -crossed(turns[:, 3:6], shift[:, None])
     shifts[:, 9:] = by_squareness[axis][:, :, None] * position
-    return Motion(np.broadcast_to(rotation, (3, 3, n)), shift, turns, shifts)
+    return JointMotion(np.broadcast_to(rotation, (3, 3, n)), shift, turns, shifts)
 
 
-def turn(axis: int, angle: Array, errors: Array, location: Array, place: tuple[Array, bool]) -> Motion:
+def turn(axis: int, angle: Array, errors: Array, location: Array, place: tuple[Array, bool]) -> JointMotion:
     """Return the motion of a rotary joint about x, y or z through a point P, for a table and for a head.
 
     Table: `Trans(P) L R(u, s + e) D L^-1 Trans(-P)`; head: `Trans(P) L D R(u, s + e) L^-1 Trans(-P)`, with
@@ -96,7 +96,7 @@ def turn(axis: int, angle: Array, errors: Array, location: Array, place: tuple[A
     shifts[:, 11:13] = crossed(carried, end) - crossed(tilts, origin[:, None])
     turns[:, 13:] = spinning
     shifts[:, 13:] = -crossed(spinning, end if head else origin[:, None])
-    return Motion(rotation, origin + away - times(rotation, origin), turns, shifts)
+    return JointMotion(rotation, origin + away - times(rotation, origin), turns, shifts)
 
 
 def turned(angles: Array) -> tuple[Array, Array]:

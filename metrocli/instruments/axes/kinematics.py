@@ -10,13 +10,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Chain, Link, Local, Step, through
+from metrocli.adjust.model.chain import Chain, Link, LinkContext, Step, through
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import vector_from_rotation
 from metrocli.instruments.axes.error_motion import ErrorMotion, ReachedPoint, Undisturbed
-from metrocli.instruments.axes.joints import Motion, crossed, times, turned
+from metrocli.instruments.axes.joints import JointMotion, crossed, times, turned
 from metrocli.instruments.axes.rotary import SPINDLE
 from metrocli.instruments.machine import ROWS, SQUARENESS, TOOL, Machine
 
@@ -50,7 +50,7 @@ class _Carried:
         return _Carried(factor * self.point, changes, factor * self.rotation, self.turns)
 
 
-def _carried(motions: Sequence[Motion], path: _Path, point: Array) -> _Carried:
+def _carried(motions: Sequence[JointMotion], path: _Path, point: Array) -> _Carried:
     """Return a point (3, n) at the end of a path carried to its beginning."""
     passed = []
     for axis, back in reversed(path):
@@ -88,26 +88,26 @@ class _OfMachine:
         places = dict.fromkeys(axis.location for axis in axes)
         return (*(axis.block for axis in axes), *places, SPINDLE, TOOL)
 
-    def motions(self, value: Array, local: Local) -> list[Motion]:
+    def motions(self, value: Array, local: LinkContext) -> list[JointMotion]:
         """Return the motion of each axis at its errors and its location."""
-        found = []
+        carried = []
         for number, axis in enumerate(self.machine.axes):
             position = local.observations.conditions[axis.coordinate]
             errors = np.array(np.broadcast_to(value[ROWS * number : ROWS * (number + 1)], (ROWS, len(position))))
             values = local.members(axis.block)
             for index, weight in zip(*axis.places(position), strict=True):
                 errors[:6] += weight * values[index].T
-            found.append(axis.motion(position, errors, local.members(axis.location)[0]))
-        return found
+            carried.append(axis.motion(position, errors, local.members(axis.location)[0]))
+        return carried
 
-    def tip(self, local: Local) -> tuple[Array, Array, Array]:
+    def tip(self, local: LinkContext) -> tuple[Array, Array, Array]:
         """Return the tip at the spindle (3, n), and its derivatives by the tool and by the spindle, (3, 3, n)."""
         n = local.observations.count
         turn, about = (np.broadcast_to(part, (3, 3, n)) for part in turned(local.members(SPINDLE)[0][:, None]))
         tip = times(turn, local.rows(TOOL))
         return tip, turn, crossed(about, tip[:, None])
 
-    def derivatives(self, value: Array, local: Local, changes: Mapping[int, Array]) -> Step:
+    def derivatives(self, value: Array, local: LinkContext, changes: Mapping[int, Array]) -> Step:
         """Return the derivatives of a point by what disturbs the axes, by their tables and by their locations."""
         n, size = local.observations.count, len(next(iter(changes.values())))
         disturbed = np.zeros((size, len(value), n)) if self.machine.is_disturbed(value, local) else None
@@ -141,7 +141,7 @@ class FromBed(_OfMachine):
         """Those of the machine, and of the points on the workpiece."""
         return (*super().blocks, *([ON_WORKPIECE] if self.workpiece else []))
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n) with its derivatives."""
         given, motions = local.observations.conditions, self.motions(value, local)
         tip, by_tool, by_spindle = self.tip(local)
@@ -167,7 +167,7 @@ class OnWorkpiece(_OfMachine):
 
     gives = Quantity.POINT_IN_MACHINE
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the point (3, n) with its derivatives."""
         tip, by_tool, by_spindle = self.tip(local)
         carried = _carried(self.motions(value, local), [(axis, False) for axis in self.machine.order], tip)
@@ -185,7 +185,7 @@ class TipMotion(_OfMachine):
 
     gives = Quantity.ERROR_MOTION
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the motion with its derivatives."""
         tip, by_tool, by_spindle = self.tip(local)
         carried = _carried(self.motions(value, local), [(axis, False) for axis in self.machine.order], tip)
@@ -254,4 +254,6 @@ def axes_of(machine: Machine, position: Array, body: str) -> Array:
         return np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n))
     directions = [np.repeat(np.eye(3)[:, k : k + 1], n, axis=1) for k in range(3)]
     origin = seen_from_bed(machine, position, np.zeros((3, n)), body == "tool")
-    return np.stack([seen_from_bed(machine, position, one, body == "tool") - origin for one in directions], axis=1)
+    return np.stack(
+        [seen_from_bed(machine, position, direction, body == "tool") - origin for direction in directions], axis=1
+    )

@@ -12,13 +12,13 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.chain import Chain, LinkContext, Step
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array, Index, Mask
 from metrocli.frozen import dataclass
-from metrocli.instruments.axes.joints import Motion, turn
+from metrocli.instruments.axes.joints import JointMotion, turn
 from metrocli.instruments.machine import ANGLES, AXES, SQUARENESS_NAMES, Axis, Machine, bracket, errors_of
 
 SPINDLE = "spindle"
@@ -53,20 +53,20 @@ def errors_by_word(chain: Sequence[str]) -> dict[str, tuple[str, ...]]:
     of the spindle in that plane; then two angles of the spindle are unknown too. All other tools have the machine's
     axes. Of tables alone, with nothing that moves the tool, the axis next to the bed is the frame: it has no location.
     """
-    linear, turning = ([one for one in kind if one in chain] for kind in (AXES, ANGLES))
+    linear, turning = ([name for name in kind if name in chain] for kind in (AXES, ANGLES))
     carries = chain[-1] if chain[-1] in ANGLES else ""
     frame = chain[-2] if chain[-1] == "b" and not linear else ""
     placed = [letter for letter in turning if letter != frame]
-    places = [one for letter in placed for one in location_names(letter)[: 5 if letter == carries else 4]]
-    places += [one for one in SPINDLE_NAMES if carries and one[1] != carries]
+    places = [name for letter in placed for name in location_names(letter)[: 5 if letter == carries else 4]]
+    places += [name for name in SPINDLE_NAMES if carries and name[1] != carries]
     tables = {letter: errors_of(letter) for letter in (*linear, *turning)}
     words = {
-        "linear": tuple(one for letter in linear for one in tables[letter]),
+        "linear": tuple(name for letter in linear for name in tables[letter]),
         "squareness": tuple(
-            one for one, pair in zip(SQUARENESS_NAMES, ("YZ", "XZ", "XY"), strict=True) if set(pair) <= set(linear)
+            name for name, pair in zip(SQUARENESS_NAMES, ("YZ", "XZ", "XY"), strict=True) if set(pair) <= set(linear)
         ),
         "locations": tuple(places),
-        "rotary": (*(one for letter in turning for one in tables[letter]), *places),
+        "rotary": (*(name for letter in turning for name in tables[letter]), *places),
     }
     return {"all": (*words["linear"], *words["squareness"], *words["rotary"]), **words}
 
@@ -139,14 +139,17 @@ class RotaryAxis(Axis):
             self.block, values, errors_of(self.letter), members, self.free(estimated), reach=reach, noun="position"
         )
 
-    def motion(self, position: Array, errors: Array, location: Array) -> Motion:
+    def motion(self, position: Array, errors: Array, location: Array) -> JointMotion:
         """Return the motion of the tool's side of the axis against its workpiece side at positions (n,)."""
         return turn(self.number, self.sense * position, errors, location, (np.array(self.at), self.head))
 
     def location_block(self, values: Mapping[str, float], estimated: Collection[str]) -> Block:
         """Return the block of the location errors and the zero position; those not given are zero."""
         names = location_names(self.letter)
-        row, free = np.array([[values.get(one, 0.0) for one in names]]), np.array([[one in estimated for one in names]])
+        row, free = (
+            np.array([[values.get(name, 0.0) for name in names]]),
+            np.array([[name in estimated for name in names]]),
+        )
         reach = np.array([_MOST_OFF] * 2 + [_MOST_TURNED] * 3)
         return Block(self.location, row, names, free=free, reach=reach)
 
@@ -160,16 +163,16 @@ class RotaryAxis(Axis):
         i, n = self.number, len(self.members)
         j, k = (i + 1) % 3, (i + 2) % 3
         cos, sin = np.cos(self.sense * self.members), np.sin(self.sense * self.members) * (-1.0 if self.head else 1.0)
-        one, none, found = np.ones(n), np.zeros(n), []
+        ones, none, angles = np.ones(n), np.zeros(n), []
         for shift in (0, 3):
-            for first, second in ((one, none), (none, one), (cos, -sin), (sin, cos)):
-                found.append(np.zeros((n, 6)))
-                found[-1][:, j + shift], found[-1][:, k + shift] = first, second
-        found += [np.zeros((n, 6)), np.zeros((n, 6))]
-        found[-2][:, i] = 1.0
+            for first, second in ((ones, none), (none, ones), (cos, -sin), (sin, cos)):
+                angles.append(np.zeros((n, 6)))
+                angles[-1][:, j + shift], angles[-1][:, k + shift] = first, second
+        angles += [np.zeros((n, 6)), np.zeros((n, 6))]
+        angles[-2][:, i] = 1.0
         index, weight = self.places(np.array([self.reference]))
-        found[-1][index[:, 0], i + 3] = weight[:, 0, 0]
-        held = [one / np.linalg.norm(one) for one in found if free[np.abs(one) > 0].all()]
+        angles[-1][index[:, 0], i + 3] = weight[:, 0, 0]
+        held = [unit / np.linalg.norm(unit) for unit in angles if free[np.abs(unit) > 0].all()]
         return np.array(held).reshape(-1, n, 6)
 
     def in_gauge(self, block: Block) -> Block:
@@ -193,11 +196,11 @@ class Combinations:
         """Names of the blocks."""
         return tuple(self.weights)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the combinations (conditions, 1) and their derivatives by each member."""
-        found = sum(np.einsum("cmk,mk->c", own, local.members(name)) for name, own in self.weights.items())
+        applied = sum(np.einsum("cmk,mk->c", own, local.members(name)) for name, own in self.weights.items())
         derivatives = {name: np.swapaxes(own, 0, 1)[..., None] for name, own in self.weights.items()}
-        return Step(np.asarray(found)[:, None], by_block=derivatives)
+        return Step(np.asarray(applied)[:, None], by_block=derivatives)
 
 
 def gauge(machine: Machine, blocks: Mapping[str, Block]) -> tuple[Group, ...]:

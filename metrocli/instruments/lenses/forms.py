@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.observations import Observations
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
@@ -25,7 +25,7 @@ _ANGULAR = ("k1", "k2", "k3", "k4")
 
 
 @dataclass(frozen=True)
-class Form:
+class LensForm:
     """A lens model as a program has it."""
 
     name: str
@@ -57,48 +57,48 @@ class Form:
 class Program:
     """The lens models of a program."""
 
-    forms: tuple[Form, ...]
+    forms: tuple[LensForm, ...]
     """Those with fewer parameters first"""
     pixel: float = 0.0
     """Coordinates of the centre of the first pixel"""
 
 
-def _opencv(name: str, *lengths: int) -> tuple[Form, ...]:
-    return tuple(Form(name.format(n), (*_TWO, *_COEFFICIENTS[:n])) for n in lengths)
+def _opencv(name: str, *lengths: int) -> tuple[LensForm, ...]:
+    return tuple(LensForm(name.format(n), (*_TWO, *_COEFFICIENTS[:n])) for n in lengths)
 
 
-def _fisheye(name: str) -> Form:
-    return Form(name, (*_TWO, *_ANGULAR), True)
+def _fisheye(name: str) -> LensForm:
+    return LensForm(name, (*_TWO, *_ANGULAR), True)
 
 
 PROGRAMS: Mapping[str, Program] = {
-    "opencv": Program((*_opencv("opencv", 4, 5, 8, 12, 14), Form("fisheye", (*_TWO, "skew", *_ANGULAR), True))),
+    "opencv": Program((*_opencv("opencv", 4, 5, 8, 12, 14), LensForm("fisheye", (*_TWO, "skew", *_ANGULAR), True))),
     "ros": Program((*_opencv("plumb_bob", 5), *_opencv("rational_polynomial", 8), _fisheye("equidistant"))),
     "colmap": Program(
         (
-            Form("SIMPLE_PINHOLE", _ONE),
-            Form("PINHOLE", _TWO),
-            Form("SIMPLE_RADIAL", (*_ONE, "k1")),
-            Form("SIMPLE_RADIAL_FISHEYE", (*_ONE, "k1"), True),
-            Form("RADIAL", (*_ONE, "k1", "k2")),
-            Form("RADIAL_FISHEYE", (*_ONE, "k1", "k2"), True),
+            LensForm("SIMPLE_PINHOLE", _ONE),
+            LensForm("PINHOLE", _TWO),
+            LensForm("SIMPLE_RADIAL", (*_ONE, "k1")),
+            LensForm("SIMPLE_RADIAL_FISHEYE", (*_ONE, "k1"), True),
+            LensForm("RADIAL", (*_ONE, "k1", "k2")),
+            LensForm("RADIAL_FISHEYE", (*_ONE, "k1", "k2"), True),
             *_opencv("OPENCV", 4),
             _fisheye("OPENCV_FISHEYE"),
             *_opencv("FULL_OPENCV", 8),
-            Form("THIN_PRISM_FISHEYE", (*_TWO, "k1", "k2", "p1", "p2", "k3", "k4", "s1", "s3"), True),
+            LensForm("THIN_PRISM_FISHEYE", (*_TWO, "k1", "k2", "p1", "p2", "k3", "k4", "s1", "s3"), True),
         ),
         pixel=0.5,
     ),
-    "kalibr": Program((Form("none", _TWO), *_opencv("radtan", 4), _fisheye("equidistant"))),
-    "mrcal": Program((Form("LENSMODEL_PINHOLE", _TWO), *_opencv("LENSMODEL_OPENCV{}", 4, 5, 8, 12))),
+    "kalibr": Program((LensForm("none", _TWO), *_opencv("radtan", 4), _fisheye("equidistant"))),
+    "mrcal": Program((LensForm("LENSMODEL_PINHOLE", _TWO), *_opencv("LENSMODEL_OPENCV{}", 4, 5, 8, 12))),
     "metashape": Program(
         (
-            Form("frame", (*_TWO, "skew", "k1", "k2", "k3", "p1", "p2")),
-            Form("fisheye", (*_TWO, "skew", *_ANGULAR, "p1", "p2"), True),
+            LensForm("frame", (*_TWO, "skew", "k1", "k2", "k3", "p1", "p2")),
+            LensForm("fisheye", (*_TWO, "skew", *_ANGULAR, "p1", "p2"), True),
         ),
         pixel=0.5,
     ),
-    "matlab": Program((Form("cameraIntrinsics", (*_TWO, "skew", "k1", "k2", "k3", "p1", "p2")),), pixel=1.0),
+    "matlab": Program((LensForm("cameraIntrinsics", (*_TWO, "skew", "k1", "k2", "k3", "p1", "p2")),), pixel=1.0),
 }
 
 
@@ -106,7 +106,7 @@ def nearest(
     lens: Mapping[str, float],
     convention: str,
     image_size: Sequence[int],
-    form: Form,
+    form: LensForm,
     unshifted: Callable[[Array], Array] = np.asarray,
 ) -> Converted | None:
     """Return the lens of a form that images directions most alike, by least squares over a grid of the image.
@@ -128,7 +128,7 @@ def nearest(
     def step(values: Array) -> Step:
         block = Block("lens", values[None], form.terms)
         return Lens(fisheye=form.fisheye).step(
-            seen, Local({"lens": block}, Observations(uv, np.ones(1), {}), frozenset({"lens"}))
+            seen, LinkContext({"lens": block}, Observations(uv, np.ones(1), {}), frozenset({"lens"}))
         )
 
     if not known.any() or not np.isfinite(step(np.array(list(start.values()))).value).all():
@@ -143,7 +143,7 @@ def nearest(
         slope: Array = np.nan_to_num(np.concatenate([by_lens[0].T, by_lens[1].T]))
         return slope
 
-    found = least_squares(gaps, list(start.values()), slopes, method="lm", x_scale="jac", xtol=1e-15, ftol=1e-15)
-    distance = np.hypot(*gaps(found.x).reshape(2, -1))
-    values = dict(zip(form.terms, found.x.tolist(), strict=True))
+    fit = least_squares(gaps, list(start.values()), slopes, method="lm", x_scale="jac", xtol=1e-15, ftol=1e-15)
+    distance = np.hypot(*gaps(fit.x).reshape(2, -1))
+    values = dict(zip(form.terms, fit.x.tolist(), strict=True))
     return Converted(values, float(np.sqrt((distance**2).mean())), float(distance.max()))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import OfBlock, Quantity
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
@@ -116,14 +116,14 @@ def equidistant(point: Array) -> Projected:
     return Projected(x * scale, y * scale, (-x / length2, -y / length2), scale, bend)
 
 
-def _parameters(local: Local, name: str) -> dict[str, Any]:
+def _parameters(local: LinkContext, name: str) -> dict[str, Any]:
     """Return the lens parameters by name: numbers, or arrays (n,) if readings belong to different lenses."""
     rows = local.rows(name)
     values = rows[:, 0].tolist() if rows.shape[1] == 1 else rows
     return dict(zip(local.blocks[name].columns, values, strict=True))
 
 
-def _wanted(local: Local, name: str) -> tuple[str, ...]:
+def _wanted(local: LinkContext, name: str) -> tuple[str, ...]:
     """Return the names of the lens parameters whose derivatives are needed."""
     block = local.blocks[name]
     used = block.free.any(axis=0)
@@ -140,7 +140,7 @@ class Lens(OfBlock):
     takes = Quantity.POINT_IN_CAMERA
     gives = Quantity.IMAGE_POINT
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n).
 
         Behind a camera that is no fisheye it is nan. Without wanted blocks there are no derivatives.
@@ -176,10 +176,10 @@ class Lens(OfBlock):
 
 def _by_point(flat: Projected, point: Array, by_x: Array, by_y: Array) -> Array:
     """Return the derivatives (3, n) by the point in the camera of what has these by x and y of the plane."""
-    found = np.stack([by_x * flat.scale, by_y * flat.scale, by_x * flat.by_z[0] + by_y * flat.by_z[1]])
+    derivatives = np.stack([by_x * flat.scale, by_y * flat.scale, by_x * flat.by_z[0] + by_y * flat.by_z[1]])
     if flat.bend is not None:
-        found[:2] += (by_x * point[0] + by_y * point[1]) * flat.bend * point[:2]
-    return found
+        derivatives[:2] += (by_x * point[0] + by_y * point[1]) * flat.bend * point[:2]
+    return derivatives
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ class LensBackward(OfBlock):
     takes = Quantity.POINT_IN_CAMERA
     gives = Quantity.IMAGE_POINT
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n).
 
         Behind the camera it is nan. Without wanted blocks there are no derivatives.

@@ -12,7 +12,7 @@ from metrocli.result import Result
 
 
 @dataclass(frozen=True)
-class Node:
+class LineageFile:
     """A file in a lineage."""
 
     name: str
@@ -32,7 +32,7 @@ class Beside:
     """Output of `metrocli diagnose --json` for the job of the result"""
     before: Result | None = None
     """Result of the job without its extension"""
-    lineage: tuple[Node, ...] = ()
+    lineage: tuple[LineageFile, ...] = ()
     """The result itself first"""
 
 

@@ -12,7 +12,7 @@ from metrocli.plots.against import CAPTION, LABELS, Panel, draw_panel, panel_of
 from metrocli.plots.beside import Beside
 from metrocli.plots.magnify import MOST, words
 from metrocli.plots.noise_bands import trend
-from metrocli.plots.readings import Residuals, residuals_of
+from metrocli.plots.readings import PlottedResiduals, residuals_of
 from metrocli.plots.style import Canvas
 from metrocli.result import Result
 
@@ -43,8 +43,8 @@ class _View:
     about: str
     place: str
     x: Array
-    old: Residuals
-    new: Residuals
+    old: PlottedResiduals
+    new: PlottedResiduals
     rows: Index
 
     @property
@@ -52,7 +52,7 @@ class _View:
         """How much more the means of bins differ from noise before than after, in standard deviations of noise."""
         return _structure(self.x, self.old.w[self.rows]) - _structure(self.x, self.new.w[self.rows])
 
-    def panel(self, name: str, of: Residuals) -> Panel:
+    def panel(self, name: str, of: PlottedResiduals) -> Panel:
         """Return the panel of one of the two sets."""
         return panel_of(name, self.x, of.w[self.rows], lambda k: of.name(int(self.rows[k])), MOST // 2, len(self.rows))
 
@@ -69,13 +69,15 @@ def data(result: Result, beside: Beside) -> BeforeAfter | None:
         return None
     view = max(views, key=lambda candidate: candidate.change)
     sets = list(zip(*pairs, strict=True))
-    first, last = (float(np.sqrt(np.mean(np.concatenate([one.w[one.checked] for one in side]) ** 2))) for side in sets)
-    readings = sum(int(one.checked.sum()) for one in sets[1])
+    first, last = (
+        float(np.sqrt(np.mean(np.concatenate([panel.w[panel.checked] for panel in side]) ** 2))) for side in sets
+    )
+    readings = sum(int(panel.checked.sum()) for panel in sets[1])
     before, after = view.panel("before", view.old), view.panel("after", view.new)
     return BeforeAfter(view.about, view.place, before, after, readings, (first, last))
 
 
-def _same_readings(old: Residuals, new: Residuals) -> bool:
+def _same_readings(old: PlottedResiduals, new: PlottedResiduals) -> bool:
     """Return whether two sets are of the same readings in the same order."""
     if len(old.w) != len(new.w) or old.part != new.part:
         return False
@@ -86,7 +88,7 @@ def _same_readings(old: Residuals, new: Residuals) -> bool:
     return bool(texts) and alike
 
 
-def _views(old: Residuals, new: Residuals) -> Iterator[_View]:
+def _views(old: PlottedResiduals, new: PlottedResiduals) -> Iterator[_View]:
     """Yield all readings, and those of each place, over each covariate."""
     checked = old.checked & new.checked
     covariates = {**new.covariates, "order": np.arange(1.0, len(old.w) + 1)}

@@ -78,17 +78,19 @@ def draw(canvas: Canvas, gains: HeldOut) -> str:
     theme = canvas.theme
     panels = canvas.axes(len(gains.gains), 1, sharex=True, sharey=True)
     words = []
-    for axes, one in zip(panels, gains.gains, strict=True):
-        number = np.arange(1, len(one.folds) + 1)
-        colours = [theme.first if gain > 0 else theme.second for gain in one.folds]
-        axes.bar(number, one.folds, width=0.7, color=colours)
+    for axes, group in zip(panels, gains.gains, strict=True):
+        number = np.arange(1, len(group.folds) + 1)
+        colours = [theme.first if gain > 0 else theme.second for gain in group.folds]
+        axes.bar(number, group.folds, width=0.7, color=colours)
         axes.axhline(0, color=theme.muted, lw=0.8)
-        axes.set_title(one.name, fontweight="normal", fontsize=9)
+        axes.set_title(group.name, fontweight="normal", fontsize=9)
         axes.set_ylabel("gain (log score)")
         axes.grid(axis="x", visible=False)
-        size = f"{'above' if one.total > 2 * one.std else 'below'} two standard deviations"
-        better = f"better in {(one.folds > 0).sum()} of {len(one.folds)} parts"
-        words.append(f"{one.name}: {one.total:+.1f} ± {one.std:.1f} (standard deviation) in all ({size}), {better}.")
+        size = f"{'above' if group.total > 2 * group.std else 'below'} two standard deviations"
+        better = f"better in {(group.folds > 0).sum()} of {len(group.folds)} parts"
+        words.append(
+            f"{group.name}: {group.total:+.1f} ± {group.std:.1f} (standard deviation) in all ({size}), {better}."
+        )
     most = max(len(gain.folds) for gain in gains.gains)
     panels[-1].set_xticks(np.unique(np.linspace(1, most, min(most, 12)).round()))
     panels[-1].set_xlabel("held-out part (number)")

@@ -59,28 +59,28 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def height(found: FoundLaw) -> float:
+def height(shown: FoundLaw) -> float:
     """Return the height of the figure in inches."""
     return 3.4
 
 
-def draw(canvas: Canvas, found: FoundLaw) -> str:
+def draw(canvas: Canvas, law: FoundLaw) -> str:
     """Draw the figure and return its caption."""
-    theme, rows = canvas.theme, found.rows
+    theme, rows = canvas.theme, law.rows
     axes = canvas.axes()[0]
-    unit = micro(found.unit)
+    unit = micro(law.unit)
     axes.axhline(0, color=theme.muted, lw=0.6)
-    axes.plot(found.x[rows], found.residual[rows], "o", ms=3, mew=0, alpha=0.6, color=theme.first, label="one reading")
-    axes.plot(*found.curve, "-", lw=1.6, color=theme.second, label="law", zorder=4)
-    axes.set_xlabel(found.variable or f"what the law adds ({unit})")
+    axes.plot(law.x[rows], law.residual[rows], "o", ms=3, mew=0, alpha=0.6, color=theme.first, label="one reading")
+    axes.plot(*law.curve, "-", lw=1.6, color=theme.second, label="law", zorder=4)
+    axes.set_xlabel(law.variable or f"what the law adds ({unit})")
     axes.set_ylabel(f"law and residual ({unit})")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    without, with_law = found.scatter
+    without, with_law = law.scatter
     text = (
-        f"Law: {found.text}. Points: residual of the job extended by the law, plus what the law adds"
-        f"{_AS_CURVE if found.variable else ''}. "
-        f"Root mean square of {len(found.x)} readings: {without:.3g} {unit}, of their distances from the law: "
+        f"Law: {law.text}. Points: residual of the job extended by the law, plus what the law adds"
+        f"{_AS_CURVE if law.variable else ''}. "
+        f"Root mean square of {len(law.x)} readings: {without:.3g} {unit}, of their distances from the law: "
         f"{with_law:.3g} {unit}. A law is no cause."
     )
     kept = "the lowest and the highest of each strip, the others at equal steps"
-    return " ".join(filter(None, [text, words(len(rows), len(found.x), kept)]))
+    return " ".join(filter(None, [text, words(len(rows), len(law.x), kept)]))

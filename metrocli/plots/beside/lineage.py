@@ -8,7 +8,7 @@ from matplotlib.patches import FancyBboxPatch, PathPatch
 from matplotlib.path import Path as MplPath
 
 from metrocli.frozen import dataclass
-from metrocli.plots.beside import Beside, Node
+from metrocli.plots.beside import Beside, LineageFile
 from metrocli.plots.style import Canvas
 from metrocli.result import Result
 
@@ -22,7 +22,7 @@ _ROW = 0.52
 class Graph:
     """What the figure shows."""
 
-    nodes: tuple[Node, ...]
+    nodes: tuple[LineageFile, ...]
     place: dict[str, tuple[int, int]]
     """Column, counted from the measurements, and row of each node"""
 
@@ -36,7 +36,7 @@ def data(result: Result, beside: Beside) -> Graph | None:
     """Return the graph; None for a result whose files are not recorded."""
     if len(beside.lineage) < 2:
         return None
-    known = {one.name: one for one in beside.lineage}
+    known = {file.name: file for file in beside.lineage}
     far: dict[str, int] = {}
     _measure(beside.lineage[0].name, 0, known, far)
     last = max(far.values())
@@ -48,7 +48,7 @@ def data(result: Result, beside: Beside) -> Graph | None:
     return Graph(beside.lineage, place)
 
 
-def _measure(name: str, distance: int, known: Mapping[str, Node], far: dict[str, int]) -> None:
+def _measure(name: str, distance: int, known: Mapping[str, LineageFile], far: dict[str, int]) -> None:
     """Set the number of jobs on the longest way from each file to the result."""
     if distance < far.get(name, 0):
         return
@@ -57,7 +57,7 @@ def _measure(name: str, distance: int, known: Mapping[str, Node], far: dict[str,
         _measure(need, distance + 1, known, far)
 
 
-def _level(name: str, nodes: Sequence[Node], place: Mapping[str, tuple[int, int]]) -> float:
+def _level(name: str, nodes: Sequence[LineageFile], place: Mapping[str, tuple[int, int]]) -> float:
     """Return the mean row of what was made from a file, so that few lines cross."""
     rows = [place[node.name][1] for node in nodes if name in node.needs and node.name in place]
     return sum(rows) / max(len(rows), 1)

@@ -15,7 +15,7 @@ _ACROSS = 10
 
 
 @dataclass(frozen=True)
-class Coverage:
+class ImageCoverage:
     """Readings in each cell of the image."""
 
     counts: Array
@@ -29,22 +29,22 @@ class Coverage:
         return float((self.counts > 0).mean())
 
 
-def data(result: Result, about: str) -> Coverage | None:
+def data(result: Result, about: str) -> ImageCoverage | None:
     """Return the number of readings in ten by ten cells of the image; None if its size is not known."""
     residuals = image_residuals(result)
     if residuals is None or not residuals.whole:
         return None
     edges = [np.linspace(-0.5, size - 0.5, _ACROSS + 1) for size in residuals.size]
     counts = np.histogramdd(residuals.places, bins=edges)[0]
-    return Coverage(counts.T, *edges)
+    return ImageCoverage(counts.T, *edges)
 
 
-def height(coverage: Coverage) -> float:
+def height(coverage: ImageCoverage) -> float:
     """Return the height of the figure in inches."""
     return min(4.9 * np.ptp(coverage.y_edges) / np.ptp(coverage.x_edges) + 0.8, 6.5)
 
 
-def draw(canvas: Canvas, coverage: Coverage) -> str:
+def draw(canvas: Canvas, coverage: ImageCoverage) -> str:
     """Draw the figure and return its caption."""
     axes = canvas.axes()[0]
     axes.grid(False)

@@ -18,10 +18,10 @@ from metrocli.progress import SILENT, Progress
 from metrocli.project import fingerprint, yaml_text
 from metrocli.project.campaign import KEY
 from metrocli.project.inputs import content_now, input_files
-from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.job import JobFile, JobOptions, load
 from metrocli.project.provenance.lineage import Origin, files_of, trace
 from metrocli.project.runner import HERE, compute
-from metrocli.project.staleness import State
+from metrocli.project.staleness import Staleness
 from metrocli.record import Record
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
@@ -36,8 +36,8 @@ def with_standards(result: Path, record: Record) -> Record:
     origin, *below = files_of(trace(result))
     home = origin.job.parent if origin.job else result.parent
     own = {name for name, _ in record.references()}
-    found = dict(pair for one in below if one.label is not None for pair in _stated(one, home))
-    return replace(record, below=tuple((name, number) for name, number in found.items() if name not in own))
+    standards = dict(pair for entry in below if entry.label is not None for pair in _stated(entry, home))
+    return replace(record, below=tuple((name, number) for name, number in standards.items() if name not in own))
 
 
 def _stated(origin: Origin, home: Path) -> Iterator[tuple[str, str]]:
@@ -81,7 +81,11 @@ def between(first: Path, second: Path) -> Difference:
     """Return what differs between two result files; raises InputError if one cannot be believed."""
     (a, of_a), (b, of_b) = hdf5.read(first), hdf5.read(second)
     known, present = ({estimate.name: estimate for estimate in result.estimates} for result in (a, b))
-    moved = [_moved(known[name], one) for name, one in present.items() if name in known and _differ(known[name], one)]
+    moved = [
+        _moved(known[name], estimate)
+        for name, estimate in present.items()
+        if name in known and _differ(known[name], estimate)
+    ]
     moved.sort(key=lambda change: -change.stds)
     only = [f"{name} is in the second only" for name in present if name not in known]
     only += [f"{name} is in the first only" for name in known if name not in present]
@@ -126,7 +130,7 @@ def _inputs(a: Record, b: Record) -> list[str]:
 _OWN = ("job", "status", "up_to_date", "sigma0")
 
 
-def table_of(states: Iterable[State]) -> Table:
+def table_of(states: Iterable[Staleness]) -> Table:
     """Return a row for each job that has a result which can be believed.
 
     Columns: job, the columns of its list of parts, status, conformity of jobs with tolerances, up_to_date (yes or no),
@@ -205,4 +209,4 @@ def _job_of(path: Path, record: Record, accept_doubtful: bool) -> JobFile:
     if not record.job_file:
         raise InputError([Fault("the result does not name its job file", str(path))])
     file = Path(os.path.normpath(path.parent / record.job_file))
-    return load(file, Wishes(output=path, accept_doubtful=accept_doubtful, text=record.job_text))
+    return load(file, JobOptions(output=path, accept_doubtful=accept_doubtful, text=record.job_text))

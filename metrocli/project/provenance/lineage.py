@@ -41,12 +41,12 @@ def shortened(origin: Origin) -> Origin:
     """Return a lineage in which one line stands for many files of a kind in one folder, such as `img/*.png`."""
     kept: list[Origin] = []
     alike: dict[tuple[Path, str], list[Origin]] = {}
-    for one in origin.origins:
-        group = alike.setdefault((one.path.with_name(f"*{one.path.suffix}"), one.state), [])
-        if one.label is not None:
-            kept.append(shortened(one))
+    for parent in origin.origins:
+        group = alike.setdefault((parent.path.with_name(f"*{parent.path.suffix}"), parent.state), [])
+        if parent.label is not None:
+            kept.append(shortened(parent))
         else:
-            group.append(one)
+            group.append(parent)
     for (pattern, state), group in alike.items():
         if len(group) < _FEWEST_ALIKE:
             kept += group

@@ -13,9 +13,9 @@ from typing import Any
 from metrocli.errors import InputError, MetrocliError
 from metrocli.formats.file_bytes import read_bytes
 from metrocli.frozen import dataclass
-from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.job import JobFile, JobOptions, load
 from metrocli.project.own_effects import alike_for
-from metrocli.project.running.executor import Outcome, attempt
+from metrocli.project.running.executor import JobOutcome, attempt
 from metrocli.uncertainty.workers import Workers
 from metrocli.uncertainty.workers.dask_cluster import Versions, cluster, ends_in_words, first_finished
 
@@ -32,7 +32,7 @@ class Packed:
     shown: str
     """That folder as messages name it, with a slash at its end; empty for the working folder"""
     file: str
-    wishes: Wishes
+    wishes: JobOptions
     strict: bool
     files: Mapping[str, bytes]
 
@@ -49,7 +49,7 @@ def pack(name: str, job: JobFile, strict: bool) -> Packed:
     return Packed(name, shown, os.path.relpath(file, root), wishes, strict, files)
 
 
-def carry_out(jobs: Sequence[Packed], versions: Versions) -> list[tuple[str, Outcome]]:
+def carry_out(jobs: Sequence[Packed], versions: Versions) -> list[tuple[str, JobOutcome]]:
     """Compute jobs on a worker, in a folder of their own, and return what became of them.
 
     Raises InputError if the worker has other versions than the process that asks.
@@ -58,7 +58,7 @@ def carry_out(jobs: Sequence[Packed], versions: Versions) -> list[tuple[str, Out
     return [(job.name, _carry_out(job)) for job in jobs]
 
 
-def _carry_out(packed: Packed) -> Outcome:
+def _carry_out(packed: Packed) -> JobOutcome:
     with tempfile.TemporaryDirectory(prefix="metrocli-") as folder:
         for name, data in packed.files.items():
             path = Path(folder) / name
@@ -69,11 +69,11 @@ def _carry_out(packed: Packed) -> Outcome:
                 load(Path(folder) / packed.file, packed.wishes), packed.strict, workers=Workers(1, helped=True)
             )
         except MetrocliError as error:
-            outcome = Outcome(exit_code=error.exit_code, error=str(error))
+            outcome = JobOutcome(exit_code=error.exit_code, error=str(error))
         return replace(outcome, error=outcome.error.replace(folder + os.sep, packed.shown))
 
 
-class Cluster:
+class DaskExecutor:
     """A executor of the workers of a Dask cluster."""
 
     def __init__(self, client: Any, address: str, versions: Versions) -> None:
@@ -81,16 +81,16 @@ class Cluster:
         self._threads = max(sum(client.nthreads().values()), 1)
         self.places = self._threads * _TASKS_PER_THREAD * _MOST_AT_ONCE
         self._packed: list[Packed] = []
-        self._done: list[tuple[str, Outcome]] = []
+        self._done: list[tuple[str, JobOutcome]] = []
         self._running: set[Any] = set()
 
     def begin(self, name: str, job: JobFile, strict: bool) -> None:
         try:
             self._packed.append(pack(name, job, strict))
         except InputError as error:
-            self._done.append((name, Outcome(exit_code=error.exit_code, error=str(error))))
+            self._done.append((name, JobOutcome(exit_code=error.exit_code, error=str(error))))
 
-    def finished(self) -> Iterator[tuple[str, Outcome]]:
+    def finished(self) -> Iterator[tuple[str, JobOutcome]]:
         size = min(max(-(-len(self._packed) // (_TASKS_PER_THREAD * self._threads)), 1), _MOST_AT_ONCE)
         batches = [self._packed[at : at + size] for at in range(0, len(self._packed), size)]
         self._packed = []
@@ -108,11 +108,11 @@ class Cluster:
 
 
 @contextmanager
-def on_cluster(address: str, jobs: Iterable[JobFile]) -> Iterator[Cluster]:
+def on_cluster(address: str, jobs: Iterable[JobFile]) -> Iterator[DaskExecutor]:
     """Yield the executor of a running cluster for some jobs.
 
     Raises InputError if it cannot be used, or has another metrocli or other packages with effects of these jobs.
     """
     more = alike_for((job.kind, job.effects_of_packages) for job in jobs)
     with cluster(address, more) as client:
-        yield Cluster(client, address, Versions.here(more))
+        yield DaskExecutor(client, address, Versions.here(more))

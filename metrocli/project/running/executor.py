@@ -18,7 +18,7 @@ from metrocli import tasks
 from metrocli.errors import NO_MEMORY, InputError, MetrocliError
 from metrocli.frozen import dataclass
 from metrocli.progress import SILENT, Progress
-from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.job import JobFile, JobOptions, load
 from metrocli.project.runner import HERE, compute
 from metrocli.record import Record
 from metrocli.result import Result
@@ -28,7 +28,7 @@ _DEFECT = "this is a defect of metrocli; please report it with the lines above"
 
 
 @dataclass(frozen=True)
-class Outcome:
+class JobOutcome:
     """What became of a job: its result, or an error with its exit code."""
 
     result: Result | None = None
@@ -46,22 +46,22 @@ class Executor(Protocol):
     def begin(self, name: str, job: JobFile, strict: bool) -> None:
         """Begin to compute a job; `name` stands for it when it is finished."""
 
-    def finished(self) -> Iterator[tuple[str, Outcome]]:
+    def finished(self) -> Iterator[tuple[str, JobOutcome]]:
         """Wait until at least one job is finished, and yield the outcome of each."""
 
 
-def attempt(job: JobFile, strict: bool, progress: Progress = SILENT, workers: Workers = HERE) -> Outcome:
+def attempt(job: JobFile, strict: bool, progress: Progress = SILENT, workers: Workers = HERE) -> JobOutcome:
     """Compute a job and return what became of it; nothing is written but finished chunks."""
     try:
-        return Outcome(*compute(job, progress, workers, strict))
+        return JobOutcome(*compute(job, progress, workers, strict))
     except InputError as error:
-        return Outcome(exit_code=error.exit_code, error=str(error))
+        return JobOutcome(exit_code=error.exit_code, error=str(error))
     except MetrocliError as error:
-        return Outcome(exit_code=error.exit_code, error=f"{job.file}: error: {error}")
+        return JobOutcome(exit_code=error.exit_code, error=f"{job.file}: error: {error}")
     except MemoryError:
-        return Outcome(exit_code=InputError.exit_code, error=f"{job.file}: error: {NO_MEMORY}")
+        return JobOutcome(exit_code=InputError.exit_code, error=f"{job.file}: error: {NO_MEMORY}")
     except Exception:
-        return Outcome(exit_code=MetrocliError.exit_code, error=f"{traceback.format_exc()}\n{_DEFECT}")
+        return JobOutcome(exit_code=MetrocliError.exit_code, error=f"{traceback.format_exc()}\n{_DEFECT}")
 
 
 class InThisProcess:
@@ -71,12 +71,12 @@ class InThisProcess:
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
-        self._done: list[tuple[str, Outcome]] = []
+        self._done: list[tuple[str, JobOutcome]] = []
 
     def begin(self, name: str, job: JobFile, strict: bool) -> None:
         self._done.append((name, attempt(job, strict, self._progress)))
 
-    def finished(self) -> Iterator[tuple[str, Outcome]]:
+    def finished(self) -> Iterator[tuple[str, JobOutcome]]:
         yield from self._done
         self._done.clear()
 
@@ -86,7 +86,7 @@ class _Begun:
     """A job that is in work in another process."""
 
     name: str
-    call: tuple[Path, Wishes, bool]
+    call: tuple[Path, JobOptions, bool]
     """Arguments of `_loaded_and_attempted`"""
 
 
@@ -100,7 +100,7 @@ class Processes:
     def __init__(self, places: int) -> None:
         self.places = places
         self._pool = _new_pool(places)
-        self._running: dict[Future[Outcome], _Begun] = {}
+        self._running: dict[Future[JobOutcome], _Begun] = {}
 
     def begin(self, name: str, job: JobFile, strict: bool) -> None:
         begun = _Begun(name, (job.file, job.wishes.elsewhere(), strict))
@@ -111,17 +111,17 @@ class Processes:
             submitted.set_exception(error)
         self._running[submitted] = begun
 
-    def finished(self) -> Iterator[tuple[str, Outcome]]:
+    def finished(self) -> Iterator[tuple[str, JobOutcome]]:
         done = wait(self._running, return_when=FIRST_COMPLETED).done
-        if any(isinstance(one.exception(), BrokenProcessPool) for one in done):
+        if any(isinstance(future.exception(), BrokenProcessPool) for future in done):
             done = wait(self._running).done
         lost = []
-        for one in done:
-            begun = self._running.pop(one)
-            if isinstance(one.exception(), BrokenProcessPool):
+        for future_done in done:
+            begun = self._running.pop(future_done)
+            if isinstance(future_done.exception(), BrokenProcessPool):
                 lost.append(begun)
             else:
-                yield begun.name, _outcome(one)
+                yield begun.name, _outcome(future_done)
         if lost:
             self.end()
             for begun in lost:
@@ -140,14 +140,14 @@ class Processes:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _outcome(future: Future[Outcome]) -> Outcome:
+def _outcome(future: Future[JobOutcome]) -> JobOutcome:
     try:
         return future.result()
     except BrokenProcessPool:
         text = "error: its process was ended twice, by the system (too little memory?) or by a defect"
-        return Outcome(exit_code=MetrocliError.exit_code, error=text)
+        return JobOutcome(exit_code=MetrocliError.exit_code, error=text)
     except Exception as error:
-        return Outcome(exit_code=MetrocliError.exit_code, error=f"error: its process ended: {error}")
+        return JobOutcome(exit_code=MetrocliError.exit_code, error=f"error: its process ended: {error}")
 
 
 @contextmanager
@@ -182,9 +182,9 @@ def _end_with_parent() -> None:
         os._exit(MetrocliError.exit_code)
 
 
-def _loaded_and_attempted(file: Any, wishes: Wishes, strict: bool) -> Outcome:
+def _loaded_and_attempted(file: Any, wishes: JobOptions, strict: bool) -> JobOutcome:
     try:
         job = load(file, wishes)
     except MetrocliError as error:
-        return Outcome(exit_code=error.exit_code, error=str(error))
+        return JobOutcome(exit_code=error.exit_code, error=str(error))
     return attempt(job, strict, workers=Workers(1))

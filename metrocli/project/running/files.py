@@ -16,7 +16,7 @@ import numpy as np
 from metrocli.errors import Fault, InputError
 from metrocli.formats.own_files import write_all
 from metrocli.frozen import dataclass
-from metrocli.project.steps import Step
+from metrocli.project.steps import ProjectStep
 
 _PAUSE_S = 0.1
 
@@ -51,7 +51,7 @@ def locked(project_file: Path, wait: bool) -> Iterator[None]:
         os.close(handle)
 
 
-def renew(project_file: Path, steps: Iterable[Step]) -> None:
+def renew(project_file: Path, steps: Iterable[ProjectStep]) -> None:
     """Give results that are older than what they depend on the present time, without which Make would run for ever.
 
     These are results that are up to date or came out as before, which else keep their time.
@@ -69,7 +69,7 @@ _FOREIGN = re.compile(r"[%=;|\x00-\x1f\x7f]|\\$")
 """What Make takes as itself nowhere"""
 
 
-def write(path: Path, project_file: Path, steps: Sequence[Step], force: bool = False) -> None:
+def write(path: Path, project_file: Path, steps: Sequence[ProjectStep], force: bool = False) -> None:
     """Write a rule without commands for each result: it depends on its job, its inputs and the project file.
 
     A folder in which a pattern of images is matched counts as an input. What decides which files these are is in a rule

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from metrocli.formats.seal import Label
-    from metrocli.project.steps import Step
+    from metrocli.project.steps import ProjectStep
 
 NAME = ".metrocli-seen"
 _SETTLED_NS = 2_500_000_000
@@ -80,7 +80,7 @@ def _text(path: str) -> str:
 
 
 def remember(
-    project_file: Path, steps: Sequence[Step], begun_ns: int, labels: Mapping[str, Label | None] | None = None
+    project_file: Path, steps: Sequence[ProjectStep], begun_ns: int, labels: Mapping[str, Label | None] | None = None
 ) -> None:
     """Remember that all results are up to date, as of `begun_ns`, when the project was read.
 
@@ -95,7 +95,7 @@ def remember(
     folder = project_file.parent
     # a package is more than the file that offers its effects: one that moved may be another
     packages = {package.file for step in steps for package in step.job.packages}
-    sought = {one for step in steps for one in step.job.own.sought}
+    sought = {path for step in steps for path in step.job.own.sought}
     read = sought & steps[0].job.wishes.files.held.keys() if steps else sought
     if any(path.exists() for path in sought - read):
         return
@@ -112,7 +112,7 @@ def remember(
 
 
 def _judged(
-    folder: Path, steps: Sequence[Step], labels: Mapping[str, Label | None], young: Iterable[str]
+    folder: Path, steps: Sequence[ProjectStep], labels: Mapping[str, Label | None], young: Iterable[str]
 ) -> dict[str, set[str]]:
     """Return the digests of the bytes by which results are up to date, of files by their paths from a folder.
 
@@ -134,8 +134,8 @@ def _judged(
             return {}
         if {os.path.relpath(path, job.folder) for path in job.files} != {file.path for file in label.inputs}:
             return {}
-        for one in label.inputs:
-            add(job.folder / one.path, one.sha256)
+        for entry in label.inputs:
+            add(job.folder / entry.path, entry.sha256)
         if job.wishes.part is not None and job.wishes.part.list is not None:
             add(job.wishes.part.list.path, job.wishes.part.list.sha256)
         if os.path.relpath(job.output, folder) in young:
@@ -206,7 +206,7 @@ def _seen(path: str, by_digest: bool = True) -> list[Any]:
     return [_signature(path), digest]
 
 
-def _looked_at(project_file: Path, steps: Iterable[Step]) -> Iterable[Path]:
+def _looked_at(project_file: Path, steps: Iterable[ProjectStep]) -> Iterable[Path]:
     """Yield all files and folders that decide whether results are up to date."""
     yield project_file
     for step in steps:

@@ -13,7 +13,7 @@ from metrocli.arrays import Mask
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
 from metrocli.instruments.tracker import DISTANCE
-from metrocli.tasks.adjust_network.readings import Readings
+from metrocli.tasks.adjust_network.readings import NetworkReadings
 from metrocli.tasks.adjust_network.settings import GIVEN, Settings
 from metrocli.tasks.adjust_network.unknowns import kind_of_stations, seen_points
 
@@ -40,7 +40,7 @@ def movements() -> dict[str, Affine]:
     }
 
 
-def datum_of(settings: Settings, readings: Readings, blocks: Mapping[str, Block]) -> tuple[int, Datum | None]:
+def datum_of(settings: Settings, readings: NetworkReadings, blocks: Mapping[str, Block]) -> tuple[int, Datum | None]:
     """Return the station at the origin, -1 if the frame is given, and the datum; None where given points fix all."""
     points = readings.points
     if settings.datum == GIVEN or (settings.datum is None and not open_by_given(readings)):
@@ -59,7 +59,7 @@ def datum_of(settings: Settings, readings: Readings, blocks: Mapping[str, Block]
     return first, datum
 
 
-def open_by_given(readings: Readings) -> list[str]:
+def open_by_given(readings: NetworkReadings) -> list[str]:
     """Return the motions that given points, verticals and lengths leave open."""
     points = readings.points
     used = np.isfinite(points.sigma) & seen_points(readings)[:, None]

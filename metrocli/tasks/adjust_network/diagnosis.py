@@ -20,17 +20,17 @@ from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
-from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, FACE, Seen
+from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, FACE, PolarReading
 from metrocli.tasks.adjust_network import KIND
 from metrocli.tasks.adjust_network.effects import EFFECTS, MOVED, NO_MIRROR, NO_TIMES, STEERING
 from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, is_sighting
-from metrocli.tasks.adjust_network.solve import Solved, refitted
+from metrocli.tasks.adjust_network.solve import AdjustedNetwork, refitted
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, in_blocks, noise_found
 
 FOLDS = 10
 
 
-def adjusted_job(solved: Solved) -> AdjustedJob:
+def adjusted_job(solved: AdjustedNetwork) -> AdjustedJob:
     """Return an adjusted network in the form that diagnosis needs."""
     network = solved.network
     model = with_conditions(replace(network.model, blocks=solved.solution.blocks, groups=solved.solution.groups))
@@ -50,7 +50,7 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         {group.name: _folds(group) for group in model.readings},
         Delivered(*delivered, (0, 1, 2), "um", "length"),
         refit,
-        astray=solved.astray,
+        list_offset=solved.list_offset,
         fewest=1,
         certified=frozenset(
             reading.name for reading in model.readings if reading.name.startswith((BARS, GIVEN_POINTS))
@@ -83,7 +83,7 @@ def _covariates(model: Model) -> Iterator[Covariate]:
 def _ideal(model: Model, group: Group) -> Array:
     """Return azimuth, elevation and distance of sightings, (3, n)."""
     links = group.chain.links
-    ideal = Chain(links[: next(i for i, link in enumerate(links) if isinstance(link, Seen)) + 1])
+    ideal = Chain(links[: next(i for i, link in enumerate(links) if isinstance(link, PolarReading)) + 1])
     return ideal.predict(model.blocks, group.observations)
 
 
@@ -106,7 +106,7 @@ def _variations(model: Model, readings: Observations) -> Iterator[tuple[str, Obs
         yield "in face 2", replace(readings, conditions={**readings.conditions, FACE: -face})
 
 
-def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
+def noise_of(solved: AdjustedNetwork, model: str, factor: float) -> NoiseFound:
     """Return the noise of a solved network; raises UndeterminedError for fewer than ten points if it is structured."""
     blocks = solved.solution.blocks
     stations = [

@@ -18,11 +18,11 @@ from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, FACE
 from metrocli.tasks.adjust_network import noise as n
-from metrocli.tasks.adjust_network.readings import Lengths, Readings
+from metrocli.tasks.adjust_network.readings import Lengths, NetworkReadings
 from metrocli.tasks.adjust_network.settings import Settings
 from metrocli.tasks.adjust_network.sightings import QUANTITIES
 from metrocli.tasks.adjust_network.unknowns import kind_of_stations, rows_of_kind
-from metrocli.tasks.shared.lists import told_apart
+from metrocli.tasks.shared.lists import distinguished
 
 LENGTHS, BARS, HEIGHTS = "lengths", "bars", "heights"
 """Names of the groups of readings beside those of sightings"""
@@ -43,7 +43,7 @@ def is_sighting(group: Group) -> bool:
     return ROW in group.observations.index
 
 
-def sightings(readings: Readings, blocks: Mapping[str, Block], bend: float) -> Iterator[Group]:
+def sightings(readings: NetworkReadings, blocks: Mapping[str, Block], bend: float) -> Iterator[Group]:
     """Yield the groups of sightings: distances, azimuths and elevations, by kind of station and of target."""
     seen = readings.sightings
     if not len(seen.point):
@@ -59,11 +59,11 @@ def sightings(readings: Readings, blocks: Mapping[str, Block], bend: float) -> I
     whole = _observations(readings)
     for component in (DISTANCE, AZIMUTH, ELEVATION):
         read = np.isfinite(seen.values[component])
-        for one in codes:
-            rows = np.flatnonzero(read & (code == one))
+        for number in codes:
+            rows = np.flatnonzero(read & (code == number))
             if not rows.size:
                 continue
-            block, raised = list(numbers)[one // 2], bool(one % 2)
+            block, raised = list(numbers)[number // 2], bool(number % 2)
             chosen = whole.selected(rows)
             index = {block: member[seen.station[rows]], **_of_points(readings, block, rows)}
             if block != s.STATION:
@@ -88,14 +88,14 @@ def _variant(block: str, raised: bool) -> str:
     return f" from {block}" + " to raised targets" * raised
 
 
-def _of_points(readings: Readings, block: str, rows: Index) -> dict[str, Index]:
+def _of_points(readings: NetworkReadings, block: str, rows: Index) -> dict[str, Index]:
     seen = readings.sightings
     if block != s.OVER:
         return {t.POINT: seen.point[rows]}
     return {t.POINT: np.stack([seen.point[rows], readings.stations.over[seen.station[rows]]])}
 
 
-def _observations(readings: Readings) -> Observations:
+def _observations(readings: NetworkReadings) -> Observations:
     """Return all sightings with their keys, places and conditions, (3, n)."""
     seen, stations = readings.sightings, readings.stations
     instrument = stations.instrument[seen.station]
@@ -116,7 +116,7 @@ def _observations(readings: Readings) -> Observations:
         conditions[s.TARGET_HEIGHT] = seen.height
     pair = seen.point * len(stations.names) + seen.station
     pair = pair * 2 + (seen.face < 0)
-    keys = told_apart(keys, pair * len(seen.rounds) + seen.orientation, conditions.get("t"))
+    keys = distinguished(keys, pair * len(seen.rounds) + seen.orientation, conditions.get("t"))
     return Observations(seen.values, np.ones(1), index, keys=keys, conditions=conditions)
 
 
@@ -129,75 +129,81 @@ def _begun(conditions: Mapping[str, Array], station: Index) -> dict[str, Array]:
     return {BEGUN: first[station]}
 
 
-def lengths(readings: Readings) -> Iterator[Group]:
-    found = readings.lengths
-    if found is None:
+def lengths(readings: NetworkReadings) -> Iterator[Group]:
+    distances = readings.lengths
+    if distances is None:
         return
-    rows, stations = np.unique(found.first), readings.stations
-    tracer = np.searchsorted(rows, found.first)
-    instrument = stations.instrument[found.first]
+    rows, stations = np.unique(distances.first), readings.stations
+    tracer = np.searchsorted(rows, distances.first)
+    instrument = stations.instrument[distances.first]
     index = {
-        t.POINT: found.second, t.TRACER: tracer, OF_POINT: found.second, OF_STATION: found.first,
+        t.POINT: distances.second, t.TRACER: tracer, OF_POINT: distances.second, OF_STATION: distances.first,
         OF_INSTRUMENT: instrument, OF_TRACER: tracer,
     }  # fmt: skip
     keys = {
-        "station": tuple(stations.names[i] for i in found.first),
-        "point": tuple(readings.points.names[i] for i in found.second),
+        "station": tuple(stations.names[i] for i in distances.first),
+        "point": tuple(readings.points.names[i] for i in distances.second),
     }
-    conditions = found.table.conditions("t", "temp") | n.parts_of(readings.instruments, instrument)
-    conditions |= _begun(conditions, found.first)
-    keys = told_apart(keys, found.second * len(stations.names) + found.first, conditions.get("t"))
+    conditions = distances.table.conditions("t", "temp") | n.parts_of(readings.instruments, instrument)
+    conditions |= _begun(conditions, distances.first)
+    keys = distinguished(keys, distances.second * len(stations.names) + distances.first, conditions.get("t"))
     observations = Observations(
-        found.values[None], np.ones(1), index, keys=keys, conditions=conditions, components=("length",), unit="mm"
+        distances.values[None], np.ones(1), index, keys=keys, conditions=conditions, components=("length",), unit="mm"
     )
     yield Group(LENGTHS, t.chain(), observations)
 
 
-def bars(readings: Readings) -> Iterator[Group]:
-    found = readings.bars
-    if found is not None:
-        index = {t.POINT: np.stack([found.first, found.second]), OF_BAR: np.arange(len(found.first))}
-        keys = {"bar": tuple(found.table.texts("bar"))}
-        yield _pairs(BARS, Chain((DistanceBetween(t.POINT),)), found, index, keys, "length")
+def bars(readings: NetworkReadings) -> Iterator[Group]:
+    measured = readings.bars
+    if measured is not None:
+        index = {t.POINT: np.stack([measured.first, measured.second]), OF_BAR: np.arange(len(measured.first))}
+        keys = {"bar": tuple(measured.table.texts("bar"))}
+        yield _pairs(BARS, Chain((DistanceBetween(t.POINT),)), measured, index, keys, "length")
 
 
-def heights(readings: Readings, settings: Settings) -> Iterator[Group]:
-    found = readings.heights
-    if found is not None:
+def heights(readings: NetworkReadings, settings: Settings) -> Iterator[Group]:
+    measured = readings.heights
+    if measured is not None:
         curved = settings.vertical is not None
-        keys = {end: tuple(found.table.texts(end)) for end in ("from", "to")}
-        pair = np.minimum(found.first, found.second) * readings.points.count + np.maximum(found.first, found.second)
+        keys = {end: tuple(measured.table.texts(end)) for end in ("from", "to")}
+        pair = np.minimum(measured.first, measured.second) * readings.points.count + np.maximum(
+            measured.first, measured.second
+        )
         if len(np.unique(pair)) < len(pair):
-            keys["line"] = tuple(str(line) for line in found.table.lines) or tuple(map(str, range(len(pair))))
-        index = {t.POINT: np.stack([found.first, found.second]), OF_LINE: np.arange(len(found.first))}
-        group = _pairs(HEIGHTS, Chain((s.HeightBetween(t.POINT, curved),)), found, index, keys, "dh")
+            keys["line"] = tuple(str(line) for line in measured.table.lines) or tuple(map(str, range(len(pair))))
+        index = {t.POINT: np.stack([measured.first, measured.second]), OF_LINE: np.arange(len(measured.first))}
+        group = _pairs(HEIGHTS, Chain((s.HeightBetween(t.POINT, curved),)), measured, index, keys, "dh")
         conditions = dict(group.observations.conditions)
-        for number in np.unique(np.concatenate([found.first, found.second])).tolist():
-            sign = (found.second == number).astype(float) - (found.first == number)
+        for number in np.unique(np.concatenate([measured.first, measured.second])).tolist():
+            sign = (measured.second == number).astype(float) - (measured.first == number)
             conditions[s.heights_of(readings.points.names[number])] = sign
-        if "method" in found.table:
+        if "method" in measured.table:
             known = methods(readings)
-            conditions["method"] = np.array([known.index(text) for text in found.table.texts("method")], dtype=float)
+            conditions["method"] = np.array([known.index(text) for text in measured.table.texts("method")], dtype=float)
         yield replace(group, observations=replace(group.observations, conditions=conditions))
 
 
-def methods(readings: Readings) -> tuple[str, ...]:
+def methods(readings: NetworkReadings) -> tuple[str, ...]:
     """Return the methods of height differences, in the order of the file."""
-    found = readings.heights
-    return () if found is None or "method" not in found.table else tuple(dict.fromkeys(found.table.texts("method")))
+    levelled = readings.heights
+    return (
+        ()
+        if levelled is None or "method" not in levelled.table
+        else tuple(dict.fromkeys(levelled.table.texts("method")))
+    )
 
 
 def _pairs(
-    name: str, chain: Chain, found: Lengths, index: Mapping[str, Index], keys: Mapping[str, tuple[str, ...]], what: str
+    name: str, chain: Chain, pairs: Lengths, index: Mapping[str, Index], keys: Mapping[str, tuple[str, ...]], what: str
 ) -> Group:
-    conditions = found.table.conditions("t", "temp")
+    conditions = pairs.table.conditions("t", "temp")
     observations = Observations(
-        found.values[None], found.sigma[None], index, keys=keys, conditions=conditions, components=(what,), unit="mm"
+        pairs.values[None], pairs.sigma[None], index, keys=keys, conditions=conditions, components=(what,), unit="mm"
     )
     return Group(name, chain, observations)
 
 
-def given(readings: Readings, blocks: Mapping[str, Block]) -> Iterator[Group]:
+def given(readings: NetworkReadings, blocks: Mapping[str, Block]) -> Iterator[Group]:
     """Yield what is known of points: coordinates with a joint covariance, and others axis by axis."""
     points, block = readings.points, blocks[t.POINT]
     listed = block.with_values(np.where(np.isfinite(points.listed), points.listed, block.values))
@@ -225,7 +231,7 @@ def _of_list(group: Group, members: Index, block: Block) -> Group:
     return replace(group, observations=replace(observations, conditions=named, keys=keys, unit="mm"))
 
 
-def known(readings: Readings, blocks: Mapping[str, Block]) -> Iterator[Group]:
+def known(readings: NetworkReadings, blocks: Mapping[str, Block]) -> Iterator[Group]:
     """Yield what is known of heights of instruments and targets, and of their centring."""
     if s.OVER in blocks:
         rows = rows_of_kind(kind_of_stations(readings), s.OVER)

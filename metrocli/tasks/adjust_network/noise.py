@@ -11,8 +11,8 @@ from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.arrays import Array, Index
 from metrocli.instruments import tracer as t
-from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, POLAR, ReadPolar, Seen
-from metrocli.tasks.adjust_network.settings import Instrument
+from metrocli.instruments.tracker import AZIMUTH, DISTANCE, ELEVATION, POLAR, PolarReading, ReadPolar
+from metrocli.tasks.adjust_network.settings import NetworkInstrument
 
 _PARTS = ("azimuth", "elevation", "lateral", "centring", "constant", "proportional")
 GIVEN = tuple(f"sigma of {name}" for name in POLAR)
@@ -23,7 +23,7 @@ _LEAST = 1e-6
 """Least cosine of an elevation in the noise of an azimuth"""
 
 
-def parts_of(instruments: Mapping[str, Instrument], which: Index) -> dict[str, Array]:
+def parts_of(instruments: Mapping[str, NetworkInstrument], which: Index) -> dict[str, Array]:
     """Return the parts of the noise of the instrument of each reading, as conditions."""
     table = np.zeros((len(instruments), len(_PARTS)))
     for row, instrument in zip(table, instruments.values(), strict=True):
@@ -38,7 +38,7 @@ def parts_of(instruments: Mapping[str, Instrument], which: Index) -> dict[str, A
 def of_sightings(group: Group, blocks: Mapping[str, Block]) -> Array:
     """Return the standard deviations of one component of sightings, (1, n)."""
     links, given = group.chain.links, group.observations.conditions
-    ideal = Chain(links[: next(i for i, link in enumerate(links) if isinstance(link, Seen)) + 1])
+    ideal = Chain(links[: next(i for i, link in enumerate(links) if isinstance(link, PolarReading)) + 1])
     seen = ideal.predict(blocks, group.observations)
     which = component(group)
     sigma = _sigma(which, seen, [given[f"noise {name}"] for name in _PARTS])

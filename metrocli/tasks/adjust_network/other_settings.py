@@ -16,9 +16,9 @@ from metrocli.diagnosis.corrections import Mistake
 from metrocli.errors import MetrocliError
 from metrocli.instruments.tracker import DISTANCE
 from metrocli.table import Table
-from metrocli.tasks.adjust_network.readings import Readings, read
+from metrocli.tasks.adjust_network.readings import NetworkReadings, read
 from metrocli.tasks.adjust_network.settings import Files, Settings
-from metrocli.tasks.adjust_network.starts.agreement import Start, astray, disagreement, medians, placed
+from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, disagreement, list_offset, medians, placed
 from metrocli.tasks.adjust_network.starts.search import start
 from metrocli.tasks.job import Job
 
@@ -64,12 +64,12 @@ def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[_Other]:
         yield from _angles(job)
 
 
-def _agrees(readings: Readings, rough: Start) -> bool:
+def _agrees(readings: NetworkReadings, rough: NetworkStart) -> bool:
     """Return whether set-ups agree with each other and with the list, as none does with angles of another sort."""
-    return max(disagreement(readings, rough)[0], astray(readings, rough)) < _RIGHT
+    return max(disagreement(readings, rough)[0], list_offset(readings, rough)) < _RIGHT
 
 
-def _started(readings: Readings) -> Start | None:
+def _started(readings: NetworkReadings) -> NetworkStart | None:
     try:
         return start(readings)
     except MetrocliError:
@@ -107,7 +107,7 @@ def _with(job: Job[Settings, Files], mistake: Mistake, changed: dict[str, Array]
     )
 
 
-def _exchanged(job: Job[Settings, Files], readings: Readings, rough: Start) -> Iterator[_Other]:
+def _exchanged(job: Job[Settings, Files], readings: NetworkReadings, rough: NetworkStart) -> Iterator[_Other]:
     """Yield points whose names are exchanged at a station, or in the list."""
     seen = readings.sightings
     rows, places = placed(readings, rough)
@@ -136,7 +136,7 @@ def _exchange(key: str, words: str, write: str, table: Table) -> Mistake:
     return Mistake(key, words, write, file=table.file, sort="exchanged", columns=0)
 
 
-def _faces(job: Job[Settings, Files], readings: Readings) -> Iterator[_Other]:
+def _faces(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[_Other]:
     """Yield azimuths of face 2 that are raw beside reduced elevations, which mark no face.
 
     A station reads such a point a second time half a turn away.
@@ -161,7 +161,7 @@ def _faces(job: Job[Settings, Files], readings: Readings) -> Iterator[_Other]:
     yield _with(job, mistake, {azimuth: values, "face": face})
 
 
-def _stations(job: Job[Settings, Files], readings: Readings) -> Iterator[_Other]:
+def _stations(job: Job[Settings, Files], readings: NetworkReadings) -> Iterator[_Other]:
     """Yield stations over marks, of which each stands over the mark of the other where its sightings place it."""
     stations, table = readings.stations, job.files.stations
     if (stations.over >= 0).sum() < 2:
@@ -204,7 +204,7 @@ def _swapped(table: Table, names: tuple[str, str], station: str = "", column: st
     return replace(table, columns={**table.columns, column: changed.astype(str)})
 
 
-def _heights(job: Job[Settings, Files], readings: Readings, rough: Start) -> Iterator[_Other]:
+def _heights(job: Job[Settings, Files], readings: NetworkReadings, rough: NetworkStart) -> Iterator[_Other]:
     """Yield height differences of the other sign: all of them, or single lines."""
     heights, table = readings.heights, job.files.heights
     if heights is None or table is None:

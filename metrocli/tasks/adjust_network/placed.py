@@ -31,7 +31,7 @@ class _Row:
 
 
 @dataclass(frozen=True)
-class Placed:
+class StationEstimates:
     """Estimates of the stations, and what they are made of."""
 
     rows: tuple[_Row, ...]
@@ -52,7 +52,7 @@ class Placed:
         return _covariance(solution, rows)
 
 
-def placed_stations(network: Network, solution: Solution) -> Placed:
+def placed_stations(network: Network, solution: Solution) -> StationEstimates:
     """Return the stations of a solved network."""
     rows = [*_rows(network, solution)]
     covariance = _covariance(solution, [row.by for row in rows])
@@ -63,7 +63,7 @@ def placed_stations(network: Network, solution: Solution) -> Placed:
     free = [i for i, row in enumerate(rows) if row.by]
     kept = tuple(estimates[i] for i in free)
     table = _table(network, dict(zip((row.name for row in rows), estimates, strict=True)))
-    return Placed(tuple(rows[i] for i in free), kept, table, covariance[np.ix_(free, free)])
+    return StationEstimates(tuple(rows[i] for i in free), kept, table, covariance[np.ix_(free, free)])
 
 
 def _rows(network: Network, solution: Solution) -> list[_Row]:

@@ -22,9 +22,9 @@ from metrocli.instruments import tracer as t
 from metrocli.tasks.adjust_network import groups as g
 from metrocli.tasks.adjust_network import noise as n
 from metrocli.tasks.adjust_network.datum import datum_of
-from metrocli.tasks.adjust_network.readings import Readings
+from metrocli.tasks.adjust_network.readings import NetworkReadings
 from metrocli.tasks.adjust_network.settings import Settings
-from metrocli.tasks.adjust_network.starts.agreement import Start
+from metrocli.tasks.adjust_network.starts.agreement import NetworkStart
 from metrocli.tasks.adjust_network.unknowns import blocks_of, kind_of_stations, rows_of_kind
 
 
@@ -32,11 +32,11 @@ from metrocli.tasks.adjust_network.unknowns import blocks_of, kind_of_stations, 
 class Network(Modelled):
     """A network, ready to be adjusted."""
 
-    readings: Readings
+    readings: NetworkReadings
     noise: Mapping[str, Noise]
     """Standard deviations of the groups whose noise depends on the geometry"""
     settings: Settings
-    start: Start
+    start: NetworkStart
     wanted: tuple[Wanted, ...] = ()
     """Effects that the job adds"""
     first: int = -1
@@ -61,7 +61,7 @@ class Network(Modelled):
             groups.append(group)
         return replace(self, model=replace(self.model, groups=tuple(groups)), factor=self.factor * factor)
 
-    def of(self, readings: Readings, blocks: Mapping[str, Block]) -> Network:
+    def of(self, readings: NetworkReadings, blocks: Mapping[str, Block]) -> Network:
         """Return the network of other readings, at the values of blocks."""
         other = build(self.settings, readings, self.start, self.wanted).with_noise_times(self.factor)
         alike = {name: block for name, block in blocks.items() if other.blocks[name].members == block.members}
@@ -70,7 +70,7 @@ class Network(Modelled):
         )
 
 
-def build(settings: Settings, readings: Readings, start: Start, wanted: Sequence[Wanted] = ()) -> Network:
+def build(settings: Settings, readings: NetworkReadings, start: NetworkStart, wanted: Sequence[Wanted] = ()) -> Network:
     """Return the adjustment of readings with starting values, and with the effects that a job adds."""
     extent = float(np.nanmax(np.ptp(start.points[np.isfinite(start.points).all(axis=1)], axis=0), initial=0.0)) or 1.0
     blocks = {block.name: block for block in blocks_of(readings, start, extent)}
@@ -105,7 +105,7 @@ def _weighed(group: Group, noise: Mapping[str, Noise], blocks: Mapping[str, Bloc
     return group.with_observations(replace(group.observations, sigma=noise[group.name](group, blocks)))
 
 
-def _places(readings: Readings) -> dict[str, Place]:
+def _places(readings: NetworkReadings) -> dict[str, Place]:
     """Return the places at which effects can act."""
     kinds = kind_of_stations(readings)
     tracers = tuple(readings.stations.names[i] for i in rows_of_kind(kinds, t.TRACER))

@@ -13,9 +13,9 @@ from metrocli.errors import InputError, all_faults
 from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.tasks.adjust_network.known_points import KnownPoints, known_points
-from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, Instrument, Settings
+from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkInstrument, Settings
 from metrocli.tasks.adjust_network.sightings import (
-    Sightings,
+    PolarSightings,
     Stations,
     refuse_pairs,
     rows_of,
@@ -46,13 +46,13 @@ class Lengths:
 
 
 @dataclass(frozen=True)
-class Readings:
+class NetworkReadings:
     """All readings of a network and the lists that they refer to."""
 
-    instruments: Mapping[str, Instrument]
+    instruments: Mapping[str, NetworkInstrument]
     points: KnownPoints
     stations: Stations
-    sightings: Sightings
+    sightings: PolarSightings
     lengths: Lengths | None
     bars: Lengths | None
     heights: Lengths | None
@@ -60,7 +60,7 @@ class Readings:
     """Names, heights and sigmas of the targets' set-ups; the first is for targets without one"""
     warnings: tuple[str, ...] = ()
 
-    def without(self, sightings: tuple[Index, Index], others: Mapping[str, Index]) -> Readings:
+    def without(self, sightings: tuple[Index, Index], others: Mapping[str, Index]) -> NetworkReadings:
         """Return the readings without some components of sightings (component, row), and rows of `lengths` ..."""
         values = self.sightings.values.copy()
         values[sightings] = np.nan
@@ -70,12 +70,12 @@ class Readings:
             fewer[name] = None if pairs is None else pairs.without(rows)
         return replace(self, sightings=replace(self.sightings, values=values), **fewer)
 
-    def of(self, station: int) -> Instrument:
+    def of(self, station: int) -> NetworkInstrument:
         """Return the instrument of a station."""
         return self.instruments[list(self.instruments)[self.stations.instrument[station]]]
 
 
-def read(settings: Settings, files: Files) -> Readings:
+def read(settings: Settings, files: Files) -> NetworkReadings:
     """Return the readings of a network; raises InputError that lists every fault."""
     known = known_points(files)
     names = known.names
@@ -98,7 +98,7 @@ def read(settings: Settings, files: Files) -> Readings:
         with each():
             if settings.datum_points is not None:
                 _must_be_points(settings.datum_points, names)
-    readings = Readings(settings.instruments, known, stations, sightings, lengths, bars, heights, setups)
+    readings = NetworkReadings(settings.instruments, known, stations, sightings, lengths, bars, heights, setups)
     return _with_warnings(readings)
 
 
@@ -150,12 +150,12 @@ def _between(table: Table | None, column: str, names: Sequence[str]) -> Lengths 
 
 
 def _must_be_points(chosen: Iterable[str], names: Sequence[str]) -> None:
-    strange = [name for name in chosen if name not in set(names)]
-    if strange:
-        raise InputError(f"datum_points: no file names the points {listed(strange)}")
+    unmatched = [name for name in chosen if name not in set(names)]
+    if unmatched:
+        raise InputError(f"datum_points: no file names the points {listed(unmatched)}")
 
 
-def _with_warnings(readings: Readings) -> Readings:
+def _with_warnings(readings: NetworkReadings) -> NetworkReadings:
     used = set(readings.sightings.station.tolist()) | set(
         [] if readings.lengths is None else readings.lengths.first.tolist()
     )

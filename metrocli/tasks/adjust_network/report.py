@@ -17,8 +17,8 @@ from metrocli.result import Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.adjust_network import KIND
 from metrocli.tasks.adjust_network.groups import BARS, GIVEN_POINTS, HEIGHTS, OF_INSTRUMENT, is_sighting
-from metrocli.tasks.adjust_network.placed import Placed, placed_stations
-from metrocli.tasks.adjust_network.solve import Solved, Suspect
+from metrocli.tasks.adjust_network.placed import StationEstimates, placed_stations
+from metrocli.tasks.adjust_network.solve import AdjustedNetwork, SuspectedReading
 from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.noise import NoiseFound
 from metrocli.tasks.shared.reliability import point_shift
@@ -40,7 +40,7 @@ _LARGEST_JOINT = 2000
 _ONCE = 5
 
 
-def report(solved: Solved, noise: NoiseFound) -> Result:
+def report(solved: AdjustedNetwork, noise: NoiseFound) -> Result:
     """Return the result of a solved network."""
     solution, added = noise.solution, solved.network.effects
     placed = placed_stations(solved.network, solution)
@@ -71,11 +71,11 @@ def report(solved: Solved, noise: NoiseFound) -> Result:
         notes=(*found_notes(noise), *noise_notes(solution, cures=(_REMOVE,)), *_datum_note(solved, placed)),
         details=noise.details([estimate.name for estimate in delivered]),
         plain=("dof",),
-        astray=solved.astray,
+        list_offset=solved.list_offset,
     )
 
 
-def _points(solved: Solved, solution: Solution) -> tuple[Table, dict[str, Array]]:
+def _points(solved: AdjustedNetwork, solution: Solution) -> tuple[Table, dict[str, Array]]:
     block, known = solution.blocks[t.POINT], solution.covariance_or_raise()
     seen: Mask = np.asarray(np.isfinite(block.values).all(axis=1))
     each = known.members(t.POINT)[seen]
@@ -89,7 +89,7 @@ def _points(solved: Solved, solution: Solution) -> tuple[Table, dict[str, Array]
     return table, arrays
 
 
-def _shots(solved: Solved) -> Array:
+def _shots(solved: AdjustedNetwork) -> Array:
     """Return how many readings concern each point."""
     count = np.zeros(len(solved.solution.blocks[t.POINT].members), dtype=int)
     for group in solved.groups:
@@ -104,7 +104,7 @@ def _keys(group: Group, names: Sequence[str]) -> dict[str, Array]:
     return {f"{name} [text]": np.array(keys.get(name, ("",) * group.observations.count)) for name in names}
 
 
-def _residuals(solved: Solved) -> Table:
+def _residuals(solved: AdjustedNetwork) -> Table:
     """Return /residuals: a row for each component of each reading, with its reliability."""
     names = [
         n
@@ -115,7 +115,7 @@ def _residuals(solved: Solved) -> Table:
     return Table.stack(parts) if parts else Table({})
 
 
-def _rows(solved: Solved, group: Group, residuals: Residuals, names: Sequence[str]) -> Table:
+def _rows(solved: AdjustedNetwork, group: Group, residuals: Residuals, names: Sequence[str]) -> Table:
     observations = group.observations
     noise = max(1.0, float(np.nan_to_num(solved.solution.sigma0, nan=1.0)))
     d, n = observations.readings.shape
@@ -130,27 +130,30 @@ def _rows(solved: Solved, group: Group, residuals: Residuals, names: Sequence[st
     numbers["moves_point [mm]"] = _moves(solved, group, numbers["detectable"])
     when, none = condition_columns(observations), np.full(n, np.nan)
     times = {name: np.repeat(when.get(name, none), d) for name in ("t [s]", "temp [degC]") if _timed(solved, name)}
-    keys = {name: np.repeat(one, d) for name, one in _keys(group, names).items()}
+    keys = {name: np.repeat(index, d) for name, index in _keys(group, names).items()}
     quantity = np.tile(np.array(observations.components), n)
     if d > 1:  # given coordinates with a joint covariance: components are named by point and axis
         named = [text.rpartition(" ") for text in observations.components]
-        keys["point [text]"], quantity = np.array([one[0] for one in named]), np.array([one[2] for one in named])
+        keys["point [text]"], quantity = (
+            np.array([index[0] for index in named]),
+            np.array([index[2] for index in named]),
+        )
     what = {"quantity [text]": quantity, "unit [text]": (observations.unit,) * (d * n)}
     return Table.of({**keys, **what, **{name: number.T.ravel() for name, number in numbers.items()}, **times})
 
 
-def _moves(solved: Solved, group: Group, least: Array) -> Array:
+def _moves(solved: AdjustedNetwork, group: Group, least: Array) -> Array:
     """Return how far the minimal detectable errors (d, n) move the point of a reading [mm]; nan for given points."""
     if len(least) > 1:
         return np.full(least.shape, np.nan)
     return point_shift(solved.solution, group) * least
 
 
-def _timed(solved: Solved, name: str) -> bool:
+def _timed(solved: AdjustedNetwork, name: str) -> bool:
     return any(name in condition_columns(group.observations) for group in solved.groups)
 
 
-def _groups(solved: Solved) -> Table:
+def _groups(solved: AdjustedNetwork) -> Table:
     """Return RMS, redundancy and variance factor of each instrument and quantity."""
     names = list(solved.network.readings.instruments)
     rows: dict[tuple[str, str, str], list[tuple[Array, ...]]] = {}
@@ -162,7 +165,7 @@ def _groups(solved: Solved) -> Table:
         for number in (-1,) if instrument is None else np.unique(instrument).tolist():
             here = slice(None) if instrument is None else instrument == number
             name = group.name if instrument is None else names[number]
-            rows.setdefault((name, *what), []).append(tuple(one[here] for one in whole))
+            rows.setdefault((name, *what), []).append(tuple(values[here] for values in whole))
     return Table.of_rows(
         ("instrument [text]", "quantity [text]", "unit [text]", "readings", "rms", "redundancy", "variance_factor"),
         [(*key, *_figures(parts)) for key, parts in rows.items()],
@@ -177,7 +180,7 @@ def _figures(parts: Sequence[tuple[Array, ...]]) -> tuple[object, ...]:
     return len(values), float(np.sqrt((values**2).mean())), total, factor
 
 
-def _two_face(solved: Solved) -> Table:
+def _two_face(solved: AdjustedNetwork) -> Table:
     """Return half the differences of face 1 less face 2 of each point at each station, across and along the beam [mm].
 
     The azimuth is times `d cos e`, the elevation times d, with the mean distance and elevation.
@@ -202,24 +205,26 @@ def _two_face(solved: Solved) -> Table:
     half[1] *= near[2]
     rows = np.flatnonzero(np.isfinite(half).any(axis=0))
     names = (readings.stations.names, readings.points.names)
-    station, point = ([one[i] for i in index[rows]] for one, index in zip(names, pairs, strict=True))
+    station, point = ([pair[i] for i in index[rows]] for pair, index in zip(names, pairs, strict=True))
     return Table.of(
         {"station [text]": station, "point [text]": point, "azimuth elevation distance [mm]": half[:, rows].T}
     )
 
 
-def _listed(chosen: Sequence[Suspect]) -> Table:
+def _listed(chosen: Sequence[SuspectedReading]) -> Table:
     """Return a table of readings: their keys, quantity and test."""
-    names = list(dict.fromkeys(name for one in chosen for name in one.keys))
-    rows = [(*(one.keys.get(name, "") for name in names), one.test) for one in chosen]
+    names = list(dict.fromkeys(name for suspect in chosen for name in suspect.keys))
+    rows = [(*(suspect.keys.get(name, "") for name in names), suspect.test) for suspect in chosen]
     return Table.of_rows((*(f"{name} [text]" for name in names), "w"), rows)
 
 
-def _named(chosen: Sequence[Suspect]) -> list[str]:
-    return [f"{'/'.join(text for text in one.keys.values() if text)} (w = {one.test:.1f})" for one in chosen]
+def _named(chosen: Sequence[SuspectedReading]) -> list[str]:
+    return [
+        f"{'/'.join(text for text in suspect.keys.values() if text)} (w = {suspect.test:.1f})" for suspect in chosen
+    ]
 
 
-def _statistics(solved: Solved, solution: Solution) -> Statistics:
+def _statistics(solved: AdjustedNetwork, solution: Solution) -> Statistics:
     rms = {}
     for unit in ("rad", "mm"):
         values = [solved.residuals[group.name].values for group in solved.groups if group.observations.unit == unit]
@@ -228,14 +233,14 @@ def _statistics(solved: Solved, solution: Solution) -> Statistics:
     return basic_statistics(solution, rms) | {"rejected": len(solved.rejected), "critical_w": solved.critical}
 
 
-def _shown(solved: Solved) -> Iterator[ShownTable]:
+def _shown(solved: AdjustedNetwork) -> Iterator[ShownTable]:
     yield ShownTable("points", ("point", "x", "y", "z", "sx", "sy", "sz"))
     yield ShownTable("groups")
     if solved.suspects:
         yield ShownTable("suspects")
 
 
-def _datum_note(solved: Solved, placed: Placed) -> Iterator[str]:
+def _datum_note(solved: AdjustedNetwork, placed: StationEstimates) -> Iterator[str]:
     network, solution = solved.network, solved.solution
     if network.datum is None or not solution.conditions:
         return
@@ -247,7 +252,7 @@ def _datum_note(solved: Solved, placed: Placed) -> Iterator[str]:
         yield f"without a list of points station {name} stands at the origin"
 
 
-def _warnings(solved: Solved, solution: Solution) -> Iterator[str]:
+def _warnings(solved: AdjustedNetwork, solution: Solution) -> Iterator[str]:
     yield from solved.network.readings.warnings
     yield from noise_warnings(solution, (_REMOVE,))
     if solved.rejected:
@@ -261,7 +266,7 @@ def _warnings(solved: Solved, solution: Solution) -> Iterator[str]:
         yield f"{len(once)} points are determined, but nothing checks them: {named}; sight them from a second station"
 
 
-def _seen_once(solved: Solved) -> list[str]:
+def _seen_once(solved: AdjustedNetwork) -> list[str]:
     """Return the points whose readings have no redundancy together."""
     block = solved.solution.blocks[t.POINT]
     total, count = np.zeros(len(block.members)), np.zeros(len(block.members))

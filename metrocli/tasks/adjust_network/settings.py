@@ -15,11 +15,11 @@ from metrocli.settings import (
     ListOf,
     MapOf,
     Number,
-    Quantity,
     Section,
     TableFile,
     Text,
     Whole,
+    WithUnit,
     setting,
 )
 from metrocli.settings.sections import content, inputs_of
@@ -110,8 +110,8 @@ Inputs = inputs_of(Files)
 class DistanceNoise:
     """Standard deviation of a distance, `sqrt(constant^2 + (proportional d)^2)`."""
 
-    constant: float = setting(Quantity("length", minimum=0.0), "the part that does not depend on the distance")
-    proportional: float = setting(Quantity("ratio", minimum=0.0), "the part proportional to it", default=0.0)
+    constant: float = setting(WithUnit("length", minimum=0.0), "the part that does not depend on the distance")
+    proportional: float = setting(WithUnit("ratio", minimum=0.0), "the part proportional to it", default=0.0)
 
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield (key, message) for a noise of nothing."""
@@ -123,15 +123,15 @@ class DistanceNoise:
 class InstrumentNoise:
     """Standard deviations of what an instrument reads."""
 
-    azimuth: float = setting(Quantity("angle", minimum=0.0), "of the horizontal circle", default=0.0)
-    elevation: float = setting(Quantity("angle", minimum=0.0), "of the vertical circle", default=0.0)
-    lateral: float = setting(Quantity("length", minimum=0.0), "of the point, square to the beam", default=0.0)
-    centring: float = setting(Quantity("length", minimum=0.0), "of the target over its point", default=0.0)
+    azimuth: float = setting(WithUnit("angle", minimum=0.0), "of the horizontal circle", default=0.0)
+    elevation: float = setting(WithUnit("angle", minimum=0.0), "of the vertical circle", default=0.0)
+    lateral: float = setting(WithUnit("length", minimum=0.0), "of the point, square to the beam", default=0.0)
+    centring: float = setting(WithUnit("length", minimum=0.0), "of the target over its point", default=0.0)
     distance: DistanceNoise | None = setting(Section(DistanceNoise), "of the distance", default=None)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Instrument:
+class NetworkInstrument:
     """One instrument of the network, which may stand at several stations."""
 
     type: str = setting(Choice(TRACKER, TOTAL_STATION, INTERFEROMETER), "what kind of instrument it is")
@@ -162,7 +162,7 @@ class Instrument:
 class Vertical:
     """How verticals lean and beams bend over the network."""
 
-    radius: float = setting(Quantity("radius", positive=True), "radius of the earth")
+    radius: float = setting(WithUnit("radius", positive=True), "radius of the earth")
     refraction: float = setting(
         Number(), "coefficient of refraction k: radius of the earth over that of the beam", default=0.0
     )
@@ -172,12 +172,12 @@ class Vertical:
 class Region:
     """A box in which stations may stand."""
 
-    low: tuple[float, ...] = setting(ListOf(Quantity("length"), 3), "its low corner", key="from")
-    high: tuple[float, ...] = setting(ListOf(Quantity("length"), 3), "its high corner", key="to")
+    low: tuple[float, ...] = setting(ListOf(WithUnit("length"), 3), "its low corner", key="from")
+    high: tuple[float, ...] = setting(ListOf(WithUnit("length"), 3), "its high corner", key="to")
 
 
 @dataclass(frozen=True)
-class Plan:
+class NetworkPlanning:
     """What `metrocli plan` may add to the network."""
 
     stations: int = setting(Whole(minimum=1), "number of further stations", default=1)
@@ -197,10 +197,10 @@ class NetworkSimulation:
 
     faces: int = setting(Whole(minimum=1, maximum=2), "faces in which each point is measured", default=1)
     interval: float | None = setting(
-        Quantity("time", positive=True), "time from one sighting to the next; without it no times", default=None
+        WithUnit("time", positive=True), "time from one sighting to the next; without it no times", default=None
     )
     point_error: float = setting(
-        Quantity("length", minimum=0.0), "standard deviation of the listed points", default=0.0
+        WithUnit("length", minimum=0.0), "standard deviation of the listed points", default=0.0
     )
 
 
@@ -209,7 +209,7 @@ class Settings:
     """Find the points and stations of a network from all that its instruments read, in one adjustment."""
 
     inputs: Any = setting(Section(Inputs), "the files of the job")
-    instruments: dict[str, Instrument] = setting(MapOf(Section(Instrument)), "the instruments by name")
+    instruments: dict[str, NetworkInstrument] = setting(MapOf(Section(NetworkInstrument)), "the instruments by name")
     datum: str | None = setting(
         Choice(INNER, GIVEN),
         "what fixes the frame: given points, or inner constraints; given points if they fix every motion",
@@ -227,7 +227,7 @@ class Settings:
         Choice("report", "remove"), "report outliers only, or also leave them out", default="report"
     )
     noise: str = model_setting()
-    plan: Plan | None = setting(Section(Plan), "what `metrocli plan` may add", default=None)
+    plan: NetworkPlanning | None = setting(Section(NetworkPlanning), "what `metrocli plan` may add", default=None)
     simulation: NetworkSimulation | None = setting(
         Section(NetworkSimulation), "the truth for `metrocli simulate`", default=None
     )

@@ -10,7 +10,7 @@ from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import InputError, all_faults
 from metrocli.frozen import dataclass
 from metrocli.table import ABSENT, Table
-from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, Instrument, Settings
+from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkInstrument, Settings
 from metrocli.tasks.shared.lists import matched, refuse
 
 _PAIRS = (("az", "hz"), ("el", "zd"))
@@ -36,7 +36,7 @@ class Stations:
 
 
 @dataclass(frozen=True)
-class Sightings:
+class PolarSightings:
     """What trackers and total stations read, as in face 1."""
 
     table: Table
@@ -96,11 +96,11 @@ def stations_of(settings: Settings, files: Files, names: Sequence[str]) -> Stati
 
 def sightings_of(
     settings: Settings, table: Table, stations: Stations, names: Sequence[str], setups: tuple[str, ...]
-) -> Sightings:
+) -> PolarSightings:
     if table is ABSENT or not len(table):
         nothing = np.zeros(0, dtype=np.intp)
         none = np.zeros((3, 0))
-        return Sightings(table, nothing, nothing, none, none, np.zeros(0), nothing, (), nothing, np.zeros(0))
+        return PolarSightings(table, nothing, nothing, none, none, np.zeros(0), nothing, (), nothing, np.zeros(0))
     n = len(table)
     with all_faults() as each:
         with each():
@@ -124,7 +124,7 @@ def sightings_of(
             _refuse_exact(table, values, sigma, [chosen[i] for i in stations.instrument], station)
     orientation, rounds = _rounds(_texts(table, "round"), station)
     height = np.nan_to_num(table.numbers("th", 0.0))
-    return Sightings(table, station, point, values, sigma, face, orientation, rounds, setup, height)
+    return PolarSightings(table, station, point, values, sigma, face, orientation, rounds, setup, height)
 
 
 def _sigma(table: Table, name: str, other: str) -> Array:
@@ -152,7 +152,9 @@ def _refuse_faces(table: Table) -> None:
     refuse(table, {"the face is 1 or 2": np.asarray(~np.isin(np.where(np.isnan(given), 1.0, given), (1.0, 2.0)))})
 
 
-def _refuse_exact(table: Table, values: Array, sigma: Array, instruments: Sequence[Instrument], station: Index) -> None:
+def _refuse_exact(
+    table: Table, values: Array, sigma: Array, instruments: Sequence[NetworkInstrument], station: Index
+) -> None:
     """Raise InputError for readings that neither the instrument nor the file gives a standard deviation."""
     known = np.zeros((3, len(instruments)), dtype=bool)
     for number, instrument in enumerate(instruments):
@@ -175,7 +177,7 @@ def _refuse_exact(table: Table, values: Array, sigma: Array, instruments: Sequen
 
 
 def _refuse_sightings(
-    table: Table, values: Array, instruments: Sequence[Instrument], stations: Stations, station: Index
+    table: Table, values: Array, instruments: Sequence[NetworkInstrument], stations: Stations, station: Index
 ) -> None:
     kinds = np.array([instruments[i].type == INTERFEROMETER for i in stations.instrument])
     _, elevation, distance = values
@@ -193,7 +195,7 @@ def _refuse_sightings(
 def _rounds(names: Iterable[str], station: Index) -> tuple[Index, tuple[tuple[int, str], ...]]:
     """Return the number of the round of each sighting, and station and name of each round."""
     numbers: dict[tuple[int, str], int] = {}
-    of = [numbers.setdefault(one, len(numbers)) for one in zip(station.tolist(), names, strict=True)]
+    of = [numbers.setdefault(pair, len(numbers)) for pair in zip(station.tolist(), names, strict=True)]
     return np.array(of, dtype=np.intp), tuple(numbers)
 
 

@@ -27,7 +27,7 @@ from metrocli.tasks.adjust_network.noise import component
 from metrocli.tasks.adjust_network.problem import Network, build
 from metrocli.tasks.adjust_network.readings import read
 from metrocli.tasks.adjust_network.settings import INTERFEROMETER, Files, NetworkSimulation, Settings
-from metrocli.tasks.adjust_network.starts.agreement import Start
+from metrocli.tasks.adjust_network.starts.agreement import NetworkStart
 from metrocli.tasks.shared.lists import listed_places
 
 _TILT = 0.02
@@ -41,7 +41,7 @@ _DEAD = (300.0, 900.0)
 def designed(settings: Settings, files: Files, truth: NetworkSimulation) -> Files:
     """Return the files with readings of nothing: those of the file, and all points from the stations without any."""
     chosen = [settings.instruments.get(name) for name in files.stations.texts("instrument")]
-    polar = np.array([one is not None and one.type != INTERFEROMETER for one in chosen])
+    polar = np.array([instrument is not None and instrument.type != INTERFEROMETER for instrument in chosen])
     stations = np.array(files.stations.texts("station"))
     points = _names(files)
     read_already = set(files.sightings.texts("station")) if len(files.sightings) else set()
@@ -109,7 +109,7 @@ def true_network(settings: Settings, files: Files, rng: np.random.Generator) -> 
     turn = rng.uniform(-np.pi, np.pi, n)
     pose = poses.pose_from_euler(place, np.column_stack([tilt, turn]))
     gamma = turn[[station for station, _ in readings.sightings.rounds]] if readings.sightings.rounds else np.zeros(0)
-    network = build(settings, readings, Start(np.nan_to_num(readings.points.listed), pose, gamma))
+    network = build(settings, readings, NetworkStart(np.nan_to_num(readings.points.listed), pose, gamma))
     blocks = dict(network.blocks)
     if t.TRACER in blocks:
         values = blocks[t.TRACER].values.copy()
@@ -155,8 +155,8 @@ def simulated(
             kept = {key: one for key, one in table.columns.items() if key != column}
             tables[f"{name}.csv"] = replace(table, columns={**kept, column: read_[name][0]}, units={**table.units})
     names, places = readings.points.names, readings.points.listed
-    said = places + rng.normal(0.0, 1.0, places.shape) * truth.point_error
-    tables["points.csv"] = listed_places("point", names, said)
+    listed_at = places + rng.normal(0.0, 1.0, places.shape) * truth.point_error
+    tables["points.csv"] = listed_places("point", names, listed_at)
     tables["true_points.csv"] = listed_places("point", names, places)
     return Simulation(tables, _truth(model) | true_values(model))
 

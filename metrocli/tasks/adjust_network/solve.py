@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.robust import Fit, critical_value, gross, robust_start, suspects
+from metrocli.adjust.robust import FitQuality, critical_value, gross, robust_start, suspects
 from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array, Mask
@@ -32,7 +32,7 @@ _MOST_NAMED = 8
 
 
 @dataclass(frozen=True)
-class Suspect:
+class SuspectedReading:
     """A reading whose residual is too large to be due to chance."""
 
     group: str
@@ -43,7 +43,7 @@ class Suspect:
 
 
 @dataclass(frozen=True)
-class Solved:
+class AdjustedNetwork:
     """An adjusted network, with the readings that were left out."""
 
     network: Network
@@ -51,8 +51,8 @@ class Solved:
     solution: Solution
     residuals: Mapping[str, Residuals]
     """By group of readings"""
-    suspects: tuple[Suspect, ...]
-    rejected: tuple[Suspect, ...]
+    suspects: tuple[SuspectedReading, ...]
+    rejected: tuple[SuspectedReading, ...]
     """Readings left out"""
     critical: float
 
@@ -67,7 +67,7 @@ class Solved:
         return tuple(group for group in self.solution.groups if group.name in self.network.model.measured)
 
     @property
-    def astray(self) -> float:
+    def list_offset(self) -> float:
         """How far points lie from their lists, relative to the plausible deviation.
 
         It is the root mean square: inner constraints lay the network onto the list by least squares.
@@ -81,7 +81,7 @@ class Solved:
         return float(np.sqrt(np.mean(off**2))) / (_POINTS_NEAR * extent)
 
 
-def solve(settings: Settings, network: Network, remove: bool) -> Solved:
+def solve(settings: Settings, network: Network, remove: bool) -> AdjustedNetwork:
     """Adjust a network; with `remove`, leave outliers out.
 
     Raises UndeterminedError or NotConvergedError, in words.
@@ -91,7 +91,7 @@ def solve(settings: Settings, network: Network, remove: bool) -> Solved:
     _must_be_checked(network)
     begun = _Used(network.with_blocks(_robust(network)))
 
-    def renewed(used: _Used, solved: Solved) -> tuple[_Used, bool]:
+    def renewed(used: _Used, solved: AdjustedNetwork) -> tuple[_Used, bool]:
         if not remove or not solved.suspects:
             return used, False
         most = max(suspect.test for suspect in solved.suspects)
@@ -106,7 +106,7 @@ class _Used:
     """The network of the readings in use, and those that were left out."""
 
     network: Network
-    out: tuple[Suspect, ...] = ()
+    out: tuple[SuspectedReading, ...] = ()
 
 
 def refitted(network: Network, keep: Mapping[str, Mask]) -> Solution:
@@ -132,42 +132,49 @@ def _robust(network: Network) -> dict[str, Block]:
     return state
 
 
-def _adjusted(used: _Used) -> Solved:
+def _adjusted(used: _Used) -> AdjustedNetwork:
     network, solution = _anchored(used.network, _weighted(used.network))
     _must_be_determined(network, solution)
     residuals = {
         group.name: residuals_of(solution, group) for group in solution.groups if group.name in network.model.measured
     }
-    count = sum(one.values.size for one in residuals.values())
-    return Solved(network, solution, residuals, tuple(_suspects(residuals, solution)), used.out, critical_value(count))
+    count = sum(residual.values.size for residual in residuals.values())
+    return AdjustedNetwork(
+        network, solution, residuals, tuple(_suspects(residuals, solution)), used.out, critical_value(count)
+    )
 
 
-def _suspects(found: Mapping[str, Residuals], solution: Solution) -> Iterator[Suspect]:
+def _suspects(of_groups: Mapping[str, Residuals], solution: Solution) -> Iterator[SuspectedReading]:
     """Yield the wrong readings, the worst first; all groups are tested together."""
-    found = {name: one for name, one in found.items() if not name.startswith(GIVEN_POINTS)}
-    names = [name for name, one in found.items() for _ in range(one.values.shape[1])]
-    rows = np.concatenate([np.arange(one.values.shape[1]) for one in found.values()])
-    parts = ([getattr(one, key) for one in found.values()] for key in ("values", "sigma", "redundancy", "normalised"))
+    of_groups = {name: residuals for name, residuals in of_groups.items() if not name.startswith(GIVEN_POINTS)}
+    names = [name for name, residuals in of_groups.items() for _ in range(residuals.values.shape[1])]
+    rows = np.concatenate([np.arange(residuals.values.shape[1]) for residuals in of_groups.values()])
+    parts = (
+        [getattr(residuals, key) for residuals in of_groups.values()]
+        for key in ("values", "sigma", "redundancy", "normalised")
+    )
     tested = suspects(
-        Residuals(*(np.concatenate(part, axis=1) for part in parts)), Fit(solution.cost, solution.dof, True)
+        Residuals(*(np.concatenate(part, axis=1) for part in parts)), FitQuality(solution.cost, solution.dof, True)
     )
     groups = {group.name: group.observations.keys for group in solution.groups}
     for i in np.argsort(-tested.tests, kind="stable").tolist():
         name, row = names[int(tested.rows[i])], int(rows[tested.rows[i]])
-        yield Suspect(name, row, float(tested.tests[i]), {key: texts[row] for key, texts in groups[name].items()})
+        yield SuspectedReading(
+            name, row, float(tested.tests[i]), {key: texts[row] for key, texts in groups[name].items()}
+        )
 
 
-def _without(network: Network, solution: Solution, out: tuple[Suspect, ...]) -> Network:
+def _without(network: Network, solution: Solution, out: tuple[SuspectedReading, ...]) -> Network:
     """Return the network without some readings."""
     groups = {group.name: group for group in solution.groups}
     components, rows = [], []
     others: dict[str, list[int]] = {}
-    for one in out:
-        if is_sighting(groups[one.group]):
-            components.append(component(groups[one.group]))
-            rows.append(int(groups[one.group].observations.index[ROW][one.row]))
+    for suspect in out:
+        if is_sighting(groups[suspect.group]):
+            components.append(component(groups[suspect.group]))
+            rows.append(int(groups[suspect.group].observations.index[ROW][suspect.row]))
         else:
-            others.setdefault(one.group, []).append(one.row)
+            others.setdefault(suspect.group, []).append(suspect.row)
     seen = np.array(components, dtype=np.intp), np.array(rows, dtype=np.intp)
     fewer = {name: np.array(at, dtype=np.intp) for name, at in others.items()}
     return network.of(network.readings.without(seen, fewer), solution.blocks)

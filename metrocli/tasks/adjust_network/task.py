@@ -18,8 +18,8 @@ from metrocli.tasks.adjust_network.readings import read
 from metrocli.tasks.adjust_network.report import report
 from metrocli.tasks.adjust_network.settings import Files, NetworkSimulation, Settings
 from metrocli.tasks.adjust_network.simulation import simulated
-from metrocli.tasks.adjust_network.solve import Solved, solve
-from metrocli.tasks.adjust_network.starts.agreement import Start
+from metrocli.tasks.adjust_network.solve import AdjustedNetwork, solve
+from metrocli.tasks.adjust_network.starts.agreement import NetworkStart
 from metrocli.tasks.adjust_network.starts.search import start
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.noise import weighed
@@ -30,7 +30,7 @@ def _network(job: Job[Settings, Files]) -> Network:
     return build(job.settings, readings, start(readings), job.effects)
 
 
-def _solved(job: Job[Settings, Files], remove: bool) -> tuple[Solved, float]:
+def _solved(job: Job[Settings, Files], remove: bool) -> tuple[AdjustedNetwork, float]:
     return weighed(job.settings.noise, _network(job), lambda network: solve(job.settings, network, remove))
 
 
@@ -44,7 +44,7 @@ def check(job: Job[Settings, Files]) -> None:
     """Raise InputError that lists the faults in the combination of files and in the effects, without computing."""
     readings = read(job.settings, job.files)
     points = np.where(np.isfinite(readings.points.listed), readings.points.listed, 1.0)
-    rough = Start(points, np.zeros((len(readings.stations.names), 6)), np.zeros(len(readings.sightings.rounds)))
+    rough = NetworkStart(points, np.zeros((len(readings.stations.names), 6)), np.zeros(len(readings.sightings.rounds)))
     with all_faults() as each, each():
         build(job.settings, readings, rough, job.effects)
 

@@ -12,11 +12,11 @@ from metrocli.arrays import Index, Mask
 from metrocli.instruments import stations as s
 from metrocli.instruments import tracer as t
 from metrocli.instruments.tracer_start import start as place_of
-from metrocli.tasks.adjust_network.readings import Readings
-from metrocli.tasks.adjust_network.starts.agreement import Start
+from metrocli.tasks.adjust_network.readings import NetworkReadings
+from metrocli.tasks.adjust_network.starts.agreement import NetworkStart
 
 
-def kind_of_stations(readings: Readings) -> list[str]:
+def kind_of_stations(readings: NetworkReadings) -> list[str]:
     """Return the block to which each station belongs; empty for one without a reading."""
     used = np.zeros(len(readings.stations.names), dtype=bool)
     used[readings.sightings.station] = True
@@ -32,10 +32,10 @@ def kind_of_stations(readings: Readings) -> list[str]:
 
 
 def rows_of_kind(kinds: Sequence[str], kind: str) -> Index:
-    return np.array([i for i, one in enumerate(kinds) if one == kind], dtype=np.intp)
+    return np.array([i for i, name in enumerate(kinds) if name == kind], dtype=np.intp)
 
 
-def blocks_of(readings: Readings, start: Start, extent: float) -> Iterator[Block]:
+def blocks_of(readings: NetworkReadings, start: NetworkStart, extent: float) -> Iterator[Block]:
     stations, points = readings.stations, readings.points
     free = points.sigma != 0
     yield t.point_block(start.points, points.names, free & seen_points(readings)[:, None], extent)
@@ -64,7 +64,7 @@ def blocks_of(readings: Readings, start: Start, extent: float) -> Iterator[Block
         yield s.setup_block(height, names, (sigma != 0) & seen)
 
 
-def seen_points(readings: Readings) -> Mask:
+def seen_points(readings: NetworkReadings) -> Mask:
     """Return which points some reading concerns, (points,)."""
     seen = np.zeros(readings.points.count, dtype=bool)
     seen[readings.sightings.point] = True
@@ -78,7 +78,7 @@ def seen_points(readings: Readings) -> Mask:
     return seen
 
 
-def _interferometers(readings: Readings, rows: Index, start: Start, extent: float) -> Block:
+def _interferometers(readings: NetworkReadings, rows: Index, start: NetworkStart, extent: float) -> Block:
     values = np.zeros((len(rows), 5))
     values[:, 4] = 1.0
     free = np.zeros((len(rows), 5), dtype=bool)
@@ -90,12 +90,12 @@ def _interferometers(readings: Readings, rows: Index, start: Start, extent: floa
         if lengths is not None:
             own = lengths.first == number
             near = readings.stations.listed[number]
-            told = near if np.isfinite(near).all() else None
-            values[at, :4] = place_of(start.points[lengths.second[own]], lengths.values[own], absolute, told)
+            near_place = near if np.isfinite(near).all() else None
+            values[at, :4] = place_of(start.points[lengths.second[own]], lengths.values[own], absolute, near_place)
     return t.tracer_block(values, [readings.stations.names[i] for i in rows], free, extent)
 
 
-def _orientations(readings: Readings, start: Start) -> Block:
+def _orientations(readings: NetworkReadings, start: NetworkStart) -> Block:
     """Return the azimuths of the rounds; a round in which no azimuth was read has none."""
     seen = readings.sightings
     read = np.bincount(seen.orientation, np.isfinite(seen.values[0]), len(seen.rounds)) > 0

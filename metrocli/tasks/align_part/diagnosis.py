@@ -14,15 +14,15 @@ from metrocli.instruments.camera import LENS, TAPER, TARGET
 from metrocli.table import Table
 from metrocli.tasks.align_part import KIND
 from metrocli.tasks.align_part.effects import EFFECTS
-from metrocli.tasks.align_part.problem import Problem
+from metrocli.tasks.align_part.problem import AlignmentProblem
 from metrocli.tasks.align_part.settings import Files
-from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.covariates import at_solution, covariate, covariates, folds, named, refit
 from metrocli.tasks.shared.images.eccentricity import diameters
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
 
-def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
+def adjusted_job(problem: AlignmentProblem, adjusted: AdjustedImages) -> AdjustedJob:
     """Return an adjusted alignment as input of `diagnose`; cross-validation holds out whole images."""
     model = at_solution(problem.model, adjusted)
     index, blocks = model.readings[0].observations.index, model.blocks
@@ -33,7 +33,7 @@ def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
     in_camera = poses.apply(into[index["view"]], points).T
     turn = poses.rotation_of(held)[index["view"]]
     about = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
-    found = [
+    known = [
         *covariates(model, in_camera),
         covariate("place of the target", points.T, 2),
         covariate("place of the spindle", held[index["view"], :3].T, 2),
@@ -43,7 +43,7 @@ def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
         KIND.name,
         model,
         EFFECTS,
-        named(found),
+        named(known),
         ("image", "target"),
         folds(index["view"]),
         Delivered("place of the part", spindle.PART, (0, 1, 2), "um", "length"),
@@ -60,12 +60,12 @@ _SEAT = units.parse_quantity("5 um", "length")
 _LISTED, _LISTED_WORDS = units.parse_quantity("1 mm", "length"), "1 mm"
 
 
-def uncontrolled(problem: Problem, adjusted: Adjusted, files: Files) -> Table:
+def uncontrolled(problem: AlignmentProblem, adjusted: AdjustedImages, files: Files) -> Table:
     """Return what the pose of the part absorbs or no reading uses, and the error from a plausible size of each."""
     return table_of((*_rows(problem, adjusted), *_of_lists(adjusted, files)))
 
 
-def _of_lists(adjusted: Adjusted, files: Files) -> Iterator[Hidden]:
+def _of_lists(adjusted: AdjustedImages, files: Files) -> Iterator[Hidden]:
     """Yield lists that only the predictions of a result use."""
     if files.supports is not None:
         upright = poses.rotation_of(adjusted.solution.blocks[spindle.PART].values[0])[2, 2]
@@ -84,7 +84,7 @@ def _of_lists(adjusted: Adjusted, files: Files) -> Iterator[Hidden]:
         )
 
 
-def _rows(problem: Problem, adjusted: Adjusted) -> Iterator[Hidden]:
+def _rows(problem: AlignmentProblem, adjusted: AdjustedImages) -> Iterator[Hidden]:
     blocks = adjusted.solution.blocks
     used = adjusted.group.observations.index
     held = blocks[spindle.SPINDLE].values[np.unique(used[spindle.SPINDLE]), :3]

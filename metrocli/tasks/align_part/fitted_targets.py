@@ -19,7 +19,7 @@ from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.shared.images.simulation import true_targets
-from metrocli.tasks.shared.images.target_list import Targets
+from metrocli.tasks.shared.images.target_list import TargetCoordinates
 from metrocli.tasks.shared.part import Part, growth_of
 
 FEWEST = 3
@@ -53,7 +53,7 @@ class TargetList:
         chosen = self.covariance[rows][:, :, rows].reshape(size, size)
         return [prior_of_members(block, (0, 1, 2), chosen, rows)]
 
-    def drawn(self, known: Targets, rng: np.random.Generator) -> Targets:
+    def drawn(self, known: TargetCoordinates, rng: np.random.Generator) -> TargetCoordinates:
         """Return the targets with errors drawn from their covariance."""
         if self.covariance is None:
             return true_targets(known, rng)
@@ -78,27 +78,27 @@ def target_list(targets: Table | Result, part: Part | None = None) -> TargetList
             "`part:` in its job too, with the temperature at which its points were measured"
         )
     warnings = () if part is not None or not cold else (_AT_20,)
-    found = targets.tables["targets"]
-    if len(found) < FEWEST:
+    listed = targets.tables["targets"]
+    if len(listed) < FEWEST:
         raise InputError(
-            f"the fit-part result has {len(found)} targets, and a part needs {FEWEST}: name them in its job, "
+            f"the fit-part result has {len(listed)} targets, and a part needs {FEWEST}: name them in its job, "
             "e.g. `targets: [T*]`, or by the surface `target` in its points"
         )
     covariance = _joint(targets.arrays["targets_own"], targets.arrays["targets_common"])
-    table = _listed(found.texts("target"), found.stacked("xyz"), covariance, "the targets of the fit-part result")
+    table = _listed(listed.texts("target"), listed.stacked("xyz"), covariance, "the targets of the fit-part result")
     return TargetList(table, covariance if covariance.any() else None, warnings)
 
 
 def _of_network(points: Result) -> TargetList:
     """Return the points of a network as targets."""
-    found = points.tables["points"]
+    table = points.tables["points"]
     joint = points.arrays.get("points_joint_covariance")
     if joint is None:
         raise InputError("the network has too many points to be targets: their joint covariance is not in its result")
-    n = len(found)
+    n = len(table)
     covariance = _regular(np.asarray(joint).reshape(n, 3, n, 3).copy())
     return TargetList(
-        _listed(found.texts("point"), found.stacked("xyz"), covariance, "the points of the network"), covariance
+        _listed(table.texts("point"), table.stacked("xyz"), covariance, "the points of the network"), covariance
     )
 
 

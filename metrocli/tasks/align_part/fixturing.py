@@ -63,12 +63,12 @@ def corrections(values: Array, covariance: Array, supports: Table | None, dof: f
             f"{np.degrees(STEEPEST):.0f} deg, so the supports are not used",
         )
         return Corrections({"zero_point": _zero_point(values, std)}, tuple(_zero_in_words(values, std)), steep)
-    found = _screws(values, covariance, supports)
-    stays = supports.texts("support").index(found.texts("support")[-1])
+    table = _screws(values, covariance, supports)
+    stays = supports.texts("support").index(table.texts("support")[-1])
     after, spread = _propagated(levelling(values, supports, stays), values, covariance)
     level = after, np.sqrt(np.diag(spread))
-    tables = {"zero_point": _zero_point(values, std, level), "supports": found}
-    words = _in_words(found, level, tilt_not_exceeded(spread[3:5, 3:5], dof))
+    tables = {"zero_point": _zero_point(values, std, level), "supports": table}
+    words = _in_words(table, level, tilt_not_exceeded(spread[3:5, 3:5], dof))
     return Corrections(tables, (*_zero_in_words(values, std), *words))
 
 
@@ -172,8 +172,8 @@ def _screws(values: Array, covariance: Array, supports: Table) -> Table:
     lowest = int(size.argmin())
 
     def relative(at: Array) -> Array:
-        found = raises(at[3:6], places)
-        return np.asarray(found - found[lowest])
+        raised = raises(at[3:6], places)
+        return np.asarray(raised - raised[lowest])
 
     std = np.sqrt(np.diag(_propagated(relative, values, covariance)[1]))
     order = np.argsort(-size, kind="stable")
@@ -200,9 +200,9 @@ def _moves(values: Array, std: Array, moves: tuple[tuple[str, int], ...]) -> str
     return ", ".join(f"{name} {format_quantity(float(values[k]), units[k], float(std[k]))}" for name, k in moves)
 
 
-def _in_words(found: Table, level: tuple[Array, Array], tilt_left: float) -> Iterator[str]:
+def _in_words(table: Table, level: tuple[Array, Array], tilt_left: float) -> Iterator[str]:
     """Yield what the operator does, and what is left for the zero point of the machine."""
-    steps = zip(*(found.columns[name] for name in ("support", "raise", "raise_std", "tilt_left")), strict=True)
+    steps = zip(*(table.columns[name] for name in ("support", "raise", "raise_std", "tilt_left")), strict=True)
     yield f"to level the part, raise the supports in this order, {SPREAD}:"
     for name, size, std, left in steps:
         if size > 0:

@@ -27,9 +27,9 @@ from metrocli.tasks.align_part.spindle_poses import SpindlePoses, note_of
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside, placed
-from metrocli.tasks.shared.images.simulation import Shown, Sights, image_group
+from metrocli.tasks.shared.images.simulation import ExactImagePoints, SimulatedCamera, image_group
 from metrocli.tasks.shared.images.target_list import images_needed
-from metrocli.tasks.shared.joint_covariance import Source
+from metrocli.tasks.shared.joint_covariance import JointInput
 from metrocli.tasks.shared.part import Part
 
 _ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
@@ -39,7 +39,7 @@ _GOOD = 0.01
 
 
 @dataclass(frozen=True)
-class Problem(Modelled):
+class AlignmentProblem(Modelled):
     """An alignment ready to adjust."""
 
     camera: CameraModel
@@ -48,12 +48,12 @@ class Problem(Modelled):
     part: Part | None = None
     """The part in the machine, where its temperature is known"""
     notes: tuple[str, ...] = ()
-    sources: Mapping[str, Source] = field(default_factory=dict)
+    sources: Mapping[str, JointInput] = field(default_factory=dict)
     """The calibrated machine, if its errors are unknowns, by the name of its input"""
 
-    def with_part(self, part: Part) -> Problem:
+    def with_part(self, part: Part) -> AlignmentProblem:
         """Return a copy whose part has grown from 20 degC, by an unknown that its temperature observes."""
-        expansion = next(one for one in EFFECTS if one.name == EXPANSION)
+        expansion = next(effect for effect in EFFECTS if effect.name == EXPANSION)
         size = expansion.parameters[0].name
         model = with_known_effect(self.model, expansion, {size: part.growth}, {size: part.std})
         return replace(self, model=model, part=part)
@@ -81,7 +81,7 @@ def places_of(images: Sequence[str], targets: Sequence[str]) -> dict[str, Place]
 
 def build(
     camera: CameraModel, sighted: Sighted, commanded: SpindlePoses, free_angle: bool, listed: TargetList
-) -> Problem:
+) -> AlignmentProblem:
     """Return the adjustment with its starting values, found from the sightings alone.
 
     Raises InputError if readings do not fit the image size, if an image has no spindle pose, or if the machine's result
@@ -131,8 +131,8 @@ def build(
     model = Model(blocks, (group, *others), datum, (IMAGES,), places, nominal=nominal)
     notes = () if commanded.machine is None else (note_of(motion),)
     told = (*camera.warnings, *listed.warnings, *warnings, *commanded.warnings())
-    sources = {"machine": Source(spindle.MACHINE, motion.turn, motion.digest)} if len(motion.turn) else {}
-    return Problem(model, camera, sighted, told, notes=notes, sources=sources)
+    sources = {"machine": JointInput(spindle.MACHINE, motion.turn, motion.digest)} if len(motion.turn) else {}
+    return AlignmentProblem(model, camera, sighted, told, notes=notes, sources=sources)
 
 
 def _with_poses(sighted: Sighted, table: Table) -> tuple[Index, tuple[str, ...], Sighted]:
@@ -176,7 +176,7 @@ def _start(camera: CameraModel, sighted: Sighted, held: Array, free_angle: bool)
 
 
 @dataclass(frozen=True)
-class Truth:
+class AlignmentTruth:
     """True poses and clamping angle of a simulation."""
 
     part: Array
@@ -187,7 +187,7 @@ class Truth:
     """Clamping angle [rad]"""
 
 
-def true_model(camera: CameraModel, shown: Shown, seen: Sights, truth: Truth) -> Model:
+def true_model(camera: CameraModel, shown: SimulatedCamera, seen: ExactImagePoints, truth: AlignmentTruth) -> Model:
     """Return the model of the alignment at the truth, with the exact image points as readings.
 
     Effects are planted in this model.

@@ -24,9 +24,9 @@ from metrocli.tasks.align_part import KIND
 from metrocli.tasks.align_part.diagnosis import uncontrolled
 from metrocli.tasks.align_part.effects import EXPANSION
 from metrocli.tasks.align_part.fixturing import corrections, predicted_points
-from metrocli.tasks.align_part.problem import Problem
+from metrocli.tasks.align_part.problem import AlignmentProblem
 from metrocli.tasks.align_part.settings import Files
-from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import HIGH
 from metrocli.tasks.shared.images.tables import (
     adjustment_notes,
@@ -50,7 +50,7 @@ _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad", "rad")
 
 
 @dataclass(frozen=True)
-class Prediction:
+class AnglePrediction:
     """Uncertainty of the clamping angle that follows from poses and targets alone, before the readings are fitted."""
 
     std: float
@@ -61,7 +61,7 @@ class Prediction:
     """That angle: alpha, beta or gamma"""
 
 
-def predicted(problem: Problem) -> Prediction | None:
+def predicted(problem: AlignmentProblem) -> AnglePrediction | None:
     """Return the predicted standard uncertainty of gamma_s and its correlation with the part's rotation.
 
     None for the 6D job, and if the design is rank deficient.
@@ -75,7 +75,7 @@ def predicted(problem: Problem) -> Prediction | None:
     std = np.sqrt(np.diag(covariance))
     correlation = covariance[6, 3:6] / (std[6] * std[3:6])
     worst = int(np.argmax(np.abs(correlation)))
-    return Prediction(float(std[6]), float(correlation[worst]), names[3 + worst])
+    return AnglePrediction(float(std[6]), float(correlation[worst]), names[3 + worst])
 
 
 def delivered(effects: Sequence[Added] = ()) -> tuple[str, ...]:
@@ -89,22 +89,24 @@ def _estimates(
     """Return names, values, covariance and units of x y z alpha beta gamma, of gamma_s in 7D, and of effects."""
     pose = solution.blocks[spindle.PART].values[0]
     angle = solution.blocks[spindle.COUPLING]
-    found = effect_estimates(effects, solution)
+    estimates = effect_estimates(effects, solution)
     covariance = solution.joint(delivered(effects))
     change = np.eye(len(covariance))
     change[:6, :6] = poses.euler_form_by_step(pose)
     covariance = change @ covariance @ change.T
     turns = [math.remainder(float(turn), math.tau) for turn in angle.values[angle.free]]
-    values = np.concatenate([poses.euler_form(pose), turns, [one.value for one in found]])
-    names = (*poses.EULER, *(["gamma_s"] if angle.free.any() else []), *(one.name for one in found))
-    units = (*_UNITS[: len(names) - len(found)], *(one.unit for one in found))
+    values = np.concatenate([poses.euler_form(pose), turns, [estimate.value for estimate in estimates]])
+    names = (*poses.EULER, *(["gamma_s"] if angle.free.any() else []), *(estimate.name for estimate in estimates))
+    units = (*_UNITS[: len(names) - len(estimates)], *(estimate.unit for estimate in estimates))
     return names, values, (covariance + covariance.T) / 2, units
 
 
-def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, files: Files) -> Result:
+def report(
+    problem: AlignmentProblem, adjusted: AdjustedImages, prediction: AnglePrediction | None, files: Files
+) -> Result:
     """Return the result of a solved alignment, with the corrections of its fixture and the points to gauge."""
     solution = adjusted.solution
-    found = adjusted.known_residuals()
+    residuals = adjusted.known_residuals()
     names, values, covariance, units = _estimates(solution, problem.effects)
     std = np.sqrt(np.diag(covariance))
     estimates = tuple(
@@ -112,7 +114,7 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
         for name, value, s, unit in zip(names, values, std, units, strict=True)
     )
     pose = solution.blocks[spindle.PART].values[0]
-    tables, arrays = _tables(problem, adjusted, found)
+    tables, arrays = _tables(problem, adjusted, residuals)
     tables[TABLE] = uncontrolled(problem, adjusted, files)
     arrays |= {"rotation": poses.rotation_of(pose), "correlation": covariance / std[:, None] / std}
     details = adjusted.structured.details(names) if adjusted.structured is not None else {}
@@ -130,7 +132,7 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
         title="",
         estimates=estimates,
         covariance=covariance,
-        statistics=_statistics(problem, adjusted, found, prediction),
+        statistics=_statistics(problem, adjusted, residuals, prediction),
         tables=tables,
         arrays=arrays,
         warnings=(*_warnings(problem, adjusted, tables["views"], prediction), *fixture.warnings),
@@ -147,14 +149,16 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
     )
 
 
-def _tables(problem: Problem, adjusted: Adjusted, found: Residuals) -> tuple[dict[str, Table], dict[str, Array]]:
+def _tables(
+    problem: AlignmentProblem, adjusted: AdjustedImages, residuals: Residuals
+) -> tuple[dict[str, Table], dict[str, Array]]:
     """Return the tables of readings, views and targets, of effects, and of what is owed."""
     images, targets = problem.sighted.images, problem.sighted.targets.names
     index = adjusted.group.observations.index
     tables = {
-        "residuals": residual_table(found, adjusted.group),
-        "views": rms_table(found.values, adjusted.group, "image", index["view"], images),
-        "targets": _targets(adjusted, rms_table(found.values, adjusted.group, "target", index[TARGET], targets)),
+        "residuals": residual_table(residuals, adjusted.group),
+        "views": rms_table(residuals.values, adjusted.group, "image", index["view"], images),
+        "targets": _targets(adjusted, rms_table(residuals.values, adjusted.group, "target", index[TARGET], targets)),
         "rejected": adjusted.rejected,
     }
     effect_tables, effect_arrays = effect_results(problem.effects, adjusted.solution)
@@ -162,7 +166,7 @@ def _tables(problem: Problem, adjusted: Adjusted, found: Residuals) -> tuple[dic
     return tables | effect_tables | owed_tables, effect_arrays | owed_arrays
 
 
-def _targets(adjusted: Adjusted, table: Table) -> Table:
+def _targets(adjusted: AdjustedImages, table: Table) -> Table:
     """Return the table of targets with their estimated coordinates in the part frame, if any of them is an unknown."""
     block = adjusted.solution.blocks[TARGET]
     if not block.free.any():
@@ -172,15 +176,17 @@ def _targets(adjusted: Adjusted, table: Table) -> Table:
     return table.joined({"x y z [mm]": block.values[rows], "sx sy sz [mm]": std})
 
 
-def _growth(problem: Problem, solution: Solution) -> float:
+def _growth(problem: AlignmentProblem, solution: Solution) -> float:
     """Return by how much the part has grown in all, by what is known and what is estimated."""
-    grown = (solution.blocks[one.block].values[-1, 0] for one in problem.effects if one.effect.name == EXPANSION)
+    grown = (solution.blocks[added.block].values[-1, 0] for added in problem.effects if added.effect.name == EXPANSION)
     return float(sum(grown))
 
 
-def _statistics(problem: Problem, adjusted: Adjusted, found: Residuals, prediction: Prediction | None) -> Statistics:
+def _statistics(
+    problem: AlignmentProblem, adjusted: AdjustedImages, residuals: Residuals, prediction: AnglePrediction | None
+) -> Statistics:
     """Return the statistics of the adjustment, and what is predicted of the clamping angle."""
-    statistics = basic_statistics(adjusted.solution, {"px": root_mean_square(found.values)}) | {
+    statistics = basic_statistics(adjusted.solution, {"px": root_mean_square(residuals.values)}) | {
         "readings": adjusted.group.observations.count,
         "rejected": len(adjusted.rejected),
         "images": len(problem.sighted.images),
@@ -192,7 +198,7 @@ def _statistics(problem: Problem, adjusted: Adjusted, found: Residuals, predicti
     return statistics
 
 
-def _owed(problem: Problem, solution: Solution) -> tuple[dict[str, Table], dict[str, Array]]:
+def _owed(problem: AlignmentProblem, solution: Solution) -> tuple[dict[str, Table], dict[str, Array]]:
     """Return what the estimates owe to camera, targets and machine, where these have a joint covariance."""
     correlated = [group for group in problem.others if group.observations.covariance is not None]
     inputs = {"targets" if TARGET in group.chain.blocks else "camera": group for group in correlated}
@@ -202,7 +208,7 @@ def _owed(problem: Problem, solution: Solution) -> tuple[dict[str, Table], dict[
     return owed(solution, blocks, change, inputs, problem.sources)
 
 
-def _notes(solution: Solution, adjusted: Adjusted, prediction: Prediction | None) -> list[str]:
+def _notes(solution: Solution, adjusted: AdjustedImages, prediction: AnglePrediction | None) -> list[str]:
     rotation = poses.rotation_of(solution.blocks[spindle.PART].values[0])
     lines = ["rotation of the part into the machine, R_P ="]
     lines += ["    " + "  ".join(f"{entry:+.8f}" for entry in row) for row in rotation]
@@ -215,7 +221,9 @@ def _notes(solution: Solution, adjusted: Adjusted, prediction: Prediction | None
     return lines + adjustment_notes(adjusted)
 
 
-def _warnings(problem: Problem, adjusted: Adjusted, views: Table, prediction: Prediction | None) -> list[str]:
+def _warnings(
+    problem: AlignmentProblem, adjusted: AdjustedImages, views: Table, prediction: AnglePrediction | None
+) -> list[str]:
     lines = [*problem.sighted.warnings, *problem.warnings]
     if problem.camera.covariance is None:
         lines.append("the camera is taken as exact: its file contains no covariance")
@@ -232,7 +240,7 @@ def _warnings(problem: Problem, adjusted: Adjusted, views: Table, prediction: Pr
     return lines
 
 
-def explained(problem: Problem, solution: Solution) -> str:
+def explained(problem: AlignmentProblem, solution: Solution) -> str:
     """Return the message of an undetermined alignment: which unknowns, why, and what would determine them."""
     lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
     lines += [f"  undetermined: {_in_words(str(combination))}" for combination in solution.undetermined[:3]]

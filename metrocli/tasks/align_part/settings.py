@@ -9,7 +9,7 @@ from metrocli.adjust.clusters.robust import FROM_RESIDUALS
 from metrocli.frozen import dataclass
 from metrocli.imageset import ImageSet
 from metrocli.result import Result
-from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Quantity, Section, TableFile, setting
+from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Section, TableFile, WithUnit, setting
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import Columns, Table, columns
 from metrocli.targets.pattern import Pattern
@@ -82,7 +82,7 @@ class AlignSimulation:
 
     part: Extrinsics = setting(Section(Extrinsics), "the part in the machine")
     clamping_angle: float = setting(
-        Either(Quantity("angle"), Quantity("slope")), "true clamping angle gamma_s", default=0.0
+        Either(WithUnit("angle"), WithUnit("slope")), "true clamping angle gamma_s", default=0.0
     )
 
 
@@ -92,7 +92,7 @@ class Settings:
 
     inputs: Any = setting(Section(Inputs), "the files of the job")
     noise: float | str = setting(
-        Either(Quantity("pixel", positive=True, minimum=1e-9), Choice(*FROM_RESIDUALS)),
+        Either(WithUnit("pixel", positive=True, minimum=1e-9), Choice(*FROM_RESIDUALS)),
         NOISE_HELP,
     )
     estimate: tuple[str, ...] = setting(

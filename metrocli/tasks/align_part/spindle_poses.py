@@ -27,7 +27,7 @@ _ROUNDING = 1e-7
 
 
 @dataclass(frozen=True)
-class Motion:
+class SpindleErrors:
     """How the spindle stands off its commanded poses, `m + F z` with z ~ N(0, I): shifts [mm] and turns [rad]."""
 
     mean: Array
@@ -60,17 +60,17 @@ class SpindlePoses:
         """Return the poses (rows, 6) of some rows of a spindle that stands off them by a motion (rows, 6)."""
         return self.at(rows) if self.machine is None else poses.moved(self.at(rows), motion)
 
-    def motion(self, rows: Index) -> Motion:
+    def motion(self, rows: Index) -> SpindleErrors:
         """Return true minus commanded poses at some rows; raises InputError where the machine's result has none.
 
         The displacement is that of the tool vector zero, the turn the sum of the angles of all axes.
         """
         if self.machine is None:
-            return Motion(np.zeros((len(rows), 6)), np.zeros((len(rows), 6, 0)))
+            return SpindleErrors(np.zeros((len(rows), 6)), np.zeros((len(rows), 6, 0)))
         self.must_be_known(rows)
         mean, by_entry = error_motion(self.machine, self.commanded.stacked("xyz")[rows].T, _FLANGE)
         spread, turn = _independent(by_entry @ _root(self.machine.arrays[TABLES_COVARIANCE]))
-        return Motion(mean, spread, turn, digest_of(self.machine))
+        return SpindleErrors(mean, spread, turn, digest_of(self.machine))
 
     def must_be_known(self, rows: Index) -> None:
         """Raise InputError for poses beyond the calibrated axes, and for errors that the result leaves open."""
@@ -79,7 +79,7 @@ class SpindlePoses:
         faults = outside(self.machine, self.commanded, "image", rows)
         open_ones = _with_status(self.machine, "undetermined")
         if open_ones:
-            said = (
+            message = (
                 f"the machine's result does not determine {', '.join(open_ones)}: it predicts the tools that were "
                 "measured, and not how the spindle turns"
             )
@@ -87,7 +87,7 @@ class SpindlePoses:
                 "calibrate with three tools that are not on one line, or name in `estimate` of its job the errors "
                 "without these, which then count as zero"
             )
-            faults.append(Fault(said, hint=hint))
+            faults.append(Fault(message, hint=hint))
         if faults:
             raise InputError(faults)
 
@@ -106,7 +106,7 @@ class SpindlePoses:
             )
 
 
-def note_of(motion: Motion) -> str:
+def note_of(motion: SpindleErrors) -> str:
     """Return by how much the poses of a calibrated machine are corrected, in a sentence."""
     shift = float(np.linalg.norm(motion.mean[:, :3], axis=1).max())
     turn = float(np.linalg.norm(motion.mean[:, 3:], axis=1).max())
@@ -120,7 +120,7 @@ def note_of(motion: Motion) -> str:
 def _with_status(machine: Result, status: str) -> list[str]:
     """Return the errors with a status of determination: angles first, since they turn the spindle."""
     errors = machine.tables["errors"]
-    names = [name for name, one in zip(errors.texts("error"), errors.texts("status"), strict=True) if one == status]
+    names = [name for name, error in zip(errors.texts("error"), errors.texts("status"), strict=True) if error == status]
     return sorted(names, key=lambda name: not is_angle(name))
 
 

@@ -20,19 +20,19 @@ from metrocli.tasks.align_part.diagnosis import adjusted_job
 from metrocli.tasks.align_part.effects import EFFECTS, EXPANSION, PLACES
 from metrocli.tasks.align_part.fitted_targets import target_list
 from metrocli.tasks.align_part.fixturing import must_level
-from metrocli.tasks.align_part.problem import Problem, Truth, build, true_model
+from metrocli.tasks.align_part.problem import AlignmentProblem, AlignmentTruth, build, true_model
 from metrocli.tasks.align_part.report import delivered, explained, predicted, report
 from metrocli.tasks.align_part.settings import Files, Settings
 from metrocli.tasks.align_part.spindle_poses import SpindlePoses
 from metrocli.tasks.align_part.two_poses import mirrored_pose
 from metrocli.tasks.job import Job, Task
-from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
+from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE
 from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
 from metrocli.tasks.shared.images.simulation import (
     Draw,
-    Shown,
+    SimulatedCamera,
     pictures,
     planted,
     refuse_pictures,
@@ -59,11 +59,11 @@ def run(job: Job[Settings, Files]) -> Result:
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the adjusted job for `diagnose`, with all its readings, outliers included; raises as `run` does."""
     problem = prepared(job)
-    found = adjusted_job(problem, solved(replace(job.settings, outliers="report"), problem))
-    return replace(found, not_sought=not_sought(job.settings.shutter, found.model))
+    whole = adjusted_job(problem, solved(replace(job.settings, outliers="report"), problem))
+    return replace(whole, not_sought=not_sought(job.settings.shutter, whole.model))
 
 
-def prepared(job: Job[Settings, Files]) -> Problem:
+def prepared(job: Job[Settings, Files]) -> AlignmentProblem:
     """Return the adjustment with its starting values and the effects of the job."""
     settings, files = job.settings, job.files
     if files.supports is not None:
@@ -99,7 +99,7 @@ def check(job: Job[Settings, Files]) -> None:
             SpindlePoses(files.poses, files.machine).must_be_known(shown)
 
 
-def solved(settings: Settings, problem: Problem) -> Adjusted:
+def solved(settings: Settings, problem: AlignmentProblem) -> AdjustedImages:
     """Adjust a problem; raises UndeterminedError or NotConvergedError if it has no good solution."""
     if settings.noise == STRUCTURED:
         must_suffice(len(problem.sighted.images), "images")
@@ -135,10 +135,12 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     part = pose_from_euler(at[:3], at[3:])
     to_camera = part_in_camera(part, held, truth.clamping_angle, model.taper)
     images, times = tuple(poses.texts("image")), poses.conditions("t", "temp")
-    shown = Shown(model.lens, model.image_size, images, to_camera, known, model.convention, times)
+    shown = SimulatedCamera(model.lens, model.image_size, images, to_camera, known, model.convention, times)
     sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
     seen = sights(shown)
-    seen, values = planted(true_model(model, shown, seen, Truth(part, held, truth.clamping_angle)), seen, effects)
+    seen, values = planted(
+        true_model(model, shown, seen, AlignmentTruth(part, held, truth.clamping_angle)), seen, effects
+    )
     table = sightings_table(replace(shown, conditions={}), seen, sigma, rng)
     drawn: Iterable[tuple[str, Draw]] = ()
     if options.images and settings.pattern is not None:

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.arrays import Array
 from metrocli.errors import UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import TAPER
-from metrocli.tasks.align_part.problem import Problem
-from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.tasks.align_part.problem import AlignmentProblem
+from metrocli.tasks.shared.images.adjustment import AdjustedImages
 
 _FLAT = 0.1
 """Targets whose thickness is below this share of their extent lie nearly in one plane"""
@@ -23,7 +23,7 @@ _APART = 6.0
 """Standard uncertainties from which two poses are not the same"""
 
 
-def mirrored_pose(problem: Problem, adjusted: Adjusted) -> Problem | None:
+def mirrored_pose(problem: AlignmentProblem, adjusted: AdjustedImages) -> AlignmentProblem | None:
     """Return the problem at the mirrored pose of the part where that fits better; None where the pose found is right.
 
     Raises UndeterminedError if both fit alike.
@@ -39,7 +39,7 @@ def mirrored_pose(problem: Problem, adjusted: Adjusted) -> Problem | None:
     sight = (poses.apply(part.values, centre) - held[:, :3].mean(axis=0)).reshape(1, 3)
     mirrored = part.with_values(poses.mirrored_about(part.values, sight, centre, axes[2]))
     turned = {**solution.blocks, spindle.PART: mirrored}
-    other = adjust(turned.values(), solution.groups, problem.datum, Control(limit=60, covariance=False))
+    other = adjust(turned.values(), solution.groups, problem.datum, StoppingRule(limit=60, covariance=False))
     step = poses.difference(other.blocks[spindle.PART].values, part.values)[0]
     apart = float(np.linalg.norm(step[3:])) > _APART * float(np.linalg.norm(solution.std(spindle.PART)[0, 3:]))
     change = (other.cost - solution.cost) / max(1.0, float(np.nan_to_num(solution.sigma0, nan=1.0))) ** 2
@@ -50,8 +50,8 @@ def mirrored_pose(problem: Problem, adjusted: Adjusted) -> Problem | None:
     raise UndeterminedError(_alike(part.values[0], other.blocks[spindle.PART].values[0]), 0.0)
 
 
-def _alike(found: Array, other: Array) -> str:
-    one, two = (np.degrees(poses.euler_form(pose)[3:]) for pose in (found, other))
+def _alike(first: Array, other: Array) -> str:
+    one, two = (np.degrees(poses.euler_form(pose)[3:]) for pose in (first, other))
     words = (f"alpha {a:.2f}, beta {b:.2f}, gamma {c:.2f} deg" for a, b, c in (one, two))
     return (
         "the images fit two poses of the part alike, since its targets lie nearly in one plane and are small or far "

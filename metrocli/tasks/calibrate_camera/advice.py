@@ -18,8 +18,8 @@ from metrocli.instruments.lenses.conventions import projection_range
 from metrocli.instruments.lenses.distortion import RATIONAL
 from metrocli.table import Table
 from metrocli.targets.lattice import GATE, determines_homography, homography, projected
-from metrocli.tasks.calibrate_camera.problem import Problem
-from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
+from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import HIGH
 from metrocli.words import listed
 
@@ -36,7 +36,7 @@ _SHOWN = 4
 """Most targets whose rejected readings are counted in a message"""
 
 
-def explained(problem: Problem, solution: Solution, rejected: Table) -> str:
+def explained(problem: CameraProblem, solution: Solution, rejected: Table) -> str:
     """Return the message of an undetermined calibration: which parameters, why, and what would determine them.
 
     `rejected` are the readings that were left out as outliers before.
@@ -71,7 +71,7 @@ def in_words(text: str) -> str:
     )
 
 
-def _advice(problem: Problem, solution: Solution) -> list[str]:
+def _advice(problem: CameraProblem, solution: Solution) -> list[str]:
     columns = {
         column
         for combination in solution.undetermined
@@ -98,12 +98,12 @@ def _advice(problem: Problem, solution: Solution) -> list[str]:
     ]
 
 
-def ran_out(problem: Problem, solution: Solution) -> bool:
+def ran_out(problem: CameraProblem, solution: Solution) -> bool:
     """Return whether the iteration limit was reached because of a pole of the lens model or targets without depth."""
     return solution.outcome is Outcome.ITERATION_LIMIT and bool(_pole(problem, solution) or _flat(problem))
 
 
-def _flat(problem: Problem) -> list[str]:
+def _flat(problem: CameraProblem) -> list[str]:
     """Return why the targets have no depth and what would give them some; an empty list if they have depth.
 
     On a board all views are parallel to it; with rig cmm all targets lie in one plane.
@@ -121,7 +121,7 @@ def _flat(problem: Problem) -> list[str]:
     return []
 
 
-def _pole(problem: Problem, solution: Solution) -> float | None:
+def _pole(problem: CameraProblem, solution: Solution) -> float | None:
     """Return the radius [px] at which estimated rational terms fold the lens model over inside the image, else None."""
     lens = solution.blocks[camera.LENS]
     if problem.convention != "forward" or not lens.free[0, np.isin(lens.columns, RATIONAL)].any():
@@ -129,7 +129,7 @@ def _pole(problem: Problem, solution: Solution) -> float | None:
     return projection_range(lens.named(), problem.image_size)
 
 
-def _tilted(problem: Problem) -> bool:
+def _tilted(problem: CameraProblem) -> bool:
     """Return whether the viewing axis of any image is more than 3 degrees from the normal of the board.
 
     True as well if the targets are not in one plane.
@@ -142,7 +142,7 @@ def _tilted(problem: Problem) -> bool:
     return bool((np.arccos(np.clip(cosine, -1, 1)) > _PARALLEL).any())
 
 
-def turned_too_little(problem: Problem, solution: Solution) -> list[str]:
+def turned_too_little(problem: CameraProblem, solution: Solution) -> list[str]:
     """Return that the images of an unknown board are not turned, where the principal point is estimated with it.
 
     A board that lies the same way round in all images has its errors where the lens has its own. Several solutions
@@ -166,7 +166,7 @@ def turned_too_little(problem: Problem, solution: Solution) -> list[str]:
     ]
 
 
-def seen_from_behind(problem: Problem, solution: Solution) -> list[str]:
+def seen_from_behind(problem: CameraProblem, solution: Solution) -> list[str]:
     """Return which images show a flat board from the other side than most: they may be mirrored.
 
     A mirrored image of a board fits the board seen from behind, so no residual shows it.
@@ -182,7 +182,7 @@ def seen_from_behind(problem: Problem, solution: Solution) -> list[str]:
     return [text] if named else []
 
 
-def strange_images(problem: Problem, images: Group, residuals: Array | None = None) -> list[str]:
+def strange_images(problem: CameraProblem, images: Group, residuals: Array | None = None) -> list[str]:
     """Return which images fit no view of a flat board, such as those whose targets are named in another order.
 
     But for smooth distortion, a homography takes the board to its image (docs/targets.md). Where this holds for half
@@ -194,14 +194,14 @@ def strange_images(problem: Problem, images: Group, residuals: Array | None = No
     frame, planar = plane_frame(problem.sighted.targets.points[np.unique(index)])
     if problem.rig != "board" or not planar:
         return []
-    plane, found = poses.apply(frame, problem.sighted.targets.points)[index, :2], []
+    plane, warnings = poses.apply(frame, problem.sighted.targets.points)[index, :2], []
     for i in np.flatnonzero(_examined(view, residuals)):
         mine, uv = plane[view == i], rows.readings[:, view == i].T
         off = _off_any_view(mine, uv) if determines_homography(mine) else 0.0
         if off > GATE * np.sqrt(np.ptp(uv, axis=0).prod() / len(uv)):
             name = f"image {problem.sighted.images[int(i)]}"
-            found.append(f"{name} fits no view of a flat board, by {off:.0f} px: are its targets in another order?")
-    return found if 2 * len(found) < len(np.unique(view)) else []
+            warnings.append(f"{name} fits no view of a flat board, by {off:.0f} px: are its targets in another order?")
+    return warnings if 2 * len(warnings) < len(np.unique(view)) else []
 
 
 def _off_any_view(plane: Array, uv: Array) -> float:
@@ -226,7 +226,7 @@ def _examined(view: Index, residuals: Array | None) -> Mask:
     return np.asarray((count >= _ENOUGH) & (squares > _APART**2 * np.median(squares[count > 0])))
 
 
-def not_found(problem: Problem, images: Group, residuals: Array) -> list[str]:
+def not_found(problem: CameraProblem, images: Group, residuals: Array) -> list[str]:
     """Return why a camera must not be used whose residuals (2, n) are far larger than image points are wrong.
 
     With `noise: estimated` they only make the noise larger: nothing else would contradict them. One image that is far
@@ -252,7 +252,7 @@ def not_found(problem: Problem, images: Group, residuals: Array) -> list[str]:
     ]
 
 
-def folds(problem: Problem, adjusted: Adjusted) -> Iterator[tuple[str, bool]]:
+def folds(problem: CameraProblem, adjusted: AdjustedImages) -> Iterator[tuple[str, bool]]:
     """Yield where the lens model folds over inside the image, and whether there are readings so far out."""
     lens, fisheye = adjusted.solution.blocks[camera.LENS].named(), problem.convention == "fisheye"
     fold = None if problem.convention == "backward" else projection_range(lens, problem.image_size, fisheye)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
@@ -17,15 +17,15 @@ from metrocli.effects.model import Model, Place
 from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.instruments import camera
-from metrocli.instruments.camera_start import Scene, plane_frame, start
+from metrocli.instruments.camera_start import TargetImages, plane_frame, start
 from metrocli.instruments.fisheye_start import start_of_fisheye
 from metrocli.instruments.lenses.distortion import DISTORTION, PRISM, RATIONAL, TILT, undistort
 from metrocli.instruments.lenses.lens import plane_point
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.image_groups import with_groups
-from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.readings import check_targets, readings, scale_bars
-from metrocli.tasks.calibrate_camera.settings import Camera
+from metrocli.tasks.calibrate_camera.settings import CameraSettings
 from metrocli.tasks.calibrate_camera.starts import better_poses, robustly, without_strays
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
@@ -39,7 +39,7 @@ _LOST = 0.02
 """A median residual above this share of the longer side of the image means that the start failed"""
 
 
-def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = None) -> Problem:
+def build(rig: str, settings: CameraSettings, sighted: Sighted, bars: Table | None = None) -> CameraProblem:
     """Return the adjustment with its starting values, found from the readings alone.
 
     Raises InputError if readings do not fit the image size or the list of targets, and UndeterminedError if the
@@ -75,13 +75,13 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
     places = {"image": Place(sighted.images, "view"), "target": Place(targets.names, camera.TARGET)}
     nominal = {camera.TARGET: targets.points}
     model = Model(blocks, (group, *others), datum, (IMAGES,), places, nominal=nominal)
-    problem = Problem(model, rig, settings.convention, size, sighted)
+    problem = CameraProblem(model, rig, settings.convention, size, sighted)
     started = _better_start(problem, settings)
     started = started.with_model(with_groups(started.model, rig))
     if not sighted.eccentric:
         return started
-    group, found = corrected(started.images, started.blocks, started.others, datum, targets.radius)
-    return started.with_model(started.model.with_group(group).with_blocks(found))
+    group, consistent = corrected(started.images, started.blocks, started.others, datum, targets.radius)
+    return started.with_model(started.model.with_group(group).with_blocks(consistent))
 
 
 def target_datum(rig: str, targets: Block) -> Datum | None:
@@ -92,7 +92,7 @@ def target_datum(rig: str, targets: Block) -> Datum | None:
     return camera.network_datum(targets, takes_part) if rig == "network" else None
 
 
-def _lens_values(settings: Camera, size: tuple[int, int]) -> dict[str, float]:
+def _lens_values(settings: CameraSettings, size: tuple[int, int]) -> dict[str, float]:
     given = settings.given()
     wanted = set(settings.estimate) | set(given)
     values: dict[str, float] = {}
@@ -112,18 +112,18 @@ def _start(
     uv = sighted.observations.readings
     view, views = (np.zeros_like(sighted.view), 1) if rig == "cmm" else (sighted.view, len(sighted.images))
     if convention == "fisheye":
-        scene = Scene(sighted.targets.points, uv, sighted.target, view, views)
-        focal, found = start_of_fisheye(scene, values, known, float(max(size)))
-        return focal, found if rig == "board" else poses.inverse(found)
+        scene = TargetImages(sighted.targets.points, uv, sighted.target, view, views)
+        focal, started = start_of_fisheye(scene, values, known, float(max(size)))
+        return focal, started if rig == "board" else poses.inverse(started)
     if known and any(values.get(name) for name in DISTORTION):
         x, y = undistort(*plane_point(values, uv[0], uv[1]), values)
         uv = np.nan_to_num(np.stack([x * known + centre[0], y * known + centre[1]]))
-    scene = Scene(sighted.targets.points, uv, sighted.target, view, views)
-    focal, found = start(scene, centre, known, float(max(size)))
-    return focal, found if rig == "board" else poses.inverse(found)
+    scene = TargetImages(sighted.targets.points, uv, sighted.target, view, views)
+    focal, started = start(scene, centre, known, float(max(size)))
+    return focal, started if rig == "board" else poses.inverse(started)
 
 
-def _better_start(problem: Problem, settings: Camera) -> Problem:
+def _better_start(problem: CameraProblem, settings: CameraSettings) -> CameraProblem:
     """Return the problem at a start that fits the readings.
 
     If the first start ends far from the readings, other focal lengths are tried. Rational and prism terms come last,
@@ -145,57 +145,57 @@ def _better_start(problem: Problem, settings: Camera) -> Problem:
     return best.with_estimate(settings.estimate)
 
 
-def robustly_started(problem: Problem, settings: Camera) -> bool:
+def robustly_started(problem: CameraProblem, settings: CameraSettings) -> bool:
     """Return whether the values of a built problem come from a robust start with all its unknowns and readings."""
     richer = {*(() if problem.convention == "fisheye" else RATIONAL), *PRISM, *TILT} & set(settings.estimate)
     return not (richer or problem.effects or problem.sighted.eccentric)
 
 
-def _unmirrored(problem: Problem) -> Problem:
+def _unmirrored(problem: CameraProblem) -> CameraProblem:
     """Take the better of the two poses of each view of a flat board; warn of views where neither is better."""
     board = problem.sighted.targets.points[np.unique(problem.sighted.target)]
     frame, planar = plane_frame(board)
     if problem.rig != "board" or not planar:
         return problem
     turned = better_poses(dict(problem.blocks), problem.images, board, poses.rotation_of(frame)[2])
-    told = (
+    message = (
         f"the readings do not separate the tilt of {len(turned.undecided)} views from its mirror image "
         f"(the board is small or far away): {listed(turned.undecided)}",
     )
-    sighted = replace(problem.sighted, warnings=problem.sighted.warnings + (told if turned.undecided else ()))
+    sighted = replace(problem.sighted, warnings=problem.sighted.warnings + (message if turned.undecided else ()))
     turned_back = problem.with_blocks({**problem.blocks, camera.VIEW: turned.views})
     return replace(turned_back, sighted=sighted)
 
 
-def _roughly(problem: Problem, steps: int = 15) -> Problem:
+def _roughly(problem: CameraProblem, steps: int = 15) -> CameraProblem:
     """Adjust all readings with their declared weights, without a covariance."""
     solution = adjust(
         problem.blocks.values(),
         [problem.images, *problem.others],
         problem.datum,
-        Control(limit=steps, covariance=False),
+        StoppingRule(limit=steps, covariance=False),
     )
     return problem.with_blocks({**problem.blocks, **solution.blocks})
 
 
-def _misfit(problem: Problem) -> tuple[bool, float]:
+def _misfit(problem: CameraProblem) -> tuple[bool, float]:
     """Return whether some reading cannot be predicted, and the median residual [px], which few gross errors raise."""
     unpredicted = not np.isfinite(problem.images.residuals(problem.blocks)).all()
     return unpredicted, typical(problem.images, problem.blocks)
 
 
-def _resected(problem: Problem, targets: Array) -> Problem:
+def _resected(problem: CameraProblem, targets: Array) -> CameraProblem:
     """Return a calibration with its targets at places (n, 3), and with poses found anew by these and its lens."""
     name = camera.view_name(problem.rig)
     sighted = replace(problem.sighted, targets=replace(problem.sighted.targets, points=targets))
     _, views = _start(problem.rig, problem.convention, sighted, problem.blocks[camera.LENS].named(), problem.image_size)
-    found = {name: views, camera.TARGET: targets}
+    values = {name: views, camera.TARGET: targets}
     return problem.with_blocks(
-        {**problem.blocks, **{key: problem.blocks[key].with_values(one) for key, one in found.items()}}
+        {**problem.blocks, **{key: problem.blocks[key].with_values(value) for key, value in values.items()}}
     )
 
 
-def _retried(problem: Problem, focal: float) -> Problem:
+def _retried(problem: CameraProblem, focal: float) -> CameraProblem:
     """Return the problem at another focal length [px], with poses found anew."""
     lens = problem.blocks[camera.LENS]
     values = {

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
@@ -16,7 +16,7 @@ from metrocli.instruments import camera
 from metrocli.instruments.lenses.conventions import projection_range
 from metrocli.instruments.lenses.distortion import DISTORTION, PRISM, RATIONAL
 from metrocli.table import Table
-from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.shape.found import link_of
 from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.shared.images.tables import root_mean_square
@@ -49,11 +49,11 @@ _LOST = 2.0
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedLens:
     """A fitted lens model with its residuals in all and in held-out images."""
 
     name: str
-    problem: Problem
+    problem: CameraProblem
     solution: Solution
     rms: float
     """RMS over all images [px]"""
@@ -67,7 +67,7 @@ class Fitted:
         return float(np.sqrt(total / count))
 
 
-def compare_models(problems: Sequence[Problem]) -> Table:
+def compare_models(problems: Sequence[CameraProblem]) -> Table:
     """Fit the ladder of nested models of each calibration and return a row for each model.
 
     The simplest model whose held-out error is within one standard error of the smallest one is marked as chosen.
@@ -93,7 +93,7 @@ def compare_models(problems: Sequence[Problem]) -> Table:
     )
 
 
-def _climb(problem: Problem) -> Iterator[Fitted]:
+def _climb(problem: CameraProblem) -> Iterator[FittedLens]:
     """Fit each model from the solution of the one before, so that the RMS never rises."""
     ladder = FISHEYES if problem.convention == "fisheye" else LADDER
     lens = problem.blocks[camera.LENS]
@@ -103,10 +103,10 @@ def _climb(problem: Problem) -> Iterator[Fitted]:
         here = here.with_estimate([*plain, *terms])
         solution = adjust(here.blocks.values(), [here.images, *here.others], here.datum)
         here = here.with_blocks({**here.blocks, **solution.blocks})
-        yield Fitted(name, here, solution, root_mean_square(here.images.residuals(here.blocks)), _held_out(here))
+        yield FittedLens(name, here, solution, root_mean_square(here.images.residuals(here.blocks)), _held_out(here))
 
 
-def _splines(base: Fitted) -> list[Fitted]:
+def _splines(base: FittedLens) -> list[FittedLens]:
     """Return the model with the shape of its lens, if the readings show one; its size is that of all images."""
     shaped = with_shape(base.problem, noise_known=False)
     if link_of(shaped) is None:
@@ -114,10 +114,10 @@ def _splines(base: Fitted) -> list[Fitted]:
     solution = adjust(shaped.blocks.values(), [shaped.images, *shaped.others], shaped.datum)
     here = shaped.with_blocks({**shaped.blocks, **solution.blocks})
     rms = root_mean_square(here.images.residuals(here.blocks))
-    return [Fitted(f"{base.name} + spline", here, solution, rms, _held_out(here))]
+    return [FittedLens(f"{base.name} + spline", here, solution, rms, _held_out(here))]
 
 
-def _held_out(problem: Problem) -> Array:
+def _held_out(problem: CameraProblem) -> Array:
     """Return the sum of squares and the number of readings of each held-out fold, (folds, 2).
 
     Lens and targets are estimated from the other images and then fixed. Only the poses of the held-out images are
@@ -126,7 +126,7 @@ def _held_out(problem: Problem) -> Array:
     views = len(problem.sighted.images)
     folds = views if views <= _ALL_FOLDS else _FOLDS
     fold_of = np.arange(views) % folds
-    found = []
+    residuals = []
     for fold in range(folds):
         inside = fold_of == fold
         train = problem.of_images(~inside)
@@ -134,18 +134,18 @@ def _held_out(problem: Problem) -> Array:
             train.blocks.values(),
             [train.images, *train.others],
             train.datum,
-            Control(limit=_FOLD_STEPS, covariance=False),
+            StoppingRule(limit=_FOLD_STEPS, covariance=False),
         ).blocks
         test = problem.of_images(inside)
         own = camera.VIEW if problem.rig != "cmm" else ""
         held = {name: block if name == own else fitted[name].fixed() for name, block in test.blocks.items()}
-        posed = adjust(held.values(), [test.images], None, Control(limit=_FOLD_STEPS, covariance=False)).blocks
+        posed = adjust(held.values(), [test.images], None, StoppingRule(limit=_FOLD_STEPS, covariance=False)).blocks
         residual = test.images.residuals(posed)
-        found.append([float((residual**2).sum()), test.images.observations.count])
-    return np.array(found)
+        residuals.append([float((residual**2).sum()), test.images.observations.count])
+    return np.array(residuals)
 
 
-def _chosen(fitted: list[Fitted]) -> int:
+def _chosen(fitted: list[FittedLens]) -> int:
     """Return the number of the simplest model whose held-out error is within one standard error of the smallest one.
 
     The error is the sum of squares; the standard error is that of the difference of two models over the folds. Models
@@ -162,7 +162,7 @@ def _chosen(fitted: list[Fitted]) -> int:
     return best
 
 
-def _significance(simple: Fitted, rich: Fitted) -> float:
+def _significance(simple: FittedLens, rich: FittedLens) -> float:
     """Return the probability that chance alone lowers the sum of squares this much (F test of nested models)."""
     from scipy.special import fdtrc
 
@@ -173,7 +173,7 @@ def _significance(simple: Fitted, rich: Fitted) -> float:
     return float(fdtrc(more, dof, max(statistic, 0.0)))
 
 
-def _moved(model: Fitted, reference: Fitted) -> tuple[float, float]:
+def _moved(model: FittedLens, reference: FittedLens) -> tuple[float, float]:
     """Return shift [mm] and rotation [rad] of the camera relative to the reference model, RMS over the images."""
     name = camera.view_name(model.problem.rig)
     here, there = (m.problem.blocks[name].values for m in (model, reference))
@@ -183,7 +183,7 @@ def _moved(model: Fitted, reference: Fitted) -> tuple[float, float]:
     return float(np.sqrt((step[:, :3] ** 2).sum(axis=1).mean())), float(np.sqrt((step[:, 3:] ** 2).sum(axis=1).mean()))
 
 
-def _remark(model: Fitted, chosen: bool) -> str:
+def _remark(model: FittedLens, chosen: bool) -> str:
     words = ["chosen"] if chosen else []
     if model.solution.undetermined:
         words.append("not determined by these readings")

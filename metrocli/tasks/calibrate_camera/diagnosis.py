@@ -19,16 +19,16 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.doubts import PrincipalPoint
 from metrocli.tasks.calibrate_camera.effects import EFFECTS
-from metrocli.tasks.calibrate_camera.problem import Problem
-from metrocli.tasks.calibrate_camera.settings import Camera
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
+from metrocli.tasks.calibrate_camera.settings import CameraSettings
 from metrocli.tasks.calibrate_camera.shape.effect import LENS_SHAPE, lens_shape
-from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.covariates import PLACE, at_solution, covariate, covariates, folds, named, refit
 from metrocli.tasks.shared.images.eccentricity import diameters
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 
 
-def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
+def adjusted_job(problem: CameraProblem, adjusted: AdjustedImages) -> AdjustedJob:
     """Return an adjusted calibration as input of `diagnose`.
 
     Cross-validation holds out whole images; with rig cmm, where one pose serves all images, it holds out targets.
@@ -40,13 +40,13 @@ def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
     known = (
         replace(one, of_units=one.name == PLACE) for one in covariates(model, _in_camera(problem.rig, model, points))
     )
-    found = [*known, covariate("place of the target", points.T, 3)]
+    every = [*known, covariate("place of the target", points.T, 3)]
     cmm = problem.rig == "cmm"
     return AdjustedJob(
         KIND.name,
         model,
-        tuple(lens_shape(problem.with_model(model)) if one is LENS_SHAPE else one for one in EFFECTS),
-        named(found),
+        tuple(lens_shape(problem.with_model(model)) if effect is LENS_SHAPE else effect for effect in EFFECTS),
+        named(every),
         () if cmm else ("image",),
         folds(index[camera.TARGET if cmm else "view"]),
         _delivered(problem.rig, model),
@@ -76,9 +76,9 @@ def _moved(model: Model) -> Callable[[Effect, Mapping[str, str]], Array | None]:
             return np.asarray((block.values - block.values.mean(axis=0))[:, :, None])
         if effect.name != "moved-target":
             return None
-        found = np.zeros((len(block.members), 3, 3))
-        found[block.members.index(where["target"])] = np.eye(3)
-        return found
+        changes = np.zeros((len(block.members), 3, 3))
+        changes[block.members.index(where["target"])] = np.eye(3)
+        return changes
 
     return moved
 
@@ -102,12 +102,16 @@ _CENTRE = units.parse_quantity("10 percent", "ratio")
 _PIXEL = units.parse_quantity("0.1 percent", "ratio")
 
 
-def uncontrolled(problem: Problem, settings: Camera, adjusted: Adjusted, centre: PrincipalPoint | None) -> Table:
+def uncontrolled(
+    problem: CameraProblem, settings: CameraSettings, adjusted: AdjustedImages, centre: PrincipalPoint | None
+) -> Table:
     """Return the settings that enter the result without a residual, and the error from a plausible mistake in each."""
     return table_of(_rows(problem, settings, adjusted, centre))
 
 
-def _rows(problem: Problem, settings: Camera, adjusted: Adjusted, centre: PrincipalPoint | None) -> Iterator[Hidden]:
+def _rows(
+    problem: CameraProblem, settings: CameraSettings, adjusted: AdjustedImages, centre: PrincipalPoint | None
+) -> Iterator[Hidden]:
     blocks = adjusted.solution.blocks
     lens = blocks[camera.LENS].named()
     seen = blocks[TARGET].values[np.unique(adjusted.group.observations.index[TARGET])]

@@ -14,9 +14,9 @@ from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments import camera
 from metrocli.instruments.camera import TARGET
-from metrocli.tasks.calibrate_camera.problem import Problem
-from metrocli.tasks.calibrate_camera.settings import Camera
-from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
+from metrocli.tasks.calibrate_camera.settings import CameraSettings
+from metrocli.tasks.shared.images.adjustment import AdjustedImages
 
 _AXES = ("cx", "cy")
 _FAR = 0.1
@@ -75,7 +75,7 @@ class PrincipalPoint:
         )
 
 
-def principal_point(problem: Problem, adjusted: Adjusted) -> PrincipalPoint | None:
+def principal_point(problem: CameraProblem, adjusted: AdjustedImages) -> PrincipalPoint | None:
     """Return where the readings see the principal point, None if they do not determine it."""
     solution = adjusted.solution
     lens = solution.blocks[camera.LENS]
@@ -103,7 +103,7 @@ _CENTRE = ("cx", "cy")
 """Tested against the image size"""
 
 
-def held_doubts(problem: Problem, settings: Camera, adjusted: Adjusted) -> list[str]:
+def held_doubts(problem: CameraProblem, settings: CameraSettings, adjusted: AdjustedImages) -> list[str]:
     """Return that the squared residuals are less than half with the held lens values free."""
     solution = adjusted.solution
     held = [name for name in settings.given() if name not in (*settings.estimate, *_CENTRE)]
@@ -113,15 +113,15 @@ def held_doubts(problem: Problem, settings: Camera, adjusted: Adjusted) -> list[
     freed = adjust(model.blocks.values(), [adjusted.group, *problem.others], problem.datum)
     if not freed.outcome.good or freed.cost >= _MUCH * solution.cost:
         return []
-    known, found = (one.blocks[camera.LENS].named() for one in (solution, freed))
-    told = ", ".join(f"{name} is held at {known[name]:g}, but the readings see {found[name]:.4g}" for name in held)
+    known, found = (state.blocks[camera.LENS].named() for state in (solution, freed))
+    fixed = ", ".join(f"{name} is held at {known[name]:g}, but the readings see {found[name]:.4g}" for name in held)
     return [
-        f"{told}: with {' and '.join(held)} free the squared residuals are {freed.cost / solution.cost:.2g} times as "
+        f"{fixed}: with {' and '.join(held)} free the squared residuals are {freed.cost / solution.cost:.2g} times as "
         "large; estimate what is held, or correct it"
     ]
 
 
-def too_near(problem: Problem, adjusted: Adjusted, pixel_size: float | None) -> list[str]:
+def too_near(problem: CameraProblem, adjusted: AdjustedImages, pixel_size: float | None) -> list[str]:
     """Return why a camera must not be used whose targets are nearer than its focal length: a lens has no image there.
 
     The distance of the camera [mm] is the median of the views, to the middle of the targets or the origin of the board.
@@ -150,7 +150,7 @@ _MISFIT = 5.0
 """Residuals so many times as large as the scatter of neighbouring points are no noise"""
 
 
-def unmodelled(problem: Problem, adjusted: Adjusted) -> list[str]:
+def unmodelled(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]:
     """Return why a camera must not be used whose residuals are smooth in each image, and many times their scatter.
 
     The scatter is what a polynomial in u and v leaves of the residuals of an image, the median of all images. A

@@ -34,8 +34,8 @@ def with_groups(model: Model, rig: str) -> Model:
     """
     observations = model.readings[0].observations
     view, names = observations.index["view"], model.places["image"].names
-    one: _Groups = (("",), np.zeros(len(names), dtype=np.intp))
-    turns = one
+    single: _Groups = (("",), np.zeros(len(names), dtype=np.intp))
+    turns = single
     if rig != "cmm":
         values = model.blocks[camera.view_name(rig)].values
         turns = _of_views(poses.rotation_of(values if rig == "board" else poses.inverse(values)))
@@ -73,7 +73,7 @@ def _groups(labels: Sequence[str]) -> _Groups:
     """Return groups of equal labels, that of most views first; views with too few of their own are of this one."""
     names, number, counts = np.unique(np.array(labels, dtype=str), return_inverse=True, return_counts=True)
     order = np.argsort(-counts, kind="stable")
-    kept = [*order[:1].tolist(), *(one for one in order[1:].tolist() if counts[one] >= _FEWEST)]
+    kept = [*order[:1].tolist(), *(group for group in order[1:].tolist() if counts[group] >= _FEWEST)]
     place = np.zeros(len(names), dtype=np.intp)
     place[kept] = np.arange(len(kept))
     return tuple(names[kept].tolist()), place[number]
@@ -98,4 +98,4 @@ def _of_views(rotations: Array) -> _Groups:
     there = np.flatnonzero(counts)
     if counts[there].min() < _FEWEST:
         return one_direction
-    return tuple(str(90 * one) for one in there.tolist()), np.searchsorted(there, number)
+    return tuple(str(90 * group) for group in there.tolist()), np.searchsorted(there, number)

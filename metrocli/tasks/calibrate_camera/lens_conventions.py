@@ -13,15 +13,17 @@ from metrocli.instruments import camera
 from metrocli.instruments.lenses.conventions import Photogrammetric, converted, photogrammetric
 from metrocli.instruments.lenses.distortion import PRISM, RATIONAL, TILT
 from metrocli.table import Table
-from metrocli.tasks.calibrate_camera.problem import Problem
-from metrocli.tasks.calibrate_camera.settings import Camera
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
+from metrocli.tasks.calibrate_camera.settings import CameraSettings
 from metrocli.tasks.shared.images.camera_parameters import unit_of
 
 _Row = tuple[str, str, float, float, str, float, float]
 _COLUMNS = ("form", "parameter", "value", "std", "unit", "residual_rms [px]", "residual_largest [px]")
 
 
-def conventions_table(problem: Problem, settings: Camera, solution: Solution, covariance: Covariance) -> Table:
+def conventions_table(
+    problem: CameraProblem, settings: CameraSettings, solution: Solution, covariance: Covariance
+) -> Table:
     """Return the lens in both distortion conventions and, if the pixel size is known, in mm.
 
     `residual_rms` and `residual_largest` [px] are the errors of a conversion over the image.
@@ -46,7 +48,9 @@ def conventions_table(problem: Problem, settings: Camera, solution: Solution, co
     return Table.of_rows(_COLUMNS, rows)
 
 
-def photogrammetric_form(problem: Problem, settings: Camera, solution: Solution) -> Photogrammetric | None:
+def photogrammetric_form(
+    problem: CameraProblem, settings: CameraSettings, solution: Solution
+) -> Photogrammetric | None:
     """Return the balanced photogrammetric form in mm, with distortion zero at the radius R0.
 
     None without a pixel size, and for a lens that has no such form: backward, or with rational or prism terms.
@@ -66,7 +70,7 @@ def form_covariance(form: Photogrammetric, covariance: Covariance) -> Array:
     return matrix
 
 
-def _in_mm(problem: Problem, pixel: float, values: dict[str, float], std: dict[str, float]) -> list[_Row]:
+def _in_mm(problem: CameraProblem, pixel: float, values: dict[str, float], std: dict[str, float]) -> list[_Row]:
     """Return focal lengths and principal point in mm; the principal point counts from the centre of the image."""
     w, h = problem.image_size
     form = f"{problem.convention}, mm"

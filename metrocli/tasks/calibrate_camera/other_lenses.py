@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.diagnosis.corrections import Mistake
 from metrocli.errors import UndeterminedError
 from metrocli.instruments import camera
 from metrocli.instruments.lenses.lens import direction
 from metrocli.tasks.calibrate_camera.build import build
-from metrocli.tasks.calibrate_camera.problem import Problem
-from metrocli.tasks.calibrate_camera.settings import Camera, Files, Settings
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
+from metrocli.tasks.calibrate_camera.settings import CameraSettings, Files, Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.tables import root_mean_square
 
@@ -34,37 +34,37 @@ _WIDEST = np.cos(np.radians(80))
 """Cosine of the angle off the axis up to which a pinhole is compared with a fisheye"""
 
 
-def as_fisheye(problem: Problem, settings: Camera) -> Problem:
+def as_fisheye(problem: CameraProblem, settings: CameraSettings) -> CameraProblem:
     """Return the calibration of the same readings with the model fisheye, with starting values of its own."""
     fisheye = replace(_fisheye(settings), image_size=problem.image_size)
     return build(problem.rig, fisheye, replace(problem.sighted, warnings=()))
 
 
-def _fisheye(settings: Camera) -> Camera:
+def _fisheye(settings: CameraSettings) -> CameraSettings:
     """Return a camera with the usual parameters of a fisheye.
 
     A principal point that the job holds is held here, too: what its freedom explains is no matter of the model.
     """
-    usual = Camera(model="fisheye", image_size=settings.image_size, pixel_size=settings.pixel_size)
+    usual = CameraSettings(model="fisheye", image_size=settings.image_size, pixel_size=settings.pixel_size)
     held = [name for name in ("cx", "cy") if name not in settings.estimate]
     given: dict[str, Any] = {name: value for name, value in settings.given().items() if name in held}
     return replace(usual, estimate=tuple(name for name in usual.estimate if name not in held), **given)
 
 
-def other_settings(job: Job[Settings, Files], problem: Problem) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
+def other_settings(job: Job[Settings, Files], problem: CameraProblem) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
     """Yield the model fisheye where a pinhole is calibrated, and a pinhole with all its distortion is no better.
 
     A lens whose distortion the job does not estimate is no fisheye.
     """
     old = job.settings.camera
-    whole = replace(Camera(image_size=problem.image_size), estimate=_WHOLE)
+    whole = replace(CameraSettings(image_size=problem.image_size), estimate=_WHOLE)
     left = _left(build(problem.rig, whole, replace(problem.sighted, warnings=())))
     if left < _LEAST or not fisheye_instead(problem, old, left):
         return
     new = _fisheye(old)
     write: dict[str, str | list[str]] = {"model": "fisheye", "convention": ""}
     write |= {name: "" for name in old.given() if name not in new.given()}
-    if old.estimate != Camera().estimate:
+    if old.estimate != CameraSettings().estimate:
         write["estimate"] = list(new.estimate)
     mistake = Mistake(
         "camera", "the lens is a fisheye", "camera: {model: fisheye}", sort="lens", entries=write, steps=_MOST_STEPS
@@ -72,14 +72,14 @@ def other_settings(job: Job[Settings, Files], problem: Problem) -> Iterator[tupl
     yield mistake, replace(job, settings=replace(job.settings, camera=new))
 
 
-def _left(problem: Problem) -> float:
+def _left(problem: CameraProblem) -> float:
     """Return the root mean square of the residuals [px] of a calibration."""
     groups = [problem.images, *problem.others]
-    found = adjust(problem.blocks.values(), groups, problem.datum, Control(limit=_STEPS, covariance=False))
-    return root_mean_square(problem.images.residuals({**problem.blocks, **found.blocks}))
+    solution = adjust(problem.blocks.values(), groups, problem.datum, StoppingRule(limit=_STEPS, covariance=False))
+    return root_mean_square(problem.images.residuals({**problem.blocks, **solution.blocks}))
 
 
-def fisheye_instead(problem: Problem, settings: Camera, rms: float) -> list[str]:
+def fisheye_instead(problem: CameraProblem, settings: CameraSettings, rms: float) -> list[str]:
     """Return that the model fisheye fits far better than a forward lens whose residuals have this rms [px]."""
     lens, (u, v) = problem.blocks[camera.LENS].named(), problem.images.observations.readings
     reach = float(np.hypot(u - lens["cx"], v - lens["cy"]).max()) / lens.get("f", lens.get("fx", 1.0))
@@ -97,7 +97,7 @@ def fisheye_instead(problem: Problem, settings: Camera, rms: float) -> list[str]
     ]
 
 
-def other_models(problem: Problem, settings: Camera) -> list[Problem]:
+def other_models(problem: CameraProblem, settings: CameraSettings) -> list[CameraProblem]:
     """Return the calibration of the same readings as a pinhole with distortion, for a fisheye, and the other way round.
 
     A fisheye that sees beyond 80 degrees off its axis has no other, nor has a backward lens.
@@ -108,5 +108,5 @@ def other_models(problem: Problem, settings: Camera) -> list[Problem]:
     seen = direction(lens, u, v, problem.convention)
     if problem.convention == "backward" or not (seen[2] > _WIDEST).all():
         return []
-    usual = Camera(image_size=problem.image_size)
+    usual = CameraSettings(image_size=problem.image_size)
     return [build(problem.rig, usual, replace(problem.sighted, warnings=()))]

@@ -17,7 +17,7 @@ from metrocli.tasks.shared.images.sightings import Sighted
 
 
 @dataclass(frozen=True)
-class Problem(Modelled):
+class CameraProblem(Modelled):
     """A camera calibration ready to adjust."""
 
     rig: str
@@ -30,13 +30,13 @@ class Problem(Modelled):
         """The image points."""
         return self.model.group(IMAGES)
 
-    def with_estimate(self, estimate: Sequence[str]) -> Problem:
+    def with_estimate(self, estimate: Sequence[str]) -> CameraProblem:
         """Return the problem with these lens parameters free; all others are fixed at their values."""
         lens = self.blocks[camera.LENS]
         free = replace(lens, free=np.isin(lens.columns, list(estimate)))
         return self.with_blocks({**self.blocks, camera.LENS: free})
 
-    def with_lens(self, values: Mapping[str, float]) -> Problem:
+    def with_lens(self, values: Mapping[str, float]) -> CameraProblem:
         """Return the problem with these values of lens parameters; the others keep theirs.
 
         Parameters that are new to the problem are fixed.
@@ -46,7 +46,7 @@ class Problem(Modelled):
         free = [name for name, is_free in zip(lens.columns, lens.free[0], strict=True) if is_free]
         return self.with_blocks({**self.blocks, camera.LENS: camera.lens_block(known, free, self.image_size)})
 
-    def of_images(self, chosen: Mask) -> Problem:
+    def of_images(self, chosen: Mask) -> CameraProblem:
         """Return the problem with the chosen images only (a mask over all), their readings and their poses."""
         keep = chosen[self.images.observations.index["view"]]
         numbers = np.cumsum(chosen) - 1

@@ -8,7 +8,7 @@ from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index
 from metrocli.instruments import camera
 from metrocli.instruments.lenses.lens import equidistant, focal, ideal_point, image_point, unit_vector
-from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.shape.found import by_shape, link_of
 from metrocli.tasks.calibrate_camera.shape.spline import SHAPE
 from metrocli.tasks.shared.statistics import Statistics
@@ -23,7 +23,7 @@ _ALONG = np.linspace(0.01, 4.0, 400)
 """Directions that are tried for an image point, as multiples of its direction without distortion"""
 
 
-def corner_std(problem: Problem, solution: Solution, readings: Array) -> float:
+def corner_std(problem: CameraProblem, solution: Solution, readings: Array) -> float:
     """Return the largest standard uncertainty [px] of the image of a fixed direction in a corner of the image.
 
     J is the derivative of image points by the lens parameters p, at the corners c and at readings r (2, n), and T that
@@ -44,8 +44,8 @@ def corner_std(problem: Problem, solution: Solution, readings: Array) -> float:
         at_corners, near = (
             np.concatenate([lens, by_shape(link, uv)], axis=1) for lens, uv in ((at_corners, corners), (near, some))
         )
-    imitated = np.linalg.lstsq(near_turn, near, rcond=None)[0]
-    change = at_corners - by_turn @ imitated
+    confounded = np.linalg.lstsq(near_turn, near, rcond=None)[0]
+    change = at_corners - by_turn @ confounded
     covariance = solution.joint((camera.LENS, *([SHAPE] if link is not None else [])))
     variance = np.einsum("ia,ab,ib->i", change, covariance, change)
     return float(np.sqrt(np.maximum(variance.reshape(2, -1).sum(axis=0), 0.0).max()))
@@ -54,7 +54,7 @@ def corner_std(problem: Problem, solution: Solution, readings: Array) -> float:
 class _Linear:
     """Derivatives of image points of fixed directions, u of all before v of all."""
 
-    def __init__(self, problem: Problem, columns: tuple[str, ...], values: Array) -> None:
+    def __init__(self, problem: CameraProblem, columns: tuple[str, ...], values: Array) -> None:
         self.columns, self.values, self.convention = columns, values, problem.convention
 
     def named(self, values: Array) -> dict[str, float]:

@@ -81,9 +81,9 @@ def ends_of(lengths: Table, names: tuple[str, ...], seen: Index | None, what: st
         if name not in place or (seen is not None and seen[place[name]] < 2)
     ]
     wrong += [
-        (row, f"the {what} is from '{one}' to itself")
-        for row, (one, other) in enumerate(zip(*ends, strict=True))
-        if one == other
+        (row, f"the {what} is from '{end}' to itself")
+        for row, (end, other) in enumerate(zip(*ends, strict=True))
+        if end == other
     ]
     wrong += [
         (row, f"a second {what} between '{ends[0][row]}' and '{ends[1][row]}': the list has it in row {before + 1}")

@@ -32,12 +32,12 @@ from metrocli.tasks.calibrate_camera.lens_conventions import (
     photogrammetric_form,
 )
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead
-from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.projection_error import corner_std, coverage_note, coverage_warnings
-from metrocli.tasks.calibrate_camera.settings import Camera, Settings
+from metrocli.tasks.calibrate_camera.settings import CameraSettings, Settings
 from metrocli.tasks.calibrate_camera.shape.found import shape_notes, shape_rms, shape_table
 from metrocli.tasks.calibrate_camera.turned_images import turned_images
-from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import POSE_UNITS, Parameters, parameters, unit_of
 from metrocli.tasks.shared.images.tables import (
     adjustment_notes,
@@ -67,9 +67,9 @@ _POOR = 2.0
 class _Calibration:
     """A solved calibration with the parts that the report needs."""
 
-    problem: Problem
-    settings: Camera
-    adjusted: Adjusted
+    problem: CameraProblem
+    settings: CameraSettings
+    adjusted: AdjustedImages
     residuals: Residuals
     covariance: Covariance
     delivered: Parameters
@@ -90,7 +90,7 @@ class _Calibration:
         return rms_table(self.residuals.values, self.adjusted.group, label, index, names)
 
 
-def report(problem: Problem, job: Settings, adjusted: Adjusted, tests: Table | None = None) -> Result:
+def report(problem: CameraProblem, job: Settings, adjusted: AdjustedImages, tests: Table | None = None) -> Result:
     """Return the result of a solved calibration; `tests` are lengths that test a network."""
     settings = job.camera
     solution = adjusted.solution

@@ -16,11 +16,11 @@ from metrocli.settings import (
     ImageFiles,
     ListOf,
     MapOf,
-    Quantity,
     Section,
     TableFile,
     Text,
     Whole,
+    WithUnit,
     setting,
 )
 from metrocli.settings.sections import content, inputs_of
@@ -59,9 +59,9 @@ TEST_LENGTHS = Columns(
 class LengthLimit:
     """The limit of the length measuring error, `A + K L`, at most B (VDI/VDE 2634 part 1)."""
 
-    constant: float = setting(Quantity("length", minimum=0.0), "A: the constant part")
-    proportional: float = setting(Quantity("ratio", minimum=0.0), "K: the part proportional to the length", default=0.0)
-    at_most: float | None = setting(Quantity("length", positive=True), "B: the limit of long lengths", default=None)
+    constant: float = setting(WithUnit("length", minimum=0.0), "A: the constant part")
+    proportional: float = setting(WithUnit("ratio", minimum=0.0), "K: the part proportional to the length", default=0.0)
+    at_most: float | None = setting(WithUnit("length", positive=True), "B: the limit of long lengths", default=None)
 
     def of(self, lengths: Any) -> Any:
         """Return the limit for lengths (n,) [mm]."""
@@ -81,7 +81,7 @@ _USUAL = {"fisheye": ("k1", "k2", "k3", "k4"), "division": ("k4",)}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Camera(LensModel):
+class CameraSettings(LensModel):
     """The camera to calibrate; a given parameter is known, or the starting value if it is estimated too."""
 
     image_size: tuple[int, int] | None = setting(
@@ -90,7 +90,7 @@ class Camera(LensModel):
         default=None,
     )
     pixel_size: float | None = setting(
-        Quantity("length", positive=True), "side of a pixel, for results in mm", default=None
+        WithUnit("length", positive=True), "side of a pixel, for results in mm", default=None
     )
     estimate: tuple[str, ...] = setting(
         ListOf(Choice(*PARAMETERS), distinct=True),
@@ -98,7 +98,7 @@ class Camera(LensModel):
         default=None,
     )
     reference_radius: float | None = setting(
-        Quantity("length"),
+        WithUnit("length"),
         "R0 of the balanced photogrammetric form; 2/3 of the largest radius unless given",
         default=None,
     )
@@ -135,7 +135,7 @@ class Camera(LensModel):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OneOfSeveral(Camera):
+class OneOfSeveral(CameraSettings):
     """One of several cameras that are fixed to each other."""
 
     images: str = setting(
@@ -184,16 +184,16 @@ class CameraSimulation:
     )
     images: int = setting(Whole(minimum=1, maximum=100_000), "rigs board and network: number of images", default=15)
     distance: float = setting(
-        Quantity("length", positive=True), "rigs board and network: mean distance of the camera", default=600.0
+        WithUnit("length", positive=True), "rigs board and network: mean distance of the camera", default=600.0
     )
     tilt: float = setting(
-        Quantity("angle", positive=True), "rigs board and network: largest tilt of a view", default=0.6
+        WithUnit("angle", positive=True), "rigs board and network: largest tilt of a view", default=0.6
     )
     interval: float | None = setting(
-        Quantity("time", positive=True), "time from image to image; without it no times are written", default=None
+        WithUnit("time", positive=True), "time from image to image; without it no times are written", default=None
     )
     warming: float = setting(
-        Quantity("temperature difference"), "how much the camera warms up from first to last image", default=0.0
+        WithUnit("temperature difference"), "how much the camera warms up from first to last image", default=0.0
     )
 
     def faults(self) -> Iterable[tuple[str, str]]:
@@ -238,10 +238,10 @@ class Settings:
     )
     inputs: Any = setting(Section(Inputs), "the files of the job")
     noise: float | str = setting(
-        Either(Quantity("pixel", positive=True, minimum=1e-9), Choice(*FROM_RESIDUALS)),
+        Either(WithUnit("pixel", positive=True, minimum=1e-9), Choice(*FROM_RESIDUALS)),
         NOISE_HELP,
     )
-    camera: Camera = setting(Section(Camera), "the camera", default=Camera())
+    camera: CameraSettings = setting(Section(CameraSettings), "the camera", default=CameraSettings())
     cameras: dict[str, OneOfSeveral] | None = setting(
         MapOf(Section(OneOfSeveral)), "several cameras that are fixed to each other, by name", default=None
     )
@@ -286,16 +286,16 @@ class Settings:
             return
         if len(self.cameras) < 2:
             yield "cameras", "cameras are two or more: write a single one as camera: {...}"
-        if self.camera != Camera():
+        if self.camera != CameraSettings():
             yield "camera", "both camera and cameras are given: write each camera under cameras"
-        if len({one.convention for one in self.cameras.values()}) > 1:
+        if len({camera.convention for camera in self.cameras.values()}) > 1:
             yield "cameras", "cameras are of one lens model: all opencv, all fisheye or all backward"
-        if len({"fx" in one.estimate or "fx" in one.given() for one in self.cameras.values()}) > 1:
+        if len({"fx" in camera.estimate or "fx" in camera.given() for camera in self.cameras.values()}) > 1:
             yield "cameras", "either all cameras have f, or all have fx and fy"
         if self.rig == "network":
             yield "rig", "cameras are calibrated together from a board, or from targets placed by a CMM"
-        for name, one in self.cameras.items():
-            if self.inputs.observations is not None and one.image_size is None:
+        for name, several in self.cameras.items():
+            if self.inputs.observations is not None and several.image_size is None:
                 yield f"cameras.{name}", "image_size is missing: a table of observations does not contain it"
 
     def _of_simulation(self) -> Iterable[tuple[str, str]]:

@@ -18,8 +18,8 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.readings import ends_of
 from metrocli.tasks.calibrate_camera.settings import CameraSimulation, Files, Settings
 from metrocli.tasks.shared.images.adjustment import IMAGES
-from metrocli.tasks.shared.images.simulation import Shown, Sights, image_group, true_targets
-from metrocli.tasks.shared.images.target_list import Targets, known_targets
+from metrocli.tasks.shared.images.simulation import ExactImagePoints, SimulatedCamera, image_group, true_targets
+from metrocli.tasks.shared.images.target_list import TargetCoordinates, known_targets
 
 _FIRST_TEMPERATURE = 20.0
 """At the first image [degC] (ISO 1)"""
@@ -41,14 +41,16 @@ def conditions(truth: CameraSimulation, images: int) -> dict[str, Array]:
     return found
 
 
-def simulated_targets(settings: Settings, files: Files, rng: np.random.Generator) -> Targets:
+def simulated_targets(settings: Settings, files: Files, rng: np.random.Generator) -> TargetCoordinates:
     """Return the true targets of a job; raises InputError as `with_lengths`."""
     unknown = np.nan if settings.rig == "network" else 0.0
     places = true_targets(known_targets(settings.pattern, files.targets, unknown), rng)
     return with_lengths(places, (("scale bar", files.scale_bars), ("test length", files.test_lengths)), rng)
 
 
-def with_lengths(places: Targets, lengths: Sequence[tuple[str, Table | None]], rng: np.random.Generator) -> Targets:
+def with_lengths(
+    places: TargetCoordinates, lengths: Sequence[tuple[str, Table | None]], rng: np.random.Generator
+) -> TargetCoordinates:
     """Return true targets between which calibrated lengths are right, but for their errors of calibration.
 
     Places x0 with standard deviations S move to the least `|(x - x0) / S|^2 + |(L - l(x)) / s|^2`. L are the lengths,
@@ -64,16 +66,16 @@ def with_lengths(places: Targets, lengths: Sequence[tuple[str, Table | None]], r
     sigma = np.concatenate([table.numbers("sigma") for table, _ in tables])
     drawn = np.concatenate([table.numbers("length") for table, _ in tables]) + rng.normal(0.0, 1.0, len(sigma)) * sigma
     used, number = np.unique(ends, return_inverse=True)
-    one, other = number.reshape(ends.shape)
+    number_of_end, other = number.reshape(ends.shape)
     begun = places.points[used]
     variance = np.where(np.isnan(places.sigma[used]), _UNKNOWN, places.sigma[used]).ravel() ** 2
     moved, rows = np.zeros_like(begun), np.arange(len(drawn))
     for _ in range(_ITERATIONS):
-        away = (begun + moved)[other] - (begun + moved)[one]
+        away = (begun + moved)[other] - (begun + moved)[number_of_end]
         now = np.maximum(np.linalg.norm(away, axis=1), 1e-300)
         slopes = np.zeros((len(drawn), *begun.shape))
         slopes[rows, other] = away / now[:, None]
-        slopes[rows, one] = -slopes[rows, other]
+        slopes[rows, number_of_end] = -slopes[rows, other]
         slope = slopes.reshape(len(drawn), -1)
         weight = np.linalg.pinv((slope * variance) @ slope.T + np.diag(sigma**2), rcond=1e-14, hermitian=True)
         before, moved = moved, (variance * (slope.T @ (weight @ (drawn - now + slope @ moved.ravel())))).reshape(-1, 3)
@@ -89,7 +91,7 @@ def with_lengths(places: Targets, lengths: Sequence[tuple[str, Table | None]], r
     return replace(places, points=points)
 
 
-def _must_be_near(tables: Sequence[tuple[Table, Index]], places: Targets) -> None:
+def _must_be_near(tables: Sequence[tuple[Table, Index]], places: TargetCoordinates) -> None:
     """Raise InputError that names every length which differs from its distance in the list by far."""
     faults = []
     for table, (one, other) in tables:
@@ -117,7 +119,7 @@ class Views:
     """Returns the targets that an image shows; None: all"""
 
 
-def simulated_views(rig: str, truth: CameraSimulation, known: Targets, rng: np.random.Generator) -> Views:
+def simulated_views(rig: str, truth: CameraSimulation, known: TargetCoordinates, rng: np.random.Generator) -> Views:
     """Return one image of each target with rig cmm, else views of all targets from random directions.
 
     Raises InputError if rig cmm has no extrinsics.
@@ -143,7 +145,7 @@ def simulated_views(rig: str, truth: CameraSimulation, known: Targets, rng: np.r
     return Views(tuple(f"view{i + 1:02d}.png" for i in range(n)), poses.pose(rotation, aim - rotation @ centre))
 
 
-def true_model(rig: str, shown: Shown, seen: Sights) -> Model:
+def true_model(rig: str, shown: SimulatedCamera, seen: ExactImagePoints) -> Model:
     """Return the model of the calibration at the truth, with the exact image points as readings.
 
     The caller adds the simulated effects to it (`planted`).

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
@@ -20,7 +20,7 @@ from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera import VIEW
-from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.shared.images.adjustment import IMAGES
 
 _AGAIN = 3
@@ -30,11 +30,11 @@ _STEPS = 15
 _FOCAL = ("f", "fx", "fy")
 
 
-Resection = Callable[[Problem, Array], Problem]
+Resection = Callable[[CameraProblem, Array], CameraProblem]
 """Takes a calibration and places of its targets (n, 3), and returns it with poses found anew by these targets"""
 
 
-def robustly(problem: Problem) -> Problem:
+def robustly(problem: CameraProblem) -> CameraProblem:
     """Adjust with weights that gross errors do not spoil.
 
     The unknown targets of a network follow poses that the listed ones gave. While lens and poses are far off, a target
@@ -45,7 +45,7 @@ def robustly(problem: Problem) -> Problem:
     return problem.with_blocks({**problem.blocks, **_robust(problem, problem.blocks, problem.datum)})
 
 
-def without_strays(listed: Array, best: Problem, resected: Resection) -> Problem:
+def without_strays(listed: Array, best: CameraProblem, resected: Resection) -> CameraProblem:
     """Return the best of several starts: `best`, and while targets or images stray, one from poses found anew.
 
     The poses are those by its targets; targets that stray are back at their listed places (n, 3).
@@ -62,11 +62,11 @@ def without_strays(listed: Array, best: Problem, resected: Resection) -> Problem
     return best
 
 
-def _has_unknown(problem: Problem) -> bool:
+def _has_unknown(problem: CameraProblem) -> bool:
     return bool(problem.blocks[camera.TARGET].free.any())
 
 
-def _by_turns(problem: Problem) -> Problem:
+def _by_turns(problem: CameraProblem) -> CameraProblem:
     """Return a calibration with poses and the focal length for its targets as they are, then targets for these."""
     lens = problem.blocks[camera.LENS]
     focal = replace(lens, free=lens.free & np.isin(lens.columns, _FOCAL))
@@ -75,25 +75,27 @@ def _by_turns(problem: Problem) -> Problem:
     held = {name: block.fixed() for name, block in problem.blocks.items() if name != camera.TARGET}
     blocks = {**problem.blocks, **held}
     # a target has its own readings only: one that wrong readings spoil spoils no other
-    found = adjust(blocks.values(), [problem.images, *problem.others], None, Control(limit=_STEPS, covariance=False))
-    return _valued(problem, found.blocks)
+    solution = adjust(
+        blocks.values(), [problem.images, *problem.others], None, StoppingRule(limit=_STEPS, covariance=False)
+    )
+    return _valued(problem, solution.blocks)
 
 
-def _robust(problem: Problem, blocks: Mapping[str, Block], datum: Datum | None = None) -> Mapping[str, Block]:
+def _robust(problem: CameraProblem, blocks: Mapping[str, Block], datum: Datum | None = None) -> Mapping[str, Block]:
     return robust_start(blocks.values(), [problem.images, *problem.others], IMAGES, datum, camera.VIEW)
 
 
-def _valued(problem: Problem, found: Mapping[str, Block]) -> Problem:
+def _valued(problem: CameraProblem, blocks: Mapping[str, Block]) -> CameraProblem:
     """Return a calibration with the values that were found, and with its own unknowns."""
-    return problem.with_blocks({name: one.with_values(found[name].values) for name, one in problem.blocks.items()})
+    return problem.with_blocks({name: block.with_values(blocks[name].values) for name, block in problem.blocks.items()})
 
 
-def _strays(problem: Problem) -> int:
+def _strays(problem: CameraProblem) -> int:
     """Return the number of unknown targets and of images that most of their readings contradict."""
     return int(_strayed(problem, camera.TARGET).sum() + _strayed(problem, camera.VIEW).sum())
 
 
-def _strayed(problem: Problem, name: str) -> Mask:
+def _strayed(problem: CameraProblem, name: str) -> Mask:
     """Return the members of a block with unknowns (n,) that most of their readings contradict."""
     block, index = problem.blocks.get(name), problem.images.observations.index.get(name)
     if block is None or index is None:
@@ -109,7 +111,7 @@ ALIKE = 4.0
 
 
 @dataclass(frozen=True)
-class Turned:
+class ChosenViews:
     """Views with the better of their two poses."""
 
     views: Block
@@ -117,7 +119,7 @@ class Turned:
     """Images whose two poses differ but fit about equally well"""
 
 
-def better_poses(blocks: dict[str, Block], images: Group, board: Array, normal: Array) -> Turned:
+def better_poses(blocks: dict[str, Block], images: Group, board: Array, normal: Array) -> ChosenViews:
     """Return the views, each with its pose or with the mirrored one, whichever fits better with the lens held fixed.
 
     The mirror image of the board's normal n about the line of sight s is `2 (s n) s - n` (Schweighofer and Pinz 2006).
@@ -128,16 +130,16 @@ def better_poses(blocks: dict[str, Block], images: Group, board: Array, normal: 
     middle = poses.apply(views.values, board.mean(axis=0))
     far = extent < _FAR * np.linalg.norm(middle, axis=1)
     if not far.any():
-        return Turned(views, ())
+        return ChosenViews(views, ())
     turned = replaced(views, poses.mirrored_about(views.values, middle, board.mean(axis=0), normal), far)
     held = [*(block.fixed() for name, block in blocks.items() if name != VIEW), turned]
-    other = adjust(held, [images], None, Control(limit=30, covariance=False)).blocks[VIEW]
+    other = adjust(held, [images], None, StoppingRule(limit=30, covariance=False)).blocks[VIEW]
     here, there = (_costs({**blocks, VIEW: views_}, images) for views_ in (views, other))
     better = far & (there < here)
     apart = np.linalg.norm(poses.difference(views.values, other.values)[:, 3:], axis=1) > 0.1
     seen = np.isfinite(here) & np.isfinite(there)
     undecided = far & apart & (np.abs(np.where(seen, there, np.inf) - np.where(seen, here, 0.0)) < ALIKE)
-    return Turned(replaced(views, other.values, better), tuple(np.array(views.members)[undecided].tolist()))
+    return ChosenViews(replaced(views, other.values, better), tuple(np.array(views.members)[undecided].tolist()))
 
 
 def replaced(views: Block, values: Array, chosen: Mask) -> Block:

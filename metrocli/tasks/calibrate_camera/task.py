@@ -27,21 +27,21 @@ from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
 from metrocli.tasks.calibrate_camera.multi_camera import task as multi_camera
 from metrocli.tasks.calibrate_camera.multi_camera.simulation import simulate as several_simulated
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
-from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.report import report
 from metrocli.tasks.calibrate_camera.settings import FEWEST, Files, Settings
 from metrocli.tasks.calibrate_camera.shape.effect import beside_base
 from metrocli.tasks.calibrate_camera.shape.spline import with_shape
 from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_targets, simulated_views, true_model
 from metrocli.tasks.job import Job, Task
-from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
+from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.camera_parameters import delivered
 from metrocli.tasks.shared.images.places import not_sought
 from metrocli.tasks.shared.images.settings import ESTIMATE, SPLINE
 from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
 from metrocli.tasks.shared.images.simulation import (
     Draw,
-    Shown,
+    SimulatedCamera,
     pictures,
     planted,
     refuse_pictures,
@@ -72,8 +72,8 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     if job.settings.cameras is not None:
         return multi_camera.diagnosed(job, job.settings.cameras)
     settings, problem = prepared(job)
-    found = adjusted_job(problem, solved(replace(settings, outliers="report"), problem))
-    return replace(found, not_sought=not_sought(settings.shutter, found.model))
+    whole = adjusted_job(problem, solved(replace(settings, outliers="report"), problem))
+    return replace(whole, not_sought=not_sought(settings.shutter, whole.model))
 
 
 def other_settings(job: Job[Settings, Files], fits: bool) -> Iterator[tuple[Mistake, Job[Settings, Files]]]:
@@ -91,7 +91,7 @@ def compare(job: Job[Settings, Files]) -> Table:
     return compare_models([problem, *other_models(problem, settings.camera)])
 
 
-def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
+def prepared(job: Job[Settings, Files]) -> tuple[Settings, CameraProblem]:
     """Return the settings completed by the size of the images, and the adjustment with starting values and effects."""
     settings, files = job.settings, job.files
     if settings.cameras is not None:
@@ -129,7 +129,7 @@ def check(job: Job[Settings, Files]) -> None:
         _must_have_size(job.files.images, job.settings)
 
 
-def solved(settings: Settings, problem: Problem) -> Adjusted:
+def solved(settings: Settings, problem: CameraProblem) -> AdjustedImages:
     """Adjust a problem; raises UndeterminedError or NotConvergedError if it has no good solution."""
     if settings.noise == STRUCTURED:
         must_suffice(len(problem.sighted.images), "images")
@@ -165,7 +165,7 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     views = simulated_views(settings.rig, truth, known, rng)
     lens = {"cx": (size[0] - 1) / 2, "cy": (size[1] - 1) / 2, **truth.lens.given()}
     times = conditions(truth, len(views.images))
-    shown = Shown(lens, size, views.images, views.to_camera, known, settings.camera.convention, times)
+    shown = SimulatedCamera(lens, size, views.images, views.to_camera, known, settings.camera.convention, times)
     sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
     seen = sights(shown, views.only)
     seen, values = planted(true_model(settings.rig, shown, seen), seen, effects)

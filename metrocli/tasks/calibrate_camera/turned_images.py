@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.arrays import Array, Mask
 from metrocli.geometry import poses
 from metrocli.instruments import camera
-from metrocli.tasks.calibrate_camera.problem import Problem
-from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
+from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.words import listed
 
 _FEWEST = 4
@@ -26,7 +26,7 @@ _GAIN = 50.0
 _AXES = ("cx", "cy")
 
 
-def turned_images(problem: Problem, adjusted: Adjusted) -> list[str]:
+def turned_images(problem: CameraProblem, adjusted: AdjustedImages) -> list[str]:
     """Return why a camera must not be used some of whose images fit better turned by 180 degrees."""
     lens = adjusted.solution.blocks[camera.LENS]
     at = [lens.columns.index(name) for name in _AXES]
@@ -44,9 +44,9 @@ def turned_images(problem: Problem, adjusted: Adjusted) -> list[str]:
     views = blocks[camera.VIEW]
     blocks[camera.VIEW] = views.with_values(np.where(few[:, None], _rolled(views.values, problem.rig), views.values))
     begun = [block.fixed() if name != camera.VIEW else block for name, block in blocks.items()]
-    begun = list(adjust(begun, [back], None, Control(limit=30, covariance=False)).blocks.values())
+    begun = list(adjust(begun, [back], None, StoppingRule(limit=30, covariance=False)).blocks.values())
     freed = [replace(block, free=blocks[block.name].free) for block in begun]
-    other = adjust(freed, [back, *problem.others], problem.datum, Control(covariance=False))
+    other = adjust(freed, [back, *problem.others], problem.datum, StoppingRule(covariance=False))
     solution = adjusted.solution
     variance = max(other.cost / max(solution.dof, 1), 1e-12)
     if not np.isfinite(other.cost) or (solution.cost - other.cost) / variance < _GAIN:
@@ -68,7 +68,7 @@ def _rolled(values: Array, rig: str) -> Array:
     return poses.compose(turns, values) if rig == "board" else poses.compose(values, turns)
 
 
-def _on_the_other_side(problem: Problem, adjusted: Adjusted, at: list[int]) -> Mask:
+def _on_the_other_side(problem: CameraProblem, adjusted: AdjustedImages, at: list[int]) -> Mask:
     """Return the images whose own principal point is on the other side of the middle than that of most, (images,).
 
     Each image has its own principal point here, by one linear step with its pose and the rest of the lens held.

@@ -37,7 +37,7 @@ def rotary_axes(machine: Machine) -> dict[str, Table]:
 
 def entries(tables: Tables) -> Table:
     """Return the error and the position of each entry of `tables_covariance`."""
-    error, position = [one for one, _ in tables.entries], np.array([one for _, one in tables.entries])
+    error, position = [entry for entry, _ in tables.entries], np.array([entry for _, entry in tables.entries])
     if not tables.machine.turns:
         return Table.of({"error": error, "position [mm]": position})
     turns = np.array([name[-1] in ANGLES for name in error])

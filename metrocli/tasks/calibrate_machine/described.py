@@ -136,9 +136,9 @@ def must_have_axes(machine: Machine, table: Table) -> None:
 
 def raise_if(faults: Iterator[Fault]) -> None:
     """Raise InputError with the faults, if there are any."""
-    found = list(faults)
-    if found:
-        raise InputError(found)
+    listed = list(faults)
+    if listed:
+        raise InputError(listed)
 
 
 def _columns(machine: Machine, table: Table) -> Iterator[Fault]:

@@ -30,7 +30,7 @@ from metrocli.instruments.tracker import LEG, TRACKER
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.effects import OF_BALLS, OF_LENGTHS, OF_LINES, OF_MACHINES
 from metrocli.tasks.calibrate_machine.problem import ALL_SIDES, ERROR_BLOCKS, PLACES_OF_AXES
-from metrocli.tasks.calibrate_machine.solve import Solved, refitted
+from metrocli.tasks.calibrate_machine.solve import AdjustedMachine, refitted
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, count, in_blocks, noise_found
 
 _FOLDS = 10
@@ -38,14 +38,17 @@ _NO_STOPS = "the machine does not stop at the readings"
 _PIECES = "the readings are averages over pieces of the path longer than a pitch; a job may name it with its period"
 
 
-def adjusted_job(solved: Solved) -> AdjustedJob:
+def adjusted_job(solved: AdjustedMachine) -> AdjustedJob:
     """Return a solved calibration with the covariates, held-out parts and refit that diagnosis needs."""
     problem = solved.problem.with_blocks(solved.solution.blocks)
     model = with_conditions(problem.model)
     group = model.readings[0]
 
     def refit(changed: Model, keep: Mapping[str, Mask]) -> Solution:
-        kept = [one.selected(keep[one.name]) if one.name in keep else one for one in changed.groups]
+        kept = [
+            changed_group.selected(keep[changed_group.name]) if changed_group.name in keep else changed_group
+            for changed_group in changed.groups
+        ]
         return refitted(replace(problem, model=replace(changed, groups=tuple(kept))))
 
     return AdjustedJob(
@@ -78,8 +81,8 @@ def _delivered(machine: Machine, model: Model) -> Delivered:
 def _not_sought(group: Group) -> Iterator[tuple[str, str]]:
     """Yield the effects that condensed pieces of a path do not show, each with the reason."""
     if _condensed(group):
-        yield from ((one.name, _PIECES) for one in OF_MACHINES if one.space is Space.WAVE)
-        yield from ((one.name, _NO_STOPS) for one in OF_MACHINES if one.throughout)
+        yield from ((machine.name, _PIECES) for machine in OF_MACHINES if machine.space is Space.WAVE)
+        yield from ((machine.name, _NO_STOPS) for machine in OF_MACHINES if machine.throughout)
 
 
 def _effects_on(model: Model) -> tuple[Effect, ...]:
@@ -98,7 +101,7 @@ def _condensed(group: Group) -> bool:
 
 def _variations(model: Model, readings: Observations) -> Iterator[tuple[str, Observations]]:
     """Yield readings as they would be from the other side in each axis, and with each other tool."""
-    for axis in (one.removeprefix("from_") for one in ALL_SIDES):
+    for axis in (side.removeprefix("from_") for side in ALL_SIDES):
         came = readings.conditions.get(f"from_{axis}")
         if came is not None:
             yield (
@@ -123,7 +126,7 @@ def _covariates(model: Model, group: Group, machine: Machine) -> Iterator[Covari
         yield Covariate("order of the readings", {name: order}, 6, periodic=True)
     position = np.stack([conditions[axis] for axis in NOMINAL])
     yield Covariate("place in the machine", {name: position}, 3)
-    for axis in (one for one in machine.axes if isinstance(one, RotaryAxis)):
+    for axis in (moved for moved in machine.axes if isinstance(moved, RotaryAxis)):
         yield Covariate(f"{axis.letter.lower()}_deg", {name: conditions[axis.coordinate]}, 6, angle=axis.periodic)
     if WARMING in conditions:
         yield Covariate("temp_degC", {name: conditions[WARMING]}, 6)
@@ -151,7 +154,7 @@ def _parts(group: Group) -> Index:
     return np.asarray(rank * _FOLDS // len(rank))
 
 
-def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
+def noise_of(solved: AdjustedMachine, model: str, factor: float) -> NoiseFound:
     """Return the noise of a solved calibration.
 
     Raises UndeterminedError for fewer than five lines or legs, or ten points, if it is structured.
@@ -164,7 +167,7 @@ def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
     return noise_found((solved.solution, factor), model, lambda: clusters_of(solved), estimates, delivered)
 
 
-def clusters_of(solved: Solved) -> Clusters:
+def clusters_of(solved: AdjustedMachine) -> Clusters:
     """Return which readings may share errors: those of one line (six-dof), of one leg, or of successive points."""
     readings = solved.problem.readings
     observations = readings.observations

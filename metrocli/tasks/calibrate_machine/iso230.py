@@ -11,7 +11,13 @@ from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ANGLES, AXES
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.acceptance.positioning import FIGURES, Measured, at_each_target, expanded, figures
+from metrocli.tasks.calibrate_machine.acceptance.positioning import (
+    FIGURES,
+    LineUncertainty,
+    at_each_target,
+    expanded,
+    figures,
+)
 from metrocli.words import in_a_row, listed
 
 _SAME = 0.01
@@ -45,7 +51,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class _Line:
+class _LineRuns:
     """The runs of one line over the same targets."""
 
     axis: str
@@ -57,7 +63,7 @@ class _Line:
     targets: Array
 
 
-def positioning(runs: Sequence[Run], known: Measured) -> tuple[Table | None, tuple[str, ...]]:
+def positioning(runs: Sequence[Run], known: LineUncertainty) -> tuple[Table | None, tuple[str, ...]]:
     """Return the figures of each line along an axis that was run more than once, with their U, and warnings.
 
     Without such a line there is no table. Runs of several lines are not pooled, since each line has its own zero. The
@@ -68,17 +74,17 @@ def positioning(runs: Sequence[Run], known: Measured) -> tuple[Table | None, tup
     warnings = (*left_out, *_too_few(whole), *_apart(_lines(runs)))
     if not whole:
         return None, warnings
-    found = [figures(one.up, one.down) for one in whole]
-    spread = [expanded(one.up, one.down, one.targets, known) for one in whole]
+    evaluated = [figures(line.up, line.down) for line in whole]
+    spread = [expanded(line.up, line.down, line.targets, known) for line in whole]
     table = Table.of(
         {
-            "axis": [one.axis for one in whole],
-            "at": [one.at for one in whole],
-            "line": [one.name for one in whole],
-            "runs_up": [len(one.up) for one in whole],
-            "runs_down": [len(one.down) for one in whole],
-            **{f"{name} [{_unit(whole[0].axis)}]": [one[name] for one in found] for name in FIGURES},
-            **{f"U_{name} [{_unit(whole[0].axis)}]": [one[name] for one in spread] for name in FIGURES},
+            "axis": [line.axis for line in whole],
+            "at": [line.at for line in whole],
+            "line": [line.name for line in whole],
+            "runs_up": [len(line.up) for line in whole],
+            "runs_down": [len(line.down) for line in whole],
+            **{f"{name} [{_unit(whole[0].axis)}]": [figure[name] for figure in evaluated] for name in FIGURES},
+            **{f"U_{name} [{_unit(whole[0].axis)}]": [figure[name] for figure in spread] for name in FIGURES},
         }
     )
     return table, warnings
@@ -94,7 +100,7 @@ def _degrees(axis: str) -> str:
     return "deg" if axis in ANGLES else "mm"
 
 
-def _whole(runs: Sequence[Run]) -> tuple[list[_Line], list[str]]:
+def _whole(runs: Sequence[Run]) -> tuple[list[_LineRuns], list[str]]:
     """Return the lines that were run more than once, over common targets, and warnings of what is left out of them."""
     whole, warnings = [], []
     for axis, at, name in _lines(runs):
@@ -122,7 +128,7 @@ def _whole(runs: Sequence[Run]) -> tuple[list[_Line], list[str]]:
         ]
         if max(len(up), len(down)) > 1 or min(len(up), len(down)) > 0:
             size = (-1, len(targets))
-            whole.append(_Line(axis, at, name, up.reshape(size), down.reshape(size), targets))
+            whole.append(_LineRuns(axis, at, name, up.reshape(size), down.reshape(size), targets))
     return whole, warnings
 
 
@@ -186,16 +192,16 @@ def _lines(runs: Sequence[Run]) -> list[tuple[str, str, str]]:
     )
 
 
-def _too_few(lines: Sequence[_Line]) -> list[str]:
+def _too_few(lines: Sequence[_LineRuns]) -> list[str]:
     """Return warnings of axes of up to 2 m or one turn with fewer runs in a direction, or targets, than are asked."""
     runs: dict[tuple[str, int, int], list[str]] = {}
     targets: dict[tuple[str, int, float], list[str]] = {}
-    for one in lines:
-        travel, up, down, count = float(np.ptp(one.targets)), len(one.up), len(one.down), len(one.targets)
+    for line in lines:
+        travel, up, down, count = float(np.ptp(line.targets)), len(line.up), len(line.down), len(line.targets)
         if travel <= _LONG and min(up, down) < _RUNS:
-            runs.setdefault((one.axis, up, down), []).append(f"'{one.name}'")
-        if one.axis in AXES and travel <= _LONG and count < max(_TARGETS, ceil(_TARGETS * travel / _PER_METRE)):
-            targets.setdefault((one.axis, count, travel), []).append(f"'{one.name}'")
+            runs.setdefault((line.axis, up, down), []).append(f"'{line.name}'")
+        if line.axis in AXES and travel <= _LONG and count < max(_TARGETS, ceil(_TARGETS * travel / _PER_METRE)):
+            targets.setdefault((line.axis, count, travel), []).append(f"'{line.name}'")
     return [
         *(
             f"axis {axis}, line {listed(names, 5)}: {up} run{'s' * (up != 1)} up and {down} down; {_ASKS} "
@@ -208,10 +214,10 @@ def _too_few(lines: Sequence[_Line]) -> list[str]:
             for (axis, count, travel), names in targets.items()
         ),
         *(
-            f"axis {one.axis}, at {one.at or 'rest'}: {len(one.targets)} targets over {np.ptp(one.targets):g} deg; "
-            f"{_ASKS} {_fewest(one.targets)}"
+            f"axis {line.axis}, at {line.at or 'rest'}: {len(line.targets)} targets over {np.ptp(line.targets):g} deg; "
+            f"{_ASKS} {_fewest(line.targets)}"
             for one in lines
-            if one.axis in ANGLES and len(one.targets) < _fewest(one.targets)
+            if line.axis in ANGLES and len(line.targets) < _fewest(line.targets)
         ),
     ]
 

@@ -22,7 +22,7 @@ from metrocli.instruments.axes.rotary import Combinations
 from metrocli.instruments.machine import ALL_NAMES, AXES, SQUARENESS, Axis, Machine, axis_order, squareness_block
 from metrocli.result import Result
 from metrocli.tasks.calibrate_machine.described import raise_if
-from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.tables import Determination
 from metrocli.words import listed
@@ -93,7 +93,7 @@ _OF_AXES = frozenset(ALL_NAMES[:18])
 """Errors that have tables; the others are squareness"""
 
 
-def with_known_axes(problem: Problem, settings: Settings, result: Result | None) -> Problem:
+def with_known_axes(problem: MachineProblem, settings: Settings, result: Result | None) -> MachineProblem:
     """Return a problem that has the errors of an earlier result; raises InputError as `known_axes` does."""
     if result is None:
         return problem

@@ -8,10 +8,10 @@ import numpy as np
 
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import ANGLES, AXES, chain_of
-from metrocli.settings import Choice, Either, Flag, ListOf, MapOf, Quantity, Section, Text, Whole, setting
+from metrocli.settings import Choice, Either, Flag, ListOf, MapOf, Section, Text, Whole, WithUnit, setting
 from metrocli.tasks.shared.part import Warm
 
-VECTOR = ListOf(Quantity("length"), 3)
+VECTOR = ListOf(WithUnit("length"), 3)
 _TURN = 2 * np.pi
 UNKNOWN = "unknown"
 _ROUNDING = 1e-9
@@ -22,7 +22,7 @@ _EXAMPLE = "{range: [0 deg, 360 deg], knots: 13, at: [0 mm, 0 mm, -560 mm]}"
 class AxisSettings:
     """The range of an axis and its knots, equally spaced, ends included."""
 
-    range: tuple[float, float] = setting(ListOf(Quantity("length"), 2), "lowest and highest position")
+    range: tuple[float, float] = setting(ListOf(WithUnit("length"), 2), "lowest and highest position")
     knots: int = setting(Whole(2, 2000), "knots of each error table, ends included")
     scale: Warm | None = setting(
         Section(Warm), "temperature and expansion of its scale; its positioning is given at 20 degC", default=None
@@ -38,7 +38,7 @@ class AxisSettings:
 class RotarySettings:
     """The range of a rotary axis, its knots, and a point of its nominal line."""
 
-    range: tuple[float, float] = setting(ListOf(Quantity("angle"), 2), "lowest and highest position")
+    range: tuple[float, float] = setting(ListOf(WithUnit("angle"), 2), "lowest and highest position")
     knots: int = setting(Whole(2, 2000), "knots of each error table, ends included")
     at: tuple[float, ...] = setting(VECTOR, "a point of its nominal line, in the machine with all axes at 0")
     sense: int = setting(
@@ -104,7 +104,7 @@ class MachineSettings:
         MapOf(VECTOR), "several tool vectors, by the names in the column tool", default=None
     )
     tool_uncertainty: float | str = setting(
-        Either(Quantity("length", minimum=0.0), Choice(UNKNOWN)),
+        Either(WithUnit("length", minimum=0.0), Choice(UNKNOWN)),
         "standard uncertainty of tool vectors; 0: exact; unknown: with rotary axes, nothing is known of them",
         default=0.0,
     )
@@ -132,12 +132,12 @@ class MachineSettings:
             yield "chain", str(error)
         else:
             turning = self.axes.turning
-            for letter in (one for one in ANGLES if one in letters and one not in turning):
+            for letter in (angle for angle in ANGLES if angle in letters and angle not in turning):
                 yield "axes", f"the chain has {letter}, but no axis is given: write `{letter.lower()}: {_EXAMPLE}`"
-            for letter in (one for one in turning if one not in letters):
+            for letter in (name for name in turning if name not in letters):
                 yield f"axes.{letter.lower()}", f"the chain {self.chain} has no {letter}: add it there, or leave this"
             linear = self.axes.given
-            for letter in (one for one in AXES if self.turns and (one in letters) != (one in linear)):
+            for letter in (name for name in AXES if self.turns and (name in letters) != (name in linear)):
                 there = "the axes" if letter in letters else f"the chain {self.chain}"
                 yield "axes", f"{letter} is missing in {there}"
             if self.tool_uncertainty == UNKNOWN and not self.turns:

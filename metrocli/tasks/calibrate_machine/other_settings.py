@@ -61,9 +61,9 @@ def _rotary(machine: MachineSettings) -> Iterator[_Other]:
         yield mistake, _with_axis(machine, key, replace(axis, sense=-axis.sense))
         for at, size in enumerate(axis.at):
             if size:
-                place = tuple(-one if k == at else one for k, one in enumerate(axis.at))
+                place = tuple(-coordinate if k == at else coordinate for k, coordinate in enumerate(axis.at))
                 words = f"{'xyz'[at]} of the place of {letter} has the wrong sign"
-                written = ", ".join(f"{one:g} mm" for one in place)
+                written = ", ".join(f"{coordinate:g} mm" for coordinate in place)
                 mistake = Mistake(f"{where}.at", words, f"at: [{written}]")
                 yield mistake, _with_axis(machine, key, replace(axis, at=place))
     for chain in dict.fromkeys(_exchanged(machine.letters)) if machine.turns else ():
@@ -79,8 +79,8 @@ def _with_axis(machine: MachineSettings, key: str, axis: RotarySettings) -> Mach
 def _exchanged(letters: Sequence[str]) -> Iterator[str]:
     """Yield the chains in which rotary axes are on the other side of the bed, tables outermost, heads at the tool."""
     bed = letters.index("b")
-    tables, heads = ([one for one in side if one in ANGLES] for side in (letters[:bed], letters[bed + 1 :]))
-    linear = "".join(one for one in letters if one in AXES)
+    tables, heads = ([name for name in side if name in ANGLES] for side in (letters[:bed], letters[bed + 1 :]))
+    linear = "".join(letter for letter in letters if letter in AXES)
     for left in permutations(heads):
         for right in permutations(tables):
             chain = f"w{''.join(left)}b{linear}{''.join(right)}t"
@@ -102,7 +102,7 @@ def _turned(machine: MachineSettings) -> Iterator[_Other]:
     tools = machine.tools or {}
     for name, vector in tools.items() if len(tools) > 1 else ():
         for at in (at for at, size in enumerate(vector) if size):
-            turned = tuple(-one if k == at else one for k, one in enumerate(vector))
+            turned = tuple(-coordinate if k == at else coordinate for k, coordinate in enumerate(vector))
             axis = "xyz"[at]
             mistake = Mistake(
                 "machine.tools", f"{axis} of {name} has the wrong sign", f"{axis} of {name} with the other sign"

@@ -43,7 +43,7 @@ _SIDE = "expected 1 after a move in the positive direction of the axis, -1 after
 
 
 @dataclass(frozen=True)
-class Problem(Modelled):
+class MachineProblem(Modelled):
     """The adjustment problem of a machine calibration: model, readings, and what the report needs."""
 
     machine: Machine
@@ -66,7 +66,7 @@ class Problem(Modelled):
     """Whether the instrument stands on the bed of a machine with rotary axes"""
     given: tuple[str, ...] = ()
     """Errors of the linear axes that an earlier calibration gives with their covariance"""
-    said: Array | None = None
+    listed_at: Array | None = None
     """Listed places of the stations of lengths, (stations, 3), nan where not listed; None for other readings"""
 
     @property
@@ -108,9 +108,9 @@ class Problem(Modelled):
         if not wanted:
             return self
         bare = {name: block for name, block in self.blocks.items() if name in BLOCKS}
-        found = extended(self.model.with_blocks(bare), wanted)
+        model = extended(self.model.with_blocks(bare), wanted)
         return self.with_model(
-            found.with_blocks({name: self.blocks.get(name, found.blocks[name]) for name in found.blocks})
+            model.with_blocks({name: self.blocks.get(name, model.blocks[name]) for name in model.blocks})
         )
 
 
@@ -193,12 +193,12 @@ def conditions(
     `place` (3, n) is the nominal place of the point that is read, unless it is the commanded position. Raises
     InputError if a direction of approach is not -1, 0 or 1.
     """
-    found = machine.conditions(position) | dict(zip(NOMINAL, position[:3] if place is None else place, strict=True))
+    columns = machine.conditions(position) | dict(zip(NOMINAL, position[:3] if place is None else place, strict=True))
     if table is not None:
         _refuse_sides(table)
-        found |= table.conditions("t", "temp", *ALL_SIDES)
-        found |= since_turns(position, found)
-    return found
+        columns |= table.conditions("t", "temp", *ALL_SIDES)
+        columns |= since_turns(position, columns)
+    return columns
 
 
 def since_turns(position: Array, given: Mapping[str, Array]) -> dict[str, Array]:
@@ -208,13 +208,13 @@ def since_turns(position: Array, given: Mapping[str, Array]) -> dict[str, Array]
     contradict the order, are left out.
     """
     n = position.shape[1]
-    order, found = np.argsort(given.get("t", np.arange(n)), kind="stable"), {}
+    order, since = np.argsort(given.get("t", np.arange(n)), kind="stable"), {}
     for axis, places in zip(POSITION, position[:, order], strict=False):
         side = given.get(f"from_{axis}")
         way = None if side is None else since_turn(np.diff(places, prepend=places[:1]), side[order])
         if way is not None:
-            found[SINCE.format(axis=axis)] = way[np.argsort(order)]
-    return found
+            since[SINCE.format(axis=axis)] = way[np.argsort(order)]
+    return since
 
 
 def _refuse_sides(table: Table) -> None:

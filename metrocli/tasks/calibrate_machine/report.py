@@ -24,7 +24,7 @@ from metrocli.tasks.calibrate_machine.beside_tables import entries, lines, on_wo
 from metrocli.tasks.calibrate_machine.problem import PLACES_OF_AXES
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.settings import Settings
-from metrocli.tasks.calibrate_machine.solve import Solved
+from metrocli.tasks.calibrate_machine.solve import AdjustedMachine
 from metrocli.tasks.calibrate_machine.tables import (
     Determination,
     Tables,
@@ -56,7 +56,7 @@ from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 SIGN = "actual minus commanded"
 
 
-def report(solved: Solved, settings: Settings, noise: NoiseFound, listed: Table | None = None) -> Result:
+def report(solved: AdjustedMachine, settings: Settings, noise: NoiseFound, listed: Table | None = None) -> Result:
     """Return the result of a solved calibration; `listed` are the positions of kinematic tests."""
     solution, added = noise.solution, solved.problem.effects
     tables = tables_of(solved.problem.machine, solution, settings.scales)
@@ -68,13 +68,13 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound, listed: Table 
     if not solved.problem.displacement_only:
         volume = volume_tables(tables, identified, settings.volume, solved.problem.tools_used)
     tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
-    found = (*_estimates(solution), *effect_estimates(added, solution))
+    estimates = (*_estimates(solution), *effect_estimates(added, solution))
     doubts, far_off = misplaced(solved)
     figures, of_figures = positioning_of(tables, solved, settings, noise.factor)
     return Result(
         kind=KIND.name,
         title="",
-        estimates=found,
+        estimates=estimates,
         covariance=solution.joint((*_places(solution), *tools, *free_blocks(added))),
         statistics=with_found(_statistics(solved, settings), noise),
         tables={
@@ -109,12 +109,12 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound, listed: Table 
             *([ShownTable("suspects")] if len(solved.suspects.rows) else []),
         ),
         notes=(*_notes(solved, settings, noise), *in_words(hidden)),
-        details=noise.details([one.name for one in found]),
+        details=noise.details([estimate.name for estimate in estimates]),
         plain=("dof",),
     )
 
 
-def _notes(solved: Solved, settings: Settings, noise: NoiseFound) -> Iterator[str]:
+def _notes(solved: AdjustedMachine, settings: Settings, noise: NoiseFound) -> Iterator[str]:
     """Yield what the machine was measured and adjusted with, in sentences."""
     yield from identifiability_notes(solved.identified)
     yield from solved.problem.notes
@@ -145,16 +145,16 @@ def _known(identified: Identifiability) -> list[str]:
 
 def _estimates(solution: Solution) -> tuple[Estimate, ...]:
     """Return the estimated squareness errors, then the estimated tool vectors."""
-    tool, found = solution.blocks[TOOL], tuple[Estimate, ...]()
+    tool, estimates = solution.blocks[TOOL], tuple[Estimate, ...]()
     for name in _places(solution):
         block = solution.blocks[name]
         own = tuple((unit_of(column),) for column in block.columns)
-        found += estimates_of_block(block, solution.std(name), own, lambda _, column: column)
+        estimates += estimates_of_block(block, solution.std(name), own, lambda _, column: column)
     if not tool.free.any():
-        return found
+        return estimates
     names = dict(zip(tool.members, tool_names(solution.blocks), strict=True))
     spread, units = solution.std(TOOL), (("mm",),) * 3
-    return found + estimates_of_block(tool, spread, units, lambda tool, axis: f"{names[tool]}.{axis}")
+    return estimates + estimates_of_block(tool, spread, units, lambda tool, axis: f"{names[tool]}.{axis}")
 
 
 def _table(tables: Tables, name: str, identified: Identifiability) -> Table:
@@ -221,7 +221,7 @@ def _places(solution: Solution) -> tuple[str, ...]:
     return (SQUARENESS, *others)
 
 
-def _tools(solved: Solved, solution: Solution) -> Table:
+def _tools(solved: AdjustedMachine, solution: Solution) -> Table:
     block = solution.blocks[TOOL]
     std = solution.std(TOOL) if block.free.any() else np.zeros(block.values.shape)
     used, open_ones = solved.problem.tools_used, solved.identified.open_tools
@@ -236,8 +236,8 @@ def _tools(solved: Solved, solution: Solution) -> Table:
     )
 
 
-def _residuals(solved: Solved) -> Table:
-    observations, found = solved.problem.readings.observations, solved.residuals
+def _residuals(solved: AdjustedMachine) -> Table:
+    observations, residuals = solved.problem.readings.observations, solved.residuals
     axes = solved.problem.machine.axes
     places = {
         f"{axis.letter.lower()} [{unit_of_position(axis)}]": observations.conditions[axis.coordinate] for axis in axes
@@ -246,26 +246,26 @@ def _residuals(solved: Solved) -> Table:
     for i, component in enumerate(observations.components):
         unit = "rad" if component in ("ea", "eb", "ec") else "mm"
         columns |= {
-            f"residual_{component} [{unit}]": found.values[i],
+            f"residual_{component} [{unit}]": residuals.values[i],
             f"sigma_{component} [{unit}]": observations.deviations[i],
-            f"normalised_{component}": found.normalised[i],
-            f"redundancy_{component}": found.redundancy[i],
+            f"normalised_{component}": residuals.normalised[i],
+            f"redundancy_{component}": residuals.redundancy[i],
         }
     return Table.of(columns)
 
 
-def _suspects(solved: Solved) -> Table:
+def _suspects(solved: AdjustedMachine) -> Table:
     names = solved.problem.names
     return _named_tests(solved, [names[i] for i in solved.suspects.rows.tolist()], solved.suspects.tests.tolist())
 
 
-def _named_tests(solved: Solved, names: list[str], tests: list[float]) -> Table:
+def _named_tests(solved: AdjustedMachine, names: list[str], tests: list[float]) -> Table:
     key = next(iter(solved.problem.readings.observations.keys))
     order = np.argsort(-np.array(tests, dtype=float), kind="stable")
     return Table.of({key: np.array(names, dtype=str)[order], "w": np.array(tests, dtype=float)[order]})
 
 
-def _statistics(solved: Solved, settings: Settings) -> Statistics:
+def _statistics(solved: AdjustedMachine, settings: Settings) -> Statistics:
     identified, values = solved.identified, solved.residuals.values
     lengths = np.array([name not in ("ea", "eb", "ec") for name in solved.problem.readings.observations.components])
     rms = {"mm": float(np.sqrt((values[lengths] ** 2).mean()))}

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from metrocli.frozen import dataclass
 from metrocli.instruments.axes.rotary import LOCATIONS, ROTARY_NAMES, SPINDLE_NAMES, WORDS, errors_by_word
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, SQUARENESS_NAMES, canonical, is_angle
-from metrocli.settings import Choice, Either, Flag, ListOf, Quantity, Section, Whole, setting
+from metrocli.settings import Choice, Either, Flag, ListOf, Section, Whole, WithUnit, setting
 from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.machine_settings import VECTOR, MachineSettings
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
@@ -51,33 +51,33 @@ _NOISE = {
 class LateralNoise:
     """Standard deviation perpendicular to the beam, `sqrt(c^2 + (p r)^2)` at distance r."""
 
-    constant: float = setting(Quantity("length", minimum=0.0), "c: the part that does not depend on the distance")
-    proportional: float = setting(Quantity("ratio", minimum=0.0), "p: the part proportional to it", default=0.0)
+    constant: float = setting(WithUnit("length", minimum=0.0), "c: the part that does not depend on the distance")
+    proportional: float = setting(WithUnit("ratio", minimum=0.0), "p: the part proportional to it", default=0.0)
 
 
-_LATERAL = Either(Quantity("length", positive=True), Section(LateralNoise))
+_LATERAL = Either(WithUnit("length", positive=True), Section(LateralNoise))
 
 
 @dataclass(frozen=True)
-class Noise:
+class MachineNoise:
     """Standard deviations of the tracker (beam, lateral), the laser (displacement ...) or lengths (constant ...)."""
 
-    beam: float | None = setting(Quantity("length", positive=True), "tracker: along the beam", default=None)
+    beam: float | None = setting(WithUnit("length", positive=True), "tracker: along the beam", default=None)
     lateral: float | LateralNoise | None = setting(_LATERAL, "tracker: perpendicular to the beam", default=None)
     radial: float | LateralNoise | None = setting(_LATERAL, "another name of lateral", default=None)
-    displacement: float | None = setting(Quantity("length", positive=True), "six-dof: along the beam", default=None)
+    displacement: float | None = setting(WithUnit("length", positive=True), "six-dof: along the beam", default=None)
     straightness: float | None = setting(
-        Quantity("length", positive=True), "six-dof: perpendicular to the beam", default=None
+        WithUnit("length", positive=True), "six-dof: perpendicular to the beam", default=None
     )
-    angle: float | None = setting(Quantity("angle", positive=True), "six-dof: angles", default=None)
+    angle: float | None = setting(WithUnit("angle", positive=True), "six-dof: angles", default=None)
     constant: float | None = setting(
-        Quantity("length", positive=True), "lengths: the part that does not depend on the length", default=None
+        WithUnit("length", positive=True), "lengths: the part that does not depend on the length", default=None
     )
     proportional: float = setting(
-        Quantity("ratio", minimum=0.0), "lengths: the part proportional to the path", default=0.0
+        WithUnit("ratio", minimum=0.0), "lengths: the part proportional to the path", default=0.0
     )
     probing: float | None = setting(
-        Quantity("length", positive=True), "probing: each coordinate of a ball's centre", default=None
+        WithUnit("length", positive=True), "probing: each coordinate of a ball's centre", default=None
     )
     repeatability: float | str | None = setting(REPEATABILITY, f"lengths: {REPEATABILITY_WORDS}", default=None)
 
@@ -104,14 +104,14 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Volume:
+class VolumeGrid:
     """The grid on which the error of the tool is predicted over the volume."""
 
     grid: tuple[int, ...] | None = setting(
         ListOf(Whole(2, 50)), "points along x, y, z, and each rotary axis (default: 7, 6, 6; 5 with them)", default=None
     )
     circle: float | None = setting(
-        Quantity("length", positive=True), "radius of the circular tests (default: 0.4 of the travel)", default=None
+        WithUnit("length", positive=True), "radius of the circular tests (default: 0.4 of the travel)", default=None
     )
 
     def counts(self, axes: int = 3) -> tuple[int, ...]:
@@ -125,10 +125,10 @@ class Positioning:
     """What the figures of ISO 230-2 are uncertain by, besides the noise of the displacement."""
 
     scale: float = setting(
-        Quantity("ratio", minimum=0.0), "standard uncertainty of all distances in common", default=0.0
+        WithUnit("ratio", minimum=0.0), "standard uncertainty of all distances in common", default=0.0
     )
     environment: float = setting(
-        Quantity("length", minimum=0.0), "range of the readings at rest over the time of a test (E_VE)", default=0.0
+        WithUnit("length", minimum=0.0), "range of the readings at rest over the time of a test (E_VE)", default=0.0
     )
 
 
@@ -136,22 +136,22 @@ class Positioning:
 class MachineSimulation:
     """The machine and the instrument that `metrocli simulate` simulates."""
 
-    error: float = setting(Quantity("length", minimum=0.0), "mean length of the error in the volume", default=0.1)
+    error: float = setting(WithUnit("length", minimum=0.0), "mean length of the error in the volume", default=0.1)
     smooth: bool = setting(Flag(), "smooth error curves instead of straight lines between knots", default=False)
     tracker: tuple[float, ...] = setting(VECTOR, "place of the tracker in the machine", (-1000.0, -800.0, 300.0))
     points: int = setting(Whole(1, 1_000_000), "standstill, lengths: number of points", default=226)
-    interval: float = setting(Quantity("time", positive=True), "all but on-the-fly: time between readings", default=4.0)
-    sampling: float = setting(Quantity("time", positive=True), "on-the-fly: time between points", default=0.002)
+    interval: float = setting(WithUnit("time", positive=True), "all but on-the-fly: time between readings", default=4.0)
+    sampling: float = setting(WithUnit("time", positive=True), "on-the-fly: time between points", default=0.002)
     feed: float = setting(
-        Quantity("speed", positive=True), "on-the-fly: feed for a path without a column feed", default=40.0
+        WithUnit("speed", positive=True), "on-the-fly: feed for a path without a column feed", default=40.0
     )
-    warming: float = setting(Quantity("temperature difference"), "all but on-the-fly: from first to last reading", 0.0)
-    step: float = setting(Quantity("length", positive=True), "six-dof: distance between readings", default=25.0)
+    warming: float = setting(WithUnit("temperature difference"), "all but on-the-fly: from first to last reading", 0.0)
+    step: float = setting(WithUnit("length", positive=True), "six-dof: distance between readings", default=25.0)
     polar: bool = setting(Flag(), "standstill with rotary axes: write distance and angles", default=False)
 
 
 @dataclass(frozen=True)
-class Instrument:
+class InstrumentStand:
     """What tracker or stations stand on: where axes turn, it decides which of them they see."""
 
     on: str = setting(Choice("bed", "workpiece"), "standstill, lengths: what it stands on", default="workpiece")
@@ -168,13 +168,15 @@ class Settings:
     method: str = setting(Choice(ON_THE_FLY, STANDSTILL, SIX_DOF, LENGTHS, PROBING), "how the machine was measured")
     machine: MachineSettings = setting(Section(MachineSettings), "axes and tools")
     inputs: Any = setting(Section(Inputs), "the files of the job")
-    noise: Noise = setting(Section(Noise), "standard deviations of the readings")
+    noise: MachineNoise = setting(Section(MachineNoise), "standard deviations of the readings")
     estimate: str | tuple[str, ...] = setting(
         Either(Choice(*WORDS), ListOf(Choice(*ALL_NAMES, "COY", "BOZ", "AOZ", *ROTARY_NAMES, *WORDS), distinct=True)),
         "errors to estimate; the others are taken as zero",
         default="all",
     )
-    instrument: Instrument = setting(Section(Instrument), "where the instrument stands", default=Instrument())
+    instrument: InstrumentStand = setting(
+        Section(InstrumentStand), "where the instrument stands", default=InstrumentStand()
+    )
     sensor: str = setting(
         Choice("bed", "tool", "workpiece"), "probing: in whose axes the displacements are", default="bed"
     )
@@ -188,9 +190,9 @@ class Settings:
         Choice("report", "remove"), "all but on-the-fly: report outliers, or leave them out", default="report"
     )
     corner: float = setting(
-        Quantity("length", minimum=0.0), "on-the-fly: length cut off at both ends of each leg", default=10.0
+        WithUnit("length", minimum=0.0), "on-the-fly: length cut off at both ends of each leg", default=10.0
     )
-    volume: Volume = setting(Section(Volume), "where the volume is predicted", default=Volume())
+    volume: VolumeGrid = setting(Section(VolumeGrid), "where the volume is predicted", default=VolumeGrid())
     positioning: Positioning = setting(
         Section(Positioning), "six-dof: uncertainty of the figures of ISO 230-2", default=Positioning()
     )
@@ -209,7 +211,7 @@ class Settings:
         if self.method not in TURNING:
             letters = tuple(letter for letter in letters if letter not in ANGLES)
         words = errors_by_word(letters)
-        return tuple(dict.fromkeys(one for name in names for one in words.get(name, (canonical(name),))))
+        return tuple(dict.fromkeys(word for name in names for word in words.get(name, (canonical(name),))))
 
     @property
     def scales(self) -> dict[str, Warm]:
@@ -224,7 +226,7 @@ class Settings:
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield faults for inputs and noise that the method needs and lacks, and for settings it does not use."""
         needed = _INPUTS[self.method]
-        for key in dict.fromkeys(one for keys in _INPUTS.values() for one in keys):
+        for key in dict.fromkeys(need for keys in _INPUTS.values() for need in keys):
             given = getattr(self.inputs, key) is not None
             if given != (key in needed):
                 verb = "needs" if key in needed else "does not use"

@@ -53,7 +53,7 @@ from metrocli.tasks.calibrate_machine.settings import (
     MachineSimulation,
     Settings,
 )
-from metrocli.tasks.calibrate_machine.truth import Flow, Truth, true_errors, truth_of, warmed
+from metrocli.tasks.calibrate_machine.truth import Flow, TrueMachine, true_errors, truth_of, warmed
 from metrocli.tasks.calibrate_machine.volume import grid_of
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.environment import air_of
@@ -101,7 +101,7 @@ class _Measurement:
         return model.groups[0].chain.predict(model.blocks, model.groups[0].observations), model
 
 
-def _seen(job: _Measurement, truth: Truth, flow: Flow, rng: np.random.Generator) -> tuple[Array, Model]:
+def _seen(job: _Measurement, truth: TrueMachine, flow: Flow, rng: np.random.Generator) -> tuple[Array, Model]:
     """Return points measured by a randomly turned tracker, with its noise, (3, n), and the model."""
     turn = rotation_from_euler(rng.normal() * 0.05, rng.normal() * 0.05, rng.uniform(-np.pi, np.pi))
     pose = poses.pose(turn, np.array(job.simulation.tracker))
@@ -109,7 +109,7 @@ def _seen(job: _Measurement, truth: Truth, flow: Flow, rng: np.random.Generator)
     return points + tracker_noise(job.settings).drawn(points, rng), model
 
 
-def _points(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
+def _points(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) -> tuple[Table, Model]:
     """Return points at the commanded positions of the job, or at random positions and the corners of the volume."""
     flow = _stops(job, truth.machine, rng)
     seen, model = _seen(job, truth, flow, rng)
@@ -148,7 +148,7 @@ def _stops(job: _Measurement, machine: Machine, rng: np.random.Generator) -> Flo
     return Flow(position, tool, given | since_turns(position, given))
 
 
-def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
+def _lengths(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) -> tuple[Table, Model]:
     """Return the lengths of a job's file made again, or those of all points read from one station after the other.
 
     Lengths to a point at one time share a stop; the reading of a station is zero at its first point.
@@ -210,7 +210,7 @@ def _readings_of_stations(
     return names, np.repeat(np.arange(len(names)), n), flow, np.array([f"P{i + 1:03d}" for i in range(n)])[order]
 
 
-def _track(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
+def _track(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) -> tuple[Table, Model]:
     """Return the track of the machine along the path, with ramps of speed on each leg and a rest at each vertex."""
     listed = job.files.path
     if listed is None:
@@ -230,7 +230,7 @@ def _feeds(job: _Measurement, table: Table, path: Path) -> Array:
     return np.full(len(path.lengths), job.simulation.feed)
 
 
-def _lines(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
+def _lines(job: _Measurement, truth: TrueMachine, rng: np.random.Generator) -> tuple[Table, Model]:
     """Return the lines of the job, or along the axes to and fro and three face diagonals, each randomly misaligned."""
     table, machine = job.files.lines, machine_of(job.settings)
     lines = planned_lines(machine, job.simulation.step) if table is None else lines_of(machine, table)
@@ -245,7 +245,7 @@ def _lines(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[T
     readings = readings + np.einsum("nab,bn->an", root, rng.normal(size=readings.shape))
     names = {"line": np.array(lines.names)[lines.of], "axis": np.array(lines.axis)[lines.of]}
     channels = {" ".join(CHANNELS[:3]) + " [mm]": readings[:3].T, " ".join(CHANNELS[3:]) + " [rad]": readings[3:].T}
-    when = {heading(name): one for name, one in given.items()}
+    when = {heading(name): column for name, column in given.items()}
     places = (
         {} if table is None else {f"{axis} [mm]": lines.position[i] for i, axis in enumerate(POSITION) if axis in table}
     )

@@ -9,13 +9,13 @@ import numpy as np
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.robust import Fit, Suspects, robust_start, suspects
+from metrocli.adjust.robust import FitQuality, Suspects, robust_start, suspects
 from metrocli.adjust.rounds import adjust_with_iterated_weights, in_rounds, worst_of
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL
-from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability, identify
 from metrocli.tasks.shared.lengths import with_repeatability
 from metrocli.tasks.shared.mirror import Mirrored, mirrored, must_be_decided, of_tracers
@@ -27,10 +27,10 @@ _VAGUE = (
 
 
 @dataclass(frozen=True)
-class Solved:
+class AdjustedMachine:
     """The adjusted errors of a machine, the tests of the readings, and the readings that were left out."""
 
-    problem: Problem
+    problem: MachineProblem
     """Holds only the readings that were used; its noise is the final one"""
     identified: Identifiability
     solution: Solution
@@ -51,19 +51,19 @@ class Solved:
     @cached_property
     def second(self) -> list[Mirrored]:
         """Stations with a second place that fits their lengths as well; none for other readings."""
-        if self.problem.said is None:
+        if self.problem.listed_at is None:
             return []
         name = self.problem.readings.name
         group = next(group for group in self.solution.groups if group.name == name)
-        return mirrored(of_tracers(self.solution, group, self.problem.said), max(1.0, self.solution.misfit))
+        return mirrored(of_tracers(self.solution, group, self.problem.listed_at), max(1.0, self.solution.misfit))
 
     @cached_property
     def suspects(self) -> Suspects:
         """The readings that do not fit the others."""
-        return suspects(self.residuals, Fit(self.solution.cost, self.solution.dof, True))
+        return suspects(self.residuals, FitQuality(self.solution.cost, self.solution.dof, True))
 
 
-def solve(problem: Problem, remove: bool) -> Solved:
+def solve(problem: MachineProblem, remove: bool) -> AdjustedMachine:
     """Adjust the readings; if `remove`, leave out outliers and adjust again until none remains.
 
     Raises UndeterminedError if the readings do not determine the error in the volume, and NotConvergedError if the
@@ -71,48 +71,48 @@ def solve(problem: Problem, remove: bool) -> Solved:
     """
     identified = identify(problem)
     start = robust_start(identified.blocks.values(), problem.groups, problem.readings.name)
-    begun = _Using(problem.with_blocks(start), identified, ())
+    begun = _KeptReadings(problem.with_blocks(start), identified, ())
 
-    def fewer(used: _Using, solved: Solved) -> tuple[_Using, bool]:
-        worst, found, names = worst_of(solved.suspects), solved.suspects, solved.problem.names
+    def fewer(used: _KeptReadings, solved: AdjustedMachine) -> tuple[_KeptReadings, bool]:
+        worst, suspected, names = worst_of(solved.suspects), solved.suspects, solved.problem.names
         if not remove or not worst.size:
             return used, False
         keep = np.ones(len(names), dtype=bool)
-        keep[found.rows[worst]] = False
+        keep[suspected.rows[worst]] = False
         left = solved.problem.selected(keep)
         identified = identify(left)
         values = solved.solution.blocks.items()
         state = {name: replace(block, free=identified.blocks[name].free) for name, block in values}
         gone = (
             (names[row], test)
-            for row, test in zip(found.rows[worst].tolist(), found.tests[worst].tolist(), strict=True)
+            for row, test in zip(suspected.rows[worst].tolist(), suspected.tests[worst].tolist(), strict=True)
         )
-        return _Using(left.with_blocks(state), identified, (*used.rejected, *gone)), True
+        return _KeptReadings(left.with_blocks(state), identified, (*used.rejected, *gone)), True
 
-    solved = in_rounds(begun, _Using.solved, fewer)[1]
+    solved = in_rounds(begun, _KeptReadings.solved, fewer)[1]
     must_be_decided(solved.second)
     return solved
 
 
 @dataclass(frozen=True)
-class _Using:
+class _KeptReadings:
     """A problem without the readings that were rejected, at the values to start from."""
 
-    problem: Problem
+    problem: MachineProblem
     identified: Identifiability
     rejected: tuple[tuple[str, float], ...]
 
-    def solved(self) -> Solved:
+    def solved(self) -> AdjustedMachine:
         problem, solution = with_repeatability(self.problem, adjusted, self.problem.readings.name)
-        return Solved(problem, self.identified, solution, self.rejected)
+        return AdjustedMachine(problem, self.identified, solution, self.rejected)
 
 
-def solved_again(solved: Solved, problem: Problem) -> Solved:
+def solved_again(solved: AdjustedMachine, problem: MachineProblem) -> AdjustedMachine:
     """Return the solution of a relinearised problem of the same readings; their identifiability is taken over."""
-    return _Using(problem, solved.identified, solved.rejected).solved()
+    return _KeptReadings(problem, solved.identified, solved.rejected).solved()
 
 
-def adjusted(problem: Problem) -> Solution:
+def adjusted(problem: MachineProblem) -> Solution:
     """Return the adjustment, with standard deviations and aspects that follow from the solution.
 
     Raises UndeterminedError if the unknowns are not determined, and NotConvergedError if there is no solution.
@@ -127,7 +127,7 @@ def adjusted(problem: Problem) -> Solution:
     return solution
 
 
-def refitted(problem: Problem) -> Solution:
+def refitted(problem: MachineProblem) -> Solution:
     """Return the adjustment from the present values, whatever its outcome."""
     blocks = problem.blocks.values()
     if problem.noise is None:

@@ -24,11 +24,11 @@ from metrocli.tasks.calibrate_machine.plans.planned import plan_of_path
 from metrocli.tasks.calibrate_machine.plans.poses import plan_of_poses
 from metrocli.tasks.calibrate_machine.plans.stations import plan_of_stations
 from metrocli.tasks.calibrate_machine.plans.stops import plan_of_lines, plan_of_points
-from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.report import report
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, SIX_DOF, STANDSTILL, TURNING, Settings
 from metrocli.tasks.calibrate_machine.simulation import simulated
-from metrocli.tasks.calibrate_machine.solve import Solved, solve
+from metrocli.tasks.calibrate_machine.solve import AdjustedMachine, solve
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.noise import weighed
 
@@ -56,7 +56,7 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     return adjusted_job(_solved(job)[0])
 
 
-def _solved(job: Job[Settings, Files]) -> tuple[Solved, float]:
+def _solved(job: Job[Settings, Files]) -> tuple[AdjustedMachine, float]:
     """Return the solved calibration, and how many times the declared noise its readings have."""
     settings, files = job.settings, job.files
     model, remove = settings.noise.model, settings.outliers == "remove"
@@ -65,7 +65,7 @@ def _solved(job: Job[Settings, Files]) -> tuple[Solved, float]:
     return weighed(model, problem_of(job).with_effects(job.effects), lambda problem: solve(problem, remove))
 
 
-def problem_of(job: Job[Settings, Files]) -> Problem:
+def problem_of(job: Job[Settings, Files]) -> MachineProblem:
     """Return the adjustment problem of a job; a track (on-the-fly) needs alignment first."""
     if job.files.lines is not None:
         return six_dof(job.settings, job.files.lines)

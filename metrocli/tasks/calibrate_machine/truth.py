@@ -45,7 +45,7 @@ _PLACES = 216
 
 
 @dataclass(frozen=True)
-class Truth:
+class TrueMachine:
     """A machine with its true errors."""
 
     machine: Machine
@@ -85,7 +85,7 @@ class Flow:
     """Names of the stops of several lengths"""
 
 
-def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.Generator) -> Truth:
+def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.Generator) -> TrueMachine:
     """Return a machine with random errors, scaled so that the mean length of the error in the volume is as given.
 
     The mean is taken after the best shift and turn of the volume. Raises InputError for smooth errors of rotary axes.
@@ -106,16 +106,18 @@ def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.G
     if machine.turns:
         names = (*LOCATIONS, *SPINDLE_NAMES)
         places |= {name: float(rng.normal()) / (lever if is_angle(name) else 1.0) for name in names}
-    unit = Truth(machine, blocks_of(settings, machine, tables, places))
+    unit = TrueMachine(machine, blocks_of(settings, machine, tables, places))
     grid = spread_over(machine, _PLACES) if machine.turns else grid_of(machine, (6, 6, 6))
     first = np.zeros(grid.shape[1], dtype=np.intp)
     error = without_rigid_motion(unit.error(grid, first), tips(machine, grid, first))
     size = simulation.error / float(np.linalg.norm(error, axis=0).mean())
     scaled = {name: table * size for name, table in tables.items()}
-    return Truth(machine, blocks_of(settings, machine, scaled, {name: value * size for name, value in places.items()}))
+    return TrueMachine(
+        machine, blocks_of(settings, machine, scaled, {name: value * size for name, value in places.items()})
+    )
 
 
-def warmed(truth: Truth, scales: Mapping[str, Warm], rng: np.random.Generator) -> Truth:
+def warmed(truth: TrueMachine, scales: Mapping[str, Warm], rng: np.random.Generator) -> TrueMachine:
     """Return a machine whose scales have their temperature at the measurement, drawn within its uncertainty."""
     blocks = dict(truth.blocks)
     for axis in truth.machine.axes:
@@ -125,7 +127,7 @@ def warmed(truth: Truth, scales: Mapping[str, Warm], rng: np.random.Generator) -
     return replace(truth, blocks=blocks)
 
 
-def true_errors(settings: Settings, truth: Truth) -> Table:
+def true_errors(settings: Settings, truth: TrueMachine) -> Table:
     """Return the true error tables, interpolated at the knots of the job."""
     parts = []
     for axis, fine in zip(machine_of(settings).axes, truth.machine.axes, strict=True):
@@ -152,16 +154,16 @@ def blocks_of(
     """
     wanted = settings.estimated
     kept = {name: table for name, table in tables.items() if name in wanted}
-    found = [axis.block_of(kept, wanted) for axis in machine.axes]
+    blocks = [axis.block_of(kept, wanted) for axis in machine.axes]
     given = {name: value for name, value in places.items() if name in wanted}
-    found.append(squareness_block(given, wanted))
+    blocks.append(squareness_block(given, wanted))
     for at, axis in enumerate(machine.axes):
         if isinstance(axis, RotaryAxis):
-            found[at] = axis.in_gauge(found[at])
-            found.append(axis.location_block(given, wanted))
+            blocks[at] = axis.in_gauge(blocks[at])
+            blocks.append(axis.location_block(given, wanted))
     if machine.turns:
-        found.append(spindle_block(given, wanted))
-    return {**error_blocks(machine, settings), **{block.name: block for block in found}}
+        blocks.append(spindle_block(given, wanted))
+    return {**error_blocks(machine, settings), **{block.name: block for block in blocks}}
 
 
 def _drawn(axis: Axis, name: str, smooth: bool, rng: np.random.Generator) -> Array:

@@ -87,7 +87,7 @@ def without_rigid_motion(motion_rows: Array, position: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Prediction:
+class ToolErrors:
     """Predicted errors of a tool at commanded positions."""
 
     error: Array
@@ -103,7 +103,7 @@ class Prediction:
 
 def predict(
     machine: Machine, blocks: Mapping[str, Block], known: tuple[Unknowns, Array], position: Array, tool: int
-) -> tuple[Prediction, Array]:
+) -> tuple[ToolErrors, Array]:
     """Return the predicted error at positions (3, n), and its Jacobian by the unknowns, (3, n, unknowns).
 
     `known` holds the unknowns and their covariance.
@@ -113,7 +113,7 @@ def predict(
     error = group.chain.predict(blocks, group.observations)[:3]
     design = rows(group, blocks, unknowns)[:3]
     spread = np.einsum("anp,bnp->abn", design @ covariance, design)
-    return Prediction(error, spread), design
+    return ToolErrors(error, spread), design
 
 
 def rows_over_volume(machine: Machine, blocks: Mapping[str, Block], tool: str, unknowns: Unknowns) -> Array:

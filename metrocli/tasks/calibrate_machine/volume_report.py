@@ -13,9 +13,9 @@ from metrocli.instruments.machine import TOOL, Machine
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.acceptance.contours import circular, diagonals, draws
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability
-from metrocli.tasks.calibrate_machine.settings import Volume
+from metrocli.tasks.calibrate_machine.settings import VolumeGrid
 from metrocli.tasks.calibrate_machine.tables import Tables, unit_of_position
-from metrocli.tasks.calibrate_machine.volume import Prediction, grid_of, predict, tips, without_rigid_motion
+from metrocli.tasks.calibrate_machine.volume import ToolErrors, grid_of, predict, tips, without_rigid_motion
 
 NOT_CONTAINED = (
     "volumetric: errors without shift and rotation of the whole, and the standard uncertainty of their vectors (RMS). "
@@ -25,23 +25,23 @@ NOT_CONTAINED = (
 
 
 def volume_tables(
-    tables: Tables, identified: Identifiability, wanted: Volume, measured: Sequence[str]
+    tables: Tables, identified: Identifiability, wanted: VolumeGrid, measured: Sequence[str]
 ) -> dict[str, Table]:
     """Return the error of each tool on a grid, and the diagonal and circular tests of the first tool."""
     position = grid_of(tables.machine, wanted.counts(len(tables.machine.axes)))
     tools = tables.blocks[TOOL].members
     grids = [_on_grid(tables, position, i, name in identified.open_tools) for i, name in enumerate(tools)]
-    found = {
+    shown = {
         "volumetric": _summary(grids, tools, measured),
         "volume": Table.stack([grid.table(tools[i], tables.machine) for i, grid in enumerate(grids)]),
     }
     if tables.machine.turns:
-        return found
+        return shown
     first = tools.index(measured[0])
     drawn = draws(tables.raw)
     along, figures = diagonals(tables, drawn, first)
     return {
-        **found,
+        **shown,
         "diagonals": along,
         "diagonal_figures": figures,
         "circular": circular(tables, drawn, first, wanted.circle),
@@ -51,7 +51,7 @@ def volume_tables(
 @dataclass(frozen=True)
 class _OnGrid:
     position: Array
-    prediction: Prediction
+    prediction: ToolErrors
     shape: Array
     """Length of the error after the best shift and turn (n,)"""
     left: float

@@ -16,7 +16,7 @@ from metrocli.tasks.calibrate_machine.layout import line_of, stations_lie
 from metrocli.tasks.calibrate_machine.methods.backwards import unseen_senses
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, Settings
-from metrocli.tasks.calibrate_machine.solve import Solved
+from metrocli.tasks.calibrate_machine.solve import AdjustedMachine
 from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.shared.environment import blocks_of
 from metrocli.tasks.shared.mirror import hidden_by
@@ -38,7 +38,7 @@ def cures(settings: Settings) -> tuple[str, ...]:
     return (REMOVE, REPEATS) if settings.method == LENGTHS and settings.noise.repeatability is None else (REMOVE,)
 
 
-def machine_warnings(solved: Solved, settings: Settings, more: Sequence[str] = ()) -> list[str]:
+def machine_warnings(solved: AdjustedMachine, settings: Settings, more: Sequence[str] = ()) -> list[str]:
     """Return the warnings of a calibration: readings, `more`, noise, undetermined errors, weak designs, outliers."""
     identified = solved.identified
     wording = cures(settings)
@@ -68,7 +68,7 @@ def machine_warnings(solved: Solved, settings: Settings, more: Sequence[str] = (
     return lines
 
 
-def _better(solved: Solved) -> str:
+def _better(solved: AdjustedMachine) -> str:
     """Return what would reduce the ratio of volume error to misfit."""
     if TRACER not in solved.solution.blocks:
         return "`metrocli plan` proposes a measurement with a ratio of 4"
@@ -76,7 +76,7 @@ def _better(solved: Solved) -> str:
     return f"{f'{lie}; ' if lie else ''}more stations around the volume reduce it, and `metrocli plan` proposes them"
 
 
-def _tools_lie(solved: Solved) -> str:
+def _tools_lie(solved: AdjustedMachine) -> str:
     """Return what the measured tools lack, and what would determine the errors that they leave open."""
     block = solved.solution.blocks[TOOL]
     vectors = block.values[[block.members.index(name) for name in solved.problem.tools_used]]
@@ -99,7 +99,7 @@ _FEW = np.radians(30.0)
 """Below this range of an axis [rad] location and once-a-turn part have a correlation of -0.99"""
 
 
-def misplaced(solved: Solved) -> tuple[list[str], list[str]]:
+def misplaced(solved: AdjustedMachine) -> tuple[list[str], list[str]]:
     """Return doubts and warnings of rotary axes whose line is far from where the job lists it."""
     doubts, warnings = [], []
     given = solved.problem.readings.observations.conditions
@@ -116,7 +116,9 @@ def misplaced(solved: Solved) -> tuple[list[str], list[str]]:
         for i, off in zip(across, block.values[0, :2].tolist(), strict=True):
             where, size = f"{'xyz'[i]} of the place of {axis.letter}", units.sized(abs(off), "length")
             if abs(off) > _FAR_AWAY and abs(off + 2 * axis.at[i]) < _MIRRORED * abs(off):
-                place = ", ".join(f"{-one if k == i else one:g} mm" for k, one in enumerate(axis.at))
+                place = ", ".join(
+                    f"{-coordinate if k == i else coordinate:g} mm" for k, coordinate in enumerate(axis.at)
+                )
                 doubts.append(f"{where} has the wrong sign: it is off by {size}; write at: [{place}]")
             elif abs(off) > _FAR_AWAY:
                 warnings.append(f"{where} is {size} from that of the job: is `at` right?")
@@ -142,7 +144,7 @@ def _ratio(identified: Identifiability) -> str:
     return f"{identified.ratio:.1f}" if math.isfinite(identified.ratio) else units.NOT_DETERMINED
 
 
-def uncontrolled(solved: Solved, tables: Tables, settings: Settings) -> Table:
+def uncontrolled(solved: AdjustedMachine, tables: Tables, settings: Settings) -> Table:
     """Return the settings and causes that the tables absorb, and the error in the volume from a plausible size.
 
     The uncertainty of a stated air is in the tables, and so is that of the scales of axes whose temperature is stated
@@ -163,7 +165,7 @@ def _senses(tables: Tables, settings: Settings) -> Iterator[Hidden]:
         )
 
 
-def _hidden(solved: Solved, tables: Tables, scales: Mapping[str, Warm]) -> Iterator[Hidden]:
+def _hidden(solved: AdjustedMachine, tables: Tables, scales: Mapping[str, Warm]) -> Iterator[Hidden]:
     machine = tables.machine
     diagonal = machine.diagonal
     if not blocks_of(solved.solution):

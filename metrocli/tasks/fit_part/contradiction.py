@@ -14,7 +14,7 @@ from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.tasks.fit_part.fit import LEAST_MOTION, most_of_many
 from metrocli.tasks.fit_part.nominals import on_own_patches
-from metrocli.tasks.fit_part.stock import Local, Stock
+from metrocli.tasks.fit_part.stock import LinearStock, Stock
 from metrocli.words import in_a_row
 
 _OPEN = 1e-4
@@ -74,7 +74,7 @@ def contradictions(stock: Stock, minimum: float, into: Array) -> list[Contradict
     return sets
 
 
-def _contradicting(stock: Stock, minimum: float, into: Array) -> tuple[Stock, Index, Local, Array]:
+def _contradicting(stock: Stock, minimum: float, into: Array) -> tuple[Stock, Index, LinearStock, Array]:
     """Return points that cannot all have the minimum, with their rows, their overstock at the pose, and their duals.
 
     On a mesh a point counts for its own patch alone: in a notch, a wall that is left out would still hold points of the
@@ -87,8 +87,8 @@ def _contradicting(stock: Stock, minimum: float, into: Array) -> tuple[Stock, In
     if patches is not None:
         alone, at_level = on_own_patches(stock, patches, into)
         tried = [(alone, every[at_level]), (alone, every), *tried]
-    for one, rows in tried:
-        some = one.of(rows)
+    for part, rows in tried:
+        some = part.of(rows)
         begun = some.at(into)
         _, least, duals = most_of_many(some, into, begun=begun)
         if not feasible(least, minimum):
@@ -96,7 +96,7 @@ def _contradicting(stock: Stock, minimum: float, into: Array) -> tuple[Stock, In
     return some, rows, begun, duals
 
 
-def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun: Local) -> Contradiction:
+def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun: LinearStock) -> Contradiction:
     """Return the smallest set of contradicting surfaces; without any one of them the others have the minimum.
 
     The surfaces that hold the largest least overstock contradict each other. Each is left out in turn, and stays out if
@@ -110,8 +110,8 @@ def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun
 
     holding = np.unique(stock.surface[duals > 0]).tolist()
     chosen = holding
-    for one in holding:
-        rest = [other for other in chosen if other != one]
+    for number in holding:
+        rest = [other for other in chosen if other != number]
         if rest and not together(rest):
             chosen = rest
     smaller = (some for size in range(1, len(chosen)) for some in combinations(holding, size))
@@ -126,7 +126,7 @@ def contradiction(stock: Stock, duals: Array, minimum: float, into: Array, begun
     return Contradiction(tuple(stock.nominal.names[surface] for surface in surfaces), least, points)
 
 
-def _least(stock: Stock, rows: Mask, into: Array, begun: Local, enough: float = np.inf) -> tuple[float, Array]:
+def _least(stock: Stock, rows: Mask, into: Array, begun: LinearStock, enough: float = np.inf) -> tuple[float, Array]:
     """Return the largest least overstock of some points and their duals, nan without points."""
     if not rows.any():
         return np.nan, np.zeros(0)
@@ -163,7 +163,10 @@ def refuse(
         f"{minimum - first.least:.3f} mm less than required (points {points})",
         *(["  without any one of these surfaces the others of them have the minimum"] if several else []),
         *([f"  the whole part leaves {in_a_row(each)}"] if each else ["  the part has no other surface"]),
-        *(f"  beside them: {in_a_row(one.surfaces)} (at most {one.least:.3f} mm)" for one in further),
+        *(
+            f"  beside them: {in_a_row(set_of_points.surfaces)} (at most {set_of_points.least:.3f} mm)"
+            for set_of_points in further
+        ),
         f"  {what}",
     ]
     lines += [f"  or: {hint}"] if hint else []
@@ -222,7 +225,7 @@ def must_be_determined(stock: Stock, into: Array, aim: str) -> tuple[str, ...]:
     return ()
 
 
-def motions_without(stock: Stock, local: Local, chosen: Mask) -> list[str]:
+def motions_without(stock: Stock, local: LinearStock, chosen: Mask) -> list[str]:
     """Return the motions that change the overstock of no chosen point, in words."""
     smooth, rows = stock.smooth_rows(local) * chosen[:, None], local.rows * chosen[:, None]
     return [motion_in_words(local, motion) for motion in _null_space(smooth, rows)]
@@ -261,7 +264,7 @@ def _is_shift(step: Array) -> Mask:
     return np.asarray(np.linalg.norm(step[..., 3:], axis=-1) < _NO_TURN * np.linalg.norm(step[..., :3], axis=-1))
 
 
-def motion_in_words(local: Local, step: Array) -> str:
+def motion_in_words(local: LinearStock, step: Array) -> str:
     """Return a step of the pose in words: a shift, or a turn about an axis in the part frame."""
     turn = step[3:] / local.lever
     if _is_shift(step):

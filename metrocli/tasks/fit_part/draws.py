@@ -11,9 +11,9 @@ from metrocli.arrays import Array, Index
 from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.tasks.fit_part.fit import MOST, SLACK, Aim, Fit, convex
+from metrocli.tasks.fit_part.fit import MOST, SLACK, PoseCriterion, PoseFit, convex
 from metrocli.tasks.fit_part.uncertainty import Sensitivity, gradient_by_point, sensitivity
-from metrocli.uncertainty.predicted import Places
+from metrocli.uncertainty.predicted import PredictedPlaces
 
 DRAWS = 200
 _SEED = 1
@@ -35,25 +35,25 @@ class _Programme:
     """G (n, 6, 3)"""
 
 
-def sensitivity_with_exchanges(fit: Fit, aim: Aim, start: Array, places: Places) -> Sensitivity:
+def sensitivity_with_exchanges(fit: PoseFit, aim: PoseCriterion, start: Array, places: PredictedPlaces) -> Sensitivity:
     """Return how the points move a fitted pose, from draws where errors can bring points to the minimum or off it.
 
     `start` (6,) is the pose into the part frame before the fit.
     """
-    found = sensitivity(fit, aim, start, places)
+    nearby = sensitivity(fit, aim, start, places)
     rows, outward = fit.local.rows, fit.local.shape.normal @ poses.rotation_of(fit.into)
-    by_pose = np.einsum("ni,ij,nj->n", rows, found.covariance, rows)
+    by_pose = np.einsum("ni,ij,nj->n", rows, nearby.covariance, rows)
     spread = np.sqrt(np.maximum(by_pose, 0.0) + _along(outward, places) ** 2)
     near = (fit.local.overstock - aim.minimum < _NEAR * spread) | (fit.duals > 0)
-    return sensitivity_of_draws(fit, aim, start, places) if spread.any() and near.any() else found
+    return sensitivity_of_draws(fit, aim, start, places) if spread.any() and near.any() else nearby
 
 
-def _along(outward: Array, places: Places) -> Array:
+def _along(outward: Array, places: PredictedPlaces) -> Array:
     """Return the standard deviation of each place along a direction, outward (n, 3) -> (n,)."""
     return np.asarray(np.sqrt(np.einsum("na,nab,nb->n", outward, places.covariance, outward)))
 
 
-def sensitivity_of_draws(fit: Fit, aim: Aim, start: Array, places: Places) -> Sensitivity:
+def sensitivity_of_draws(fit: PoseFit, aim: PoseCriterion, start: Array, places: PredictedPlaces) -> Sensitivity:
     """Return how points with drawn errors move a fitted pose.
 
     Each draw e is solved on the overstock `o + n.e + J x`, linear about the fit. With S the mean derivative of the step
@@ -87,7 +87,7 @@ def sensitivity_of_draws(fit: Fit, aim: Aim, start: Array, places: Places) -> Se
     return Sensitivity(by_point, (own + own.T) / 2, by_common, places.core, drawn=True)
 
 
-def _programme(fit: Fit, aim: Aim, start: Array, outward: Array) -> _Programme:
+def _programme(fit: PoseFit, aim: PoseCriterion, start: Array, outward: Array) -> _Programme:
     """Return the programme of the draws; that of `most` makes the overstock even, as linear as its other part is."""
     local, rows, n = fit.local, fit.local.rows, len(fit.local.points)
     if aim.name == MOST:
@@ -103,7 +103,7 @@ def _programme(fit: Fit, aim: Aim, start: Array, outward: Array) -> _Programme:
 
 
 def _solved(
-    hessian: Array, gradient: Array, aim: Aim, rows: Array, overstock: Array, reach: float
+    hessian: Array, gradient: Array, aim: PoseCriterion, rows: Array, overstock: Array, reach: float
 ) -> tuple[Optimum, Array]:
     """Return the step of a draw, and the derivative of the least overstock that it keeps by that of each point (n,).
 
@@ -133,7 +133,7 @@ def _response(hessian: Array, rows: Array, optimum: Optimum) -> tuple[Array, Ind
     return inverse[:6, :6], active, inverse[:6, 6:]
 
 
-def drawing(places: Places) -> Callable[[np.random.Generator], Array]:
+def drawing(places: PredictedPlaces) -> Callable[[np.random.Generator], Array]:
     """Return the function that draws errors (n, 3) of places with their joint covariance.
 
     With O = F F', A = F^-1 C = Q R and `R K R' = V diag(l) V'`, the covariance is `F (I + Q V diag(l) V'Q') F'`. A draw

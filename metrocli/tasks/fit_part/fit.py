@@ -12,7 +12,7 @@ from metrocli.arrays import Array
 from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
-from metrocli.tasks.fit_part.stock import Local, Stock
+from metrocli.tasks.fit_part.stock import LinearStock, Stock
 
 EVEN, MOST, LEAST_MOTION = "even", "most", "least-motion"
 _ITERATIONS = 100
@@ -53,7 +53,7 @@ class Objective:
 
 
 @dataclass(frozen=True)
-class Aim:
+class PoseCriterion:
     """What the pose is chosen by."""
 
     name: str
@@ -62,7 +62,7 @@ class Aim:
     before: Array | None = None
     """Points in the part frame before the fit (n, 3), for least-motion"""
 
-    def objective(self, local: Local) -> Objective:
+    def objective(self, local: LinearStock) -> Objective:
         """Return the aim near a pose: half the mean square of `o - mean o`, or of the moves of the points."""
         n = len(local.points)
         if self.before is not None:
@@ -80,12 +80,12 @@ class Aim:
 
 
 @dataclass(frozen=True)
-class Fit:
+class PoseFit:
     """A fitted pose and the proof that it is optimal."""
 
     into: Array
     """Pose that brings the measured points into the part frame (6,)"""
-    local: Local
+    local: LinearStock
     duals: Array
     """Dual value of each point's minimum overstock (n,) [mm]: by how much the aim worsens with the minimum"""
     hessian: Array
@@ -127,7 +127,7 @@ def most(
     return into, least, duals
 
 
-def _shortest(local: Local, least: float, other: Array) -> Array:
+def _shortest(local: LinearStock, least: float, other: Array) -> Array:
     """Return the shortest step to a least overstock, where the linear programme has many; `other` is one of them.
 
     What changes no overstock that counts stays as it is: a part does not slide out of a mesh along walls that hold it.
@@ -137,7 +137,7 @@ def _shortest(local: Local, least: float, other: Array) -> Array:
 
 
 def most_of_many(
-    stock: Stock, into: Array, enough: float = np.inf, begun: Local | None = None
+    stock: Stock, into: Array, enough: float = np.inf, begun: LinearStock | None = None
 ) -> tuple[Array, float, Array]:
     """Return what `most` returns, from the lowest points alone, and those that are lower at their optimum.
 
@@ -177,7 +177,7 @@ def most_of_many(
     raise NotConvergedError("the search for the largest least overstock does not end")
 
 
-def fit(stock: Stock, aim: Aim, into: Array) -> Fit:
+def fit(stock: Stock, aim: PoseCriterion, into: Array) -> PoseFit:
     """Return the best pose that leaves the minimum everywhere, from a pose that does so or nearly does.
 
     Sequential quadratic programmes with the second derivative of the Lagrangian. Each step is brought back to the
@@ -212,7 +212,7 @@ def fit(stock: Stock, aim: Aim, into: Array) -> Fit:
     )
 
 
-def _brought_back(stock: Stock, minimum: float, into: Array, metric: Array) -> tuple[Array, Local] | None:
+def _brought_back(stock: Stock, minimum: float, into: Array, metric: Array) -> tuple[Array, LinearStock] | None:
     """Return the pose that leaves the minimum, by steps as small as they can be, and the overstock there.
 
     None where what is missed does not shrink by half in each step.
@@ -229,7 +229,7 @@ def _brought_back(stock: Stock, minimum: float, into: Array, metric: Array) -> t
         missed, into = float(short.max()), local.moved(into, step.x)
 
 
-def convex(objective: Objective, local: Local, duals: Array) -> tuple[Array, float]:
+def convex(objective: Objective, local: LinearStock, duals: Array) -> tuple[Array, float]:
     """Return a second derivative that has a minimum, for the next step, and the penalty p in it.
 
     It is that of the Lagrangian. Where that bends down across the points that hold the pose, p A'A of their rows A is
@@ -246,10 +246,10 @@ def convex(objective: Objective, local: Local, duals: Array) -> tuple[Array, flo
     return objective.safe + _WELL * np.trace(objective.safe) * np.eye(6), 0.0
 
 
-def _finished(local: Local, into: Array, objective: Objective, duals: Array, iterations: int) -> Fit:
+def _finished(local: LinearStock, into: Array, objective: Objective, duals: Array, iterations: int) -> PoseFit:
     held = local.rows.T @ duals
     size = max(float(np.sqrt(2 * objective.value)), 1e-9)
-    return Fit(
+    return PoseFit(
         into,
         local,
         duals,
@@ -259,8 +259,8 @@ def _finished(local: Local, into: Array, objective: Objective, duals: Array, ite
     )
 
 
-def aimed(stock: Stock, name: str, minimum: float, into: Array, start: Array) -> Aim:
+def aimed(stock: Stock, name: str, minimum: float, into: Array, start: Array) -> PoseCriterion:
     """Return the aim of a job; `most` is even with the largest least overstock, which `minimum` then is."""
     if name == LEAST_MOTION:
-        return Aim(name, minimum, poses.apply(start, stock.measured))
-    return Aim(name, minimum)
+        return PoseCriterion(name, minimum, poses.apply(start, stock.measured))
+    return PoseCriterion(name, minimum)

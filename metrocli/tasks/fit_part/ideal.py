@@ -85,11 +85,11 @@ def must_be_of_one_size(mesh: Triangles, points: Array, unit: str) -> None:
     extents = np.sort(reach) / np.maximum(np.sort(span), 1e-300)
 
     def alike(ratio: float) -> bool:
-        found = (extents if _LOCAL < ratio <= _NEARBY else np.array([of_points / of_mesh])) / ratio
+        extents_of_part = (extents if _LOCAL < ratio <= _NEARBY else np.array([of_points / of_mesh])) / ratio
         # a mesh that is ten times too small is smaller than the raw part in each extent
-        if 1 < ratio <= _NEARBY and found.min() < _COVERED:
+        if 1 < ratio <= _NEARBY and extents_of_part.min() < _COVERED:
             return False
-        return bool((np.abs(np.log(np.maximum(found, 1e-300))) < np.log(_NEAR)).all())
+        return bool((np.abs(np.log(np.maximum(extents_of_part, 1e-300))) < np.log(_NEAR)).all())
 
     causes = [
         f"the coordinates of the mesh are in {name}, not in {unit}: write `nominal_unit: {name}`"

@@ -15,7 +15,7 @@ from metrocli.table import Table
 from metrocli.tasks.fit_part.contradiction import feasible
 from metrocli.tasks.fit_part.draws import drawing
 from metrocli.tasks.fit_part.fit import MOST, most_of_many
-from metrocli.tasks.fit_part.solve import Solved, fitted_part
+from metrocli.tasks.fit_part.solve import FittedPart, fitted_part
 from metrocli.tasks.fit_part.uncertainty import of_result
 
 _ALIKE, _BY_CHANCE = 0.2, 3.0
@@ -34,7 +34,7 @@ class Check:
     notes: tuple[str, ...]
 
 
-def checked(solved: Solved, minimum: float, trials: int, seed: int) -> Check:
+def checked(solved: FittedPart, minimum: float, trials: int, seed: int) -> Check:
     """Fit the part to points with simulated errors, `trials` times, and compare how far the poses are off."""
     rng = np.random.default_rng(seed)
     draw = drawing(solved.prepared.readings.surface_points.of(solved.used).places)

@@ -42,9 +42,9 @@ def on_own_patches(stock: Stock, patches: Apart, into: Array) -> tuple[Stock, Ma
         if np.array_equal(surface, some.surface):
             break
         some = replace(some, surface=surface)
-    found = replace(alone, surface=_of_nearest_level(alone, patches, into, level))
-    off = found.at(into).overstock - level[found.surface]
-    return found, np.abs(off) <= LIMIT * scatter_of(off, found.surface, count, np.zeros(len(off)))
+    patched = replace(alone, surface=_of_nearest_level(alone, patches, into, level))
+    off = patched.at(into).overstock - level[patched.surface]
+    return patched, np.abs(off) <= LIMIT * scatter_of(off, patched.surface, count, np.zeros(len(off)))
 
 
 def _some_of_each(surface: Index) -> Index:
@@ -220,14 +220,14 @@ class OfPatches:
         Patches are reached from that of the point (n,), from neighbour to neighbour within the limit.
         """
         count, seen = len(self.names), np.arange(len(points)) * len(self.names) + surface
-        found, reached = seen[:0], seen
+        nearby, reached = seen[:0], seen
         while reached.size:
             reached = np.setdiff1d(self._next_to(*np.divmod(reached, count)), seen)
             seen = np.concatenate([seen, reached])
             row, patch = np.divmod(reached, count)
             reached = reached[self._mesh.may_be_within(self._moved(points[row], patch), limit)]
-            found = np.concatenate([found, reached])
-        row, patch = np.divmod(found, count)
+            nearby = np.concatenate([nearby, reached])
+        row, patch = np.divmod(nearby, count)
         return row, patch
 
     def _next_to(self, row: Index, patch: Index) -> Index:

@@ -16,7 +16,7 @@ from metrocli.table import Table
 from metrocli.tasks.fit_part.settings import Settings
 from metrocli.tasks.shared.lists import sigmas
 from metrocli.tasks.shared.part import growth_of
-from metrocli.uncertainty.predicted import Places, independent, points_of
+from metrocli.uncertainty.predicted import PredictedPlaces, independent, points_of
 from metrocli.words import listed, suggestion
 
 TARGET_WORD = "target"
@@ -28,7 +28,7 @@ class Points:
     """Measured points with their joint covariance."""
 
     names: tuple[str, ...]
-    places: Places
+    places: PredictedPlaces
 
     @property
     def points(self) -> Array:
@@ -52,7 +52,7 @@ class Points:
 
 
 @dataclass(frozen=True)
-class Readings:
+class PartReadings:
     """The points of a raw part."""
 
     surface_points: Points
@@ -64,7 +64,7 @@ class Readings:
     warnings: tuple[str, ...] = ()
 
 
-def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_mesh: bool) -> Readings:
+def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_mesh: bool) -> PartReadings:
     """Return the points of a job; `names` are those of the ideal surfaces.
 
     Coded targets are the points that `targets:` names and those with the surface `target`. Where others name their
@@ -80,10 +80,10 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
         with each():
             chosen = _chosen_targets(settings, table)
         with each():
-            said = _said(settings, table, () if of_mesh else names)
-    named = np.array([bool(one) and one != TARGET_WORD for one in said])
-    target = chosen | np.array([one == TARGET_WORD for one in said])
-    warnings, apart = [], np.zeros(len(said), dtype=bool)
+            written = _written(settings, table, () if of_mesh else names)
+    named = np.array([bool(name) and name != TARGET_WORD for name in written])
+    target = chosen | np.array([name == TARGET_WORD for name in written])
+    warnings, apart = [], np.zeros(len(written), dtype=bool)
     if named.any() and not target.any():
         target = ~named
     elif named.any() and not of_mesh:
@@ -98,7 +98,7 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
     surface = None
     if named.any() and not of_mesh:
         number = {name: n for n, name in enumerate(names)}
-        surface = np.array([number.get(one, 0) for one in said], dtype=np.intp)[~target & ~apart]
+        surface = np.array([number.get(name, 0) for name in written], dtype=np.intp)[~target & ~apart]
     if (target | apart).all():
         raise InputError([table.fault("there is no point of a surface", "name surfaces in the column `surface`")])
     if not places.covariance.any():
@@ -106,7 +106,7 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
             "the points are taken as exact: give a column sigma_mm, or `noise: 0.05 mm`, to get uncertainties"
         )
     growth = _growth(settings, points)
-    return Readings(places.of(~target & ~apart), surface, places.of(target), growth, tuple(warnings))
+    return PartReadings(places.of(~target & ~apart), surface, places.of(target), growth, tuple(warnings))
 
 
 def _growth(settings: Settings, points: Table | Result) -> dict[str, float]:
@@ -164,10 +164,10 @@ def _chosen_targets(settings: Settings, table: Table) -> Mask:
     return chosen
 
 
-def _said(settings: Settings, table: Table, known: tuple[str, ...]) -> list[str]:
+def _written(settings: Settings, table: Table, known: tuple[str, ...]) -> list[str]:
     """Return the surface that the job or the file gives for each point, empty without one."""
     names = table.texts("point")
-    said = list(table.texts("surface")) if "surface" in table else [""] * len(names)
+    written = list(table.texts("surface")) if "surface" in table else [""] * len(names)
     faults = []
     for surface, patterns in settings.surfaces.items():
         if known and surface not in known:
@@ -179,14 +179,14 @@ def _said(settings: Settings, table: Table, known: tuple[str, ...]) -> list[str]
             if not hit:
                 faults.append(Fault(f"surfaces: no point has the name '{pattern}'", table.file))
             for row in hit:
-                said[row] = surface
-    wrong = [row for row, one in enumerate(said) if known and one and one != TARGET_WORD and one not in known]
+                written[row] = surface
+    wrong = [row for row, name in enumerate(written) if known and name and name != TARGET_WORD and name not in known]
     if "surface" in table:
         faults += table.faults_at(
             wrong,
-            lambda row: f"the ideal part has no surface '{said[row]}'",
-            lambda row: suggestion(said[row], [*known, TARGET_WORD]),
+            lambda row: f"the ideal part has no surface '{written[row]}'",
+            lambda row: suggestion(written[row], [*known, TARGET_WORD]),
         )
     if faults:
         raise InputError(faults)
-    return said
+    return written

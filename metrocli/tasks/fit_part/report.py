@@ -12,7 +12,7 @@ from metrocli.tasks.fit_part import KIND
 from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION
 from metrocli.tasks.fit_part.monte_carlo import Check
 from metrocli.tasks.fit_part.sentences import notes, uncontrolled, warnings
-from metrocli.tasks.fit_part.solve import Solved
+from metrocli.tasks.fit_part.solve import FittedPart
 from metrocli.tasks.fit_part.uncertainty import of_result
 from metrocli.tasks.shared.statistics import Statistics
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
@@ -22,7 +22,7 @@ _NO_CHANCE = 1e-9
 """Chance up to which a surface counts as clean: the tails of the errors are not known so far out"""
 
 
-def report(solved: Solved, check: Check | None = None) -> Result:
+def report(solved: FittedPart, check: Check | None = None) -> Result:
     """Return the result of a fitted part."""
     fit, names = solved.fit, solved.prepared.readings.surface_points.names
     change = of_result(fit)
@@ -61,7 +61,7 @@ def report(solved: Solved, check: Check | None = None) -> Result:
     )
 
 
-def _statistics(solved: Solved) -> Statistics:
+def _statistics(solved: FittedPart) -> Statistics:
     """Return numbers of points, and what the overstock is over those that are used [mm]."""
     fit, of_used = solved.fit, solved.fit.local.overstock
     return {
@@ -81,7 +81,7 @@ def _statistics(solved: Solved) -> Statistics:
     }
 
 
-def _freedom(solved: Solved) -> Statistics:
+def _freedom(solved: FittedPart) -> Statistics:
     """Return numbers of points and unknowns: the pose and, unless motion is made small, the mean overstock.
 
     Degrees of freedom are those of least squares: of the even fit where no point holds it.
@@ -101,7 +101,7 @@ def below(overstock: Array, std: Array, minimum: float) -> Array:
     return np.where(std > 0, ndtr(gap / np.where(std > 0, std, 1.0)), exact)
 
 
-def _overstock(solved: Solved) -> Table:
+def _overstock(solved: FittedPart) -> Table:
     """Return /overstock: every surface point, with the uncertainty that its own measurement brings."""
     places, stock = solved.prepared.readings.surface_points, solved.levels.stock
     local = stock.at(solved.fit.into)
@@ -120,7 +120,7 @@ def _overstock(solved: Solved) -> Table:
     )
 
 
-def _std_of_means(solved: Solved) -> Array:
+def _std_of_means(solved: FittedPart) -> Array:
     """Return the standard uncertainty of the mean overstock of each surface that has points, in order [mm].
 
     Errors that points share, of scale say, do not average out.
@@ -136,7 +136,7 @@ def _std_of_means(solved: Solved) -> Array:
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)) / counts)
 
 
-def _surfaces(solved: Solved, overstock: Table, std_of_means: Array) -> Table:
+def _surfaces(solved: FittedPart, overstock: Table, std_of_means: Array) -> Table:
     """Return /surfaces: least, mean and largest overstock, and the chance that a surface stays unclean."""
     of_point, value = solved.levels.stock.surface[solved.used], overstock.numbers("overstock")[solved.used]
     names, std = np.array(overstock.texts("point"))[solved.used], overstock.numbers("s_overstock")[solved.used]
@@ -160,7 +160,7 @@ def _surfaces(solved: Solved, overstock: Table, std_of_means: Array) -> Table:
     )
 
 
-def _holding(solved: Solved) -> Table:
+def _holding(solved: FittedPart) -> Table:
     """Return /holding: the points at the minimum with their dual values, the strongest first."""
     duals = solved.fit.duals
     rows = np.flatnonzero(duals > 0)
@@ -176,7 +176,7 @@ def _holding(solved: Solved) -> Table:
     )
 
 
-def _rejected(solved: Solved, names: tuple[str, ...]) -> Table:
+def _rejected(solved: FittedPart, names: tuple[str, ...]) -> Table:
     rows = np.flatnonzero(~solved.used)
     stock, off = solved.levels.stock, solved.levels.off
     value = stock.at(solved.fit.into).overstock
@@ -192,7 +192,7 @@ def _rejected(solved: Solved, names: tuple[str, ...]) -> Table:
     )
 
 
-def _targets(solved: Solved) -> tuple[Table, dict[str, Array]]:
+def _targets(solved: FittedPart) -> tuple[Table, dict[str, Array]]:
     """Return /targets in the part frame, the covariance of each, and what they have in common.
 
     The joint covariance of targets i and j is `own_i [i = j] + common_i common_j'` with common (m, 3, k): their own

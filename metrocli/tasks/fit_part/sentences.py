@@ -14,7 +14,7 @@ from metrocli.table import Table
 from metrocli.tasks.fit_part.contradiction import motions_without
 from metrocli.tasks.fit_part.draws import DRAWS
 from metrocli.tasks.fit_part.fit import MOST, most_of_many
-from metrocli.tasks.fit_part.solve import Solved, fitted_part
+from metrocli.tasks.fit_part.solve import FittedPart, fitted_part
 from metrocli.tasks.shared.part import taken_as_exact
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 from metrocli.words import in_a_row, listed
@@ -27,7 +27,7 @@ _LIKELY = 0.05
 """Chance of a surface that stays unclean from which a warning names it"""
 
 
-def notes(solved: Solved, holding: Table) -> Iterator[str]:
+def notes(solved: FittedPart, holding: Table) -> Iterator[str]:
     """Yield what holds the part, what stays open, and where its uncertainty comes from."""
     fit, minimum = solved.fit, solved.minimum
     least = float(fit.local.overstock.min())
@@ -62,7 +62,7 @@ def notes(solved: Solved, holding: Table) -> Iterator[str]:
         yield drawn
 
 
-def exchanged(solved: Solved, low: Mask) -> Mask:
+def exchanged(solved: FittedPart, low: Mask) -> Mask:
     """Return which of the low points (n,) others can stand for: their rows depend on those of the others.
 
     A point that is as low by chance, such as one that ends a motion which no other holds, has a dual of 0 alone.
@@ -77,7 +77,7 @@ def exchanged(solved: Solved, low: Mask) -> Mask:
     return mask
 
 
-def warnings(solved: Solved, surfaces: Table, rejected: Table) -> Iterator[str]:
+def warnings(solved: FittedPart, surfaces: Table, rejected: Table) -> Iterator[str]:
     """Yield what may be wrong with the measurement or the part."""
     for reason, what in (("chip", "material is missing"), ("flash", "material stands out")):
         rows = [row for row, text in enumerate(rejected.texts("reason")) if text == reason]
@@ -126,12 +126,12 @@ _STEEL = units.parse_quantity("11.5 ppm", "ratio")
 """Growth of steel by 1 K"""
 
 
-def uncontrolled(solved: Solved) -> Table:
+def uncontrolled(solved: FittedPart) -> Table:
     """Return what the overstock absorbs, and its largest change by a plausible size of each."""
     return table_of(_rows(solved))
 
 
-def _rows(solved: Solved) -> Iterator[Hidden]:
+def _rows(solved: FittedPart) -> Iterator[Hidden]:
     part, per_scale = solved.prepared.part, by_scale(solved)
     yield Hidden(
         "common scale of the measured points (overstock of opposite surfaces)",
@@ -149,7 +149,7 @@ def _rows(solved: Solved) -> Iterator[Hidden]:
     yield from taken_as_exact(part, per_scale, "overstock of opposite surfaces")
 
 
-def by_scale(solved: Solved) -> float:
+def by_scale(solved: FittedPart) -> float:
     """Return the largest change of an overstock by a relative change of the scale of the points [mm].
 
     The part is fitted again to points that are larger about their middle; NaN where it then has no pose.

@@ -16,11 +16,11 @@ from metrocli.settings import (
     MapOf,
     MeshFile,
     Number,
-    Quantity,
     Section,
     TableFile,
     Text,
     Whole,
+    WithUnit,
     setting,
 )
 from metrocli.settings.sections import content, inputs_of
@@ -55,15 +55,15 @@ class SurfaceEntry:
     name: str = setting(Text(), "name, as in the column `surface` of the points")
     type: str = setting(Choice(*_KEYS), "type of the surface")
     point: tuple[float, ...] = setting(
-        ListOf(Quantity("length"), 3), "a point of a plane or of an axis, the centre of a sphere, the apex of a cone"
+        ListOf(WithUnit("length"), 3), "a point of a plane or of an axis, the centre of a sphere, the apex of a cone"
     )
     normal: tuple[float, ...] | None = setting(ListOf(Number(), 3), "plane: direction out of the material", None)
     axis: tuple[float, ...] | None = setting(
         ListOf(Number(), 3), "direction of the axis; a cone widens along it", default=None
     )
-    radius: float | None = setting(Quantity("length", positive=True), "radius", default=None)
+    radius: float | None = setting(WithUnit("length", positive=True), "radius", default=None)
     half_angle: float | None = setting(
-        Quantity("angle", positive=True), "cone: angle between axis and surface", default=None
+        WithUnit("angle", positive=True), "cone: angle between axis and surface", default=None
     )
     material: str | None = setting(
         Choice("inside", "outside"), "side of the material: inside (a boss) or outside (a bore)", default=None
@@ -123,7 +123,7 @@ Inputs = inputs_of(Files)
 class Overstock:
     """What the ideal part must keep inside the raw part."""
 
-    minimum: float = setting(Quantity("length"), "least overstock everywhere")
+    minimum: float = setting(WithUnit("length"), "least overstock everywhere")
     aim: str = setting(
         Choice(EVEN, MOST, LEAST_MOTION),
         "least variation of the overstock, largest least overstock, or least motion of the points",
@@ -132,19 +132,19 @@ class Overstock:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Start:
+class PartStart:
     """Rough pose of the ideal part: `X_measured = R(alpha, beta, gamma) X_part + (x, y, z)`."""
 
-    x: float = setting(Quantity("length"), "x of the part's origin", default=0.0)
-    y: float = setting(Quantity("length"), "y of the part's origin", default=0.0)
-    z: float = setting(Quantity("length"), "z of the part's origin", default=0.0)
-    alpha: float = setting(Quantity("angle"), "turn about x, first", default=0.0)
-    beta: float = setting(Quantity("angle"), "turn about y, second", default=0.0)
-    gamma: float = setting(Quantity("angle"), "turn about z, third", default=0.0)
+    x: float = setting(WithUnit("length"), "x of the part's origin", default=0.0)
+    y: float = setting(WithUnit("length"), "y of the part's origin", default=0.0)
+    z: float = setting(WithUnit("length"), "z of the part's origin", default=0.0)
+    alpha: float = setting(WithUnit("angle"), "turn about x, first", default=0.0)
+    beta: float = setting(WithUnit("angle"), "turn about y, second", default=0.0)
+    gamma: float = setting(WithUnit("angle"), "turn about z, third", default=0.0)
 
 
 @dataclass(frozen=True)
-class MonteCarlo:
+class FitTrials:
     """A check of the uncertainties by fits to points with simulated errors."""
 
     trials: int = setting(Whole(minimum=20, maximum=100_000), "number of fits", default=200)
@@ -164,9 +164,9 @@ class Settings:
         MapOf(ListOf(Text())), "names of the points of a surface, such as top: [P1*], instead of a column", {}
     )
     noise: float | None = setting(
-        Quantity("length", positive=True), "standard deviation of a coordinate, for points without one", default=None
+        WithUnit("length", positive=True), "standard deviation of a coordinate, for points without one", default=None
     )
-    start: Start = setting(Section(Start), "where the ideal part lies, roughly", default=Start())
+    start: PartStart = setting(Section(PartStart), "where the ideal part lies, roughly", default=PartStart())
     part: Part | None = setting(
         Section(Part), "temperature and expansion of the raw part when its points were measured", default=None
     )
@@ -174,8 +174,8 @@ class Settings:
     outliers: str = setting(
         Choice("report", "remove"), "chips and flash: name them, or leave them out and list them", default="remove"
     )
-    monte_carlo: MonteCarlo | None = setting(
-        Section(MonteCarlo), "check of the uncertainties by simulated errors", default=None
+    monte_carlo: FitTrials | None = setting(
+        Section(FitTrials), "check of the uncertainties by simulated errors", default=None
     )
 
 

@@ -16,11 +16,21 @@ from metrocli.table import Table
 from metrocli.tasks.fit_part import contradiction as c
 from metrocli.tasks.fit_part import readings as r
 from metrocli.tasks.fit_part.draws import sensitivity_with_exchanges
-from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION, MOST, SLACK, Aim, Fit, aimed, fit, most_of_many
+from metrocli.tasks.fit_part.fit import (
+    EVEN,
+    LEAST_MOTION,
+    MOST,
+    SLACK,
+    PoseCriterion,
+    PoseFit,
+    aimed,
+    fit,
+    most_of_many,
+)
 from metrocli.tasks.fit_part.ideal import ideal, must_be_of_one_size
 from metrocli.tasks.fit_part.levels import Levels, levels
 from metrocli.tasks.fit_part.nominals import OfMesh, OfSurfaces
-from metrocli.tasks.fit_part.settings import NominalFile, Settings, Start
+from metrocli.tasks.fit_part.settings import NominalFile, PartStart, Settings
 from metrocli.tasks.fit_part.start import found, unturned
 from metrocli.tasks.fit_part.stock import Stock
 from metrocli.tasks.fit_part.uncertainty import Sensitivity
@@ -37,7 +47,7 @@ class Prepared:
     """A job whose files fit together."""
 
     nominal: OfSurfaces | OfMesh
-    readings: r.Readings
+    readings: r.PartReadings
     start: Array
     """Pose into the part frame that the job gives (6,)"""
     part: Part | None = None
@@ -45,7 +55,7 @@ class Prepared:
 
 
 @dataclass(frozen=True)
-class Solved:
+class FittedPart:
     """A fitted part."""
 
     prepared: Prepared
@@ -54,8 +64,8 @@ class Solved:
     """Which surface points take part in the fit (n,)"""
     stock: Stock
     """Of the points that take part"""
-    aim: Aim
-    fit: Fit
+    aim: PoseCriterion
+    fit: PoseFit
     minimum: float
     """Least overstock that the job asks for [mm]; the aim `most` holds a larger one"""
     largest: float
@@ -75,13 +85,13 @@ def prepare(settings: Settings, nominal: NominalFile | Triangles, points: Table 
     return Prepared(part, readings, start_of(settings.start), settings.part)
 
 
-def start_of(start: Start) -> Array:
+def start_of(start: PartStart) -> Array:
     """Return the pose into the part frame (6,) that a job gives."""
     at = np.array([getattr(start, name) for name in poses.EULER])
     return poses.inverse(poses.pose_from_euler(at[:3], at[3:]))
 
 
-def solve(settings: Settings, prepared: Prepared) -> Solved:
+def solve(settings: Settings, prepared: Prepared) -> FittedPart:
     """Return the fitted part.
 
     Raises InputError for surfaces turned over, UndeterminedError if the points leave the pose open or no pose has the
@@ -89,16 +99,16 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
     """
     nominal, places = prepared.nominal, prepared.readings.surface_points
     rough = _rough(prepared)
-    settled = levels(nominal, places.points, prepared.readings.surface, rough, places.sigma)
-    used = ~settled.outlying if settings.outliers == "remove" else np.ones(len(places.points), dtype=bool)
-    stock = settled.stock.of(used)
+    even = levels(nominal, places.points, prepared.readings.surface, rough, places.sigma)
+    used = ~even.outlying if settings.outliers == "remove" else np.ones(len(places.points), dtype=bool)
+    stock = even.stock.of(used)
     name, minimum = settings.overstock.aim, settings.overstock.minimum
-    open_motions = c.must_be_determined(stock, settled.into, name)
-    turned = reversed_surfaces(stock, nominal, settled.into) if isinstance(nominal, OfSurfaces) else []
-    highest, largest, holding = most_of_many(stock, settled.into)
+    open_motions = c.must_be_determined(stock, even.into, name)
+    turned = reversed_surfaces(stock, nominal, even.into) if isinstance(nominal, OfSurfaces) else []
+    highest, largest, holding = most_of_many(stock, even.into)
     if not c.feasible(largest, minimum):
         contradictions = c.contradictions(stock, minimum, highest)
-        hint = c.wrong_side(turned) if turned else c.all_inside(settled.level, isinstance(nominal, OfMesh))
+        hint = c.wrong_side(turned) if turned else c.all_inside(even.level, isinstance(nominal, OfMesh))
         raise c.refuse(contradictions, places.of(used).names, minimum, largest, hint)
     # a negative minimum allows for missing material, and surfaces without it look the same
     doubts = [c.wrong_side(turned)] if turned else []
@@ -107,12 +117,12 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
     if name == MOST and not np.isfinite(largest):
         raise UndeterminedError("the least overstock has no limit: no surface faces the others; use another aim")
     # nearer to what is sought than the largest least overstock, where they are allowed: no motion, and the even fit
-    near = {LEAST_MOTION: (prepared.start, settled.into), EVEN: (settled.into,)}.get(name, ())
+    near = {LEAST_MOTION: (prepared.start, even.into), EVEN: (even.into,)}.get(name, ())
     begin = next((into for into in near if _has_the_minimum(stock, minimum, into)), highest)
     aim, fitted = fitted_part(stock, name, minimum, (begin, largest, holding), prepared.start)
     sense = sensitivity_with_exchanges(fitted, aim, prepared.start, places.of(used).places)
     warnings = (*prepared.readings.warnings, *open_motions, *doubts)
-    return Solved(prepared, settled, used, stock, aim, fitted, min(minimum, largest), largest, sense, warnings)
+    return FittedPart(prepared, even, used, stock, aim, fitted, min(minimum, largest), largest, sense, warnings)
 
 
 def _has_the_minimum(stock: Stock, minimum: float, into: Array) -> bool:
@@ -141,7 +151,7 @@ def _rough(prepared: Prepared) -> Array:
 
 def fitted_part(
     stock: Stock, name: str, minimum: float, begin: tuple[Array, float, Array], start: Array
-) -> tuple[Aim, Fit]:
+) -> tuple[PoseCriterion, PoseFit]:
     """Return the fit of an aim from a pose, and from the largest least overstock and its duals.
 
     For the aim `most` the pose is that of the largest least overstock.

@@ -60,7 +60,7 @@ def found(nominal: Sought, measured: Array, surface: Index | None, start: Array,
     distance, _ = nominal.quick(placed, labels)
     typical = np.median(np.abs(distance), axis=1)
     alike = np.flatnonzero(typical <= _ALIKE * typical.min())
-    off = np.array([nominal.off_centre(placed[one], labels) for one in alike])
+    off = np.array([nominal.off_centre(placed[number], labels) for number in alike])
     # of those next to the best off-centre distance, the one that fits best
     near = alike[off <= 1.5 * off.min() + typical.min()]
     best = near[np.argmin(typical[near])]
@@ -73,7 +73,7 @@ def _spread(n: int, surface: Index | None, rng: np.random.Generator) -> Index:
     if surface is None or n <= _USED:
         return order[:_USED]
     each = max(_USED // len(np.unique(surface)), 6)
-    return np.concatenate([order[surface[order] == one][:each] for one in np.unique(surface)])
+    return np.concatenate([order[surface[order] == number][:each] for number in np.unique(surface)])
 
 
 def _candidates(

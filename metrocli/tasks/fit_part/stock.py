@@ -48,7 +48,7 @@ class Apart(Nominal, Protocol):
 
 
 @dataclass(frozen=True)
-class Local:
+class LinearStock:
     """The overstock near one pose."""
 
     points: Array
@@ -99,7 +99,7 @@ class Local:
         bent: Array = moves.reshape(-1, 6).T @ (bend @ moves).reshape(-1, 6)
         return bent + self.turning(self.shape.normal * weights[:, None])
 
-    def of(self, rows: Mask) -> Local:
+    def of(self, rows: Mask) -> LinearStock:
         """Return some of the points, with the same centre and lever."""
         return replace(self, points=self.points[rows], shape=self.shape.of(np.flatnonzero(rows)))
 
@@ -120,14 +120,14 @@ class Stock:
     surface: Index
     """Index of the surface of each point (n,)"""
 
-    def at(self, into: Array) -> Local:
+    def at(self, into: Array) -> LinearStock:
         """Return the overstock where `into` (6,) brings the measured points into the part frame."""
         points = poses.apply(into, self.measured)
         centre = points.mean(axis=0)
         lever = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean())) or 1.0
-        return Local(points, self.nominal.shape(points, self.surface), centre, lever)
+        return LinearStock(points, self.nominal.shape(points, self.surface), centre, lever)
 
-    def smooth_rows(self, local: Local) -> Array:
+    def smooth_rows(self, local: LinearStock) -> Array:
         """Return the derivative of each overstock by the step, (n, 6), but for what the facets of a mesh bring."""
         return local.rows_along(self.nominal.smooth_normals(local.points, self.surface))
 

@@ -8,8 +8,8 @@ from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix
-from metrocli.tasks.fit_part.fit import MOST, Aim, Fit
-from metrocli.uncertainty.predicted import Places
+from metrocli.tasks.fit_part.fit import MOST, PoseCriterion, PoseFit
+from metrocli.uncertainty.predicted import PredictedPlaces
 
 _SLIGHT = 1e-6
 """Weight of evenness beside the largest least overstock"""
@@ -36,7 +36,7 @@ class Sensitivity:
         return self.own + self.by_common @ self.core @ self.by_common.T
 
 
-def sensitivity(fit: Fit, aim: Aim, start: Array, places: Places) -> Sensitivity:
+def sensitivity(fit: PoseFit, aim: PoseCriterion, start: Array, places: PredictedPlaces) -> Sensitivity:
     """Return the sensitivity of a fit to the measured points, and the covariance from theirs.
 
     `start` (6,) is the pose into the part frame before the fit.
@@ -56,7 +56,7 @@ def sensitivity(fit: Fit, aim: Aim, start: Array, places: Places) -> Sensitivity
     return Sensitivity(by_point, (own + own.T) / 2, by_common, places.core)
 
 
-def gradient_by_point(fit: Fit, aim: Aim, start: Array) -> Array:
+def gradient_by_point(fit: PoseFit, aim: PoseCriterion, start: Array) -> Array:
     """Return the derivative of the gradient of the Lagrangian by the measured points, (n, 6, 3)."""
     local, n = fit.local, len(fit.local.points)
     turn, before = poses.rotation_of(fit.into), poses.rotation_of(start)
@@ -74,7 +74,7 @@ def gradient_by_point(fit: Fit, aim: Aim, start: Array) -> Array:
     return gradient + changed[:, None, None] * _rows_by_place(fit) @ turn
 
 
-def _rows_by_place(fit: Fit) -> Array:
+def _rows_by_place(fit: PoseFit) -> Array:
     """Return the derivative of each row of the overstock by its point in the part frame, (n, 6, 3)."""
     local = fit.local
     arms = cross_matrix(local.points - local.centre)
@@ -96,7 +96,7 @@ def _system(hessian: Array, active: Array, with_level: bool) -> Array:
     return system
 
 
-def of_result(fit: Fit) -> Array:
+def of_result(fit: PoseFit) -> Array:
     """Return the derivative of the pose of the part (x, y, z, alpha, beta, gamma) by a step of the fit, (6, 6).
 
     A step turns the part frame the other way: `dr = -R w`, `dd = -R (u - w x c)`.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block, Space
-from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.chain import Chain, LinkContext, Step
 from metrocli.adjust.model.groups import Group, priors
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
@@ -37,7 +37,7 @@ class Scaled:
     takes = gives = Quantity.POINT_IN_PART
     blocks = (SCALE,)
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return `s x` (3, n), with its derivatives by the point and by the scale."""
         scale = float(local.members(SCALE)[0, 0])
         return Step(scale * value, scale * np.eye(3)[:, :, None], {SCALE: value[:, None, :]})
@@ -52,13 +52,13 @@ class Coordinate:
     gives = Quantity.LENGTH
     blocks = ()
 
-    def step(self, value: Array, local: Local) -> Step:
+    def step(self, value: Array, local: LinkContext) -> Step:
         """Return the coordinate, (1, n), with its derivative."""
         return Step(value[self.axis][None], np.eye(3)[self.axis][None, :, None])
 
 
 @dataclass(frozen=True)
-class Problem:
+class PointPairs:
     """Points that both lists have, with their standard deviations, nan where there are none."""
 
     names: tuple[str, ...]
@@ -138,7 +138,7 @@ class Problem:
         return tuple(priors(block, self.measured_sigma, block.free))
 
 
-def problem_of(settings: Settings, files: Files) -> Problem:
+def problem_of(settings: Settings, files: Files) -> PointPairs:
     """Return the points that both lists have.
 
     Raises InputError for faults of the lists, UndeterminedError if fewer than three points are in both.
@@ -170,7 +170,7 @@ def problem_of(settings: Settings, files: Files) -> Problem:
     wanted = np.column_stack([nominal.numbers(axis, float("nan")) for axis in "xyz"])[of]
     if not np.isfinite(wanted).any():
         raise InputError([nominal.fault("no nominal coordinate is given")])
-    return Problem(
+    return PointPairs(
         tuple(names[i] for i in rows),
         points.stacked("xyz")[rows],
         wanted,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.robust import Fit, Suspects, suspects
+from metrocli.adjust.robust import FitQuality, Suspects, suspects
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array, Index
 from metrocli.geometry import poses
@@ -15,7 +15,7 @@ from metrocli.result import SCALE as ABOUT_ONE
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.fit_points import KIND
-from metrocli.tasks.fit_points.problem import POINT, POSE, SCALE, Problem
+from metrocli.tasks.fit_points.problem import POINT, POSE, SCALE, PointPairs
 from metrocli.tasks.shared.statistics import basic_statistics, noise_notes, noise_warnings, residual_table, with_noise
 from metrocli.words import listed
 
@@ -23,7 +23,7 @@ _NOTABLE = 0.95
 """A mirror image is named that has so many times the deviations or fewer"""
 
 
-def report(problem: Problem, solution: Solution, mirrored: float) -> Result:
+def report(problem: PointPairs, solution: Solution, mirrored: float) -> Result:
     """Return the result of a solved best fit; `mirrored` is the root mean square deviation of the mirror image [mm]."""
     estimated = problem.estimated
     factor = solution.sigma0 if estimated and solution.dof > 0 else 1.0
@@ -36,7 +36,7 @@ def report(problem: Problem, solution: Solution, mirrored: float) -> Result:
     members = np.concatenate(
         [np.tile(_points_of(group), len(group.observations.readings)) for group in solution.groups]
     )
-    tested = suspects(_merged(everything), Fit(solution.cost, solution.dof, not estimated))
+    tested = suspects(_merged(everything), FitQuality(solution.cost, solution.dof, not estimated))
     worst = _by_point(problem, tested, members)
     moved, std = _moved(problem, pose, scale, covariance, factor)
     off = moved - problem.nominal
@@ -68,7 +68,9 @@ def report(problem: Problem, solution: Solution, mirrored: float) -> Result:
         statistics=statistics,
         tables={
             "points": Table.of(points),
-            "residuals": Table.stack([residual_table(one, group) for one, group in zip(read, groups, strict=True)]),
+            "residuals": Table.stack(
+                [residual_table(residuals, group) for residuals, group in zip(read, groups, strict=True)]
+            ),
             "suspects": Table.of({"point [text]": list(worst), "w": list(worst.values())}),
         },
         arrays={"rotation": poses.rotation_of(pose)},
@@ -81,7 +83,9 @@ def report(problem: Problem, solution: Solution, mirrored: float) -> Result:
 def _merged(read: list[Residuals]) -> Residuals:
     """Return the residuals of all coordinates, group by group and axis by axis, as readings of one component."""
     parts = ("values", "sigma", "redundancy", "normalised")
-    return Residuals(*(np.concatenate([_flat(getattr(one, part), one) for one in read])[None] for part in parts))
+    return Residuals(
+        *(np.concatenate([_flat(getattr(residuals, part), residuals) for residuals in read])[None] for part in parts)
+    )
 
 
 def _flat(values: Array, residuals: Residuals) -> Array:
@@ -93,7 +97,7 @@ def _points_of(group: Group) -> Index:
     return np.tile(np.asarray(group.observations.index[POINT]).ravel(), len(group.observations.readings))
 
 
-def _by_point(problem: Problem, suspected: Suspects, members: Index) -> dict[str, float]:
+def _by_point(problem: PointPairs, suspected: Suspects, members: Index) -> dict[str, float]:
     """Return the largest test of each point that has one beyond the bound, the largest first."""
     order = np.argsort(-suspected.tests)
     worst: dict[str, float] = {}
@@ -102,7 +106,7 @@ def _by_point(problem: Problem, suspected: Suspects, members: Index) -> dict[str
     return worst
 
 
-def _moved(problem: Problem, pose: Array, scale: float, covariance: Array, factor: float) -> tuple[Array, Array]:
+def _moved(problem: PointPairs, pose: Array, scale: float, covariance: Array, factor: float) -> tuple[Array, Array]:
     """Return the measured points after the transformation (n, 3), and their standard uncertainties.
 
     These are of the transformation at the point, and of the point itself where its list gives one.
@@ -120,7 +124,7 @@ def _moved(problem: Problem, pose: Array, scale: float, covariance: Array, facto
     return turned + pose[:3], np.sqrt(variance + (scale * factor) ** 2 * own)
 
 
-def _warnings(problem: Problem, solution: Solution, critical: float, worst: dict[str, float]) -> Iterator[str]:
+def _warnings(problem: PointPairs, solution: Solution, critical: float, worst: dict[str, float]) -> Iterator[str]:
     yield from problem.warnings
     if not problem.estimated:
         yield from noise_warnings(solution, ())
@@ -129,7 +133,7 @@ def _warnings(problem: Problem, solution: Solution, critical: float, worst: dict
         yield f"points that do not fit the others, beyond |w| = {critical:.2f}: {listed(named, 5)}"
 
 
-def _notes(problem: Problem, solution: Solution, size: float, mirrored: float) -> Iterator[str]:
+def _notes(problem: PointPairs, solution: Solution, size: float, mirrored: float) -> Iterator[str]:
     yield f"deviations of {len(problem.names)} points: root mean square {size:.4g} mm"
     if np.isfinite(mirrored) and mirrored < _NOTABLE * size:
         yield f"a mirror image would have {mirrored:.4g} mm; a rotation cannot give it, and this is a rotation"

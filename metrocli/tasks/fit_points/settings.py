@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from metrocli.frozen import dataclass
-from metrocli.settings import Choice, Either, Flag, Quantity, Section, TableFile, setting
+from metrocli.settings import Choice, Either, Flag, Section, TableFile, WithUnit, setting
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import ABSENT, Columns, Table, columns
 from metrocli.tasks.shared.figures import POSE, adjusted
@@ -43,7 +43,7 @@ class Settings:
 
     inputs: Any = setting(Section(Inputs), "the files of the job")
     noise: float | str = setting(
-        Either(Quantity("length", positive=True), Choice(ESTIMATED)),
+        Either(WithUnit("length", positive=True), Choice(ESTIMATED)),
         "standard deviation of a coordinate of a nominal point without sigma_mm; or estimated from the residuals",
         default=ESTIMATED,
     )

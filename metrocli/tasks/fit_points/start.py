@@ -64,5 +64,5 @@ def aligned_start(points: Array, nominal: Array, scaled: bool) -> tuple[Array, f
             moved = poses.apply(pose, scale * points)
             goals = np.where(np.isfinite(nominal), nominal, moved)
         attempts.append((float(((goals - moved) ** 2).sum()), pose, scale))
-    _, pose, scale = min(attempts, key=lambda one: one[0])
+    _, pose, scale = min(attempts, key=lambda trial: trial[0])
     return pose, scale

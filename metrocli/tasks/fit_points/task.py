@@ -8,7 +8,7 @@ from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.solution import Solution
 from metrocli.errors import InputError, NotConvergedError, UndeterminedError
 from metrocli.result import Result
-from metrocli.tasks.fit_points.problem import Problem, problem_of
+from metrocli.tasks.fit_points.problem import PointPairs, problem_of
 from metrocli.tasks.fit_points.report import report
 from metrocli.tasks.fit_points.settings import Files, Settings
 from metrocli.tasks.fit_points.start import aligned_start, exchanged, mirrored_rms, rms, similarity
@@ -30,7 +30,7 @@ def check(job: Job[Settings, Files]) -> None:
     problem_of(job.settings, job.files)
 
 
-def solved(problem: Problem) -> Solution:
+def solved(problem: PointPairs) -> Solution:
     """Return the adjustment; raises UndeterminedError or NotConvergedError if it has no good solution."""
     if len(problem.full) == len(problem.names):
         pose, scale = similarity(problem.measured, problem.nominal, problem.scale)
@@ -48,7 +48,7 @@ def solved(problem: Problem) -> Solution:
     return solution
 
 
-def _of_the_mirror_image(problem: Problem) -> float:
+def _of_the_mirror_image(problem: PointPairs) -> float:
     """Return the root mean square deviation of the mirror image [mm], nan where not all coordinates are used.
 
     Raises InputError if it is far smaller, or if it is with two names exchanged.
@@ -56,13 +56,13 @@ def _of_the_mirror_image(problem: Problem) -> float:
     rows = problem.full
     if len(rows) < len(problem.names):
         return float("nan")
-    found = rms(problem.measured, problem.nominal, problem.scale)
+    as_listed = rms(problem.measured, problem.nominal, problem.scale)
     mirrored = mirrored_rms(problem.measured, problem.nominal, problem.scale)
-    if len(rows) > 3 and mirrored * _MIRRORED < found:
+    if len(rows) > 3 and mirrored * _MIRRORED < as_listed:
         raise InputError(
             "the measured points are a mirror image of the nominal ones: mirrored, they fit to "
-            f"{mirrored:.3g} mm (root mean square), and to {found:.3g} mm as they are; turn the sign of one axis in "
-            "one of the lists"
+            f"{mirrored:.3g} mm (root mean square), and to {as_listed:.3g} mm as they are; turn the sign of one axis "
+            "in one of the lists"
         )
     names = exchanged(problem.measured, problem.nominal, problem.scale)
     if names is not None:

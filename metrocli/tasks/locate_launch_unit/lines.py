@@ -21,7 +21,7 @@ _ROUNDING = 1e-3
 
 
 @dataclass(frozen=True)
-class Line:
+class ReceiverLine:
     """Receiver positions along one beam through the unit, from the low to the high end of the axes."""
 
     name: str
@@ -56,7 +56,7 @@ def along(name: str, box: Array) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def measurable(place: Array, names: Sequence[str], reach: Reach) -> tuple[list[Line], dict[str, str]]:
+def measurable(place: Array, names: Sequence[str], reach: Reach) -> tuple[list[ReceiverLine], dict[str, str]]:
     """Return the lines through the unit that hold two or more points, and the reason why each other line does not.
 
     A line runs on one side of the unit, the one with more points. Points are `step` apart, counted from where the line
@@ -78,7 +78,7 @@ def measurable(place: Array, names: Sequence[str], reach: Reach) -> tuple[list[L
             continue
         points = np.clip(place + chosen[:, None] * vector, *reach.box.T)
         position = points[:, AXES.index(name)] if len(name) == 1 else chosen - first
-        lines.append(Line(name, sign * vector, points, position, np.abs(chosen)))
+        lines.append(ReceiverLine(name, sign * vector, points, position, np.abs(chosen)))
     return lines, refused
 
 

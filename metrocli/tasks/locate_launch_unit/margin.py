@@ -10,10 +10,10 @@ import numpy as np
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.instruments import launch_unit as lu
-from metrocli.tasks.locate_launch_unit.lines import Line, Reach, across
+from metrocli.tasks.locate_launch_unit.lines import Reach, ReceiverLine, across
 from metrocli.tasks.locate_launch_unit.problem import build
-from metrocli.tasks.locate_launch_unit.readings import Readings
-from metrocli.tasks.locate_launch_unit.settings import Noise
+from metrocli.tasks.locate_launch_unit.readings import AlignedPoses
+from metrocli.tasks.locate_launch_unit.settings import LaunchUnitNoise
 from metrocli.tasks.locate_launch_unit.simulation import aligned
 
 _DRAWS = 1 << 15
@@ -59,7 +59,7 @@ def standard_draws() -> Array:
     return draws
 
 
-def beam_errors(line: Line) -> tuple[Array, Array, Array]:
+def beam_errors(line: ReceiverLine) -> tuple[Array, Array, Array]:
     """Return the derivatives of the beam's offset at the unit, its direction, and the angles at the receiver.
 
     Each is (2, 8): beside and above the line, by x y z gamma phi1..phi4. If the encoders aim the beam along the line,
@@ -79,7 +79,7 @@ def beam_errors(line: Line) -> tuple[Array, Array, Array]:
 class Margin:
     """Monte Carlo simulation of the distance up to which the beam of one line stays in range."""
 
-    line: Line
+    line: ReceiverLine
     window: Window
     errors: Array
     """Random errors of x y z gamma phi1..phi4, (8, n)"""
@@ -120,7 +120,7 @@ class Margin:
         return float((np.linalg.norm(share * offset, axis=0) <= self.window.straightness).mean())
 
 
-def beam_position(line: Line, uncertain: Uncertainty, distance: float) -> Array:
+def beam_position(line: ReceiverLine, uncertain: Uncertainty, distance: float) -> Array:
     """Return the covariance (2, 2) of the beam's position, beside and above the line, at a distance from the unit."""
     offset, turn, _ = beam_errors(line)
     by = offset + distance * turn
@@ -147,10 +147,10 @@ class Further:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class SafetyRequirements:
     """The lines that the poses must make safe, the range of the receiver, and the probability that counts as safe."""
 
-    lines: Sequence[Line]
+    lines: Sequence[ReceiverLine]
     window: Window
     confidence: float
 
@@ -183,13 +183,13 @@ def candidates(place: Array, reach: Reach) -> Array:
     return np.asarray(grid[(away >= reach.nearest) & (away <= reach.farthest) & level])
 
 
-def information(values: Array, receivers: Array, noise: Noise, distances: bool) -> Array:
+def information(values: Array, receivers: Array, noise: LaunchUnitNoise, distances: bool) -> Array:
     """Return the information on x y z gamma from an aligned pose at each place, `J' W J`, (n, 4, 4)."""
     spindle = np.zeros(len(receivers))
     angles, length = aligned(values[:3], values[3], receivers, spindle)
     distance = length if distances else np.full(len(receivers), np.nan)
     names = tuple(str(i) for i in range(len(receivers)))
-    problem = build(Readings(names, receivers, np.zeros_like(receivers), spindle, angles, distance, {}), noise)
+    problem = build(AlignedPoses(names, receivers, np.zeros_like(receivers), spindle, angles, distance, {}), noise)
     total = np.zeros((len(receivers), len(values), len(values)))
     for group in problem.groups:
         for touch in group.linear(problem.blocks, frozenset({lu.UNIT})).touches:
@@ -198,7 +198,7 @@ def information(values: Array, receivers: Array, noise: Noise, distances: bool) 
     return total
 
 
-def further(location: Array, wanted: Wanted, encoder: float, places: Array, gained: Array) -> list[Further]:
+def further(location: Array, wanted: SafetyRequirements, encoder: float, places: Array, gained: Array) -> list[Further]:
     """Return the poses to add until the least certain line is safe, at most 12.
 
     Each reduces the variance of the least certain beam at its far end the most. location is (4, 4); places (n, 3) are

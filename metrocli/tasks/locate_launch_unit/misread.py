@@ -10,8 +10,8 @@ import numpy as np
 
 from metrocli.instruments import launch_unit as lu
 from metrocli.tasks.locate_launch_unit.problem import WEAK, build, uncertainty_along
-from metrocli.tasks.locate_launch_unit.readings import ANGLES, Readings
-from metrocli.tasks.locate_launch_unit.settings import Noise
+from metrocli.tasks.locate_launch_unit.readings import ANGLES, AlignedPoses
+from metrocli.tasks.locate_launch_unit.settings import LaunchUnitNoise
 from metrocli.units import parse_quantity
 
 _FITS = 30.0
@@ -20,7 +20,7 @@ _ALIKE = 1.5
 """Meanings of the columns whose residuals differ by less than this factor fit equally well"""
 
 
-def misread(readings: Readings, noise: Noise) -> tuple[str, ...]:
+def misread(readings: AlignedPoses, noise: LaunchUnitNoise) -> tuple[str, ...]:
     """Return the likely contents of the columns, the best first.
 
     The tuple is empty if the columns fit as labelled, or if no other meaning of them fits.
@@ -33,7 +33,7 @@ def misread(readings: Readings, noise: Noise) -> tuple[str, ...]:
     return tuple(text for value, text in sorted(fits) if value <= min(_FITS, _ALIKE * best))
 
 
-def misfit(readings: Readings, noise: Noise) -> float:
+def misfit(readings: AlignedPoses, noise: LaunchUnitNoise) -> float:
     """Return the root mean square of the normalised residuals of the angles; inf if the beams do not meet."""
     if uncertainty_along(readings, noise) > WEAK:
         return float("inf")
@@ -46,7 +46,7 @@ def misfit(readings: Readings, noise: Noise) -> float:
     return float(np.nan_to_num(np.sqrt(np.mean(np.concatenate(whitened, axis=None) ** 2)), nan=np.inf))
 
 
-def _others(readings: Readings) -> Iterator[tuple[str, Readings]]:
+def _others(readings: AlignedPoses) -> Iterator[tuple[str, AlignedPoses]]:
     degree = parse_quantity("1 deg", "angle")
     angles, spindle = readings.angles, readings.spindle
     for text, factor in (("radians, not degrees", 1 / degree), ("degrees, not radians", degree)):

@@ -13,21 +13,21 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit import KIND
-from metrocli.tasks.locate_launch_unit.lines import AXES, Line, Reach, commanded, measurable
+from metrocli.tasks.locate_launch_unit.lines import AXES, Reach, ReceiverLine, commanded, measurable
 from metrocli.tasks.locate_launch_unit.margin import (
     Further,
     Margin,
+    SafetyRequirements,
     Uncertainty,
-    Wanted,
     Window,
     beam_position,
     candidates,
     further,
     information,
 )
-from metrocli.tasks.locate_launch_unit.programs import Motion, farthest_corner, line_program
+from metrocli.tasks.locate_launch_unit.programs import ProgramMotion, farthest_corner, line_program
 from metrocli.tasks.locate_launch_unit.report import UNITS
-from metrocli.tasks.locate_launch_unit.settings import Noise, Planned
+from metrocli.tasks.locate_launch_unit.settings import LaunchUnitNoise, PlannedLines
 from metrocli.tasks.locate_launch_unit.solve import Located
 from metrocli.units import find_unit
 
@@ -41,9 +41,9 @@ class Prospect:
     """The measurable lines of a located unit, with the noise that limits their beams."""
 
     located: Located
-    planned: Planned
-    noise: Noise
-    lines: tuple[Line, ...]
+    planned: PlannedLines
+    noise: LaunchUnitNoise
+    lines: tuple[ReceiverLine, ...]
 
     @property
     def uncertain(self) -> Uncertainty:
@@ -51,9 +51,9 @@ class Prospect:
         return Uncertainty(self.located.covariance, self.noise.encoder)
 
     @property
-    def wanted(self) -> Wanted:
+    def wanted(self) -> SafetyRequirements:
         """What further poses must achieve."""
-        return Wanted(self.lines, self.window, self.planned.confidence)
+        return SafetyRequirements(self.lines, self.window, self.planned.confidence)
 
     @property
     def window(self) -> Window:
@@ -61,7 +61,7 @@ class Prospect:
         return Window(self.planned.range.straightness, self.planned.range.angle)
 
 
-def planned_measurement(located: Located, planned: Planned, noise: Noise) -> Plan:
+def planned_measurement(located: Located, planned: PlannedLines, noise: LaunchUnitNoise) -> Plan:
     """Return the plan; raises UndeterminedError if no line can be measured from the place of the unit."""
     reach = Reach(planned.axes.box, planned.step, planned.standoff, planned.range.distance)
     lines, refused = measurable(located.place, [*AXES, *planned.diagonals], reach)
@@ -120,7 +120,7 @@ def _margins(prospect: Prospect) -> Table:
     )
 
 
-def _points(lines: Sequence[Line]) -> Table:
+def _points(lines: Sequence[ReceiverLine]) -> Table:
     """Return /points: every receiver position, in the order of the programs and the columns of calibrate-machine."""
     parts = []
     for line in lines:
@@ -145,10 +145,10 @@ def _further_table(prospect: Prospect, more: Sequence[Further]) -> dict[str, Tab
     if not more:
         return {}
     wanted, encoder = prospect.wanted, prospect.noise.encoder
-    known = [Uncertainty(one.location, encoder) for one in more]
+    known = [Uncertainty(motion.location, encoder) for motion in more]
     columns = {
         "poses": len(prospect.located.readings.names) + 1 + np.arange(len(more)),
-        "x y z [mm]": [one.receiver for one in more],
+        "x y z [mm]": [motion.receiver for motion in more],
         "probability": [wanted.worst(each) for each in known],
         "probability_aligned": [wanted.worst_aligned(each) for each in known],
     }
@@ -159,7 +159,7 @@ def _programs(prospect: Prospect) -> tuple[dict[str, Table | str], list[str]]:
     """Return the NC programs by file name, and a warning for each line without one."""
     planned, place = prospect.planned, prospect.located.place
     park = farthest_corner(place, planned.axes.box)
-    motion = Motion(planned.feed, planned.dwell, planned.standoff, park, planned.control)
+    motion = ProgramMotion(planned.feed, planned.dwell, planned.standoff, park, planned.control)
     files: dict[str, Table | str] = {}
     blocked = []
     for line in prospect.lines:
@@ -205,7 +205,7 @@ def _told(prospect: Prospect, more: Sequence[Further]) -> list[str]:
         f"aligned at the far end by the receiver's own readings, it stays in range with {percent(aligned)} probability"
     ]
     if aligned < prospect.planned.confidence and more:
-        known = [Uncertainty(one.location, prospect.noise.encoder) for one in more]
+        known = [Uncertainty(motion.location, prospect.noise.encoder) for motion in more]
         enough = [
             i for i, each in enumerate(known) if prospect.wanted.worst_aligned(each) >= prospect.planned.confidence
         ]

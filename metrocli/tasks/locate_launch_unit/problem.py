@@ -21,8 +21,8 @@ from metrocli.frozen import dataclass
 from metrocli.instruments import launch_unit as lu
 from metrocli.instruments.launch_start import nearest, set_up_angle, spread
 from metrocli.tasks.locate_launch_unit.effects import AXES, PAIRS, UNITS
-from metrocli.tasks.locate_launch_unit.readings import ANGLES, Readings
-from metrocli.tasks.locate_launch_unit.settings import Noise
+from metrocli.tasks.locate_launch_unit.readings import ANGLES, AlignedPoses
+from metrocli.tasks.locate_launch_unit.settings import LaunchUnitNoise
 from metrocli.tasks.shared.environment import priors_of
 from metrocli.words import listed
 
@@ -31,10 +31,10 @@ WEAK = 0.01
 
 
 @dataclass(frozen=True)
-class Problem(Modelled):
+class LaunchUnitProblem(Modelled):
     """A location, ready to be adjusted."""
 
-    readings: Readings
+    readings: AlignedPoses
     warnings: tuple[str, ...] = ()
 
     @property
@@ -48,7 +48,7 @@ class Problem(Modelled):
         return self.model.groups
 
 
-def build(readings: Readings, noise: Noise) -> Problem:
+def build(readings: AlignedPoses, noise: LaunchUnitNoise) -> LaunchUnitProblem:
     """Return the adjustment; its starting value is the point nearest to all beams."""
     place, beams = nearest(readings.beams), readings.beams
     away = float(np.linalg.norm(place - readings.receiver, axis=1).mean())
@@ -82,15 +82,15 @@ def build(readings: Readings, noise: Noise) -> Problem:
         places=places,
         nominal={lu.RECEIVER: readings.receiver},
     )
-    return Problem(model, readings, (*readings.warnings, *((text + listed(steep),) if steep else ())))
+    return LaunchUnitProblem(model, readings, (*readings.warnings, *((text + listed(steep),) if steep else ())))
 
 
-def uncertainty_along(readings: Readings, noise: Noise) -> float:
+def uncertainty_along(readings: AlignedPoses, noise: LaunchUnitNoise) -> float:
     """Return the relative uncertainty of the distance to the point where the beams meet, from the angles alone."""
     return noise.encoder / max(spread(readings.beams), 1e-12)
 
 
-def _angles(readings: Readings, name: str, rows: Index, sigma: float) -> Group:
+def _angles(readings: AlignedPoses, name: str, rows: Index, sigma: float) -> Group:
     """Return the group of the readings of one encoder in some of the poses."""
     tilt = readings.angles[1] if lu.ENCODERS[name][0] is Quantity.LAUNCH_ANGLES else readings.angles[2]
     values = readings.angles[ANGLES.index(name)][rows]
@@ -102,7 +102,7 @@ def _angles(readings: Readings, name: str, rows: Index, sigma: float) -> Group:
     return Group(name, lu.encoder_chain(name), replace(observations, conditions=conditions, unit="rad"))
 
 
-def _distances(readings: Readings, rows: Index, sigma: float) -> Group:
+def _distances(readings: AlignedPoses, rows: Index, sigma: float) -> Group:
     values = readings.distance[rows]
     observations = _observations(readings, lu.DISTANCE, rows, values, sigma)
     conditions = {**observations.conditions, "distance": values}
@@ -113,7 +113,7 @@ def _distances(readings: Readings, rows: Index, sigma: float) -> Group:
     )
 
 
-def _observations(readings: Readings, name: str, rows: Index, values: Array, sigma: float) -> Observations:
+def _observations(readings: AlignedPoses, name: str, rows: Index, values: Array, sigma: float) -> Observations:
     return Observations(
         values[None],
         np.array(sigma),
@@ -131,7 +131,7 @@ _FEW = 2
 
 
 @dataclass(frozen=True)
-class Outlier:
+class SuspectedPose:
     """A reading that does not fit the others."""
 
     group: str
@@ -145,7 +145,7 @@ class Screened:
     """The solution without the outliers, and the outliers, the largest first."""
 
     solution: Solution
-    outliers: tuple[Outlier, ...]
+    outliers: tuple[SuspectedPose, ...]
     critical: float
     """Bound of |w| for an outlier"""
     noise: float
@@ -159,7 +159,7 @@ def screened(solution: Solution, names: Sequence[str]) -> Screened:
     reading that fails only because of an outlier passes once the outlier is removed.
     """
     total = sum(group.observations.count for group in solution.groups if group.name in names)
-    critical, outliers = critical_value(total), list[Outlier]()
+    critical, outliers = critical_value(total), list[SuspectedPose]()
     while len(outliers) < total // _SHARE and solution.dof > _FEW:
         worst, row = _worst(solution, names)
         others = max(solution.cost - worst.test**2, 0.0) / (solution.dof - 1)
@@ -175,15 +175,15 @@ def screened(solution: Solution, names: Sequence[str]) -> Screened:
     )
 
 
-def _worst(solution: Solution, names: Sequence[str]) -> tuple[Outlier, int]:
+def _worst(solution: Solution, names: Sequence[str]) -> tuple[SuspectedPose, int]:
     """Return the reading with the largest |w|, and its row."""
     tests = []
     for group in solution.groups:
         if group.name in names:
             w = np.abs(residuals_of(solution, group).normalised[0])
             row = int(np.argmax(w))
-            tests.append((Outlier(group.name, group.observations.keys["pose"][row], float(w[row])), row))
-    return max(tests, key=lambda one: one[0].test)
+            tests.append((SuspectedPose(group.name, group.observations.keys["pose"][row], float(w[row])), row))
+    return max(tests, key=lambda suspect: suspect[0].test)
 
 
 def _without(blocks: Mapping[str, Block], groups: Sequence[Group], name: str, row: int) -> Solution | None:

@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.nc_program import Block, Dwell, Feed, Rapid, Stop, program, written
-from metrocli.tasks.locate_launch_unit.lines import AXES, Line, commanded
+from metrocli.tasks.locate_launch_unit.lines import AXES, ReceiverLine, commanded
 from metrocli.units import find_unit
 
 _ROUNDING = 1e-3
@@ -18,7 +18,7 @@ _ROUNDING = 1e-3
 
 
 @dataclass(frozen=True)
-class Motion:
+class ProgramMotion:
     """Feed, dwell and clearance of a program, and the control for which it is written."""
 
     feed: float
@@ -58,7 +58,7 @@ def _distance(place: Array, a: Array, b: Array) -> float:
     return float(np.linalg.norm(place - a - share * (b - a)))
 
 
-def line_program(line: Line, values: Array, psi: float, motion: Motion) -> str | None:
+def line_program(line: ReceiverLine, values: Array, psi: float, motion: ProgramMotion) -> str | None:
     """Return the program of a line for the unit at x y z gamma, or None if no path keeps clear of the unit."""
     place = values[:3]
     there = route(motion.park, line.points[0], place, motion.clearance)
@@ -70,7 +70,7 @@ def line_program(line: Line, values: Array, psi: float, motion: Motion) -> str |
     return program(f"line {line.name}", _remarks(line, values, psi), blocks, motion.control)
 
 
-def _remarks(line: Line, values: Array, psi: float) -> list[str]:
+def _remarks(line: ReceiverLine, values: Array, psi: float) -> list[str]:
     degree = find_unit("deg", "angle")
     aim = commanded(line.beam, float(values[3]), psi)
     angle = {name: f"{name.upper()} = {round(degree.outside(value), 5) + 0.0:.5f} deg" for name, value in aim.items()}
@@ -87,7 +87,7 @@ def _words(point: Array) -> str:
     return " ".join(f"{axis.upper()}{value:.3f}" for axis, value in zip(AXES, point, strict=True))
 
 
-def _blocks(line: Line, there: list[Array], back: list[Array], motion: Motion) -> Iterator[Block]:
+def _blocks(line: ReceiverLine, there: list[Array], back: list[Array], motion: ProgramMotion) -> Iterator[Block]:
     yield Feed(_axes(motion.park), motion.feed)
     yield from _rapids(motion.park, there)
     for point in line.points:

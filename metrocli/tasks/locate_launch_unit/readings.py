@@ -33,7 +33,7 @@ _MOVED = 1e-3
 
 
 @dataclass(frozen=True)
-class Readings:
+class AlignedPoses:
     """n aligned poses."""
 
     names: tuple[str, ...]
@@ -82,7 +82,7 @@ class Readings:
         return Beams(self.receiver, self.spindle + phi4, phi3, launch_base, self.distance)
 
 
-def read(table: Table, environment: Environment | None = None) -> Readings:
+def read(table: Table, environment: Environment | None = None) -> AlignedPoses:
     """Return the poses of a table, corrected for the air of the job; raises InputError that lists all its faults."""
     faults = list(_faults(table))
     if faults:
@@ -91,7 +91,7 @@ def read(table: Table, environment: Environment | None = None) -> Readings:
     receiver, distance = table.stacked("xyz"), table.numbers("distance", float("nan"))
     air = air_of(environment, table) if np.isfinite(distance).any() else None
     idle = environment is not None and air is None
-    return Readings(
+    return AlignedPoses(
         tuple(table.texts("pose")),
         receiver,
         sigmas(table) if known else np.zeros_like(receiver),

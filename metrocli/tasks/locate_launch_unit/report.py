@@ -15,8 +15,8 @@ from metrocli.result import Estimate, Result, Scalar, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.diagnosis import uncontrolled
-from metrocli.tasks.locate_launch_unit.problem import Problem
-from metrocli.tasks.locate_launch_unit.readings import Readings
+from metrocli.tasks.locate_launch_unit.problem import LaunchUnitProblem
+from metrocli.tasks.locate_launch_unit.readings import AlignedPoses
 from metrocli.tasks.locate_launch_unit.solve import Located
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
 from metrocli.tasks.shared.noise import NoiseFound
@@ -64,7 +64,12 @@ def _as_printed(located: Located, method: str, unit: tuple[Estimate, ...], covar
 
 
 def _as_adjusted(
-    located: Located, problem: Problem, solution: Solution, noise: NoiseFound, unit: tuple[Estimate, ...], method: str
+    located: Located,
+    problem: LaunchUnitProblem,
+    solution: Solution,
+    noise: NoiseFound,
+    unit: tuple[Estimate, ...],
+    method: str,
 ) -> Result:
     """Return the result of an adjusted unit."""
     beams, hidden = _beams(located), uncontrolled(located.readings.receiver, located.place)
@@ -155,16 +160,18 @@ def _residuals(parts: list[tuple[Group, Residuals]], located: Located) -> Table:
 
     It is for the test for outliers that is made, and 80 % power.
     """
-    groups, found = [group.observations for group, _ in parts], [residuals for _, residuals in parts]
+    groups, of_groups = [group.observations for group, _ in parts], [residuals for _, residuals in parts]
     keys = {key: np.concatenate([np.array(o.keys[key]) for o in groups]) for key in ("pose", "reading")}
     unit = f"[{groups[0].unit}]"
     numbers = {
         f"value {unit}": [o.readings for o in groups],
-        f"residual {unit}": [one.values for one in found],
-        f"sigma {unit}": [one.sigma for one in found],
-        "normalised": [one.normalised for one in found],
-        "redundancy": [one.redundancy for one in found],
-        f"detectable {unit}": [minimal_detectable(one, located.critical, located.noise) for one in found],
+        f"residual {unit}": [residuals.values for residuals in of_groups],
+        f"sigma {unit}": [residuals.sigma for residuals in of_groups],
+        "normalised": [residuals.normalised for residuals in of_groups],
+        "redundancy": [residuals.redundancy for residuals in of_groups],
+        f"detectable {unit}": [
+            minimal_detectable(residuals, located.critical, located.noise) for residuals in of_groups
+        ],
     }
     return Table.of(
         {**keys, **{name: np.concatenate([part[0] for part in number]) for name, number in numbers.items()}}
@@ -184,7 +191,7 @@ def _told(outliers: Table, critical: float, removed: bool) -> list[str]:
     return [beyond_bound(names, critical, **cure)] if names else []
 
 
-def _repeated(readings: Readings) -> list[str]:
+def _repeated(readings: AlignedPoses) -> list[str]:
     """Return a warning of poses that hold identical readings."""
     rows = np.column_stack([readings.receiver, readings.spindle, readings.angles.T])
     _, first, counts = np.unique(rows, axis=0, return_inverse=True, return_counts=True)

@@ -11,7 +11,7 @@ import numpy as np
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.nc_program import CONTROLS
-from metrocli.settings import Choice, Flag, ListOf, Number, Quantity, Section, TableFile, setting
+from metrocli.settings import Choice, Flag, ListOf, Number, Section, TableFile, WithUnit, setting
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import ABSENT, Table
 from metrocli.tasks.locate_launch_unit.readings import PLACES, POSES
@@ -20,7 +20,7 @@ from metrocli.tasks.shared.figures import adjusted
 from metrocli.tasks.shared.noise import DECLARED, model_setting
 from metrocli.units import parse_quantity
 
-_RANGE = ListOf(Quantity("length"), length=2)
+_RANGE = ListOf(WithUnit("length"), length=2)
 
 
 @dataclass(frozen=True)
@@ -45,40 +45,40 @@ class Axes:
 
 
 @dataclass(frozen=True)
-class Range:
+class ReceiverRange:
     """Measuring range of the receiver."""
 
     straightness: float = setting(
-        Quantity("length", positive=True),
+        WithUnit("length", positive=True),
         "largest distance of the beam from the centre",
         default=parse_quantity("250 um", "length"),
     )
     angle: float = setting(
-        Quantity("angle", positive=True), "largest pitch and yaw", default=parse_quantity("500 urad", "angle")
+        WithUnit("angle", positive=True), "largest pitch and yaw", default=parse_quantity("500 urad", "angle")
     )
     distance: float = setting(
-        Quantity("length", positive=True),
+        WithUnit("length", positive=True),
         "largest distance from the launch unit",
         default=parse_quantity("4 m", "length"),
     )
 
 
 @dataclass(frozen=True)
-class Planned:
+class PlannedLines:
     """The lines to measure from the located unit, and the motion along them."""
 
     axes: Axes = setting(Section(Axes), "range of each axis")
-    step: float = setting(Quantity("length", positive=True), "distance between measured points")
-    standoff: float = setting(Quantity("length", positive=True), "least distance of receiver and launch unit")
+    step: float = setting(WithUnit("length", positive=True), "distance between measured points")
+    standoff: float = setting(WithUnit("length", positive=True), "least distance of receiver and launch unit")
     diagonals: tuple[str, ...] = setting(
         ListOf(Choice("xy", "yz", "xz"), distinct=True), "face diagonals to measure", default=("xy", "yz", "xz")
     )
-    range: Range = setting(Section(Range), "measuring range of the receiver", default=Range())
-    spindle: float = setting(Quantity("angle"), "angle of the locked spindle", default=0.0)
+    range: ReceiverRange = setting(Section(ReceiverRange), "measuring range of the receiver", default=ReceiverRange())
+    spindle: float = setting(WithUnit("angle"), "angle of the locked spindle", default=0.0)
     feed: float = setting(
-        Quantity("speed", positive=True), "feed along the lines", default=parse_quantity("2 m/min", "speed")
+        WithUnit("speed", positive=True), "feed along the lines", default=parse_quantity("2 m/min", "speed")
     )
-    dwell: float = setting(Quantity("time", positive=True), "standstill at each point", default=3.0)
+    dwell: float = setting(WithUnit("time", positive=True), "standstill at each point", default=3.0)
     control: str = setting(Choice(*CONTROLS), "control for which the NC programs are written", default="linuxcnc")
     confidence: float = setting(Number(above=0.0, maximum=0.999), "probability that counts as safe", default=0.95)
 
@@ -105,27 +105,27 @@ Inputs = inputs_of(Files)
 
 
 @dataclass(frozen=True)
-class Noise:
+class LaunchUnitNoise:
     """Standard deviations of the readings."""
 
-    encoder: float = setting(Quantity("angle", positive=True), "standard deviation of each encoder angle")
+    encoder: float = setting(WithUnit("angle", positive=True), "standard deviation of each encoder angle")
     distance: float | None = setting(
-        Quantity("length", positive=True), "standard deviation of a distance", default=None
+        WithUnit("length", positive=True), "standard deviation of a distance", default=None
     )
     model: str = model_setting()
 
-    def with_noise_times(self, factor: float) -> Noise:
+    def with_noise_times(self, factor: float) -> LaunchUnitNoise:
         """Return the noise with both parts times a factor."""
         distance = None if self.distance is None else factor * self.distance
         return replace(self, encoder=factor * self.encoder, distance=distance)
 
 
 @dataclass(frozen=True)
-class Truth:
+class TrueLaunchUnit:
     """True place of the unit, for `metrocli simulate`."""
 
-    place: tuple[float, ...] = setting(ListOf(Quantity("length"), length=3), "x, y, z of the unit")
-    gamma: float = setting(Quantity("angle"), "set-up angle of the unit about z", default=0.0)
+    place: tuple[float, ...] = setting(ListOf(WithUnit("length"), length=3), "x, y, z of the unit")
+    gamma: float = setting(WithUnit("angle"), "set-up angle of the unit about z", default=0.0)
     distances: bool = setting(Flag(), "whether distances are read", default=False)
 
 
@@ -138,16 +138,20 @@ class Settings:
     }
 
     inputs: Any = setting(Section(Inputs), "the files of the job")
-    noise: Noise = setting(Section(Noise), "standard deviations of the readings")
+    noise: LaunchUnitNoise = setting(Section(LaunchUnitNoise), "standard deviations of the readings")
     method: str = setting(Choice(*METHODS), "adjustment, or one of the paper's two", default="adjustment")
     environment: Environment | None = setting(
         Section(Environment), "the air, and the one that the interferometer assumes for distances", default=None
     )
-    plan: Planned | None = setting(Section(Planned), "the lines to measure from the located unit", default=None)
+    plan: PlannedLines | None = setting(
+        Section(PlannedLines), "the lines to measure from the located unit", default=None
+    )
     outliers: str = setting(
         Choice("report", "remove"), "report outliers only, or also leave them out", default="report"
     )
-    simulation: Truth | None = setting(Section(Truth), "the truth for `metrocli simulate`", default=None)
+    simulation: TrueLaunchUnit | None = setting(
+        Section(TrueLaunchUnit), "the truth for `metrocli simulate`", default=None
+    )
 
     def faults(self) -> Iterable[tuple[str, str]]:
         """Check that distances have a standard deviation, and that the method can estimate the noise."""

@@ -15,15 +15,15 @@ from metrocli.instruments import launch_unit as lu
 from metrocli.simulation import Simulation
 from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit.problem import build
-from metrocli.tasks.locate_launch_unit.readings import ANGLES, Readings
-from metrocli.tasks.locate_launch_unit.settings import Noise, Truth
+from metrocli.tasks.locate_launch_unit.readings import ANGLES, AlignedPoses
+from metrocli.tasks.locate_launch_unit.settings import LaunchUnitNoise, TrueLaunchUnit
 from metrocli.tasks.shared.environment import Environment, air_of
 from metrocli.tasks.shared.statistics import CONDITIONS, heading
 
 
 def simulated(
-    truth: Truth,
-    noise: Noise,
+    truth: TrueLaunchUnit,
+    noise: LaunchUnitNoise,
     places: Table,
     rng: np.random.Generator,
     effects: Sequence[Wanted] = (),
@@ -49,14 +49,16 @@ def simulated(
     return Simulation({"poses.csv": table.joined(when)}, true | added)
 
 
-def _exact(truth: Truth, noise: Noise, places: Table, effects: Sequence[Wanted]) -> tuple[Readings, dict[str, float]]:
+def _exact(
+    truth: TrueLaunchUnit, noise: LaunchUnitNoise, places: Table, effects: Sequence[Wanted]
+) -> tuple[AlignedPoses, dict[str, float]]:
     """Return readings without noise, and the true values of their effects; vertical beams stay without effects."""
     receiver, spindle = places.stacked("xyz"), places.numbers("spindle")
     angles, distance = aligned(np.array(truth.place), truth.gamma, receiver, spindle)
     conditions = places.conditions("t", "temp")
     has = distance if truth.distances else np.full_like(distance, np.nan)
     names = tuple(places.texts("pose"))
-    readings = Readings(names, receiver, np.zeros_like(receiver), spindle, angles, has, conditions)
+    readings = AlignedPoses(names, receiver, np.zeros_like(receiver), spindle, angles, has, conditions)
     if not effects:
         return readings, {}
     problem = build(readings, noise)

@@ -19,9 +19,16 @@ from metrocli.geometry.rotations import wrapped
 from metrocli.instruments import launch_unit as lu
 from metrocli.instruments.launch_start import Meeting, closed_loop, lines, set_up_angle, spread
 from metrocli.tasks.locate_launch_unit.misread import misread
-from metrocli.tasks.locate_launch_unit.problem import WEAK, Outlier, Problem, build, screened, uncertainty_along
-from metrocli.tasks.locate_launch_unit.readings import Readings
-from metrocli.tasks.locate_launch_unit.settings import Noise
+from metrocli.tasks.locate_launch_unit.problem import (
+    WEAK,
+    LaunchUnitProblem,
+    SuspectedPose,
+    build,
+    screened,
+    uncertainty_along,
+)
+from metrocli.tasks.locate_launch_unit.readings import AlignedPoses
+from metrocli.tasks.locate_launch_unit.settings import LaunchUnitNoise
 from metrocli.words import listed
 
 _ABSURD = 100.0
@@ -51,11 +58,11 @@ class Located:
     """x y z gamma"""
     covariance: Array
     """Covariance of x y z gamma, (4, 4)"""
-    readings: Readings
-    problem: Problem | None = None
+    readings: AlignedPoses
+    problem: LaunchUnitProblem | None = None
     """The adjusted problem; None for the methods of the paper"""
     solution: Solution | None = None
-    outliers: tuple[Outlier, ...] = ()
+    outliers: tuple[SuspectedPose, ...] = ()
     critical: float = float("nan")
     """Bound of |w| for an outlier"""
     noise: float = 1.0
@@ -80,7 +87,7 @@ class Located:
         return self.values[:3]
 
 
-def locate(readings: Readings, noise: Noise, how: How | None = None) -> Located:
+def locate(readings: AlignedPoses, noise: LaunchUnitNoise, how: How | None = None) -> Located:
     """Return the located unit.
 
     Raises InputError if readings are impossible or fit no place, UndeterminedError if the poses do not determine the
@@ -104,7 +111,7 @@ def locate(readings: Readings, noise: Noise, how: How | None = None) -> Located:
     return located
 
 
-def _located(readings: Readings, noise: Noise, how: How) -> Located:
+def _located(readings: AlignedPoses, noise: LaunchUnitNoise, how: How) -> Located:
     if how.effects and how.method != "adjustment":
         raise InputError("effects: only `method: adjustment` can have effects in its model")
     _must_suffice(readings, noise, how.method)
@@ -124,24 +131,24 @@ def _located(readings: Readings, noise: Noise, how: How) -> Located:
     values = used.blocks[lu.UNIT].values[0].copy()
     values[3] = wrapped(values[3])
     covariance = used.covariance_or_raise().of(lu.UNIT)
-    found = checked.outliers, checked.critical, checked.noise
-    return Located(values, covariance, readings, problem, used, *found)
+    checks = checked.outliers, checked.critical, checked.noise
+    return Located(values, covariance, readings, problem, used, *checks)
 
 
-def _undetermined(problem: Problem, solution: Solution) -> str:
+def _undetermined(problem: LaunchUnitProblem, solution: Solution) -> str:
     """Return the message of what is undetermined: an effect that the other unknowns absorb, or the place itself."""
     hidden = absorbed(problem.effects, solution, None)
     if hidden:
         return "\n".join(
-            f"{one.label} cannot be separated from the other unknowns of this job, which absorb it; "
-            f"leave it out; what would separate it: {one.effect.reveal}"
-            for one in hidden
+            f"{added.label} cannot be separated from the other unknowns of this job, which absorb it; "
+            f"leave it out; what would separate it: {added.effect.reveal}"
+            for added in hidden
         )
     reason = f"undetermined: {solution.undetermined[0]}" if solution.undetermined else solution.outcome.value
     return explained(problem.readings, reason)
 
 
-def _must_suffice(readings: Readings, noise: Noise, method: str) -> None:
+def _must_suffice(readings: AlignedPoses, noise: LaunchUnitNoise, method: str) -> None:
     """Raise InputError or UndeterminedError if the poses cannot determine the place by this method."""
     measured = readings.beams.measured
     if measured.any() and noise.distance is None and method != "lines":
@@ -160,19 +167,19 @@ def _must_suffice(readings: Readings, noise: Noise, method: str) -> None:
         raise UndeterminedError(explained(readings, text))
 
 
-def explained(readings: Readings, found: str) -> str:
+def explained(readings: AlignedPoses, words: str) -> str:
     """Return the message of what is undetermined, why, and what would determine it."""
     n = len(readings.names)
     angle = np.rad2deg(np.arcsin(min(spread(readings.beams) / np.sqrt(n), 1.0)))
     why = "there is one pose" if n == 1 else f"all {n} poses lie on nearly one beam (within {angle:.2g} degrees)"
     return (
-        f"the place of the launch unit cannot be determined: {found}\n"
+        f"the place of the launch unit cannot be determined: {words}\n"
         f"  why: {why}, so the unit could be anywhere along it\n"
         "  what would determine it: a pose whose beam comes from another direction, or a measured distance"
     )
 
 
-def _refuse_mirrored(readings: Readings, noise: Noise) -> None:
+def _refuse_mirrored(readings: AlignedPoses, noise: LaunchUnitNoise) -> None:
     """Raise InputError if a receiver points away from the place where the beams meet (the mirror solution)."""
     if uncertainty_along(readings, noise) > WEAK:
         return
@@ -187,7 +194,7 @@ def _refuse_mirrored(readings: Readings, noise: Noise) -> None:
         )
 
 
-def _as_printed(readings: Readings, noise: Noise, method: str) -> Located:
+def _as_printed(readings: AlignedPoses, noise: LaunchUnitNoise, method: str) -> Located:
     """Return the place by one of the methods of Kuprin et al., with the declared noise propagated to first order."""
     beams = readings.beams
     meeting = lines(beams) if method == "lines" else closed_loop(beams)
@@ -195,7 +202,7 @@ def _as_printed(readings: Readings, noise: Noise, method: str) -> Located:
     return Located(values, _propagated(readings, meeting, noise), readings)
 
 
-def _propagated(readings: Readings, meeting: Meeting, noise: Noise) -> Array:
+def _propagated(readings: AlignedPoses, meeting: Meeting, noise: LaunchUnitNoise) -> Array:
     """Return the covariance (4, 4) of x y z gamma.
 
     gamma depends on phi4 - phi1 of each pose, the place on phi4, phi3 and the distance. All distances share the

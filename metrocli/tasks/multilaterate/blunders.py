@@ -17,7 +17,7 @@ from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
-from metrocli.tasks.multilaterate.problem import LENGTHS, Network
+from metrocli.tasks.multilaterate.problem import LENGTHS, TracerNetwork
 from metrocli.words import listed
 
 _GROSS = 8.0
@@ -65,7 +65,7 @@ class Rejected:
     reason: Reason
 
 
-def far_off(network: Network, state: Mapping[str, Block]) -> dict[int, Rejected]:
+def far_off(network: TracerNetwork, state: Mapping[str, Block]) -> dict[int, Rejected]:
     """Return the lengths with gross errors, by row, for tracers at the places in `state`.
 
     At a point whose lengths do not meet in one place, the smallest set is taken without which the others meet. If
@@ -85,7 +85,7 @@ def far_off(network: Network, state: Mapping[str, Block]) -> dict[int, Rejected]
     return out
 
 
-def _suspicious(network: Network, state: Mapping[str, Block]) -> tuple[Index, float, float]:
+def _suspicious(network: TracerNetwork, state: Mapping[str, Block]) -> tuple[Index, float, float]:
     """Return the points whose lengths do not meet, the bound of their sums of squares, and the median |misfit|."""
     observations = network.lengths.observations
     miss = network.lengths.residuals(state)[0] / observations.sigma[0]
@@ -95,7 +95,7 @@ def _suspicious(network: Network, state: Mapping[str, Block]) -> tuple[Index, fl
     return np.flatnonzero((squares > bound) & network.unknown), bound, typical
 
 
-def not_converged(network: Network, state: Mapping[str, Block], solution: Solution) -> NotConvergedError:
+def not_converged(network: TracerNetwork, state: Mapping[str, Block], solution: Solution) -> NotConvergedError:
     """Return the error of an adjustment that did not converge from a robust start.
 
     It names the points whose lengths do not meet there, if those of most points do.
@@ -152,12 +152,12 @@ def _wrong(sight: _Sight, bound: float) -> list[int]:
     return everything
 
 
-def undisturbed_start(network: Network) -> dict[str, Block]:
+def undisturbed_start(network: TracerNetwork) -> dict[str, Block]:
     """Return the values of the blocks near the solution, undisturbed by gross errors."""
     return robust_start(network.blocks.values(), [network.lengths, *network.others], LENGTHS, network.datum)
 
 
-def quick_start(network: Network) -> dict[str, Block]:
+def quick_start(network: TracerNetwork) -> dict[str, Block]:
     """Return a start of a network; that of a large one comes from some of its points, which place the tracers.
 
     Points with a prior, a calibrated distance or a known place stay. With effects, all do: an effect may act on few.
@@ -174,7 +174,7 @@ def quick_start(network: Network) -> dict[str, Block]:
     return _of_some(network, np.flatnonzero(kept & seen))
 
 
-def _of_some(network: Network, chosen: Index) -> dict[str, Block]:
+def _of_some(network: TracerNetwork, chosen: Index) -> dict[str, Block]:
     """Return a start found from the chosen points alone, which only lengths use; the other points stay as they are."""
     block, datum, lengths = network.blocks[t.POINT], network.datum, network.lengths
     number = np.full(len(block.members), -1)
@@ -197,7 +197,7 @@ def _others(blocks: Mapping[str, Block]) -> list[Block]:
     return [block for name, block in blocks.items() if name != t.POINT]
 
 
-def brought_back(network: Network, state: Mapping[str, Block], gross: Mapping[int, Rejected]) -> dict[str, Block]:
+def brought_back(network: TracerNetwork, state: Mapping[str, Block], gross: Mapping[int, Rejected]) -> dict[str, Block]:
     """Return the start with points that have gross errors moved back to the mover's readings."""
     rows = network.lengths.observations.index[t.POINT][list(gross)]
     block = state[t.POINT]
@@ -206,13 +206,13 @@ def brought_back(network: Network, state: Mapping[str, Block], gross: Mapping[in
     return {**state, t.POINT: replace(block, values=values)}
 
 
-def too_few(network: Network) -> dict[int, Rejected]:
+def too_few(network: TracerNetwork) -> dict[int, Rejected]:
     """Return the lengths of points that fewer than three tracers read."""
     few = ((network.seen < 3) & network.unknown)[network.lengths.observations.index[t.POINT]]
     return {int(row): Rejected(int(row), float("nan"), Reason.FEW_TRACERS) for row in np.flatnonzero(few)}
 
 
-def unchecked(network: Network, keep: Mask) -> Mask:
+def unchecked(network: TracerNetwork, keep: Mask) -> Mask:
     """Return which lengths belong to points that lost so many that the others cannot be trusted, (n,)."""
     point = network.lengths.observations.index[t.POINT]
     lost = network.seen - np.bincount(point, keep, minlength=len(network.nominal))

@@ -14,7 +14,7 @@ from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.probed.tips import ANY, Joint, Tips, tips_of
-from metrocli.tasks.multilaterate.problem import Network
+from metrocli.tasks.multilaterate.problem import TracerNetwork
 from metrocli.tasks.multilaterate.settings import Correction, Files, Settings
 from metrocli.tasks.shared.part import Part
 from metrocli.uncertainty.predicted import COMMON, CORE
@@ -56,13 +56,13 @@ def probing_of(settings: Settings, files: Files) -> Probing | None:
     return Probing(files.probing, tips, settings.tolerance, settings.correction)
 
 
-def refuse_lost(network: Network, probing: Probing) -> None:
+def refuse_lost(network: TracerNetwork, probing: Probing) -> None:
     """Raise InputError for every probing point with no replayed point of its name or within the tolerance."""
     _refuse(probing, _matches(network, probing), _NOWHERE)
 
 
 def corrected(
-    network: Network, solution: Solution, probing: Probing, shared: Mapping[str, Array], part: Part | None = None
+    network: TracerNetwork, solution: Solution, probing: Probing, shared: Mapping[str, Array], part: Part | None = None
 ) -> tuple[Table, Joint]:
     """Return the probing points, corrected by the mover's error at their replayed points, and their joint covariance.
 
@@ -94,7 +94,7 @@ def corrected(
 
 
 def _joint(
-    network: Network,
+    network: TracerNetwork,
     solution: Solution,
     tips: Tips,
     match: Index,
@@ -119,7 +119,7 @@ def _joint(
     return Joint(np.concatenate([of_point[replay], by_tip], axis=2), both, replay, left, own)
 
 
-def _several_stops(network: Network) -> Mask:
+def _several_stops(network: TracerNetwork) -> Mask:
     """Return the points whose place is the mean of several stops: their covariance has the mover's return already."""
     lengths = network.lengths.observations
     counted = lengths.conditions.get(t.ALONE, np.zeros(lengths.count)) > 0
@@ -128,7 +128,7 @@ def _several_stops(network: Network) -> Mask:
     return np.isin(np.arange(len(network.nominal)), lengths.index[t.POINT][counted])
 
 
-def _gradient(network: Network, places: Array, tip: Index) -> float:
+def _gradient(network: TracerNetwork, places: Array, tip: Index) -> float:
     """Return the change of the mover's error per length between nearest points, root mean square of a coordinate."""
     changes = [
         _changes(network.nominal[rows], network.nominal[rows] - places[rows])
@@ -143,7 +143,7 @@ def _changes(at: Array, error: Array) -> Array:
     """Return the change of an error per length from each place (n, 3) to its nearest one, where these differ."""
     from scipy.spatial import cKDTree
 
-    distance, nearest = (found[:, 1] for found in cKDTree(at).query(at, k=2))
+    distance, nearest = (distances[:, 1] for distances in cKDTree(at).query(at, k=2))
     apart = distance > 0
     return np.asarray((error - error[nearest])[apart] / distance[apart, None])
 
@@ -160,7 +160,7 @@ def _refuse(probing: Probing, match: Index, text: str) -> None:
         )
 
 
-def astray(network: Network, probing: Probing | None) -> float:
+def list_offset(network: TracerNetwork, probing: Probing | None) -> float:
     """Return how far the replayed points are from where they were probed, relative to what is plausible.
 
     Both are readings of one mover, so that a median beyond a fifth of the extent of the points is a mistake in a file.
@@ -172,13 +172,13 @@ def astray(network: Network, probing: Probing | None) -> float:
     return float(median(gap)) / (_ELSEWHERE * extent) if gap.size else 0.0
 
 
-def _gaps(network: Network, probing: Probing) -> Array:
+def _gaps(network: TracerNetwork, probing: Probing) -> Array:
     """Return the distance of each probing point that was replayed from where it was, (n,) mm."""
     match = _matches(network, probing)
     return np.asarray(np.linalg.norm(probing.table.stacked("xyz") - network.nominal[match], axis=1)[match >= 0])
 
 
-def distant(network: Network, probing: Probing | None) -> tuple[str, ...]:
+def distant(network: TracerNetwork, probing: Probing | None) -> tuple[str, ...]:
     """Return a warning if points were replayed farther than the tolerance from where they were probed."""
     if probing is None:
         return ()
@@ -192,7 +192,7 @@ def distant(network: Network, probing: Probing | None) -> tuple[str, ...]:
     )
 
 
-def wrong_entries(network: Network, solution: Solution) -> tuple[str, ...]:
+def wrong_entries(network: TracerNetwork, solution: Solution) -> tuple[str, ...]:
     """Return a warning if the frame of a free network depends on entries of the list of points that look wrong."""
     rows = np.flatnonzero((network.seen > 0) & network.unknown)
     if network.datum is None or len(rows) < _ENOUGH:
@@ -210,7 +210,7 @@ def wrong_entries(network: Network, solution: Solution) -> tuple[str, ...]:
     )
 
 
-def _matches(network: Network, probing: Probing) -> Index:
+def _matches(network: TracerNetwork, probing: Probing) -> Index:
     """Return the row of the replayed point of each probing point, (n,), or -1 without one of its tip."""
     from scipy.spatial import cKDTree
 

@@ -25,7 +25,7 @@ from metrocli.instruments.frames import DistanceBetween
 from metrocli.tasks.multilaterate import KIND
 from metrocli.tasks.multilaterate.effects import EFFECTS, RANGING
 from metrocli.tasks.multilaterate.problem import LENGTHS
-from metrocli.tasks.multilaterate.solve import Solved, refitted
+from metrocli.tasks.multilaterate.solve import AdjustedTracers, refitted
 from metrocli.tasks.shared.environment import blocks_of
 from metrocli.tasks.shared.noise import POINTS_IN_TIME, NoiseFound, count, in_blocks, noise_found
 from metrocli.units import parse_quantity
@@ -39,7 +39,7 @@ _BAR = parse_quantity("1 um", "length")
 """Standard uncertainty of an offered calibrated distance"""
 
 
-def adjusted_job(solved: Solved) -> AdjustedJob:
+def adjusted_job(solved: AdjustedTracers) -> AdjustedJob:
     """Return an adjusted network in the form that diagnosis needs."""
     network = solved.network
     model = with_conditions(replace(network.model, blocks=solved.solution.blocks, groups=solved.solution.groups))
@@ -62,7 +62,7 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         {LENGTHS: folds(group.observations.index[t.POINT], group.observations.conditions)},
         Delivered(*delivered, (0, 1, 2), "um", "length"),
         refit,
-        astray=solved.astray,
+        list_offset=solved.list_offset,
         sharing=count(clusters_of(solved)),
         offers=offers,
     )
@@ -72,21 +72,21 @@ def covariates(model: Model) -> list[Covariate]:
     """Return the quantities with which an unknown effect on lengths could vary."""
     observations = model.readings[0].observations
     conditions = observations.conditions
-    found = [
+    known = [
         Covariate(name, {LENGTHS: conditions[key]}, 6)
         for name, key in (("t_s", ELAPSED), ("temp_degC", WARMING))
         if key in conditions
     ]
     if ELAPSED not in conditions:
-        found.append(Covariate("order of the readings", {LENGTHS: np.arange(observations.count, dtype=float)}, 6))
+        known.append(Covariate("order of the readings", {LENGTHS: np.arange(observations.count, dtype=float)}, 6))
     beam = t.beams(t.reach(), model.blocks, observations)
     length = np.sqrt((beam**2).sum(axis=0))
-    found.append(Covariate("length_mm", {LENGTHS: length}, 5))
-    found.append(Covariate("beam azimuth", {LENGTHS: np.arctan2(beam[1], beam[0])}, 4, angle=True))
-    found.append(Covariate("beam elevation", {LENGTHS: beam[2] / length}, 4))
+    known.append(Covariate("length_mm", {LENGTHS: length}, 5))
+    known.append(Covariate("beam azimuth", {LENGTHS: np.arctan2(beam[1], beam[0])}, 4, angle=True))
+    known.append(Covariate("beam elevation", {LENGTHS: beam[2] / length}, 4))
     points = model.blocks[t.POINT].values[observations.index[t.POINT]].T
-    found.append(Covariate("place of the point", {LENGTHS: np.ascontiguousarray(points)}, 3))
-    return found
+    known.append(Covariate("place of the point", {LENGTHS: np.ascontiguousarray(points)}, 3))
+    return known
 
 
 def folds(point: Index, conditions: Mapping[str, Array]) -> Index:
@@ -146,7 +146,9 @@ def _with_repeats(model: Model, rows: Index, later: float, warmer: float = 0.0) 
         last = float(old.conditions[WARMING][np.argmax(old.conditions.get(ELAPSED, np.zeros(1)))])
         conditions[WARMING] = np.full(len(rows), last + warmer)
     repeated = old.followed_by(replace(new, conditions=conditions))
-    groups = tuple(replace(one, observations=repeated) if one is group else one for one in model.groups)
+    groups = tuple(
+        replace(measured, observations=repeated) if measured is group else measured for measured in model.groups
+    )
     return replace(model, groups=groups)
 
 
@@ -186,8 +188,8 @@ def _with_corners(model: Model) -> Model:
             members=np.concatenate([datum.members, zeros]),
         )
     groups = tuple(
-        replace(one, observations=old.followed_by(changed)) if one is group else _of_more(one, points)
-        for one in model.groups
+        replace(measured, observations=old.followed_by(changed)) if measured is group else _of_more(measured, points)
+        for measured in model.groups
     )
     places_ = {**model.places, "point": Place(points.members, t.POINT)}
     whole = replace(model, blocks={**model.blocks, t.POINT: points}, groups=groups, datum=datum, places=places_)
@@ -218,7 +220,7 @@ def _with_bar(model: Model, ends: tuple[int, int]) -> Model:
     return replace(model, groups=(*model.groups, bar.with_observations(bar.simulated(model.blocks).observations)))
 
 
-def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
+def noise_of(solved: AdjustedTracers, model: str, factor: float) -> NoiseFound:
     """Return the noise of a solved network; raises UndeterminedError for fewer than ten points if it is structured."""
     estimates = (t.TRACER, *blocks_of(solved.solution), *free_blocks(solved.network.effects))
 
@@ -230,7 +232,7 @@ def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
     return noise_found((solved.solution, factor), model, clusters, estimates)
 
 
-def clusters_of(solved: Solved) -> Index:
+def clusters_of(solved: AdjustedTracers) -> Index:
     """Return the block of points in time of each length used, (n,).
 
     All lengths of a point are in one block, so that each point belongs to one. Points follow each other by the mean

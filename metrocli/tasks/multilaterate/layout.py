@@ -17,8 +17,8 @@ from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.distance import between_two
-from metrocli.tasks.multilaterate.layout_faults import carries
-from metrocli.tasks.multilaterate.problem import Network, network_of
+from metrocli.tasks.multilaterate.layout_faults import is_determined
+from metrocli.tasks.multilaterate.problem import TracerNetwork, network_of
 from metrocli.tasks.multilaterate.readings import read as read_lengths
 from metrocli.tasks.multilaterate.settings import Files, LengthSimulation, Settings
 from metrocli.tasks.shared.environment import air_of
@@ -33,7 +33,7 @@ _KEPT = ("point", "tracer", "t", "temp", "pressure", "humidity")
 
 
 @dataclass(frozen=True)
-class Planned:
+class PlannedPoints:
     """A planned measurement: the points, the places of the tracers, and which point each tracer reads at what time."""
 
     points: Table
@@ -56,7 +56,7 @@ class Planned:
             columns["temp"] = _REFERENCE_DEGC + pace.warming * turn / max(len(names) - 1, 1)
         return Table(columns)
 
-    def with_tracer(self, name: str, place: Array) -> Planned:
+    def with_tracer(self, name: str, place: Array) -> PlannedPoints:
         """Return the measurement with one more tracer, which reads every point that the others read."""
         row = {"tracer": name, **dict(zip("xyz", place.tolist(), strict=True))}
         added: dict[str, Values] = {key: np.array([row.get(key, np.nan)]) for key in self.tracers}
@@ -68,7 +68,7 @@ class Planned:
         added["tracer"] = np.array([name] * len(first))
         return replace(more, lengths=_with(self.lengths, _appended(self.lengths, added), False))
 
-    def of_points(self, rows: Index) -> Planned:
+    def of_points(self, rows: Index) -> PlannedPoints:
         """Return the measurement with only these points."""
         fewer = replace(self, points=_chosen(self.points, rows))
         if self.lengths is None:
@@ -78,17 +78,17 @@ class Planned:
 
 
 @dataclass(frozen=True)
-class Layout:
+class PlannedNetwork:
     """A planned measurement with the settings and effects of its adjustment."""
 
     settings: Settings
-    planned: Planned
+    planned: PlannedPoints
     distances: Table | None = None
     """Calibrated distances between points"""
     effects: Sequence[Wanted] = ()
 
     @cached_property
-    def network(self) -> Network:
+    def network(self) -> TracerNetwork:
         """The network with the expected lengths, free of noise.
 
         Raises InputError if a name is unknown or a tracer stands at a point.
@@ -105,8 +105,8 @@ class Layout:
         lengths = replace(design, columns={**design.columns, "length": read})
         bare = replace(tracers, columns={k: v for k, v in tracers.columns.items() if k != "dead_path"})
         readings = read_lengths(self.settings, Files(lengths, points, bare))
-        said = readings.tracers.said
-        places = np.column_stack([said, np.zeros(len(said)), np.ones(len(said))])
+        listed_at = readings.tracers.listed_at
+        places = np.column_stack([listed_at, np.zeros(len(listed_at)), np.ones(len(listed_at))])
         network = network_of(self.settings, readings, places, self.distances)
         return network.with_effects(self.effects)
 
@@ -150,7 +150,7 @@ class Layout:
             pair[COMMON], pair[CORE] = self.part.of_factors(places, pair[COMMON], pair[CORE])
         return between_two(places, self.covariances[rows], pair)
 
-    def with_tracer(self, name: str, place: Array) -> Layout:
+    def with_tracer(self, name: str, place: Array) -> PlannedNetwork:
         """Return the layout with one more tracer, whose place, dead path and scale will be unknowns."""
         return replace(self, planned=self.planned.with_tracer(name, place))
 
@@ -197,7 +197,7 @@ class Ranking:
     """Number of candidates compared"""
 
 
-def ranked(layout: Layout, candidates: Table | None) -> Ranking:
+def ranked(layout: PlannedNetwork, candidates: Table | None) -> Ranking:
     """Rank places for one more tracer by the root mean square uncertainty of the points with it.
 
     Candidates with which the points stay undetermined are left out. If none are listed, a grid around the points is
@@ -210,7 +210,7 @@ def ranked(layout: Layout, candidates: Table | None) -> Ranking:
     part = _part(layout)
     before = np.array(_worth(part))
     more = [part.with_tracer(f"candidate {name}", place) for name, place in zip(names, places, strict=True)]
-    with_it = np.array([_worth(one) for one in more]).reshape(-1, 2)
+    with_it = np.array([_worth(network) for network in more]).reshape(-1, 2)
     order = np.argsort(with_it[:, 0], kind="stable")[: int(np.isfinite(with_it[:, 0]).sum())]
     gain = 1 - with_it[order] / before if np.isfinite(before).all() else np.full((len(order), 2), np.nan)
     columns: dict[str, Values] = {"candidate": np.array(names, dtype=str)[order]}
@@ -220,14 +220,14 @@ def ranked(layout: Layout, candidates: Table | None) -> Ranking:
     return Ranking(Table(columns, dict.fromkeys(("x", "y", "z", "rms", "worst"), "mm")), len(names))
 
 
-def _worth(layout: Layout) -> tuple[float, float]:
+def _worth(layout: PlannedNetwork) -> tuple[float, float]:
     """Return the uncertainty of the points, root mean square and worst; inf if they are undetermined."""
-    if not carries(layout.network, layout.solution) or layout.solution.covariance is None:
+    if not is_determined(layout.network, layout.solution) or layout.solution.covariance is None:
         return float("inf"), float("inf")
     return root_mean_square(layout.covariances), float(worst_direction(layout.covariances).max())
 
 
-def _places(layout: Layout) -> tuple[list[str], Array]:
+def _places(layout: PlannedNetwork) -> tuple[list[str], Array]:
     """Return names and places of a grid around the points, without those in the volume."""
     points = layout.planned.points.stacked("xyz")
     low, high = points.min(axis=0), points.max(axis=0)
@@ -239,7 +239,7 @@ def _places(layout: Layout) -> tuple[list[str], Array]:
     return [f"C{i + 1}" for i in range(len(outside))], middle + outside * side
 
 
-def _part(layout: Layout) -> Layout:
+def _part(layout: PlannedNetwork) -> PlannedNetwork:
     """Return the layout with some of its points, evenly spread over their list, and with all known points."""
     n = len(layout.planned.points)
     if n <= _MOST:

@@ -12,7 +12,7 @@ from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array
 from metrocli.effects.estimates import absorbed
 from metrocli.instruments import tracer as t
-from metrocli.tasks.multilaterate.problem import Network
+from metrocli.tasks.multilaterate.problem import TracerNetwork
 from metrocli.words import listed
 
 TOO_WEAK, WEAK = 300.0, 10.0
@@ -25,7 +25,7 @@ _FEW = 6
 """Number of points per tracer, and of tracers in one plane, that suffices"""
 
 
-def weakness(network: Network, solution: Solution) -> float:
+def weakness(network: TracerNetwork, solution: Solution) -> float:
     """Return the ratio of the uncertainty of points to that of lengths, both root mean squares; 1 to 3 is good."""
     if solution.covariance is None:
         return float("inf")
@@ -33,14 +33,14 @@ def weakness(network: Network, solution: Solution) -> float:
     return float(np.sqrt(max(spread, 0.0)) / np.sqrt((network.lengths.observations.sigma**2).mean()))
 
 
-def carries(network: Network, solution: Solution) -> bool:
+def is_determined(network: TracerNetwork, solution: Solution) -> bool:
     """Return whether the layout determines the points well enough for a result."""
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         return False
     return solution.covariance is None or weakness(network, solution) <= TOO_WEAK
 
 
-def warnings(network: Network, solution: Solution) -> list[str]:
+def warnings(network: TracerNetwork, solution: Solution) -> list[str]:
     """Return a warning for each cause of weakness in a layout that determines its points."""
     ratio = weakness(network, solution)
     if ratio <= WEAK:
@@ -51,7 +51,7 @@ def warnings(network: Network, solution: Solution) -> list[str]:
     ]
 
 
-def explained(network: Network, solution: Solution) -> str:
+def explained(network: TracerNetwork, solution: Solution) -> str:
     """Return the message of what is undetermined, why, and what would determine it."""
     lines = [
         f"the layout does not determine the points: {solution.observations} readings, {solution.unknowns} unknowns"
@@ -63,20 +63,20 @@ def explained(network: Network, solution: Solution) -> str:
     return "\n".join(lines)
 
 
-def reasons(network: Network, solution: Solution) -> list[str]:
+def reasons(network: TracerNetwork, solution: Solution) -> list[str]:
     """Return the reasons why the layout of a network is undetermined or weak."""
     hidden = absorbed(network.effects, solution, network.datum) if solution.undetermined else ()
     if hidden:
         return [
-            f"{one.label} cannot be separated from the other unknowns of this job, which absorb it; "
-            f"leave it out; what would separate it: {one.effect.reveal}"
-            for one in hidden
+            f"{added.label} cannot be separated from the other unknowns of this job, which absorb it; "
+            f"leave it out; what would separate it: {added.effect.reveal}"
+            for added in hidden
         ]
     causes = [*_counts(network, solution), *_shapes(network, solution)]
     return causes or ["the tracers see the points from too few directions; add tracers or points far from the others"]
 
 
-def _counts(network: Network, solution: Solution) -> Iterator[str]:
+def _counts(network: TracerNetwork, solution: Solution) -> Iterator[str]:
     tracers, index = network.blocks[t.TRACER], network.lengths.observations.index
     m, fewest = len(tracers.members), 3 if network.absolute and not network.unknown.all() else 4
     if m < fewest and not (~tracers.free[:, :3]).all():
@@ -100,12 +100,12 @@ def _counts(network: Network, solution: Solution) -> Iterator[str]:
         yield f"tracers that read too few points for their place: {listed(poor)}; use six or more, spread in space"
 
 
-def _three(network: Network) -> str:
+def _three(network: TracerNetwork) -> str:
     known = "where points or tracers are known (sigma_mm)"
     return f"; three suffice {known}" if network.absolute and network.unknown.all() else ""
 
 
-def _shapes(network: Network, solution: Solution) -> Iterator[str]:
+def _shapes(network: TracerNetwork, solution: Solution) -> Iterator[str]:
     tracers, points = network.blocks[t.TRACER], network.blocks[t.POINT].values[network.seen > 0]
     if _flat(points, 1):
         yield "the points lie on a line: add points away from it in two directions"

@@ -22,7 +22,7 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
-from metrocli.tasks.multilaterate.layout import Layout, Ranking, ranked, root_mean_square, worst_direction
+from metrocli.tasks.multilaterate.layout import PlannedNetwork, Ranking, ranked, root_mean_square, worst_direction
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.reliability import reliability
 from metrocli.tasks.shared.statistics import estimates_of_block
@@ -38,13 +38,13 @@ _UNCONTROLLED = 0.01
 """Redundancy below which a test of the length is useless: its minimal detectable error exceeds 40 sigma"""
 
 
-def planned(layout: Layout, candidates: Table | None) -> Plan:
+def planned(layout: PlannedNetwork, candidates: Table | None) -> Plan:
     """Return what a layout will determine.
 
     Raises UndeterminedError, with what would determine the points, if the layout does not.
     """
     ranking = ranked(layout, candidates)
-    if not layout_faults.carries(layout.network, layout.solution):
+    if not layout_faults.is_determined(layout.network, layout.solution):
         best = _best(ranking)
         raise UndeterminedError("\n".join([layout_faults.explained(layout.network, layout.solution), *best]))
     lengths, hidden = _lengths(layout), uncontrolled(layout.network)
@@ -70,13 +70,13 @@ def planned(layout: Layout, candidates: Table | None) -> Plan:
     )
 
 
-def _points(layout: Layout) -> Table:
+def _points(layout: PlannedNetwork) -> Table:
     std = np.sqrt(np.maximum(np.einsum("mii->mi", layout.covariances), 0.0))
     places = {"point": layout.names, "x y z [mm]": layout.places, "sx sy sz [mm]": std}
     return Table.of({**places, "worst [mm]": worst_direction(layout.covariances)})
 
 
-def _lengths(layout: Layout) -> Table:
+def _lengths(layout: PlannedNetwork) -> Table:
     """Return redundancy, minimal detectable error and external reliability of each length."""
     group = layout.network.lengths
     residuals, critical = residuals_of(layout.solution, group), critical_value(group.observations.count)
@@ -90,7 +90,7 @@ def _tracers(solution: Solution) -> tuple[Estimate, ...]:
     return estimates_of_block(places, solution.std(t.TRACER), units, lambda tracer, name: f"{tracer}.{name}")
 
 
-def _lines(layout: Layout) -> Iterator[Estimate]:
+def _lines(layout: PlannedNetwork) -> Iterator[Estimate]:
     """Yield the distances of points at opposite ends of the volume: along its axes and its diagonals."""
     points, names = layout.places, layout.names
     middle, half = (points.max(axis=0) + points.min(axis=0)) / 2, np.ptp(points, axis=0) / 2
@@ -106,7 +106,7 @@ def _ends(middle: Array, half: Array) -> tuple[Array, Array]:
     return middle - half, middle + half
 
 
-def _quality(layout: Layout) -> Iterator[str]:
+def _quality(layout: PlannedNetwork) -> Iterator[str]:
     worst, ratio = worst_direction(layout.covariances), layout_faults.weakness(layout.network, layout.solution)
     name, m = layout.names[int(np.argmax(worst))], len(layout.network.blocks[t.TRACER].members)
     yield (
@@ -117,7 +117,7 @@ def _quality(layout: Layout) -> Iterator[str]:
     yield f"coordinates are {ratio:.2g} times as uncertain as lengths (1 to 3 is good)"
 
 
-def _of_part(layout: Layout) -> Iterator[str]:
+def _of_part(layout: PlannedNetwork) -> Iterator[str]:
     """Yield what the growth of the part does to the points that are predicted here, or to those probed on it."""
     part = layout.settings.part
     if part is None:
@@ -127,7 +127,7 @@ def _of_part(layout: Layout) -> Iterator[str]:
         yield "the growth and its uncertainty come to the corrected points; those here are the places of the replay"
 
 
-def _of_lengths(layout: Layout, lengths: Table) -> Iterator[str]:
+def _of_lengths(layout: PlannedNetwork, lengths: Table) -> Iterator[str]:
     """Yield which errors of single lengths the tests will detect, and which they will not."""
     least, moves = lengths.numbers("detectable"), lengths.numbers("moves_point")
     yield (

@@ -18,7 +18,7 @@ from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
 from metrocli.instruments.tracer_start import start
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.readings import Readings, distances_of, read
+from metrocli.tasks.multilaterate.readings import LengthReadings, distances_of, read
 from metrocli.tasks.multilaterate.settings import Files, Settings
 from metrocli.tasks.shared.environment import Air, priors_of
 from metrocli.tasks.shared.lengths import PathNoise, Scale, stop_priors, with_noise
@@ -31,7 +31,7 @@ LENGTHS = "lengths"
 
 
 @dataclass(frozen=True)
-class Network(Modelled):
+class TracerNetwork(Modelled):
     """A network of lengths, ready to be adjusted."""
 
     noise: PathNoise
@@ -42,7 +42,7 @@ class Network(Modelled):
     """Whether lengths are absolute distances, without a dead path"""
     surveyed: bool = False
     """Whether the places of all tracers are known, so that points need no listed places"""
-    said: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    listed_at: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """Listed places of the tracers, (tracers, 3), nan if not listed"""
     warnings: tuple[str, ...] = ()
     scale: Scale | None = None
@@ -74,15 +74,15 @@ class Network(Modelled):
                 held[group.observations.index[t.POINT].ravel()] = True
         return self.blocks[t.POINT].free.all(axis=1) & ~held
 
-    def with_noise(self, noise: PathNoise, blocks: Mapping[str, Block]) -> Network:
+    def with_noise(self, noise: PathNoise, blocks: Mapping[str, Block]) -> TracerNetwork:
         """Return the network at the values of `blocks` with another noise of its lengths."""
         return replace(self, model=with_noise(self.model.with_blocks(blocks), LENGTHS, noise), noise=noise)
 
-    def with_noise_times(self, factor: float) -> Network:
+    def with_noise_times(self, factor: float) -> TracerNetwork:
         """Return the network with a factor on the declared noise of its lengths."""
         return self.with_noise(self.noise.times(factor), self.blocks)
 
-    def only(self, keep: Mask) -> Network:
+    def only(self, keep: Mask) -> TracerNetwork:
         """Return the network with only these lengths; points that lose all their lengths are no longer unknowns."""
         lengths = self.lengths.selected(keep)
         left = np.bincount(lengths.observations.index[t.POINT], minlength=len(self.nominal)) > 0
@@ -99,39 +99,39 @@ def _without(group: Group, left: Mask) -> Group:
     return group if index is None else group.selected(np.asarray(left[np.atleast_2d(index)].all(axis=0)))
 
 
-def build(settings: Settings, files: Files) -> Network:
+def build(settings: Settings, files: Files) -> TracerNetwork:
     """Return the adjustment of the files, with starting values found from the lengths; raises as `places_of` does."""
     readings = read(settings, files)
     places = places_of(readings.seen_by)
     return network_of(settings, readings, places, files.distances, _points_from(readings, places))
 
 
-def _points_from(readings: Readings, places: Array) -> Array:
+def _points_from(readings: LengthReadings, places: Array) -> Array:
     """Return starting values of the points, (points, 3): from distances to known tracers where the list is rough.
 
     A point is to known tracers what a tracer is to known points.
     """
-    found, observations = readings.nominal.copy(), readings.observations
+    points, observations = readings.nominal.copy(), readings.observations
     if not (readings.absolute and readings.tracers.given.all()):
-        return found
+        return points
     of, ends = observations.index[t.POINT], places[observations.index[t.TRACER], :3]
     lengths = observations.readings[0]
-    miss = np.abs(lengths - np.linalg.norm(found[of] - ends, axis=1))
-    rough = np.bincount(of, miss > _ROUGH * readings.seen_by.extent, len(found)) > 0
+    miss = np.abs(lengths - np.linalg.norm(points[of] - ends, axis=1))
+    rough = np.bincount(of, miss > _ROUGH * readings.seen_by.extent, len(points)) > 0
     for i in np.flatnonzero(rough & (readings.seen >= 3)).tolist():
         mine = of == i
         place = start(ends[mine], lengths[mine], True, readings.nominal[i])[:3]
-        found[i] = np.where((readings.sigma[i] != 0) & np.isfinite(place), place, found[i])
-    return found
+        points[i] = np.where((readings.sigma[i] != 0) & np.isfinite(place), place, points[i])
+    return points
 
 
 def network_of(
     settings: Settings,
-    readings: Readings,
+    readings: LengthReadings,
     places: Array,
     distances: Table | None = None,
     points_at: Array | None = None,
-) -> Network:
+) -> TracerNetwork:
     """Return the adjustment of readings; `places` (tracers, 5) are the starting values of the tracers.
 
     Points start at `points_at` (points, 3), or where they are listed.
@@ -163,4 +163,6 @@ def network_of(
     model = Model(blocks, groups, datum, (LENGTHS,), acting, t.aspects(t.reach()), nominal=nominal)
     warnings, air = readings.warnings, readings.air
     given, scale = bool(tracers.given.all()), settings.scale
-    return Network(model, noise, readings.nominal, readings.absolute, given, tracers.said, warnings, scale, air)
+    return TracerNetwork(
+        model, noise, readings.nominal, readings.absolute, given, tracers.listed_at, warnings, scale, air
+    )

@@ -22,7 +22,7 @@ from metrocli.tasks.multilaterate.settings import Files, Settings
 from metrocli.tasks.shared.environment import Air, air_of, unused
 from metrocli.tasks.shared.lengths import PathNoise, stops_of
 from metrocli.tasks.shared.lists import matched, refuse, sigmas
-from metrocli.tasks.shared.tracers import Seen, Tracers, few_of_each, observed, tracers_of
+from metrocli.tasks.shared.tracers import LengthsToTracers, Tracers, few_of_each, observed, tracers_of
 from metrocli.words import listed
 
 DISTANCES = "distances"
@@ -30,7 +30,7 @@ DISTANCES = "distances"
 
 
 @dataclass(frozen=True)
-class Readings:
+class LengthReadings:
     """The lengths of a network and the lists that they refer to."""
 
     names: tuple[str, ...]
@@ -46,7 +46,7 @@ class Readings:
     """The deviations of stops that several lengths share"""
     air: Air | None
     absolute: bool
-    seen_by: Seen
+    seen_by: LengthsToTracers
     """What the search of the tracers takes of them"""
     warnings: tuple[str, ...] = ()
 
@@ -56,7 +56,7 @@ class Readings:
         return np.bincount(self.observations.index[t.POINT], minlength=len(self.names))
 
 
-def read(settings: Settings, files: Files) -> Readings:
+def read(settings: Settings, files: Files) -> LengthReadings:
     """Return the lengths, matched to points and tracers and corrected for the air.
 
     Raises InputError that lists every length without a point or tracer, and every impossible reading.
@@ -89,11 +89,11 @@ def read(settings: Settings, files: Files) -> Readings:
         index = {} if stops is None else {t.STOP: numbers}
         conditions = {**observations.conditions, t.ALONE: alone}
         observations = replace(observations, index={**observations.index, **index}, conditions=conditions)
-    places = np.vstack([nominal[np.bincount(point, minlength=len(names)) > 0], read_by.said[read_by.given]])
+    places = np.vstack([nominal[np.bincount(point, minlength=len(names)) > 0], read_by.listed_at[read_by.given]])
     extent = float(np.ptp(places, axis=0).max()) or 1.0
     rows = few_of_each(read_by)
-    seen = Seen(read_by, rows, nominal[point[rows]], length[rows], extent, absolute, lengths.file)
-    readings = Readings(names, nominal, sigma, read_by, observations, stops, air, absolute, seen)
+    seen = LengthsToTracers(read_by, rows, nominal[point[rows]], length[rows], extent, absolute, lengths.file)
+    readings = LengthReadings(names, nominal, sigma, read_by, observations, stops, air, absolute, seen)
     return replace(readings, warnings=(*_unused(readings), *unused(settings.environment, lengths)))
 
 
@@ -113,7 +113,7 @@ def _stops(point: Index, sigma: Array, time: Array | None) -> tuple[Index, Array
     return np.searchsorted(np.unique(np.append(stops, 0)), stops), (alone & kept).astype(float)
 
 
-def _unused(readings: Readings) -> tuple[str, ...]:
+def _unused(readings: LengthReadings) -> tuple[str, ...]:
     """Return a warning of points without a length, and one of tracers without a reading."""
     unseen = [readings.names[row] for row in np.flatnonzero(readings.seen == 0)]
     warnings = (f"{len(unseen)} points have no length: {listed(unseen)}",) if unseen else ()

@@ -16,11 +16,11 @@ from metrocli.result import SCALE, Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
 from metrocli.tasks.multilaterate.blunders import Reason
-from metrocli.tasks.multilaterate.correction import Probing, astray, corrected, distant, wrong_entries
+from metrocli.tasks.multilaterate.correction import Probing, corrected, distant, list_offset, wrong_entries
 from metrocli.tasks.multilaterate.features.report import FEATURES, SHOWN, exchanging, fitted
-from metrocli.tasks.multilaterate.features.wanted import Wanted
+from metrocli.tasks.multilaterate.features.wanted import RequestedFeature
 from metrocli.tasks.multilaterate.second_places import noise_of_tests
-from metrocli.tasks.multilaterate.solve import Solved
+from metrocli.tasks.multilaterate.solve import AdjustedTracers
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
 from metrocli.tasks.shared.joint_covariance import factors
@@ -55,10 +55,10 @@ _ELSEWHERE = 0.5
 
 
 def report(
-    solved: Solved,
+    solved: AdjustedTracers,
     noise: NoiseFound,
     probing: Probing | None,
-    features: Sequence[Wanted],
+    features: Sequence[RequestedFeature],
     part: Part | None = None,
 ) -> Result:
     """Return the result of a solved network.
@@ -101,11 +101,13 @@ def report(
         ),
         details=noise.details([estimate.name for estimate in delivered]),
         plain=("dof",),
-        astray=max(solved.astray, astray(solved.network, probing)),
+        list_offset=max(solved.list_offset, list_offset(solved.network, probing)),
     )
 
 
-def _adjusted(solved: Solved, solution: Solution, part: Part | None) -> tuple[dict[str, Table], dict[str, Array]]:
+def _adjusted(
+    solved: AdjustedTracers, solution: Solution, part: Part | None
+) -> tuple[dict[str, Table], dict[str, Array]]:
     """Return the tables and arrays of the adjusted network and of its effects; the points are those of a part."""
     points, arrays = _points(solved, solution, part)
     effect_tables, effect_arrays = effect_results(solved.network.effects, solution)
@@ -119,7 +121,7 @@ def _adjusted(solved: Solved, solution: Solution, part: Part | None) -> tuple[di
     return tables | effect_tables, arrays | effect_arrays
 
 
-def _statistics(solved: Solved, solution: Solution) -> Statistics:
+def _statistics(solved: AdjustedTracers, solution: Solution) -> Statistics:
     rms = float(np.sqrt((solved.residuals.values**2).mean()))
     return basic_statistics(solution, {"mm": rms}) | {
         "rejected": len(solved.rejected),
@@ -129,7 +131,7 @@ def _statistics(solved: Solved, solution: Solution) -> Statistics:
     }
 
 
-def _shown(solved: Solved) -> Iterator[ShownTable]:
+def _shown(solved: AdjustedTracers) -> Iterator[ShownTable]:
     if solved.network.blocks[t.POINT].free.any():
         yield ShownTable("points", ("point", "x", "y", "z", "sx", "sy", "sz"))
     if solved.suspects:
@@ -142,7 +144,7 @@ def _tracer_estimates(solution: Solution) -> tuple[Estimate, ...]:
     return estimates_of_block(block, solution.std(t.TRACER), units, lambda tracer, name: f"{tracer}.{name}")
 
 
-def _points(solved: Solved, solution: Solution, part: Part | None) -> tuple[Table, dict[str, Array]]:
+def _points(solved: AdjustedTracers, solution: Solution, part: Part | None) -> tuple[Table, dict[str, Array]]:
     """Return /points, with the mover's error at each point (its reading minus the point), and their covariances.
 
     With a part the points are at 20 degC; the mover's error is that at the measurement.
@@ -167,7 +169,7 @@ def _tracers(solution: Solution) -> Table:
     return Table.of({"tracer": block.members, **columns_with_std(block, solution.std(t.TRACER), _UNITS)})
 
 
-def _residuals(solved: Solved) -> Table:
+def _residuals(solved: AdjustedTracers) -> Table:
     """Return /residuals, with minimal detectable error and external reliability of each length."""
     observations, residuals = solved.group.observations, solved.residuals
     blocks = {"point": t.POINT, "tracer": t.TRACER}  # whose names become a column faster than those of the readings
@@ -188,16 +190,19 @@ def _residuals(solved: Solved) -> Table:
     return Table.of({**keys, **numbers, **more, **condition_columns(observations)})
 
 
-def _rejected(solved: Solved) -> Table:
+def _rejected(solved: AdjustedTracers) -> Table:
     observations = solved.whole.lengths.observations
-    chosen = sorted(solved.rejected, key=lambda one: one.row)
-    rows = [one.row for one in chosen]
+    chosen = sorted(solved.rejected, key=lambda rejected: rejected.row)
+    rows = [rejected.row for rejected in chosen]
     keys = {f"{key} [text]": [values[row] for row in rows] for key, values in observations.keys.items()}
-    tests = {"w": [one.test for one in chosen], "reason [text]": [str(one.reason) for one in chosen]}
+    tests = {
+        "w": [rejected.test for rejected in chosen],
+        "reason [text]": [str(rejected.reason) for rejected in chosen],
+    }
     return Table.of({**keys, "reading [mm]": observations.readings[0, rows], **tests})
 
 
-def _suspects(solved: Solved) -> Table:
+def _suspects(solved: AdjustedTracers) -> Table:
     suspects, keys = solved.suspects, solved.whole.lengths.observations.keys
     times = [keys[TIME][suspect.rows[0]] if suspect.tracer else "" for suspect in suspects] if TIME in keys else []
     return Table.of(
@@ -215,14 +220,14 @@ def _or(others: Sequence[str]) -> str:
     return f", or {' or '.join(others)}" if others else ""
 
 
-def _warnings(solved: Solved) -> list[str]:
+def _warnings(solved: AdjustedTracers) -> list[str]:
     cures = (REMOVE,) if solved.network.noise.repeatability else (REMOVE, REPEATS)
     lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures)]
     keys = solved.whole.lengths.observations.keys
     wrong = [
-        f"{keys['point'][one.row]}/{name_of(keys, 'tracer', one.row)}"
-        for one in solved.rejected
-        if one.reason in (Reason.GROSS, Reason.OUTLIER)
+        f"{keys['point'][rejected.row]}/{name_of(keys, 'tracer', rejected.row)}"
+        for rejected in solved.rejected
+        if rejected.reason in (Reason.GROSS, Reason.OUTLIER)
     ]
     if wrong:
         lines.append(f"{len(wrong)} lengths are left out as wrong: {listed(wrong)} (table rejected)")
@@ -231,8 +236,8 @@ def _warnings(solved: Solved) -> list[str]:
         for suspect in solved.suspects
         if suspect.tracer
     ]
-    untold = [suspect for suspect in solved.suspects if not suspect.tracer]
-    alike = [f"{one.point} (w = {one.test:.1f}: {' or '.join(one.others)})" for one in untold]
+    ambiguous = [suspect for suspect in solved.suspects if not suspect.tracer]
+    alike = [f"{suspect.point} (w = {suspect.test:.1f}: {' or '.join(suspect.others)})" for suspect in ambiguous]
     bound = f"the outlier bound |w| = {solved.critical:.2f}"
     if solved.solution.sigma0 > 1:
         bound += " (w divided by sigma0, the largest by sigma0 without that length)"
@@ -251,12 +256,12 @@ def _warnings(solved: Solved) -> list[str]:
     return lines + layout_faults.warnings(solved.network, solved.solution)
 
 
-def _elsewhere(solved: Solved) -> Iterator[str]:
+def _elsewhere(solved: AdjustedTracers) -> Iterator[str]:
     """Yield a warning of tracers far from their listed places: lengths fit a layout and its mirror image alike."""
     tracers, network = solved.solution.blocks[t.TRACER], solved.network
-    if not len(network.said):
+    if not len(network.listed_at):
         return
-    gap = np.linalg.norm(tracers.values[:, :3] - network.said, axis=1)
+    gap = np.linalg.norm(tracers.values[:, :3] - network.listed_at, axis=1)
     away = np.linalg.norm(tracers.values[:, :3] - network.nominal[network.seen > 0].mean(axis=0), axis=1)
     far = np.flatnonzero(gap > _ELSEWHERE * away)
     if far.size:
@@ -267,7 +272,7 @@ def _elsewhere(solved: Solved) -> Iterator[str]:
         )
 
 
-def _lost(solved: Solved) -> list[str]:
+def _lost(solved: AdjustedTracers) -> list[str]:
     """Return the points all of whose lengths are left out."""
     names = solved.network.blocks[t.POINT].members
     return [names[i] for i in np.flatnonzero((solved.network.seen == 0) & (solved.whole.seen > 0))]

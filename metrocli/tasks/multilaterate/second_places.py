@@ -10,20 +10,20 @@ import numpy as np
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.arrays import Array
-from metrocli.tasks.multilaterate.problem import LENGTHS, Network
+from metrocli.tasks.multilaterate.problem import LENGTHS, TracerNetwork
 from metrocli.tasks.shared.mirror import Mirrored, mirrored, of_points, of_tracers
 
 EQUAL = 1e-4
 """Tests of a point that differ by less than this share are equal"""
 
 
-def second_places(network: Network, solution: Solution, noise: float) -> list[Mirrored]:
+def second_places(network: TracerNetwork, solution: Solution, noise: float) -> list[Mirrored]:
     """Return tracers and points with a second place; `noise` is a factor on the standard deviations of lengths.
 
     In a free network the list of points fixes the frame. Points that it decides for are left out there.
     """
     group = next(group for group in solution.groups if group.name == LENGTHS)
-    tracers = mirrored(of_tracers(solution, group, network.said), noise)
+    tracers = mirrored(of_tracers(solution, group, network.listed_at), noise)
     points = mirrored(of_points(solution, group, network.nominal), noise)
     return [*tracers, *(point for point in points if network.surveyed or not point.decided)]
 

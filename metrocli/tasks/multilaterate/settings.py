@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from metrocli.frozen import dataclass
-from metrocli.settings import At, Choice, Either, MapOf, Placed, Quantity, Section, TableFile, setting
+from metrocli.settings import At, Choice, Either, LocatedValue, MapOf, Section, TableFile, WithUnit, setting
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import ABSENT, Columns, Table, columns
 from metrocli.tasks.shared.environment import WEATHER, Environment
@@ -73,17 +73,17 @@ class LengthSimulation:
     """The truth for `metrocli simulate`; the tracers stand at their listed places."""
 
     mover_error: float = setting(
-        Quantity("length", minimum=0.0), "standard deviation of the mover's readings", default=0.0
+        WithUnit("length", minimum=0.0), "standard deviation of the mover's readings", default=0.0
     )
-    mover_scale: float = setting(Quantity("ratio"), "relative error of the distances that the mover reads", default=0.0)
+    mover_scale: float = setting(WithUnit("ratio"), "relative error of the distances that the mover reads", default=0.0)
     tracer_error: float = setting(
-        Quantity("length", minimum=0.0), "standard deviation of the tracers' places in the file written", default=0.0
+        WithUnit("length", minimum=0.0), "standard deviation of the tracers' places in the file written", default=0.0
     )
     interval: float | None = setting(
-        Quantity("time", positive=True), "time from point to point; without it no times are written", default=None
+        WithUnit("time", positive=True), "time from point to point; without it no times are written", default=None
     )
     warming: float = setting(
-        Quantity("temperature difference"), "warming of the air from the first point to the last", default=0.0
+        WithUnit("temperature difference"), "warming of the air from the first point to the last", default=0.0
     )
 
 
@@ -92,10 +92,10 @@ class Correction:
     """What a corrected probing point scatters by, besides its reflector's place."""
 
     repeatability: float = setting(
-        Quantity("length", minimum=0.0), "standard deviation of each coordinate at the mover's return", default=0.0
+        WithUnit("length", minimum=0.0), "standard deviation of each coordinate at the mover's return", default=0.0
     )
     tip: float = setting(
-        Quantity("length", minimum=0.0), "standard deviation of each coordinate of a probed point", default=0.0
+        WithUnit("length", minimum=0.0), "standard deviation of each coordinate of a probed point", default=0.0
     )
 
 
@@ -136,14 +136,14 @@ class Settings:
         Choice("report", "remove"), "report outliers only, or also leave them out", default="report"
     )
     tolerance: float = setting(
-        Quantity("length", positive=True), "largest distance of a probing point from its replayed point", default=1.0
+        WithUnit("length", positive=True), "largest distance of a probing point from its replayed point", default=1.0
     )
     correction: Correction = setting(
         Section(Correction),
         "standard deviations of probed points, for the uncertainty of /corrected",
         default=Correction(),
     )
-    features: dict[str, Placed] = setting(
+    features: dict[str, LocatedValue] = setting(
         MapOf(At(Either(Choice(*SHAPES), Section(Feature)))),
         "ideal features through the corrected points, by the names in column `feature`",
         default={},

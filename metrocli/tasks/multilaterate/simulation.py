@@ -17,7 +17,7 @@ from metrocli.errors import InputError
 from metrocli.instruments import tracer as t
 from metrocli.simulation import Simulation
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.layout import Planned
+from metrocli.tasks.multilaterate.layout import PlannedPoints
 from metrocli.tasks.multilaterate.problem import LENGTHS
 from metrocli.tasks.multilaterate.settings import LengthSimulation, Settings
 from metrocli.tasks.shared.environment import Air, air_of
@@ -27,7 +27,11 @@ from metrocli.tasks.shared.statistics import CONDITIONS, heading
 
 
 def simulated(
-    settings: Settings, truth: LengthSimulation, planned: Planned, effects: Sequence[Wanted], rng: np.random.Generator
+    settings: Settings,
+    truth: LengthSimulation,
+    planned: PlannedPoints,
+    effects: Sequence[Wanted],
+    rng: np.random.Generator,
 ) -> Simulation:
     """Return lengths from tracers at their listed places to the true points, with effects and noise.
 
@@ -58,13 +62,13 @@ def simulated(
     reading = model.groups[0].chain.predict(model.blocks, observations)[0] + rng.normal(0.0, 1.0, path.shape) * sigma
     reading = reading + _returns(settings.noise, observations, actual, places, rng)
     reading = reading if air is None else reading / air.towards
-    said = places + rng.normal(0.0, 1.0, places.shape) * truth.tracer_error
+    listed_at = places + rng.normal(0.0, 1.0, places.shape) * truth.tracer_error
     when = {heading(name): condition for name, condition in design.conditions(*CONDITIONS).items()}
     lengths = Table.of({**{name: design.columns[name] for name in ("point", "tracer")}, "length [mm]": reading, **when})
     names = planned.tracers.texts("tracer")
     files = {
         "lengths.csv": lengths,
-        "tracers.csv": listed_places("tracer", names, said),
+        "tracers.csv": listed_places("tracer", names, listed_at),
         "true_points.csv": listed_places("point", planned.points.texts("point"), actual),
     }
     return Simulation(files, _named(names, stations) | true_values(model))
@@ -91,7 +95,9 @@ def _named(names: Sequence[str], stations: Array) -> dict[str, float]:
     }
 
 
-def _model(design: Table, planned: Planned, points: Array, stations: Array, air: Air | None, error: float) -> Model:
+def _model(
+    design: Table, planned: PlannedPoints, points: Array, stations: Array, air: Air | None, error: float
+) -> Model:
     """Return the forward model of the design at the truth, `error` that of the air; its readings are zero."""
     names, tracers = planned.points.texts("point"), planned.tracers.texts("tracer")
     index = {t.POINT: matched(design, "point", names, "the points")}

@@ -31,8 +31,8 @@ from metrocli.tasks.multilaterate.blunders import (
     unchecked,
     undisturbed_start,
 )
-from metrocli.tasks.multilaterate.layout_faults import carries, explained
-from metrocli.tasks.multilaterate.problem import LENGTHS, Network
+from metrocli.tasks.multilaterate.layout_faults import explained, is_determined
+from metrocli.tasks.multilaterate.problem import LENGTHS, TracerNetwork
 from metrocli.tasks.multilaterate.second_places import EQUAL, at_others, noise_of_tests, second_places, units_of_tests
 from metrocli.tasks.shared.lengths import with_repeatability
 from metrocli.tasks.shared.lists import name_of
@@ -62,7 +62,7 @@ _SMALL_ENOUGH = 1000
 
 
 @dataclass(frozen=True)
-class Suspect:
+class SuspectedLength:
     """A wrong length, or a point with a wrong length that cannot be identified."""
 
     point: str
@@ -77,17 +77,17 @@ class Suspect:
 
 
 @dataclass(frozen=True)
-class Solved:
+class AdjustedTracers:
     """An adjusted network, with the lengths that were left out."""
 
-    network: Network
+    network: TracerNetwork
     """The network of the lengths used"""
-    whole: Network
+    whole: TracerNetwork
     """The network of all lengths"""
     solution: Solution
     residuals: Residuals
     rejected: tuple[Rejected, ...]
-    suspects: tuple[Suspect, ...]
+    suspects: tuple[SuspectedLength, ...]
     critical: float
     """Bound of |w| for an outlier"""
 
@@ -107,7 +107,7 @@ class Solved:
         return second_places(self.network, self.solution, noise_of_tests(self.solution))
 
     @property
-    def astray(self) -> float:
+    def list_offset(self) -> float:
         """How far points and tracers lie from their lists, relative to the plausible deviation.
 
         The points have a root mean square, the tracers a median; the larger ratio counts. 0 where tracers are known.
@@ -119,13 +119,13 @@ class Solved:
         extent = float(np.ptp(network.nominal[seen], axis=0).max()) or 1.0
         off = network.nominal[seen] - blocks[t.POINT].values[seen]
         points = float(np.sqrt((off**2).sum(axis=1).mean()))
-        apart = np.linalg.norm(network.said - blocks[t.TRACER].values[:, :3], axis=1)
+        apart = np.linalg.norm(network.listed_at - blocks[t.TRACER].values[:, :3], axis=1)
         finite = apart[np.isfinite(apart)]
         tracers = float(median(finite)) / extent if finite.size else 0.0
         return max(points / (_POINTS_NEAR * extent + _noise_of(network)), tracers / _TRACERS_NEAR)
 
 
-def solve(network: Network, remove: bool) -> Solved:
+def solve(network: TracerNetwork, remove: bool) -> AdjustedTracers:
     """Adjust the network from a robust start; with `remove`, leave outliers out.
 
     Raises UndeterminedError if the layout does not determine the points, NotConvergedError if the adjustment does not
@@ -140,24 +140,24 @@ def solve(network: Network, remove: bool) -> Solved:
     if len(network.nominal) <= _SMALL_ENOUGH:
         _must_carry(start, covariance_at(state.values(), groups, start.datum))
     gross = far_off(network, state) if remove else {}
-    begun = _Using(brought_back(network, state, gross), gross | out, bool(gross))
+    begun = _KeptLengths(brought_back(network, state, gross), gross | out, bool(gross))
 
-    def fewer(used: _Using, solved: Solved) -> tuple[_Using, bool]:
+    def fewer(used: _KeptLengths, solved: AdjustedTracers) -> tuple[_KeptLengths, bool]:
         state, worst = solved.solution.blocks, _worst(solved) if remove else {}
         if used.back and not worst:
-            return _Using(state, _without_innocent(solved, used.out), False), True
+            return _KeptLengths(state, _with_reinstated(solved, used.out), False), True
         more = worst or (_doubtful(solved) if used.out else {})
-        return _Using(state, used.out | more, used.back), bool(more)
+        return _KeptLengths(state, used.out | more, used.back), bool(more)
 
     used, solved = in_rounds(begun, lambda used: _adjusted(network, used.state, used.out), fewer)
-    better = [one for one in solved.second if one.better and not one.decided]
+    better = [mirrored for mirrored in solved.second if mirrored.better and not mirrored.decided]
     solved = _adjusted(network, at_others(solved.solution.blocks, better), used.out) if better else solved
     must_be_decided(solved.second)
     return solved
 
 
 @dataclass(frozen=True)
-class _Using:
+class _KeptLengths:
     """Values to start from, the lengths to leave out, and whether some of these may fit and come back."""
 
     state: Mapping[str, Block]
@@ -165,12 +165,12 @@ class _Using:
     back: bool
 
 
-def refitted(network: Network, keep: Mask) -> Solution:
+def refitted(network: TracerNetwork, keep: Mask) -> Solution:
     """Adjust a network to some of its lengths, from the present values, with weights from the adjusted paths."""
     return _weighted(network.only(keep))
 
 
-def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejected]) -> Solved:
+def _adjusted(network: TracerNetwork, state: Mapping[str, Block], out: dict[int, Rejected]) -> AdjustedTracers:
     keep = _kept(network, out)
     lost = unchecked(network, keep) & keep
     keep &= ~lost
@@ -188,33 +188,33 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     suspects = _suspects(group, np.abs(residuals.normalised[0]), units_of_tests(solution, residuals), critical)
     rows = np.flatnonzero(keep)
     suspects = tuple(replace(suspect, rows=tuple(rows[list(suspect.rows)].tolist())) for suspect in suspects)
-    return Solved(used, network, solution, residuals, tuple(rejected), suspects, critical)
+    return AdjustedTracers(used, network, solution, residuals, tuple(rejected), suspects, critical)
 
 
-def _weighted(network: Network) -> Solution:
+def _weighted(network: TracerNetwork) -> Solution:
     """Return the adjustment from the present values, with weights from the adjusted paths."""
     groups, noise = [network.lengths, *network.others], {LENGTHS: network.noise}
     return adjust_with_iterated_weights(network.blocks.values(), groups, noise, network.datum, network.aspects)
 
 
-def _kept(network: Network, out: Mapping[int, Rejected]) -> Mask:
+def _kept(network: TracerNetwork, out: Mapping[int, Rejected]) -> Mask:
     keep = np.ones(network.lengths.observations.count, dtype=bool)
     keep[list(out)] = False
     return keep
 
 
-def _must_carry(network: Network, solution: Solution) -> None:
-    if not carries(network, solution):
+def _must_carry(network: TracerNetwork, solution: Solution) -> None:
+    if not is_determined(network, solution):
         raise UndeterminedError(explained(network, solution), solution.misfit)
 
 
-def _must_see_effects(network: Network, solution: Solution) -> None:
+def _must_see_effects(network: TracerNetwork, solution: Solution) -> None:
     """Raise UndeterminedError if the other unknowns absorb an effect; the adjustment could make it very large."""
     if solution.undetermined and absorbed(network.effects, solution, network.datum):
         raise UndeterminedError(explained(network, solution), solution.misfit)
 
 
-def _must_be_near(network: Network, solution: Solution) -> None:
+def _must_be_near(network: TracerNetwork, solution: Solution) -> None:
     """Raise NotConvergedError if the solution is far from the mover's readings, such as the mirror image."""
     if network.surveyed:
         return
@@ -223,16 +223,16 @@ def _must_be_near(network: Network, solution: Solution) -> None:
     middle = float(median(away))
     if middle > _ASTRAY * np.ptp(network.nominal[seen], axis=0).max() + _noise_of(network):
         placed = _PLACES + _DELAY * network.absolute
-        why = placed if np.isfinite(network.said).all() else _NO_PLACES
+        why = placed if np.isfinite(network.listed_at).all() else _NO_PLACES
         raise NotConvergedError(f"the points found lie {middle:.3g} mm from their listed places (median): {why}")
 
 
-def _noise_of(network: Network) -> float:
+def _noise_of(network: TracerNetwork) -> float:
     """Return how far noise alone may move points of a network [mm]."""
     return _NOISY * float(median(network.lengths.observations.deviations.ravel()))
 
 
-def _doubtful(solved: Solved) -> dict[int, Rejected]:
+def _doubtful(solved: AdjustedTracers) -> dict[int, Rejected]:
     """Return the lengths of points that lost some and whose others fail a chi-square test at 5 %, each point by itself.
 
     Where one length is wrong, a second is likely, and two wrong ones may look like a single other one. `v'Pv` of the
@@ -245,11 +245,11 @@ def _doubtful(solved: Solved) -> dict[int, Rejected]:
     sigma = solved.residuals.sigma[0] * noise_of_tests(solved.solution)
     misfit = np.bincount(point, (solved.residuals.values[0] / sigma) ** 2, len(left))
     bad = lost & (misfit > chdtri(np.maximum(left - 3, 1), _DOUBT))
-    used = np.delete(np.arange(solved.whole.lengths.observations.count), [one.row for one in solved.rejected])
+    used = np.delete(np.arange(solved.whole.lengths.observations.count), [rejected.row for rejected in solved.rejected])
     return {int(row): Rejected(int(row), float("nan"), Reason.CONTRADICTED) for row in used[bad[point]]}
 
 
-def _suspects(group: Group, w: Array, units: Array, bound: float) -> tuple[Suspect, ...]:
+def _suspects(group: Group, w: Array, units: Array, bound: float) -> tuple[SuspectedLength, ...]:
     """Return the worst length of each point that has a test beyond the bound, the largest first."""
     point = group.observations.index[t.POINT]
     keys = group.observations.keys
@@ -261,7 +261,7 @@ def _suspects(group: Group, w: Array, units: Array, bound: float) -> tuple[Suspe
         alike = (tests >= (1 - EQUAL) * tests.max()) | (tests**2 > tests.max() ** 2 - _TOSS)
         told = alike.sum() == 1
         suspects.append(
-            Suspect(
+            SuspectedLength(
                 keys["point"][worst],
                 keys["tracer"][worst] if told else "",
                 float(tests.max()),
@@ -272,7 +272,7 @@ def _suspects(group: Group, w: Array, units: Array, bound: float) -> tuple[Suspe
     return tuple(sorted(suspects, key=lambda suspect: -suspect.test))
 
 
-def _worst(solved: Solved) -> dict[int, Rejected]:
+def _worst(solved: AdjustedTracers) -> dict[int, Rejected]:
     """Return the lengths to leave out next: suspects with at least half of the largest test.
 
     Smaller ones may only be the effect of larger errors and are tested again in the next adjustment.
@@ -280,12 +280,14 @@ def _worst(solved: Solved) -> dict[int, Rejected]:
     most = max((suspect.test for suspect in solved.suspects), default=0.0)
     chosen = [suspect for suspect in solved.suspects if suspect.test >= most / 2]
     reason = {True: Reason.OUTLIER, False: Reason.ALIKE}
-    return {row: Rejected(row, one.test, reason[bool(one.tracer)]) for one in chosen for row in one.rows}
+    return {
+        row: Rejected(row, suspect.test, reason[bool(suspect.tracer)]) for suspect in chosen for row in suspect.rows
+    }
 
 
-def _without_innocent(solved: Solved, out: dict[int, Rejected]) -> dict[int, Rejected]:
+def _with_reinstated(solved: AdjustedTracers, out: dict[int, Rejected]) -> dict[int, Rejected]:
     """Return the lengths that stay out; those left out at the start that fit the solution are used again."""
     observations = solved.whole.lengths.observations
     miss: Array = solved.whole.lengths.residuals(solved.solution.blocks)[0] / observations.sigma[0]
     alive = solved.network.seen[observations.index[t.POINT]] > 0
-    return {row: one for row, one in out.items() if not (alive[row] and abs(miss[row]) < _INNOCENT)}
+    return {row: rejected for row, rejected in out.items() if not (alive[row] and abs(miss[row]) < _INNOCENT)}

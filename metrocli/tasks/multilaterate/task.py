@@ -12,12 +12,12 @@ from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.job import Job, Task
-from metrocli.tasks.multilaterate.correction import astray, probing_of, refuse_lost
+from metrocli.tasks.multilaterate.correction import list_offset, probing_of, refuse_lost
 from metrocli.tasks.multilaterate.diagnosis import adjusted_job, noise_of
 from metrocli.tasks.multilaterate.distance import distance
 from metrocli.tasks.multilaterate.effects import EFFECTS, PLACES
 from metrocli.tasks.multilaterate.features.wanted import wanted_features
-from metrocli.tasks.multilaterate.layout import Layout, Planned
+from metrocli.tasks.multilaterate.layout import PlannedNetwork, PlannedPoints
 from metrocli.tasks.multilaterate.plan import planned
 from metrocli.tasks.multilaterate.problem import build, network_of
 from metrocli.tasks.multilaterate.readings import read
@@ -48,8 +48,8 @@ def check(job: Job[Settings, Files]) -> None:
     """Raise InputError that lists the faults in the combination of files and in the effects, without computing."""
     settings, files = job.settings, job.files
     readings = read(settings, files)
-    said = readings.tracers.said
-    places = np.column_stack([np.nan_to_num(said), np.zeros(len(said)), np.ones(len(said))])
+    listed_at = readings.tracers.listed_at
+    places = np.column_stack([np.nan_to_num(listed_at), np.zeros(len(listed_at)), np.ones(len(listed_at))])
     bare = network_of(settings, readings, places)
     with all_faults() as each:
         with each():
@@ -69,7 +69,10 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     network = build(job.settings, job.files).with_effects(job.effects)
     solved, _ = weighed(job.settings.noise.model, network, lambda network: solve(network, remove=False))
     adjusted = adjusted_job(solved)
-    return replace(adjusted, astray=max(adjusted.astray, astray(solved.network, probing_of(job.settings, job.files))))
+    return replace(
+        adjusted,
+        list_offset=max(adjusted.list_offset, list_offset(solved.network, probing_of(job.settings, job.files))),
+    )
 
 
 def plan(job: Job[Settings, Files]) -> Plan:
@@ -81,8 +84,8 @@ def plan(job: Job[Settings, Files]) -> Plan:
     files = job.files
     if files.tracers is None:
         raise InputError("plan needs the places where the tracers will stand: `inputs: {tracers: tracers.csv}`")
-    measurement = Planned(files.points, files.tracers, files.lengths or None)
-    return planned(Layout(job.settings, measurement, files.distances, job.effects), files.candidates)
+    measurement = PlannedPoints(files.points, files.tracers, files.lengths or None)
+    return planned(PlannedNetwork(job.settings, measurement, files.distances, job.effects), files.candidates)
 
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
@@ -96,7 +99,7 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
             "simulate needs the truth: the tracers' places in `inputs: tracers`, "
             "and `simulation: {mover_error: 5 um, mover_scale: -25 um/m, tracer_error: 5 mm}`"
         )
-    measurement = Planned(files.points, files.tracers, files.lengths or None)
+    measurement = PlannedPoints(files.points, files.tracers, files.lengths or None)
     return simulated(settings, settings.simulation, measurement, job.effects, np.random.default_rng(options.seed))
 
 

@@ -10,14 +10,14 @@ from metrocli import units
 from metrocli.adjust.solution import Solution
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.problem import Network
+from metrocli.tasks.multilaterate.problem import TracerNetwork
 from metrocli.tasks.multilaterate.readings import DISTANCES
 from metrocli.tasks.shared.mirror import Mirrored, hidden_by
 from metrocli.tasks.shared.part import Part, taken_as_exact
 from metrocli.tasks.shared.uncontrolled import AIR, AIR_WORDS, ASSUMED, ASSUMED_CONTROL, Hidden, table_of
 
 
-def uncontrolled(network: Network, part: Part | None = None, second: Sequence[Mirrored] = ()) -> Table:
+def uncontrolled(network: TracerNetwork, part: Part | None = None, second: Sequence[Mirrored] = ()) -> Table:
     """Return effects that the points absorb, the error of the points from each, and what would control it.
 
     The error in `hides` is that of the plausible cause in `assumed`, and is proportional to it.
@@ -28,7 +28,7 @@ def uncontrolled(network: Network, part: Part | None = None, second: Sequence[Mi
     return table_of((*hidden_by(second), *rows, *taken_as_exact(part, extent, "points at 20 degC")))
 
 
-def scale_warnings(network: Network, solution: Solution) -> Iterator[str]:
+def scale_warnings(network: TracerNetwork, solution: Solution) -> Iterator[str]:
     """Yield a warning if only the number of tracers makes the scale of the network better than that of one tracer.
 
     The mean of m independent scales has the standard uncertainty `sqrt(1' Q 1) / m`, Q the covariance of the scales. It
@@ -40,15 +40,15 @@ def scale_warnings(network: Network, solution: Solution) -> Iterator[str]:
     scales = solution.covariance_or_raise().of(t.TRACER)[4 :: block.size, 4 :: block.size]
     mean = float(np.sqrt(max(scales.mean(), 0.0)))
     if mean < scale.uncertainty:
-        one, all_together = units.sized(scale.uncertainty, "ratio"), units.sized(mean, "ratio")
+        own, all_together = units.sized(scale.uncertainty, "ratio"), units.sized(mean, "ratio")
         yield (
-            f"{len(block.members)} independent scales of {one} make the scale of the network {all_together}; "
-            f"if they share a source, such as one weather station, write `scale: {{uncertainty: OWN, common: {one}}}`; "
+            f"{len(block.members)} independent scales of {own} make the scale of the network {all_together}; "
+            f"if they share a source, such as one weather station, write `scale: {{uncertainty: OWN, common: {own}}}`; "
             "if not, `common: 0 ppm`"
         )
 
 
-def _rows(network: Network, extent: float) -> Iterator[Hidden]:
+def _rows(network: TracerNetwork, extent: float) -> Iterator[Hidden]:
     growth, moved = units.parse_quantity("1.15 ppm", "ratio"), units.parse_quantity("2 um", "length")
     counted = network.air is not None and network.air.std > 0
     if not _scaled(network) and not counted:
@@ -78,7 +78,7 @@ def _rows(network: Network, extent: float) -> Iterator[Hidden]:
     )
 
 
-def _scaled(network: Network) -> bool:
+def _scaled(network: TracerNetwork) -> bool:
     """Return whether known lengths or places determine the scale."""
     known = int((~network.unknown & (network.seen > 0)).sum())
     fixed = int((~network.blocks[t.TRACER].free[:, :3]).all(axis=1).sum())

@@ -13,33 +13,35 @@ from metrocli.copies import first_run, row_hashes
 from metrocli.errors import Fault
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
-from metrocli.settings import Placed
+from metrocli.settings import LocatedValue
 from metrocli.table import Table
-from metrocli.uncertainty.inputs import Block, NotSemiDefiniteError, Quantity
+from metrocli.uncertainty.inputs import CorrelatedBlock, InputQuantity, NotSemiDefiniteError
 from metrocli.words import suggestion
 
 
-def misnamed(declared: Sequence[Placed], known: Collection[str], with_results: bool) -> Iterable[Fault]:
+def misnamed(declared: Sequence[LocatedValue], known: Collection[str], with_results: bool) -> Iterable[Fault]:
     """Yield a fault for each name that is not a quantity, and for each pair that is given twice."""
     seen: set[frozenset[str]] = set()
     for placed in declared:
         pair = placed.value.between
         for name in pair:
             if name not in known and (with_results or "." not in name):
-                said = f"correlation of '{name}', which is not a quantity"
-                yield placed.node.at("between").fault(said, suggestion(name, known))
+                message = f"correlation of '{name}', which is not a quantity"
+                yield placed.node.at("between").fault(message, suggestion(name, known))
         if frozenset(pair) in seen:
             yield placed.node.fault(f"the correlation of {pair[0]} and {pair[1]} is given twice", "give it once")
         seen.add(frozenset(pair))
 
 
-def refused(declared: Sequence[Placed], quantities: Mapping[str, Quantity], blocks: Sequence[Block]) -> Iterable[Fault]:
+def refused(
+    declared: Sequence[LocatedValue], quantities: Mapping[str, InputQuantity], blocks: Sequence[CorrelatedBlock]
+) -> Iterable[Fault]:
     """Yield a fault for each pair of estimates of one result, and for each quantity without uncertainty."""
     for placed in declared:
         a, b = placed.value.between
         if any(a in block.names and b in block.names for block in blocks):
-            said = f"{a} and {b} are estimates of one result, which contains their covariance"
-            yield placed.node.fault(said, "leave this correlation out")
+            message = f"{a} and {b} are estimates of one result, which contains their covariance"
+            yield placed.node.fault(message, "leave this correlation out")
         for name in (a, b):
             if quantities[name].std == 0:
                 yield placed.node.fault(
@@ -53,7 +55,7 @@ class Together:
 
     between: tuple[str, str]
     value: float
-    said: str
+    message: str
 
 
 def simultaneous(readings: Iterable[tuple[str, Table, str]], given: Collection[frozenset[str]]) -> list[Together]:
@@ -68,24 +70,28 @@ def simultaneous(readings: Iterable[tuple[str, Table, str]], given: Collection[f
         x, y = first.numbers(pair), second.numbers(other)
         if first.file == second.file:
             r = float(np.corrcoef(x, y)[0, 1])
-            said = f"{a} and {b} are columns of one file, {first.file}: the correlation of its rows, {r:+.3f}, is used"
-            pairs.append(Together((a, b), r, f"{said}; declare 0 if they were not read together"))
+            message = (
+                f"{a} and {b} are columns of one file, {first.file}: the correlation of its rows, {r:+.3f}, is used"
+            )
+            pairs.append(Together((a, b), r, f"{message}; declare 0 if they were not read together"))
         elif same(x, y):
-            said = f"{a} and {b} have the same readings, value for value ({first.file}, {second.file})"
-            pairs.append(Together((a, b), 1.0, f"{said}: correlation +1 is used; declare 0 if neither is a copy"))
+            message = f"{a} and {b} have the same readings, value for value ({first.file}, {second.file})"
+            pairs.append(Together((a, b), 1.0, f"{message}: correlation +1 is used; declare 0 if neither is a copy"))
     return pairs
 
 
-def contradiction(error: NotSemiDefiniteError, declared: Sequence[Placed], otherwise: Node) -> Fault:
+def contradiction(error: NotSemiDefiniteError, declared: Sequence[LocatedValue], otherwise: Node) -> Fault:
     """Return the fault of contradictory correlations, at the first of those involved, otherwise at `otherwise`."""
     pairs = [placed for placed in declared if set(placed.value.between) <= set(error.names)]
     hint = "no quantities can have all of them: one is too large, or has the wrong sign"
     if not pairs:
-        said = f"the covariance of {', '.join(error.names)} is not positive semi-definite ({error.eigenvalue:.3g})"
-        return otherwise.fault(said, hint)
+        message = f"the covariance of {', '.join(error.names)} is not positive semi-definite ({error.eigenvalue:.3g})"
+        return otherwise.fault(message, hint)
     each = (f"r({', '.join(placed.value.between)}) = {placed.value.value:g}" for placed in pairs)
-    said = f"these correlations contradict each other: {', '.join(each)} (smallest eigenvalue {error.eigenvalue:.3g})"
-    return pairs[0].node.fault(said, hint)
+    message = (
+        f"these correlations contradict each other: {', '.join(each)} (smallest eigenvalue {error.eigenvalue:.3g})"
+    )
+    return pairs[0].node.fault(message, hint)
 
 
 _FEWEST = 3
@@ -109,11 +115,11 @@ def repeated(name: str, table: Table, column: str) -> Fault | str | None:
     run = first_run(row_hashes(table, (column,)), least)
     if run is None:
         return None
-    said = f"{run.rows} readings of '{name}' repeat {_place(table, run.first)} and those after it, value for value"
+    message = f"{run.rows} readings of '{name}' repeat {_place(table, run.first)} and those after it, value for value"
     why = "one measurement that counts twice makes the uncertainty too small: remove the copy"
     if pairs * alike**run.rows < _REFUSED:
-        return table.fault_at(run.again, said, why)
-    return f"{table.file}: {said}; {why}"
+        return table.fault_at(run.again, message, why)
+    return f"{table.file}: {message}; {why}"
 
 
 def same(first: Array, second: Array) -> bool:

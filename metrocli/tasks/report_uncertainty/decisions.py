@@ -11,8 +11,8 @@ from metrocli.errors import Fault
 from metrocli.expressions.dimensions import Compound, compound, described
 from metrocli.expressions.written import Measure
 from metrocli.frozen import dataclass
-from metrocli.settings import Placed
-from metrocli.tasks.report_uncertainty.entries import Limits
+from metrocli.settings import LocatedValue
+from metrocli.tasks.report_uncertainty.entries import Tolerance
 from metrocli.uncertainty.decision import (
     FACTOR_2017,
     Interval,
@@ -24,7 +24,7 @@ from metrocli.uncertainty.decision import (
     guard_for_specific,
     zone,
 )
-from metrocli.uncertainty.samples import Sample
+from metrocli.uncertainty.samples import MeasurandSample
 from metrocli.words import suggestion
 
 PLAIN = (
@@ -33,16 +33,16 @@ PLAIN = (
 """Keys of a decision whose values have no unit"""
 
 
-def limits_of(placed: Placed) -> Limits:
+def limits_of(placed: LocatedValue) -> Tolerance:
     """Return the limits of a tolerance, which is written as a pair or as a section."""
-    return placed.value if isinstance(placed.value, Limits) else Limits(placed.value)
+    return placed.value if isinstance(placed.value, Tolerance) else Tolerance(placed.value)
 
 
-def faults(tolerance: Any, wanted: Mapping[str, Placed]) -> Iterable[Fault | tuple[str, ...]]:
+def faults(tolerance: Any, wanted: Mapping[str, LocatedValue]) -> Iterable[Fault | tuple[str, ...]]:
     """Yield the faults of the tolerances of measurands."""
     if tolerance is None:
         return
-    if isinstance(tolerance, Placed):
+    if isinstance(tolerance, LocatedValue):
         yield "tolerance", "one width is the tolerance of a volume", "write {NAME: [lower, upper]} for a measurand"
         return
     for name, placed in tolerance.items():
@@ -56,7 +56,7 @@ def faults(tolerance: Any, wanted: Mapping[str, Placed]) -> Iterable[Fault | tup
         yield from _of_one(placed, unit)
 
 
-def _of_one(placed: Placed, unit: Compound) -> Iterable[Fault]:
+def _of_one(placed: LocatedValue, unit: Compound) -> Iterable[Fault]:
     limits = limits_of(placed)
     low, high = limits.between
     process = limits.process
@@ -77,18 +77,18 @@ def _of_one(placed: Placed, unit: Compound) -> Iterable[Fault]:
 
 
 @dataclass(frozen=True)
-class Measured:
+class DecidedMeasurand:
     """A measurand as the decision needs it, in base units."""
 
     value: float
     std: float
     U: float
     dof: float
-    sample: Sample | None
+    sample: MeasurandSample | None
     centre: float
 
 
-def decide(limits: Limits, measured: Measured, factor: float) -> dict[str, Any]:
+def decide(limits: Tolerance, measured: DecidedMeasurand, factor: float) -> dict[str, Any]:
     """Return the decision in the unit of the measurand; `factor` is the size of this unit in base units.
 
     Acceptance zones with U and with 1.65 u (ISO 14253-1), U/T, and the probability of conformity (JCGM 106).
@@ -113,15 +113,15 @@ def decide(limits: Limits, measured: Measured, factor: float) -> dict[str, Any]:
     return decision | _risks(limits, measured, ends, factor)
 
 
-def _risks(limits: Limits, measured: Measured, ends: Interval, factor: float) -> dict[str, Any]:
+def _risks(limits: Tolerance, measured: DecidedMeasurand, ends: Interval, factor: float) -> dict[str, Any]:
     """Return the global risks of simple acceptance if the items are known, and the guard band if a risk is wanted."""
     if measured.std == 0:
         return {}
-    said: dict[str, Any] = {}
+    printed: dict[str, Any] = {}
     items = Items(limits.process.mean.value, limits.process.std.value) if limits.process else None
     if items is not None:
         risks = global_risk(items, measured.std, ends, ends)
-        said |= {
+        printed |= {
             "consumer": risks.consumer,
             "consumer_of_accepted": risks.consumer_of_accepted,
             "producer": risks.producer,
@@ -129,15 +129,15 @@ def _risks(limits: Limits, measured: Measured, ends: Interval, factor: float) ->
     if limits.risk is not None:
         specific = guard_for_specific(measured.std, limits.risk, ends, measured.dof)
         guard = specific if items is None else guard_for_global(items, measured.std, ends, limits.risk)
-        said |= {
+        printed |= {
             "wanted_risk": limits.risk,
             "guard_band": guard / factor,
             "acceptance_guarded": _shown(ends.inside(guard), factor),
         }
         if items is not None and math.isfinite(guard):
             guarded = global_risk(items, measured.std, ends, ends.inside(guard))
-            said |= {"guarded": {"consumer": guarded.consumer, "producer": guarded.producer}}
-    return said
+            printed |= {"guarded": {"consumer": guarded.consumer, "producer": guarded.producer}}
+    return printed
 
 
 def _end(limit: Measure | None, otherwise: float) -> float:
@@ -153,18 +153,18 @@ def lines(decision: Mapping[str, Any], unit: str) -> list[str]:
     """Return a decision as lines of text."""
     low, high = decision["limits"]
     zones = f"{decision['zone']} with U (ISO 14253-1), {decision['zone_2017']} with 1.65 u"
-    said = [f"tolerance {low:.10g} to {high:.10g} {unit}: {zones}"]
+    printed = [f"tolerance {low:.10g} to {high:.10g} {unit}: {zones}"]
     if not decision["acceptance"]:
-        said.append("U is larger than half of the tolerance: the acceptance zone of ISO 14253-1 is empty")
+        printed.append("U is larger than half of the tolerance: the acceptance zone of ISO 14253-1 is empty")
     if "T" in decision:
         words = "capable" if decision["capable"] else "not capable"
-        said.append(f"U/T = {100 * decision['U_over_T']:.1f} %: {words} by the 20 % rule of Berndt")
+        printed.append(f"U/T = {100 * decision['U_over_T']:.1f} %: {words} by the 20 % rule of Berndt")
     mc = f", by Monte Carlo {decision['conformance_mc']:.6g}" if "conformance_mc" in decision else ""
-    said.append(f"probability of conformity {decision['conformance']:.6g} (JCGM 106){mc}")
+    printed.append(f"probability of conformity {decision['conformance']:.6g} (JCGM 106){mc}")
     if "consumer" in decision:
         of_accepted = f"{decision['consumer_of_accepted']:.4g} of those accepted"
         risks = f"consumer {decision['consumer']:.4g} ({of_accepted}), producer {decision['producer']:.4g}"
-        said.append(f"global risks: {risks}")
+        printed.append(f"global risks: {risks}")
     if "guard_band" in decision:
         ends = decision["acceptance_guarded"]
         accept = (
@@ -172,5 +172,5 @@ def lines(decision: Mapping[str, Any], unit: str) -> list[str]:
             if ends
             else "no value can be accepted"
         )
-        said.append(f"guard band for a risk of {decision['wanted_risk']:g}: {accept}")
-    return said
+        printed.append(f"guard band for a risk of {decision['wanted_risk']:g}: {accept}")
+    return printed

@@ -7,7 +7,7 @@ from dataclasses import field
 from pathlib import Path
 from typing import Any
 
-from metrocli.expressions.written import AnyQuantity, Measure, Model, ModelText
+from metrocli.expressions.written import AnyQuantity, Measure, ModelText, WrittenExpression
 from metrocli.frozen import dataclass
 from metrocli.result import Result
 from metrocli.settings import (
@@ -17,14 +17,14 @@ from metrocli.settings import (
     Either,
     FileOf,
     ListOf,
+    LocatedValue,
     MapOf,
     Number,
-    Placed,
-    Quantity,
     Section,
     TableFile,
     Text,
     Whole,
+    WithUnit,
     setting,
     settings_of,
 )
@@ -40,7 +40,7 @@ SHAPES = (
 
 
 @dataclass(frozen=True)
-class Inputs:
+class InputResults:
     """Results of other jobs."""
 
     results: Mapping[str, Path] = setting(
@@ -57,7 +57,7 @@ class Files:
 
 
 @dataclass(frozen=True)
-class Given:
+class InputEntry:
     """An input quantity: its best estimate and its uncertainty."""
 
     value: Measure | None = setting(AnyQuantity(), "best estimate", default=None)
@@ -86,12 +86,12 @@ class Given:
         others = [name for name, _ in settings_of(type(self)).items() if name != "estimate"]
         extra = next((name for name in others if getattr(self, name) is not None), None)
         if self.estimate is not None and extra is not None:
-            said = f"the result gives the value and uncertainty of an estimate; {extra} is too much"
-            yield extra, said, f"leave {extra} out"
+            message = f"the result gives the value and uncertainty of an estimate; {extra} is too much"
+            yield extra, message, f"leave {extra} out"
 
 
 @dataclass(frozen=True)
-class Correlation:
+class CorrelationEntry:
     """The correlation of two quantities."""
 
     between: tuple[str, str] = setting(ListOf(Text(), 2, distinct=True), "two quantities")
@@ -102,7 +102,7 @@ class Correlation:
 class Measurand:
     """An output quantity."""
 
-    model: Model = setting(ModelText(), "expression in the quantities")
+    model: WrittenExpression = setting(ModelText(), "expression in the quantities")
     unit: str = setting(Text(), "unit of the result", default="1")
 
 
@@ -142,7 +142,7 @@ class Process:
 
 
 @dataclass(frozen=True)
-class Limits:
+class Tolerance:
     """A tolerance, and optionally the items and the wanted risk for a decision by JCGM 106."""
 
     between: tuple[Measure | None, Measure | None] = setting(ListOf(Limit(), 2), "lower and upper limit")
@@ -151,14 +151,14 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Volume:
+class VolumeEntry:
     """Grid of points in a working volume, in the frame of the part."""
 
-    from_: tuple[float, float, float] = setting(ListOf(Quantity("length"), 3), "one corner", key="from")
-    to: tuple[float, float, float] = setting(ListOf(Quantity("length"), 3), "the opposite corner")
+    from_: tuple[float, float, float] = setting(ListOf(WithUnit("length"), 3), "one corner", key="from")
+    to: tuple[float, float, float] = setting(ListOf(WithUnit("length"), 3), "the opposite corner")
     grid: tuple[int, int, int] = setting(ListOf(Whole(1, 1000), 3), "points along each axis", default=(5, 5, 5))
     origin: tuple[float, float, float] = setting(
-        ListOf(Quantity("length"), 3), "point from which lengths and expansion count", default=(0.0, 0.0, 0.0)
+        ListOf(WithUnit("length"), 3), "point from which lengths and expansion count", default=(0.0, 0.0, 0.0)
     )
 
     def faults(self) -> Iterable[tuple[str, ...]]:
@@ -180,18 +180,18 @@ class Volume:
 class Expansion:
     """Thermal expansion: `u² = L² (alpha² u²(dT) + dT² u²(alpha))` (JCGM 100, 5.1.2)."""
 
-    alpha: float = setting(Quantity("expansion", minimum=0.0), "coefficient of expansion")
+    alpha: float = setting(WithUnit("expansion", minimum=0.0), "coefficient of expansion")
     alpha_std: float | None = setting(
-        Quantity("expansion", minimum=0.0), "standard uncertainty of the coefficient", default=None
+        WithUnit("expansion", minimum=0.0), "standard uncertainty of the coefficient", default=None
     )
     difference: float = setting(
-        Quantity("temperature difference"), "difference dT of the temperature from that of the lengths", default=0.0
+        WithUnit("temperature difference"), "difference dT of the temperature from that of the lengths", default=0.0
     )
     half_width: float | None = setting(
-        Quantity("temperature difference", minimum=0.0), "half-width of the temperature", default=None
+        WithUnit("temperature difference", minimum=0.0), "half-width of the temperature", default=None
     )
     std: float | None = setting(
-        Quantity("temperature difference", minimum=0.0), "standard uncertainty of the temperature", default=None
+        WithUnit("temperature difference", minimum=0.0), "standard uncertainty of the temperature", default=None
     )
 
     def faults(self) -> Iterable[tuple[str, ...]]:
@@ -203,11 +203,11 @@ class Expansion:
 
 
 @dataclass(frozen=True)
-class LengthError:
+class LengthErrorEntry:
     """Largest length measurement error (VDI/VDE 2634): `constant + proportional L`, rectangular."""
 
-    constant: float = setting(Quantity("length", minimum=0.0), "part that does not depend on the length")
-    proportional: float = setting(Quantity("ratio", minimum=0.0), "part proportional to the length", default=0.0)
+    constant: float = setting(WithUnit("length", minimum=0.0), "part that does not depend on the length")
+    proportional: float = setting(WithUnit("ratio", minimum=0.0), "part proportional to the length", default=0.0)
 
 
 @dataclass(frozen=True)
@@ -217,16 +217,18 @@ class Contributor:
     name: str = setting(Text(), "name, for the budget")
     result: str | None = setting(Text(), "result of another job, propagated to each point", default=None)
     std: float | tuple[float, float, float] | None = setting(
-        Either(Quantity("length", minimum=0.0), ListOf(Quantity("length", minimum=0.0), 3)),
+        Either(WithUnit("length", minimum=0.0), ListOf(WithUnit("length", minimum=0.0), 3)),
         "standard uncertainty along each axis", default=None,
     )  # fmt: skip
     half_width: float | tuple[float, float, float] | None = setting(
-        Either(Quantity("length", minimum=0.0), ListOf(Quantity("length", minimum=0.0), 3)),
+        Either(WithUnit("length", minimum=0.0), ListOf(WithUnit("length", minimum=0.0), 3)),
         "half-width of a rectangular distribution along each axis", default=None,
     )  # fmt: skip
     expansion: Expansion | None = setting(Section(Expansion), "thermal expansion", default=None)
-    length_error: LengthError | None = setting(Section(LengthError), "largest length measurement error", default=None)
-    model: tuple[Model, Model, Model] | None = setting(
+    length_error: LengthErrorEntry | None = setting(
+        Section(LengthErrorEntry), "largest length measurement error", default=None
+    )
+    model: tuple[WrittenExpression, WrittenExpression, WrittenExpression] | None = setting(
         ListOf(ModelText(), 3), "error along each axis, in estimates of results and X Y Z (mm)", default=None
     )
     distribution: str = setting(Choice("normal", "uniform"), "shape for std in Monte Carlo", default="normal")
@@ -238,8 +240,8 @@ class Contributor:
         """Yield the faults of keys that contradict each other or are incomplete."""
         given = [name for name in FORMS if getattr(self, name) is not None]
         if len(given) != 1:
-            said = f"has {' and '.join(given)}" if given else "has no uncertainty"
-            yield "", f"the contributor '{self.name}' {said}", f"give one of {', '.join(FORMS)}"
+            message = f"has {' and '.join(given)}" if given else "has no uncertainty"
+            yield "", f"the contributor '{self.name}' {message}", f"give one of {', '.join(FORMS)}"
 
 
 FORMS = ("result", "std", "half_width", "expansion", "length_error", "model")
@@ -249,19 +251,19 @@ FORMS = ("result", "std", "half_width", "expansion", "length_error", "model")
 class Entries:
     """All keys of a report-uncertainty job."""
 
-    inputs: Inputs = setting(Section(Inputs), "results of other jobs", default=Inputs())
-    quantities: Mapping[str, Placed] = setting(
-        MapOf(At(Either(AnyQuantity(), Section(Given)))), "input quantities, by name", default={}
+    inputs: InputResults = setting(Section(InputResults), "results of other jobs", default=InputResults())
+    quantities: Mapping[str, LocatedValue] = setting(
+        MapOf(At(Either(AnyQuantity(), Section(InputEntry)))), "input quantities, by name", default={}
     )
-    correlations: tuple[Placed, ...] = setting(ListOf(At(Section(Correlation))), "correlations", default=())
-    measurands: Mapping[str, Placed] = setting(MapOf(At(Section(Measurand))), "output quantities", default={})
+    correlations: tuple[LocatedValue, ...] = setting(ListOf(At(Section(CorrelationEntry))), "correlations", default=())
+    measurands: Mapping[str, LocatedValue] = setting(MapOf(At(Section(Measurand))), "output quantities", default={})
     coverage: CoverageSetting = setting(Section(CoverageSetting), "what U covers", default=CoverageSetting())
     monte_carlo: MonteCarlo = setting(Section(MonteCarlo), "Monte Carlo", default=MonteCarlo())
-    volume: Volume | None = setting(Section(Volume), "working volume, instead of quantities", default=None)
-    contributors: tuple[Placed, ...] = setting(
+    volume: VolumeEntry | None = setting(Section(VolumeEntry), "working volume, instead of quantities", default=None)
+    contributors: tuple[LocatedValue, ...] = setting(
         ListOf(At(Section(Contributor))), "what makes the points of the volume uncertain", default=()
     )
     tolerance: Any = setting(
-        Either(At(AnyQuantity()), MapOf(At(Either(ListOf(Limit(), 2), Section(Limits))))),
+        Either(At(AnyQuantity()), MapOf(At(Either(ListOf(Limit(), 2), Section(Tolerance))))),
         "limits of measurands, or the full width of the tolerance in a volume", default=None,
     )  # fmt: skip

@@ -14,9 +14,9 @@ from metrocli.errors import Fault
 from metrocli.expressions import dimensions
 from metrocli.expressions.dimensions import Compound, compound, described
 from metrocli.expressions.expression import CONSTANTS, FUNCTIONS, NAME, Expression, ExpressionError
-from metrocli.expressions.written import Model
+from metrocli.expressions.written import WrittenExpression
 from metrocli.result import Result
-from metrocli.settings import Placed
+from metrocli.settings import LocatedValue
 from metrocli.table import Table
 from metrocli.tasks.report_uncertainty import correlations
 from metrocli.tasks.report_uncertainty import decisions as uncertainty_decisions
@@ -25,21 +25,21 @@ from metrocli.tasks.report_uncertainty.entries import Entries
 from metrocli.tasks.report_uncertainty.quantity import column_of, quantity, unit_of
 from metrocli.tasks.report_uncertainty.values import identity, shared
 from metrocli.uncertainty.distributions import Normal, Sampled
-from metrocli.uncertainty.inputs import Block, Inputs, NotSemiDefiniteError, Quantity, join
+from metrocli.uncertainty.inputs import CorrelatedBlock, InputQuantity, Inputs, NotSemiDefiniteError, join
 from metrocli.words import suggestion
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 @dataclass(frozen=True)
-class Problem:
+class PropagationProblem:
     """The quantities and models to propagate."""
 
     inputs: Inputs
     models: Mapping[str, Expression]
     units: Mapping[str, Compound]
     """Unit of each measurand, as the job states it"""
-    nodes: Mapping[str, Placed]
+    nodes: Mapping[str, LocatedValue]
     warnings: tuple[str, ...] = ()
 
 
@@ -52,7 +52,9 @@ def faults(settings: Entries) -> Iterable[Fault | tuple[str, ...]]:
     yield from uncertainty_decisions.faults(settings.tolerance, settings.measurands)
 
 
-def build(settings: Entries, results: Mapping[str, Result], files: Mapping[str, Table]) -> Problem | list[Fault]:
+def build(
+    settings: Entries, results: Mapping[str, Result], files: Mapping[str, Table]
+) -> PropagationProblem | list[Fault]:
     """Return the problem of a job with its files, or the faults of the job."""
     gathered = _Gathering(settings, results, files)
     if gathered.faults:
@@ -62,13 +64,13 @@ def build(settings: Entries, results: Mapping[str, Result], files: Mapping[str, 
     prefixes = {gathered.target(name).partition(".")[0] for name in gathered.named}
     used = {name: result for name, result in results.items() if name in prefixes}
     warnings = [*gathered.noted, *shared(used, settings.quantities), *_heavy_tails(gathered.inputs)]
-    return Problem(gathered.inputs, models, gathered.wanted, settings.measurands, tuple(warnings))
+    return PropagationProblem(gathered.inputs, models, gathered.wanted, settings.measurands, tuple(warnings))
 
 
 def _heavy_tails(inputs: Inputs) -> list[str]:
     few = [q.name for q in inputs.quantities if q.dof <= 2 and isinstance(q.distribution, Normal)]
-    said = "has 2 degrees of freedom or fewer: its t distribution has no standard deviation"
-    return [f"{name} {said}. Mean and std of Monte Carlo depend on chance, its intervals do not" for name in few]
+    message = "has 2 degrees of freedom or fewer: its t distribution has no standard deviation"
+    return [f"{name} {message}. Mean and std of Monte Carlo depend on chance, its intervals do not" for name in few]
 
 
 @dataclass
@@ -79,7 +81,7 @@ class _Gathering:
     results: Mapping[str, Result] | None
     files: Mapping[str, Table] | None
     faults: list[Fault] = field(default_factory=list)
-    quantities: dict[str, Quantity] = field(default_factory=dict)
+    quantities: dict[str, InputQuantity] = field(default_factory=dict)
     units: dict[str, Compound] = field(default_factory=dict)
     wanted: dict[str, Compound] = field(default_factory=dict)
     named: tuple[str, ...] = ()
@@ -90,7 +92,7 @@ class _Gathering:
     def __post_init__(self) -> None:
         for name, placed in self.settings.quantities.items():
             self._quantity(name, placed)
-        models: list[Model] = [placed.value.model for placed in self.settings.measurands.values()]
+        models: list[WrittenExpression] = [placed.value.model for placed in self.settings.measurands.values()]
         self.named = tuple(dict.fromkeys(name for model in models for name in model.expression.names))
         blocks = self._results()
         for model in models:
@@ -106,7 +108,7 @@ class _Gathering:
     def _whole(self) -> bool:
         return all(name in self.quantities for name in self.named)
 
-    def _quantity(self, name: str, placed: Placed) -> None:
+    def _quantity(self, name: str, placed: LocatedValue) -> None:
         node = placed.node
         if not _NAME.fullmatch(name) or "__" in name:
             hint = "letters, digits and _, beginning with a letter"
@@ -126,16 +128,16 @@ class _Gathering:
         if any(held) and self.files is None:
             return
         table = (self.files or {}).get(f"{node.path}.{'readings' if held[0] else 'samples'}")
-        if found := quantity(name, placed, table, self.faults):
-            self.quantities[name] = found
-            self.units[name] = found.unit
+        if read := quantity(name, placed, table, self.faults):
+            self.quantities[name] = read
+            self.units[name] = read.unit
 
     def target(self, name: str) -> str:
         """Return the name of the estimate that a quantity stands for, or its own name if it is not an estimate."""
         placed = self.settings.quantities.get(name)
         return (getattr(placed.value, "estimate", None) or name) if placed is not None else name
 
-    def _must_be_estimate(self, name: str, placed: Placed) -> None:
+    def _must_be_estimate(self, name: str, placed: LocatedValue) -> None:
         prefix, _, estimate = self.target(name).partition(".")
         node, files = placed.node.at("estimate"), self.settings.inputs.results
         if prefix not in files:
@@ -147,7 +149,7 @@ class _Gathering:
                 hint = suggestion(estimate, known)
                 self.faults.append(node.fault(f"the result '{prefix}' has no estimate '{estimate}'", hint))
 
-    def _results(self) -> list[Block]:
+    def _results(self) -> list[CorrelatedBlock]:
         """Return the estimates that the models name: one block for each file, even if it has several names."""
         files: dict[str, list[tuple[str, Result, int]]] = {}
         for name in self.named:
@@ -158,7 +160,7 @@ class _Gathering:
                 files.setdefault(identity(result), []).append((name, result, known.index(estimate)))
         return [block for held in files.values() if (block := self._block(held)) is not None]
 
-    def _block(self, held: list[tuple[str, Result, int]]) -> Block | None:
+    def _block(self, held: list[tuple[str, Result, int]]) -> CorrelatedBlock | None:
         _, result, _ = held[0]
         at = [index for _, _, index in held]
         compounds = [compound(result.estimates[index].unit) for index in at]
@@ -173,11 +175,11 @@ class _Gathering:
         for (name, _, index), unit, dof, variance in zip(held, compounds, dofs, np.diag(covariance), strict=True):
             shape = Normal(math.sqrt(max(float(variance), 0.0)))
             value = result.estimates[index].value * unit.factor
-            self.quantities[name] = Quantity(name, value, shape, dof, unit)
+            self.quantities[name] = InputQuantity(name, value, shape, dof, unit)
             self.units[name] = unit
-        return Block(tuple(name for name, _, _ in held), (covariance + covariance.T) / 2)
+        return CorrelatedBlock(tuple(name for name, _, _ in held), (covariance + covariance.T) / 2)
 
-    def _names_of(self, model: Model) -> None:
+    def _names_of(self, model: WrittenExpression) -> None:
         for part in model.expression.parts:
             if part.operation != NAME or part.name in self.settings.quantities or part.name in self.quantities:
                 continue
@@ -186,16 +188,16 @@ class _Gathering:
                 if self.results is None:
                     continue
                 known = [f"{prefix}.{estimate.name}" for estimate in self.results[prefix].estimates]
-                said = f"the result '{prefix}' has no estimate '{part.name[len(prefix) + 1 :]}'"
+                message = f"the result '{prefix}' has no estimate '{part.name[len(prefix) + 1 :]}'"
             elif point:
                 known = list(self.settings.inputs.results)
-                said = f"there is no result '{prefix}' under inputs"
+                message = f"there is no result '{prefix}' under inputs"
             else:
                 known = [*self.settings.quantities, *FUNCTIONS]
-                said = f"there is no quantity '{part.name}'"
+                message = f"there is no quantity '{part.name}'"
             hint = suggestion(part.name if point and prefix in self.settings.inputs.results else prefix, known)
             hint = hint if known else "name the result under `inputs: {results: {NAME: FILE.h5}}`"
-            self.faults.append(model.fault(ExpressionError(said, part.start, hint)))
+            self.faults.append(model.fault(ExpressionError(message, part.start, hint)))
 
     def _unused(self) -> None:
         for name, placed in self.settings.quantities.items():
@@ -203,8 +205,8 @@ class _Gathering:
                 hint = "check the names in the models, or leave the quantity out"
                 self.faults.append(placed.node.fault(f"the quantity '{name}' is in no model", hint))
 
-    def _measurand(self, name: str, placed: Placed) -> None:
-        model: Model = placed.value.model
+    def _measurand(self, name: str, placed: LocatedValue) -> None:
+        model: WrittenExpression = placed.value.model
         if not _NAME.fullmatch(name):
             self.faults.append(
                 placed.node.fault(f"'{name}' cannot be the name of a measurand", "letters, digits and _")
@@ -225,11 +227,11 @@ class _Gathering:
             return
         if unit.powers != wanted.powers or unit.point != wanted.point:
             node = placed.node.at("unit") if placed.node.get("unit") else model.node
-            said = f"{placed.node.path}: the model gives {described(unit)}, the unit is that of {described(wanted)}"
-            self.faults.append(node.fault(said, f"unit: one such as {_example(unit)}"))
+            message = f"{placed.node.path}: the model gives {described(unit)}, the unit is that of {described(wanted)}"
+            self.faults.append(node.fault(message, f"unit: one such as {_example(unit)}"))
         self.wanted[name] = wanted
 
-    def _join(self, blocks: list[Block]) -> None:
+    def _join(self, blocks: list[CorrelatedBlock]) -> None:
         """Join the quantities with their correlations."""
         declared = [placed.value for placed in self.settings.correlations]
         self.faults += correlations.refused(self.settings.correlations, self.quantities, blocks)
@@ -242,9 +244,9 @@ class _Gathering:
             if not isinstance(self.quantities[reading[0]].distribution, Sampled)
         ]
         self.faults += [fault for fault in repeats if isinstance(fault, Fault)]
-        self.noted += [said for said in repeats if isinstance(said, str)]
+        self.noted += [message for message in repeats if isinstance(message, str)]
         together = correlations.simultaneous(readings, {frozenset(pair.between) for pair in declared})
-        self.noted += [pair.said for pair in together]
+        self.noted += [pair.message for pair in together]
         pairs = [(*pair.between, pair.value) for pair in (*declared, *together)]
         # quantities in the order of the job, then estimates of results in the order of the models
         order = [quantity for name, quantity in self.quantities.items() if name in self.named]

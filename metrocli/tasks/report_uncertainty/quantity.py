@@ -13,9 +13,9 @@ from metrocli.errors import Fault
 from metrocli.expressions.dimensions import Compound, compound, described
 from metrocli.expressions.written import Measure
 from metrocli.frozen import dataclass
-from metrocli.settings import Placed
+from metrocli.settings import LocatedValue
 from metrocli.table import Table
-from metrocli.tasks.report_uncertainty.entries import Given
+from metrocli.tasks.report_uncertainty.entries import InputEntry
 from metrocli.uncertainty.distributions import (
     Arcsine,
     Counts,
@@ -27,7 +27,7 @@ from metrocli.uncertainty.distributions import (
     Trapezoidal,
     Uniform,
 )
-from metrocli.uncertainty.inputs import Quantity
+from metrocli.uncertainty.inputs import InputQuantity
 from metrocli.words import suggestion
 
 _OTHER_NAMES = {"rectangular": "uniform", "U": "arcsine", "poisson": "counts"}
@@ -46,14 +46,14 @@ class _Wrong(Exception):
 
 
 @dataclass(frozen=True)
-class Spread:
+class Dispersion:
     """A distribution with its degrees of freedom."""
 
     distribution: Distribution | None
     dof: float = math.inf
 
 
-def unit_of(placed: Placed) -> Compound | None:
+def unit_of(placed: LocatedValue) -> Compound | None:
     """Return the unit of a quantity from its value or the name of its column; None if neither gives one."""
     given = placed.value
     if isinstance(given, Measure):
@@ -64,11 +64,11 @@ def unit_of(placed: Placed) -> Compound | None:
     return best.unit if best is not None else None
 
 
-def quantity(name: str, placed: Placed, table: Table | None, faults: list[Fault]) -> Quantity | None:
+def quantity(name: str, placed: LocatedValue, table: Table | None, faults: list[Fault]) -> InputQuantity | None:
     """Return a quantity of a job, or None and append to `faults`; `table` holds its readings or samples."""
     given = placed.value
     if isinstance(given, Measure):
-        return Quantity(name, given.value, None, math.inf, given.unit)
+        return InputQuantity(name, given.value, None, math.inf, given.unit)
     try:
         return _from_table(name, given, table) if given.readings or given.samples else _written(name, given)
     except _Wrong as wrong:
@@ -76,7 +76,7 @@ def quantity(name: str, placed: Placed, table: Table | None, faults: list[Fault]
         return None
 
 
-def _written(name: str, given: Given) -> Quantity:
+def _written(name: str, given: InputEntry) -> InputQuantity:
     if given.value is not None and given.mean is not None:
         raise _Wrong("mean", "value and mean are both given", "they are the same; give one")
     best = given.value or given.mean
@@ -87,10 +87,10 @@ def _written(name: str, given: Given) -> Quantity:
     spread = _spread(given, best)
     # q counted events give a gamma distribution with mean q + 1 (JCGM 101, 6.4.11)
     value = best.value + 1 if isinstance(spread.distribution, Counts) else best.value
-    return Quantity(name, value, spread.distribution, spread.dof, best.unit)
+    return InputQuantity(name, value, spread.distribution, spread.dof, best.unit)
 
 
-def _spread(given: Given, best: Measure) -> Spread:
+def _spread(given: InputEntry, best: Measure) -> Dispersion:
     widths = [key for key in ("std", "half_width", "U") if getattr(given, key) is not None]
     if len(widths) > 1:
         raise _Wrong(widths[1], f"{' and '.join(widths)} are both given", "give one uncertainty only")
@@ -100,16 +100,16 @@ def _spread(given: Given, best: Measure) -> Spread:
     shape = _OTHER_NAMES.get(given.distribution or "", given.distribution or "")
     dof = math.inf if given.dof is None else given.dof
     if shape in ("exponential", "counts"):
-        return Spread(_of_value_alone(shape, best, widths), dof)
+        return Dispersion(_of_value_alone(shape, best, widths), dof)
     if width is None:
         if given.distribution or given.dof is not None or given.inexactness or given.beta is not None:
             raise _Wrong("", "there is no uncertainty", "give std or half_width")
-        return Spread(None)
+        return Dispersion(None)
     std = width / given.k if given.k is not None else width
     distribution = _shaped(shape, given, std, best)
     if shape == "t" and given.dof is None:
         raise _Wrong("distribution", "a t distribution needs its degrees of freedom", "give dof")
-    return Spread(distribution if std > 0 else None, dof)
+    return Dispersion(distribution if std > 0 else None, dof)
 
 
 def _of_value_alone(shape: str, best: Measure, widths: list[str]) -> Distribution:
@@ -126,7 +126,7 @@ def _of_value_alone(shape: str, best: Measure, widths: list[str]) -> Distributio
     return Counts(int(best.number))
 
 
-def _shaped(shape: str, given: Given, width: float, best: Measure) -> Distribution:
+def _shaped(shape: str, given: InputEntry, width: float, best: Measure) -> Distribution:
     """Return the distribution of a shape, with a width that is a standard deviation or a half-width."""
     by_half_width = given.half_width is not None
     if shape == "sampled":
@@ -151,7 +151,7 @@ def _shaped(shape: str, given: Given, width: float, best: Measure) -> Distributi
     return makes.get(shape, Uniform)(half)
 
 
-def _curvilinear(given: Given, width: float, best: Measure) -> Distribution:
+def _curvilinear(given: InputEntry, width: float, best: Measure) -> Distribution:
     if given.half_width is None or given.inexactness is None:
         raise _Wrong("distribution", "a curvilinear trapezoid needs half_width and inexactness", "give both")
     inexactness = _size(given.inexactness, best)
@@ -164,14 +164,14 @@ def _size(measure: Measure, best: Measure) -> float:
     """Return a width in base units; it must have the kind of unit of its quantity and not be negative."""
     key = measure.node.path.rpartition(".")[2]
     if measure.unit.powers != best.unit.powers:
-        said = f"{key} is {described(measure.unit)}, the value {described(best.unit)}"
-        raise _Wrong(key, said, "write it without a unit" if best.unit.number else f"write it in {best.unit.text}")
+        message = f"{key} is {described(measure.unit)}, the value {described(best.unit)}"
+        raise _Wrong(key, message, "write it without a unit" if best.unit.number else f"write it in {best.unit.text}")
     if measure.number < 0:
         raise _Wrong(key, f"{key} is negative: {measure.node.text}", "0 or more")
     return measure.value
 
 
-def _from_table(name: str, given: Given, table: Table | None) -> Quantity:
+def _from_table(name: str, given: InputEntry, table: Table | None) -> InputQuantity:
     """Return the quantity of a table: readings by mean and its standard uncertainty (JCGM 100, 4.2), or samples."""
     sampled = given.samples is not None or given.distribution == "sampled"
     others = ("value", "mean", "std", "half_width", "U", "k", "dof", "inexactness", "beta")
@@ -189,12 +189,14 @@ def _from_table(name: str, given: Given, table: Table | None) -> Quantity:
     mean = float(values.mean())
     if sampled:
         deviations = tuple((values - mean).tolist())
-        return Quantity(name, mean, Sampled(deviations, table.file) if np.ptp(values) > 0 else None, math.inf, unit)
+        return InputQuantity(
+            name, mean, Sampled(deviations, table.file) if np.ptp(values) > 0 else None, math.inf, unit
+        )
     std = float(values.std(ddof=1)) / math.sqrt(len(values))
-    return Quantity(name, mean, Normal(std) if std > 0 else None, float(len(values) - 1), unit)
+    return InputQuantity(name, mean, Normal(std) if std > 0 else None, float(len(values) - 1), unit)
 
 
-def column_of(given: Given, table: Table) -> str:
+def column_of(given: InputEntry, table: Table) -> str:
     """Return the column of a quantity: the one it names, or the only column of numbers."""
     numeric = [column for column in table if table.columns[column].dtype.kind == "f"]
     if given.column is None:

@@ -14,14 +14,14 @@ from metrocli.table import Table
 from metrocli.tasks.report_uncertainty import KIND
 from metrocli.tasks.report_uncertainty.aligned_text import aligned
 from metrocli.tasks.report_uncertainty.decisions import PLAIN as DECIDED
-from metrocli.tasks.report_uncertainty.decisions import Measured, decide, limits_of, lines
+from metrocli.tasks.report_uncertainty.decisions import DecidedMeasurand, decide, limits_of, lines
 from metrocli.tasks.report_uncertainty.entries import Entries
-from metrocli.tasks.report_uncertainty.problem import Problem
+from metrocli.tasks.report_uncertainty.problem import PropagationProblem
 from metrocli.uncertainty.distributions import in_trials
-from metrocli.uncertainty.monte_carlo import Outcome
+from metrocli.uncertainty.monte_carlo import MonteCarloResult
 from metrocli.uncertainty.propagation import (
     Coverage,
-    Linear,
+    LinearPropagation,
     Propagated,
     budget_order,
     coverage_factor,
@@ -29,7 +29,7 @@ from metrocli.uncertainty.propagation import (
     ellipsoid_factor,
     whole_dof,
 )
-from metrocli.uncertainty.validation import Judged, Verdict, judge
+from metrocli.uncertainty.validation import Judged, Validation, judge
 from metrocli.units import rounded
 
 _PURE = ("trials", "covered")
@@ -38,13 +38,13 @@ PLAIN = ("k", "dof", "probability", "trials", "covered", "gum_valid", "capable",
 
 
 @dataclass(frozen=True)
-class Found:
+class BothMethods:
     """The results of both methods, GUM and Monte Carlo."""
 
-    problem: Problem
+    problem: PropagationProblem
     propagated: Propagated
     coverage: Coverage
-    outcome: Outcome | None
+    outcome: MonteCarloResult | None
     settings: Entries
 
 
@@ -54,14 +54,14 @@ class _Measurand:
 
     name: str
     unit: str
-    linear: Linear
+    linear: LinearPropagation
     value: float
     std: float
     details: dict[str, Any]
-    verdict: Verdict | None
+    verdict: Validation | None
 
 
-def report(evaluation: Found) -> Result:
+def report(evaluation: BothMethods) -> Result:
     """Return the result of a job."""
     names = list(evaluation.problem.models)
     measurands = [_measurand(evaluation, index, name) for index, name in enumerate(names)]
@@ -102,7 +102,7 @@ def _correlation(covariance: Any) -> Any:
     return covariance / scale[:, None] / scale
 
 
-def _measurand(evaluation: Found, index: int, name: str) -> _Measurand:
+def _measurand(evaluation: BothMethods, index: int, name: str) -> _Measurand:
     unit, linear = evaluation.problem.units[name], evaluation.propagated.measurands[name]
     k, dof, probability = (
         coverage_factor(evaluation.coverage, linear.dof),
@@ -134,10 +134,12 @@ def _measurand(evaluation: Found, index: int, name: str) -> _Measurand:
     return _Measurand(name, unit.text, linear, linear.value / factor, std / factor, details, verdict)
 
 
-def _verdict(evaluation: Found, linear: Linear, k: float, factor: float, mc: dict[str, Any]) -> Verdict:
+def _verdict(
+    evaluation: BothMethods, linear: LinearPropagation, k: float, factor: float, mc: dict[str, Any]
+) -> Validation:
     """Return the validation of the law of propagation by Monte Carlo (JCGM 101, 8), with u in the measurand's unit."""
     if linear.replaced:
-        return Verdict(False, linear.notes)
+        return Validation(False, linear.notes)
     normal = coverage_factor(Coverage(covered(evaluation.coverage, linear.dof)), math.inf)
     value, std, second = linear.value / factor, linear.std / factor, linear.second_std / factor
     ends = (mc["interval"][0], mc["interval"][1])
@@ -145,11 +147,11 @@ def _verdict(evaluation: Found, linear: Linear, k: float, factor: float, mc: dic
     return judge(judged, evaluation.settings.monte_carlo.digits)
 
 
-def _decision(evaluation: Found, index: int, name: str, std: float, expanded: float) -> dict[str, Any]:
+def _decision(evaluation: BothMethods, index: int, name: str, std: float, expanded: float) -> dict[str, Any]:
     linear, outcome = evaluation.propagated.measurands[name], evaluation.outcome
     sample = outcome.samples[index] if outcome is not None else None
     centre = outcome.centres[index] if outcome is not None else 0.0
-    measured = Measured(linear.value, std, expanded, whole_dof(linear.dof), sample, centre)
+    measured = DecidedMeasurand(linear.value, std, expanded, whole_dof(linear.dof), sample, centre)
     return decide(limits_of(evaluation.settings.tolerance[name]), measured, evaluation.problem.units[name].factor)
 
 
@@ -157,7 +159,7 @@ def _scaled(value: Any, factor: float) -> Any:
     return [item / factor for item in value] if isinstance(value, list | tuple) else value / factor
 
 
-def _share_within(evaluation: Found, index: int, interval: tuple[float, float]) -> float:
+def _share_within(evaluation: BothMethods, index: int, interval: tuple[float, float]) -> float:
     """Return the share of the trials of a measurand within an interval, nan without trials."""
     if evaluation.outcome is None:
         return math.nan
@@ -169,7 +171,7 @@ _ROUNDING = 1e-14
 """A smaller relative std of trials is that of rounding errors"""
 
 
-def _monte_carlo(evaluation: Found, index: int, probability: float) -> dict[str, Any] | None:
+def _monte_carlo(evaluation: BothMethods, index: int, probability: float) -> dict[str, Any] | None:
     outcome = evaluation.outcome
     if outcome is None:
         return None
@@ -177,17 +179,17 @@ def _monte_carlo(evaluation: Found, index: int, probability: float) -> dict[str,
     mean, std = float(outcome.means[index]), math.sqrt(outcome.covariance[index, index])
     if std <= _ROUNDING * abs(mean):
         return {"mean": mean, "std": 0.0, "interval": [mean, mean], "shortest": [mean, mean], "trials": outcome.trials}
-    said: dict[str, Any] = {
+    printed: dict[str, Any] = {
         "mean": mean,
         "std": std,
         "interval": [end + centre for end in sample.symmetric(probability)],
         "shortest": [end + centre for end in sample.shortest(probability)],
         "trials": outcome.trials,
     }
-    return said | ({"resolution": sample.resolution} if sample.resolution else {})
+    return printed | ({"resolution": sample.resolution} if sample.resolution else {})
 
 
-def _budget(evaluation: Found, measurands: Sequence[_Measurand]) -> Table:
+def _budget(evaluation: BothMethods, measurands: Sequence[_Measurand]) -> Table:
     """Return one row for each measurand and contributor, the largest contribution first."""
     inputs = evaluation.problem.inputs
     rows: list[tuple[Any, ...]] = []
@@ -210,30 +212,30 @@ def _budget(evaluation: Found, measurands: Sequence[_Measurand]) -> Table:
     return Table.of_rows(headings, rows)
 
 
-def _share(linear: Linear, along: Any, i: int) -> float:
+def _share(linear: LinearPropagation, along: Any, i: int) -> float:
     """Return the share of a contributor in the variance [percent]; shares of correlated ones can be negative."""
     return 100 * float(linear.sensitivities[i] * along[i]) / linear.std**2 + 0.0 if linear.std > 0 else 0.0
 
 
 def _warnings(measurand: _Measurand) -> list[str]:
-    said = [f"{measurand.name}: {note}" for note in measurand.linear.notes]
+    printed = [f"{measurand.name}: {note}" for note in measurand.linear.notes]
     if measurand.verdict is not None and not measurand.verdict.valid and not measurand.linear.replaced:
-        said.append(f"{measurand.name}: Monte Carlo does not validate the interval of GUM; use that of Monte Carlo")
-    return said
+        printed.append(f"{measurand.name}: Monte Carlo does not validate the interval of GUM; use that of Monte Carlo")
+    return printed
 
 
-def _notes(evaluation: Found, measurand: _Measurand) -> list[str]:
+def _notes(evaluation: BothMethods, measurand: _Measurand) -> list[str]:
     details, unit = measurand.details, "" if measurand.unit == "1" else f" {measurand.unit}"
     value, std = rounded(measurand.value, measurand.std)
     U = rounded(measurand.value, details["U"])[1]
     dof = details["dof"]
     freedom = f", {dof:.4g} effective degrees of freedom" if math.isfinite(dof) else ""
     covers = f"k = {details['k']:.3g}, {100 * details['probability']:.4g} %"
-    said = [f"{measurand.name} = {value}{unit}, U = {U}{unit} ({covers}{freedom}), u = {std}{unit}"]
+    printed = [f"{measurand.name} = {value}{unit}, U = {U}{unit} ({covers}{freedom}), u = {std}{unit}"]
     second = details["second_order"]
     if math.isfinite(second["std"]) and measurand.linear.nonlinear > 1e-4:
         value, std = rounded(second["value"], second["std"])
-        said.append(f"  second order: {value}{unit}, u = {std}{unit}")
+        printed.append(f"  second order: {value}{unit}, u = {std}{unit}")
     mc = details.get("mc")
     if mc is not None:
         ends = [
@@ -241,18 +243,18 @@ def _notes(evaluation: Found, measurand: _Measurand) -> list[str]:
             for key in ("interval", "shortest")
         ]
         mean, std = rounded(mc["mean"], mc["std"])
-        said.append(
+        printed.append(
             f"  Monte Carlo, {mc['trials']} trials: {mean}{unit}, u = {std}{unit}, interval {ends[0]}, "
             f"shortest {ends[1]}{unit}"
         )
-        said.append(f"  U covers {100 * mc['covered']:.4g} % of the trials")
+        printed.append(f"  U covers {100 * mc['covered']:.4g} % of the trials")
         if mc.get("resolution"):
-            said.append(f"  trials counted in bins: interval ends are known to {mc['resolution']:.1e}{unit}")
-    said += _judgement(measurand)
-    said += [f"  {line}" for line in _budget_lines(evaluation, measurand)]
+            printed.append(f"  trials counted in bins: interval ends are known to {mc['resolution']:.1e}{unit}")
+    printed += _judgement(measurand)
+    printed += [f"  {line}" for line in _budget_lines(evaluation, measurand)]
     if "tolerance" in details:
-        said += [f"  {line}" for line in lines(details["tolerance"], measurand.unit)]
-    return said
+        printed += [f"  {line}" for line in lines(details["tolerance"], measurand.unit)]
+    return printed
 
 
 def _judgement(measurand: _Measurand) -> list[str]:
@@ -266,7 +268,7 @@ def _judgement(measurand: _Measurand) -> list[str]:
     ]
 
 
-def _budget_lines(evaluation: Found, measurand: _Measurand) -> list[str]:
+def _budget_lines(evaluation: BothMethods, measurand: _Measurand) -> list[str]:
     inputs, linear = evaluation.problem.inputs, measurand.linear
     factor = evaluation.problem.units[measurand.name].factor
     along = inputs.covariance @ linear.sensitivities
@@ -280,5 +282,5 @@ def _budget_lines(evaluation: Found, measurand: _Measurand) -> list[str]:
         slope, brings = linear.sensitivities[i] * scale / factor, linear.contributions[i] / factor
         value, std = rounded(item.value / scale, item.std / scale)
         rows.append((item.name, value, std, item.unit.text, f"{slope:.4g}", f"{brings:.3g}", f"{share:.1f}", dof))
-    said = aligned(rows, left=(0, 3))
-    return said + ([f"... {len(order) - 20} more (show --table budget)"] if len(order) > 20 else [])
+    printed = aligned(rows, left=(0, 3))
+    return printed + ([f"... {len(order) - 20} more (show --table budget)"] if len(order) > 20 else [])

@@ -57,5 +57,5 @@ def figures(settings: Settings) -> dict[str, str]:
 
 def _below(names: dict[str, str], sized: tuple[str, ...], plain: tuple[str, ...]) -> dict[str, str]:
     """Return details of estimates: those in the unit of the estimate, and plain numbers."""
-    found = {f"{name}.{detail}": unit for name, unit in names.items() for detail in sized}
-    return found | {f"{name}.{detail}": "" for name in names for detail in plain}
+    units = {f"{name}.{detail}": unit for name, unit in names.items() for detail in sized}
+    return units | {f"{name}.{detail}": "" for name in names for detail in plain}

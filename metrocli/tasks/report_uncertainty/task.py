@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.expressions.derivatives import NoValueError
-from metrocli.expressions.written import Model
+from metrocli.expressions.written import WrittenExpression
 from metrocli.result import Result
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.report_uncertainty import volume_problem, volume_report
 from metrocli.tasks.report_uncertainty.entries import Files
-from metrocli.tasks.report_uncertainty.problem import Problem, build
-from metrocli.tasks.report_uncertainty.report import Found, report
+from metrocli.tasks.report_uncertainty.problem import PropagationProblem, build
+from metrocli.tasks.report_uncertainty.report import BothMethods, report
 from metrocli.tasks.report_uncertainty.settings import Settings
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.correlated import UnreachableError
@@ -38,7 +38,7 @@ def run(job: Job[Settings, Files]) -> Result:
             f"{name}: {propagated.measurands[name].notes[0]}\n  the law of propagation does not apply there; "
             "use Monte Carlo: `monte_carlo: {trials: 1000000}`"
         )
-    return report(Found(problem, propagated, coverage, outcome, settings))
+    return report(BothMethods(problem, propagated, coverage, outcome, settings))
 
 
 def check(job: Job[Settings, Files]) -> None:
@@ -49,24 +49,24 @@ def check(job: Job[Settings, Files]) -> None:
         _propagated(_problem(job))
 
 
-def _problem(job: Job[Settings, Files]) -> Problem:
+def _problem(job: Job[Settings, Files]) -> PropagationProblem:
     problem = build(job.settings, job.files.results, job.files.files)
     if isinstance(problem, list):
         raise InputError(problem)
     return problem
 
 
-def _propagated(problem: Problem) -> Propagated:
+def _propagated(problem: PropagationProblem) -> Propagated:
     try:
         return propagate(problem.models, problem.inputs)
     except NoValueError as error:
-        models: list[Model] = [placed.value.model for placed in problem.nodes.values()]
+        models: list[WrittenExpression] = [placed.value.model for placed in problem.nodes.values()]
         # the message points to the model whose part has no value
         model = next(model for model in models if _fails(model, problem))
         raise InputError([model.fault(error)]) from error
 
 
-def _fails(model: Model, problem: Problem) -> bool:
+def _fails(model: WrittenExpression, problem: PropagationProblem) -> bool:
     try:
         propagate({"": model.expression}, problem.inputs)
     except NoValueError:
@@ -74,7 +74,9 @@ def _fails(model: Model, problem: Problem) -> bool:
     return False
 
 
-def _trials(settings: Settings, problem: Problem, probability: float, workers: Workers) -> monte_carlo.Outcome:
+def _trials(
+    settings: Settings, problem: PropagationProblem, probability: float, workers: Workers
+) -> monte_carlo.MonteCarloResult:
     wanted = settings.monte_carlo
     try:
         units = {name: unit.factor for name, unit in problem.units.items()}
@@ -85,8 +87,8 @@ def _trials(settings: Settings, problem: Problem, probability: float, workers: W
         # correlation is that of the pair itself
         declared = [placed for placed in settings.correlations if set(placed.value.between) == pair]
         node = (*declared, *settings.correlations)[0].node
-        said = f"{' and '.join(sorted(pair))}: {error}"
-        raise InputError([node.fault(said, "use a smaller correlation, or other distributions")]) from error
+        message = f"{' and '.join(sorted(pair))}: {error}"
+        raise InputError([node.fault(message, "use a smaller correlation, or other distributions")]) from error
     return monte_carlo.run(plan, workers, wanted.digits, wanted.most)
 
 

@@ -16,7 +16,7 @@ from metrocli.expressions.written import Measure
 from metrocli.frozen import dataclass
 from metrocli.geometry.poses import EULER
 from metrocli.result import Result
-from metrocli.settings import Placed
+from metrocli.settings import LocatedValue
 from metrocli.tasks.report_uncertainty.entries import Contributor, Entries
 from metrocli.tasks.report_uncertainty.values import contributors, identity, shared
 from metrocli.uncertainty.volume import AXES, Contribution, grid, of_models, of_pose
@@ -49,7 +49,7 @@ def faults(settings: Entries) -> Iterable[Fault | tuple[str, ...]]:
         if getattr(settings, key):
             yield key, f"{key} and a volume are both given", "write two jobs"
     tolerance = settings.tolerance
-    if tolerance is not None and not (isinstance(tolerance, Placed) and isinstance(tolerance.value, Measure)):
+    if tolerance is not None and not (isinstance(tolerance, LocatedValue) and isinstance(tolerance.value, Measure)):
         yield "tolerance", "the tolerance of a volume is one width", "write e.g. 'tolerance: 2 mm', the full width"
     elif tolerance is not None and (
         tolerance.value.unit.powers != compound("mm").powers or tolerance.value.number <= 0
@@ -59,7 +59,7 @@ def faults(settings: Entries) -> Iterable[Fault | tuple[str, ...]]:
 
 
 def _of_contributors(settings: Entries) -> Iterable[Fault]:
-    seen: dict[str, Placed] = {}
+    seen: dict[str, LocatedValue] = {}
     for placed in settings.contributors:
         given: Contributor = placed.value
         if given.name in seen:
@@ -67,8 +67,8 @@ def _of_contributors(settings: Entries) -> Iterable[Fault]:
         seen[given.name] = placed
         if given.result is not None and given.result not in settings.inputs.results:
             hint = suggestion(given.result, settings.inputs.results) if settings.inputs.results else "name it there"
-            said = f"there is no result '{given.result}' under inputs"
-            yield placed.node.at("result").fault(said, hint)
+            message = f"there is no result '{given.result}' under inputs"
+            yield placed.node.at("result").fault(message, hint)
         for model in given.model or ():
             for part in model.expression.parts:
                 prefix = part.name.partition(".")[0]
@@ -118,7 +118,9 @@ def _not_contained(settings: Entries, results: Mapping[str, Result]) -> Iterable
                 )
 
 
-def _size(placed: Placed, results: Mapping[str, Result], points: Array, lengths: Array) -> tuple[Array, bool, float]:
+def _size(
+    placed: LocatedValue, results: Mapping[str, Result], points: Array, lengths: Array
+) -> tuple[Array, bool, float]:
     """Return standard uncertainties (n, 3) or (1, 3), whether the distribution is rectangular, and the dof."""
     given: Contributor = placed.value
     if given.result is not None:
@@ -149,15 +151,15 @@ def _dof(result: Result) -> float:
     return min(result.degrees_of_freedom(estimate.name) for estimate in result.estimates)
 
 
-def _of_result(placed: Placed, result: Result, points: Array) -> Array:
+def _of_result(placed: LocatedValue, result: Result, points: Array) -> Array:
     """Return the standard uncertainties (n, 3) from the pose in a result, or from x, y and z alone."""
     names = [estimate.name for estimate in result.estimates]
     wanted = EULER if all(name in names for name in EULER) else AXES
     missing = [name for name in wanted if name not in names]
     if missing:
-        said = f"the result '{placed.value.result}' ({result.kind}) has no {', '.join(missing)}"
+        message = f"the result '{placed.value.result}' ({result.kind}) has no {', '.join(missing)}"
         hint = "a pose (x y z alpha beta gamma), or x y z; else give a model of it"
-        raise InputError([placed.node.at("result").fault(said, hint)])
+        raise InputError([placed.node.at("result").fault(message, hint)])
     at = [names.index(name) for name in wanted]
     scale = np.array([compound(result.estimates[index].unit).factor for index in at])
     covariance = np.asarray(result.covariance)[np.ix_(at, at)] * scale[:, None] * scale
@@ -169,7 +171,7 @@ def _of_result(placed: Placed, result: Result, points: Array) -> Array:
     return of_pose(values, covariance, points)
 
 
-def _of_model(placed: Placed, results: Mapping[str, Result], points: Array) -> Array:
+def _of_model(placed: LocatedValue, results: Mapping[str, Result], points: Array) -> Array:
     """Return the standard uncertainties (n, 3) from expressions in estimates of one or more results."""
     models = placed.value.model
     names = list(dict.fromkeys(name for model in models for name in model.expression.names if name not in PLACES))
@@ -183,10 +185,10 @@ def _of_model(placed: Placed, results: Mapping[str, Result], points: Array) -> A
         result = results[prefix]
         estimates = [item.name for item in result.estimates]
         if estimate not in estimates:
-            said = ExpressionError(
+            message = ExpressionError(
                 f"the result '{prefix}' has no estimate '{estimate}'", 0, suggestion(estimate, estimates)
             )
-            raise InputError([next(model for model in models if name in model.expression.names).fault(said)])
+            raise InputError([next(model for model in models if name in model.expression.names).fault(message)])
         at = estimates.index(estimate)
         unit = compound(result.estimates[at].unit)
         values[name] = result.estimates[at].value * unit.factor
@@ -226,8 +228,8 @@ def _double(settings: Entries, results: Mapping[str, Result]) -> Iterable[str]:
             sources.setdefault(given.source, []).append(given.name)
     for source, names in sources.items():
         if len(names) > 1:
-            said = f"{' and '.join(names)} have the common source '{source}'"
-            yield f"{said}: they are added linearly, because they are fully correlated"
+            message = f"{' and '.join(names)} have the common source '{source}'"
+            yield f"{message}: they are added linearly, because they are fully correlated"
     yield from _of_results(placed, results, labels)
 
 

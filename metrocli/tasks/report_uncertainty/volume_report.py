@@ -25,7 +25,7 @@ from metrocli.tasks.report_uncertainty.volume_problem import VolumeProblem, buil
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.decision import FACTOR_2017, capable
 from metrocli.uncertainty.distributions import Normal, Uniform
-from metrocli.uncertainty.inputs import Inputs, Quantity, join
+from metrocli.uncertainty.inputs import InputQuantity, Inputs, join
 from metrocli.uncertainty.propagation import Coverage, coverage_factor, covered, effective_dof
 from metrocli.uncertainty.trials import plan_of
 from metrocli.uncertainty.validation import Judged, judge
@@ -57,7 +57,7 @@ class _Axis:
     place: Array
     k: float
     dof: float
-    mc: monte_carlo.Outcome | None
+    mc: monte_carlo.MonteCarloResult | None
 
 
 def run(settings: Entries, results: Mapping[str, Result], workers: Workers) -> Result:
@@ -90,7 +90,7 @@ def _sum(parts: tuple[Contribution, ...], axis: int) -> tuple[Inputs, Expression
     for n, group in enumerate(by_source(parts)):
         std = sum(float(part.std[:, axis].max()) for part in group)
         shape = Uniform(std * math.sqrt(3)) if all(part.uniform for part in group) else Normal(std)
-        quantities.append(Quantity(f"c{n}", 0.0, shape if std > 0 else None, min(part.dof for part in group)))
+        quantities.append(InputQuantity(f"c{n}", 0.0, shape if std > 0 else None, min(part.dof for part in group)))
     return join(quantities), parse(" + ".join(quantity.name for quantity in quantities))
 
 
@@ -116,21 +116,21 @@ def coverage_of(settings: Entries) -> Coverage:
 def _details(axis: _Axis, settings: Entries) -> dict[str, Any]:
     coverage = coverage_of(settings)
     U, probability = axis.k * axis.std, covered(coverage, axis.dof)
-    said: dict[str, Any] = {
+    printed: dict[str, Any] = {
         "U": U, "U_pointwise": axis.k * axis.pointwise, "std_pointwise": axis.pointwise, "at": axis.place.tolist(),
         "k": axis.k, "dof": axis.dof, "probability": probability, "interval": [-U, U],
         "second_order": {"value": 0.0, "std": axis.std}, "gum_valid": math.nan,
     }  # fmt: skip
     if axis.mc is not None:
-        said |= _against_trials(axis, axis.mc, U, settings)
+        printed |= _against_trials(axis, axis.mc, U, settings)
     if settings.tolerance is not None:
         width = settings.tolerance.value.value
-        said["tolerance"] = {
+        printed["tolerance"] = {
             "T": width, "U_over_T": U / width, "capable": capable(U, width),
             "U_over_T_pointwise": axis.k * axis.pointwise / width,
             "acceptance": _left(width, U), "acceptance_2017": _left(width, FACTOR_2017 * axis.std),
         }  # fmt: skip
-    return said
+    return printed
 
 
 def _left(width: float, guard: float) -> float:
@@ -138,7 +138,7 @@ def _left(width: float, guard: float) -> float:
     return width / 2 - guard if guard <= width / 2 else math.nan
 
 
-def _against_trials(axis: _Axis, mc: monte_carlo.Outcome, U: float, settings: Entries) -> dict[str, Any]:
+def _against_trials(axis: _Axis, mc: monte_carlo.MonteCarloResult, U: float, settings: Entries) -> dict[str, Any]:
     """Return the Monte Carlo result for the sum of the maxima, and whether it validates k u."""
     probability = covered(coverage_of(settings), axis.dof)
     sample, std = mc.samples[0], math.sqrt(mc.covariance[0, 0])
@@ -197,15 +197,15 @@ def _sources(settings: Entries) -> Table:
 
 
 def _warnings(details: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    said = []
+    printed = []
     for name, detail in details.items():
         mc = detail.get("mc")
         if mc is not None and not detail["gum_valid"]:
-            said.append(
+            printed.append(
                 f"{name}: by Monte Carlo, k = {detail['k']:.3g} covers {100 * mc['covered']:.2f} % of the distribution "
                 f"of the sum; k = {mc['k_trials']:.2f} covers {100 * detail['probability']:.4g} %"
             )
-    return said
+    return printed
 
 
 def _notes(

@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.clusters.robust import MOST, growth, must_be_few, must_suffice
 from metrocli.adjust.clusters.rows import rows_of_table
-from metrocli.adjust.clusters.sample import Sample
+from metrocli.adjust.clusters.sample import ClusterSample
 from metrocli.adjust.coupled_fields import CorrelatedDesign, FieldSolution, adjust_fields
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.solution import Solution
@@ -22,8 +22,8 @@ from metrocli.frozen import dataclass
 from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.selfcal_grid import KIND
 from metrocli.tasks.selfcal_grid.effects import EFFECTS
-from metrocli.tasks.selfcal_grid.problem import READINGS, Problem
-from metrocli.tasks.selfcal_grid.solve import Solved
+from metrocli.tasks.selfcal_grid.problem import READINGS, GridProblem
+from metrocli.tasks.selfcal_grid.solve import AdjustedGrid
 from metrocli.tasks.shared.noise import Structured, count, in_blocks
 
 FOLDS = 10
@@ -31,7 +31,7 @@ _FEWEST = 4
 """Least number of coordinates that an effect must change: an effect on one reading only is an outlier"""
 
 
-def adjusted_job(solved: Solved) -> AdjustedJob:
+def adjusted_job(solved: AdjustedGrid) -> AdjustedJob:
     """Return an adjusted self-calibration in the form that diagnosis works on."""
     problem = solved.problem.held(solved.design)
     model = with_conditions(replace(problem.model_with_datum, blocks=solved.solution.blocks))
@@ -68,7 +68,7 @@ def _covariates(model: Model) -> Iterator[Covariate]:
     yield Covariate("place in the machine", {READINGS: np.ascontiguousarray(np.round(nominal, 1))}, 3)
 
 
-def offers(problem: Problem, model: Model) -> Iterator[tuple[str, Model]]:
+def offers(problem: GridProblem, model: Model) -> Iterator[tuple[str, Model]]:
     """Yield further measurements that would help, the cheapest first: words, and the model with their readings."""
     if ELAPSED in model.readings[0].observations.conditions:
         yield "each view forth and back, in the reverse order", _forth_and_back(model)
@@ -83,11 +83,14 @@ def _forth_and_back(model: Model) -> Model:
     last = np.array([time[view == n].max(initial=0.0) for n in range(int(view.max()) + 1)])[view]
     later = {name: old.conditions[name] + 2 * (last - time) for name in ("t", ELAPSED) if name in old.conditions}
     again = replace(old, conditions={**old.conditions, **later})
-    groups = tuple(replace(one, observations=old.followed_by(again)) if one is group else one for one in model.groups)
+    groups = tuple(
+        replace(measured, observations=old.followed_by(again)) if measured is group else measured
+        for measured in model.groups
+    )
     return replace(model, groups=groups)
 
 
-def _with_views(problem: Problem, model: Model) -> Model:
+def _with_views(problem: GridProblem, model: Model) -> Model:
     """Return the model with two more views after the others, shifted by one pitch along y and along z."""
     group, old = model.readings[0], model.readings[0].observations
     views = (*problem.views, *(bg.View(f"+{'xyz'[a]}", np.eye(3), np.eye(3)[a]) for a in (1, 2)))
@@ -109,8 +112,8 @@ def _with_views(problem: Problem, model: Model) -> Model:
     links = (bg.mounted(views, pitch) if isinstance(link, bg.Mounted) else link for link in group.chain.links)
     observations = old.followed_by(changed)
     groups = tuple(
-        replace(one, chain=Chain(tuple(links)), observations=observations) if one is group else one
-        for one in model.groups
+        replace(measured, chain=Chain(tuple(links)), observations=observations) if measured is group else measured
+        for measured in model.groups
     )
     return replace(model, blocks={**model.blocks, bg.VIEW: block}, groups=groups)
 
@@ -130,7 +133,7 @@ _OVER = "blocks of successive balls"
 class _Robust:
     """The covariance of fields over clusters."""
 
-    sample: Sample
+    sample: ClusterSample
     design: CorrelatedDesign
     white: Array
     """Variances of all unknowns for independent errors, (unknowns,)"""
@@ -154,7 +157,7 @@ class _Robust:
         return np.asarray(columns[columns >= 0])
 
 
-def with_structure(solved: Solved) -> tuple[Solved, Structured]:
+def with_structure(solved: AdjustedGrid) -> tuple[AdjustedGrid, Structured]:
     """Return the adjustment with the covariance that lets successive readings of a view share errors.
 
     Raises UndeterminedError for too few readings, and InputError for more unknowns than fit into one table.
@@ -170,7 +173,7 @@ def with_structure(solved: Solved) -> tuple[Solved, Structured]:
     # a reading has its components one after the other: all of x, all of y, all of z
     of_rows = [np.tile(cluster, len(residual[0])), *(np.full(part.size, -1) for part in residual[1:])]
     rows = rows_of_table(design.jacobian, np.concatenate([part.ravel() for part in residual]), np.concatenate(of_rows))
-    sample = Sample.of(white, rows, rows.common, solved.solution.dof)
+    sample = ClusterSample.of(white, rows, rows.common, solved.solution.dof)
     correlated = CorrelatedDesign(
         design.partition, design.jacobian, design.reduction, design.constraint, sample.covariance()
     )
@@ -180,19 +183,19 @@ def with_structure(solved: Solved) -> tuple[Solved, Structured]:
     return replace(solved, found=FieldSolution(solved.solution, correlated)), structured
 
 
-def sharing(solved: Solved) -> int:
+def sharing(solved: AdjustedGrid) -> int:
     """Return the number of blocks whose readings may share errors; 0 if the fields are too large for one table."""
     return count(clusters_of(solved)) if solved.design.partition.width <= MOST else 0
 
 
-def clusters_of(solved: Solved) -> Index:
+def clusters_of(solved: AdjustedGrid) -> Index:
     """Return the block of successive readings of one view of each reading, (n,); by time, else in the file's order."""
     observations = solved.problem.readings.observations
     view = observations.index[bg.VIEW]
     order = observations.conditions.get("t", np.arange(observations.count, dtype=float))
     clusters, first = np.zeros(observations.count, dtype=np.intp), 0
-    for one in np.unique(view).tolist():
-        mine = np.flatnonzero(view == one)
+    for number in np.unique(view).tolist():
+        mine = np.flatnonzero(view == number)
         clusters[mine] = first + in_blocks(order[mine])
         first = int(clusters[mine].max()) + 1
     return clusters

@@ -14,7 +14,7 @@ _BINS = 12
 
 
 @dataclass(frozen=True)
-class LengthError:
+class LargestLengthError:
     """The largest error of a length between two sites, `(G_b - G_a) . u` with u the direction from a to b."""
 
     first: int
@@ -27,7 +27,7 @@ class LengthError:
     """Number of sites of which all pairs were calculated"""
 
 
-def largest(places: Array, errors: Array) -> LengthError | None:
+def largest(places: Array, errors: Array) -> LargestLengthError | None:
     """Return the largest length error of a field (n, 3) at places (n, 3), or None for fewer than two sites.
 
     Every pair of sites is a length from centre to centre. So it compares with the length errors of ISO 10360-2, but has
@@ -43,7 +43,7 @@ def largest(places: Array, errors: Array) -> LengthError | None:
     error = np.einsum("na,na->n", errors[second] - errors[first], between) / length
     worst = int(np.argmax(np.abs(error)))
     table = _by_length(length, error)
-    return LengthError(
+    return LargestLengthError(
         int(first[worst]), int(second[worst]), float(error[worst]), between[worst] / length[worst], table, len(chosen)
     )
 

@@ -16,7 +16,7 @@ from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
 from metrocli.instruments.ball_grid import View
-from metrocli.tasks.selfcal_grid.readings import Readings, ball_name
+from metrocli.tasks.selfcal_grid.readings import GridReadings, ball_name
 from metrocli.tasks.selfcal_grid.settings import shift_in_words, turn_in_words
 
 _OFF = 0.25
@@ -47,7 +47,7 @@ class Observed:
         return np.asarray(place - np.median(place, axis=0))
 
 
-def check(readings: Readings, pitch: float) -> list[str]:
+def check(readings: GridReadings, pitch: float) -> list[str]:
     """Return warnings on the pitch and on views far from their sites.
 
     Raises InputError if a view stood otherwise than declared, and for readings that belong to another ball.
@@ -61,13 +61,13 @@ def check(readings: Readings, pitch: float) -> list[str]:
     ):
         if faults:
             raise InputError([Fault(text, file) for text in faults])
-    astray = [one for n, seen in enumerate(observed) if seen for one in _astray(readings, n, seen, pitch)]
+    astray = [fault for n, seen in enumerate(observed) if seen for fault in _astray(readings, n, seen, pitch)]
     if astray:
         raise InputError(astray[:_MOST])
     return [*_doubtful_pitch(observed, pitch), *_off_site(readings, observed)]
 
 
-def _observed(readings: Readings, view: int, pitch: float) -> Observed | None:
+def _observed(readings: GridReadings, view: int, pitch: float) -> Observed | None:
     """Return how the artefact stood in a view, or None if its balls stand in a row or are too few."""
     rows = readings.at(view)
     balls, values = readings.balls[rows].astype(float), readings.values[rows] / pitch
@@ -110,7 +110,7 @@ def _nearest(matrix: Array) -> Array:
     return max(every, key=lambda one: float((one * matrix).sum()))
 
 
-def _other_pitch(readings: Readings, observed: list[Observed | None], pitch: float) -> list[str]:
+def _other_pitch(readings: GridReadings, observed: list[Observed | None], pitch: float) -> list[str]:
     """Return the faults of views whose readings do not form a grid of this pitch; one fault if no view does."""
     known = [(view.name, seen) for view, seen in zip(readings.views, observed, strict=True) if seen is not None]
     reach = [_reach(readings.balls[readings.at(n)]) for n, seen in enumerate(observed) if seen is not None]
@@ -220,7 +220,7 @@ def _stood(views: tuple[View, ...], n: int, stood: tuple[Array, Array], others: 
     return f"view '{view.name}' stands {turn_in_words(turn)}, declared {turn_in_words(view.turn)}{like}{sense}"
 
 
-def _astray(readings: Readings, n: int, seen: Observed, pitch: float) -> list[Fault]:
+def _astray(readings: GridReadings, n: int, seen: Observed, pitch: float) -> list[Fault]:
     """Return the faults of readings far from their ball, each with the ball that is nearest to the reading."""
     rows, view = np.flatnonzero(readings.at(n)), readings.views[n]
     off = seen.off(readings.balls[rows], readings.values[rows] / pitch)
@@ -235,7 +235,7 @@ def _astray(readings: Readings, n: int, seen: Observed, pitch: float) -> list[Fa
     return faults
 
 
-def _off_site(readings: Readings, observed: list[Observed | None]) -> list[str]:
+def _off_site(readings: GridReadings, observed: list[Observed | None]) -> list[str]:
     """Return warnings of views with balls so far from their sites that the machine error differs there."""
     known = [(n, seen) for n, seen in enumerate(observed) if seen is not None]
     if not known:

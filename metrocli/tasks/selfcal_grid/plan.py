@@ -15,8 +15,8 @@ from metrocli.result import Estimate, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import KIND
 from metrocli.tasks.selfcal_grid.determination.undetermined import Open, candidates, determined, opened
-from metrocli.tasks.selfcal_grid.problem import Problem, build
-from metrocli.tasks.selfcal_grid.readings import Readings
+from metrocli.tasks.selfcal_grid.problem import GridProblem, build
+from metrocli.tasks.selfcal_grid.readings import GridReadings
 from metrocli.tasks.selfcal_grid.settings import Settings, turn_in_words
 from metrocli.tasks.selfcal_grid.simulation import balls_on, views_on_the_grid
 from metrocli.tasks.selfcal_grid.solve import design
@@ -49,11 +49,11 @@ class _Given:
         if self.lengths is None:
             return None
         names = [[f"{name}{end}" for name in "ijk"] for end in "12"]
-        ends = [np.clip(self.lengths.stacked(one), -half, half) for one in names]
+        ends = [np.clip(self.lengths.stacked(name), -half, half) for name in names]
         length = np.linalg.norm(ends[0] - ends[1], axis=1) * self.settings.grid.pitch
         kept = length > 0
         known = {"length": length[kept], "sigma": self.lengths.numbers("sigma")[kept]}
-        of = {" ".join(one): end[kept] for one, end in zip(names, ends, strict=True)}
+        of = {" ".join(name): end[kept] for name, end in zip(names, ends, strict=True)}
         return Table.of({**known, **of}) if kept.any() else None
 
 
@@ -84,8 +84,8 @@ def _sets(views: Sequence[bg.View]) -> Iterator[tuple[str, list[bg.View]]]:
     yield "planned", list(views)
     for words, view in candidates():
         yield f"with a view {words}", [*views, view]
-    for one in views if len(views) > 2 else ():
-        yield f"without '{one.name}'", [view for view in views if view is not one]
+    for left_out in views if len(views) > 2 else ():
+        yield f"without '{left_out.name}'", [view for view in views if view is not left_out]
 
 
 def _tried(views: Sequence[bg.View], half: Index, given: _Given) -> _Worth | None:
@@ -98,39 +98,39 @@ def _tried(views: Sequence[bg.View], half: Index, given: _Given) -> _Worth | Non
 def _worth(views: Sequence[bg.View], half: Index, given: _Given) -> _Worth:
     problem = _problem(views, half, given)
     taken = design(problem)
-    found = opened(problem, taken)
+    left_open = opened(problem, taken)
     std = np.where(determined(problem, taken)[bg.MACHINE], taken.std(bg.MACHINE), np.inf)[problem.grid.within > 0]
     std = std / given.settings.declared
-    return _Worth(found, float(np.sqrt((std**2).mean())), float(std.max()), problem.readings.observations.count)
+    return _Worth(left_open, float(np.sqrt((std**2).mean())), float(std.max()), problem.readings.observations.count)
 
 
-def _problem(views: Sequence[bg.View], half: Index, given: _Given) -> Problem:
+def _problem(views: Sequence[bg.View], half: Index, given: _Given) -> GridProblem:
     """Return the adjustment of views with the readings of a grid without errors."""
     settings = given.settings
     each = [balls_on(view, half) for view in views]
-    values = [view.sites(one) * settings.grid.pitch for view, one in zip(views, each, strict=True)]
-    count = [len(one) for one in each]
+    values = [view.sites(balls) * settings.grid.pitch for view, balls in zip(views, each, strict=True)]
+    count = [len(balls) for balls in each]
     ball = np.concatenate(each)
     table = Table.of({"view": np.repeat([view.name for view in views], count), "i j k": ball})
     view = np.repeat(np.arange(len(views)), count)
-    readings = Readings(tuple(views), view, ball, np.concatenate(values), table)
+    readings = GridReadings(tuple(views), view, ball, np.concatenate(values), table)
     return build(readings, (half, settings.grid.pitch), settings.declared, given.lengths_on(half))
 
 
 def _table(rows: Sequence[tuple[str, _Worth | None]]) -> Table:
-    found = [
+    listed = [
         (words, str(worth.found.count), worth.gain, worth.largest) if worth else (words, "more", np.inf, np.inf)
         for words, worth in rows
     ]
-    return Table.of_rows(("views", "undetermined", "noise_gain", "largest_gain"), found)
+    return Table.of_rows(("views", "undetermined", "noise_gain", "largest_gain"), listed)
 
 
 def _sheet(settings: Settings, views: Sequence[bg.View]) -> Table:
     """Return the nominal place of each ball, in the order of the views."""
     each = [balls_on(view, settings.grid.half) for view in views]
-    places = np.concatenate([view.sites(one) for view, one in zip(views, each, strict=True)]) * settings.grid.pitch
+    places = np.concatenate([view.sites(balls) for view, balls in zip(views, each, strict=True)]) * settings.grid.pitch
     ball = np.concatenate(each)
-    count = [len(one) for one in each]
+    count = [len(balls) for balls in each]
     names = {"view": [view.name for view in views], "mounting": [turn_in_words(view.turn) for view in views]}
     each_row = {name: np.repeat(texts, count) for name, texts in names.items()}
     return Table.of({**each_row, "i j k": ball.astype(np.int64), "x y z [mm]": places})

@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from metrocli.adjust.coupled_fields import Design, Fields
+from metrocli.adjust.coupled_fields import FieldDesign, Fields
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
@@ -23,8 +23,8 @@ from metrocli.geometry.poses import fit_pose
 from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid.effects import AXES
-from metrocli.tasks.selfcal_grid.readings import Readings, ball_name
-from metrocli.tasks.shared.lists import repeated, told_apart
+from metrocli.tasks.selfcal_grid.readings import GridReadings, ball_name
+from metrocli.tasks.shared.lists import distinguished, repeated
 from metrocli.words import suggestion
 
 _EXACT = 1e-2
@@ -35,7 +35,7 @@ READINGS, LENGTHS = "views", "lengths"
 
 
 @dataclass(frozen=True)
-class Problem(Modelled):
+class GridProblem(Modelled):
     """A self-calibration ready to adjust."""
 
     grid: bg.Grid
@@ -50,13 +50,13 @@ class Problem(Modelled):
         fields = bg.fields(self.grid, self.blocks, self.model.groups, self.scale_given)
         return replace(fields, conditions=self.conditions)
 
-    def with_noise(self, noise: float) -> Problem:
+    def with_noise(self, noise: float) -> GridProblem:
         """Return the problem with another standard deviation of its readings."""
         observations = self.readings.observations
         readings = self.readings.with_observations(replace(observations, sigma=np.array(noise)))
         return self.with_model(self.model.with_group(readings))
 
-    def held(self, design: Design) -> Problem:
+    def held(self, design: FieldDesign) -> GridProblem:
         """Return the problem with one datum condition for each direction of the fields that the design leaves open."""
         places = {name: design.partition.columns[name] for name in (bg.MACHINE, bg.ARTEFACT)}
         parts = [np.where(at >= 0, design.constraint[:, np.maximum(at, 0)], 0.0) for at in places.values()]
@@ -94,11 +94,11 @@ class Problem(Modelled):
         """Whether a length fixes the common scale."""
         return len(self.model.groups) > 1
 
-    def warned(self, warnings: Sequence[str]) -> Problem:
+    def warned(self, warnings: Sequence[str]) -> GridProblem:
         """Return the problem with further warnings."""
         return replace(self, warnings=(*self.warnings, *warnings))
 
-    def only(self, keep: Mask) -> Problem:
+    def only(self, keep: Mask) -> GridProblem:
         """Return the problem with some of its readings; sites, balls and views without readings are no unknowns."""
         readings = self.readings.selected(keep)
         blocks = dict(self.blocks)
@@ -127,7 +127,7 @@ def _conditions_on(grid: bg.Grid, blocks: Mapping[str, Block], scale_given: bool
     return {name: given * seen[name][None, :, None] for name, given in bg.datum(grid, scale_given).items()}
 
 
-def build(readings: Readings, size: tuple[Index, float], noise: float, lengths: Table | None = None) -> Problem:
+def build(readings: GridReadings, size: tuple[Index, float], noise: float, lengths: Table | None = None) -> GridProblem:
     """Return the adjustment with its starting values; size is (largest indices, pitch [mm]) of the grid."""
     half, pitch = size
     sites = np.empty_like(readings.balls)
@@ -167,18 +167,18 @@ def build(readings: Readings, size: tuple[Index, float], noise: float, lengths: 
     }
     nominal = {bg.MACHINE: np.asarray(all_sites * pitch, dtype=float)}
     model = Model(blocks, present, measured=(READINGS,), places=places, nominal=nominal)
-    return Problem(model, grid, readings.views, _conditions_on(grid, blocks, scale_given=len(present) > 1))
+    return GridProblem(model, grid, readings.views, _conditions_on(grid, blocks, scale_given=len(present) > 1))
 
 
 def _keys(table: Table) -> dict[str, tuple[str, ...]]:
     names = ["view", *"ijk", *(["repeat"] if "repeat" in table else [])]
     keys = {name: tuple(table.texts(name)) for name in names}
     again: dict[object, int] = {}
-    same = np.array([again.setdefault(one, len(again)) for one in zip(*keys.values(), strict=True)])
-    return told_apart(keys, same, table.numbers("t") if "t" in table else None)
+    same = np.array([again.setdefault(row, len(again)) for row in zip(*keys.values(), strict=True)])
+    return distinguished(keys, same, table.numbers("t") if "t" in table else None)
 
 
-def _start(readings: Readings, n: int, pitch: float) -> Array:
+def _start(readings: GridReadings, n: int, pitch: float) -> Array:
     """Return the mounting (6,) of a view by a rigid fit, as if machine and artefact had no errors."""
     rows, view = readings.at(n), readings.views[n]
     nominal: Array = np.asarray(view.sites(readings.balls[rows]) * pitch, dtype=float)
@@ -206,8 +206,8 @@ def _lengths(table: Table, views: Sequence[bg.View], balls: Index, pitch: float)
         for row, before in repeated(zip(*(map(tuple, end.tolist()) for end in ends), strict=True), given.tolist())
     ]
     for row in range(len(table)):
-        if "view" in table and (said := table.texts("view")[row]) not in ["", *names]:
-            faults.append(table.fault_at(row, f"view '{said}' has no readings", suggestion(said, names)))
+        if "view" in table and (written := table.texts("view")[row]) not in ["", *names]:
+            faults.append(table.fault_at(row, f"view '{written}' has no readings", suggestion(written, names)))
         if nominal[row] == 0:
             faults.append(table.fault_at(row, f"a length from {ball_name(ends[0][row])} to itself"))
         if table.numbers("sigma")[row] <= 0:

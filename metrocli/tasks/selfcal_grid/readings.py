@@ -17,7 +17,7 @@ _MOST = 20
 
 
 @dataclass(frozen=True)
-class Readings:
+class GridReadings:
     """The readings of the machine, row by row."""
 
     views: tuple[View, ...]
@@ -35,15 +35,15 @@ class Readings:
         return np.asarray(self.view == view)
 
 
-def read(views: Sequence[View], half: Index, table: Table) -> Readings:
+def read(views: Sequence[View], half: Index, table: Table) -> GridReadings:
     """Return the rows matched to views and balls; raises InputError with every row that has no match."""
     names = [view.name for view in views]
-    said = table.texts("view")
+    written = table.texts("view")
     balls = np.asarray(np.rint(table.stacked("ijk")), dtype=np.intp)
     outside = np.flatnonzero((np.abs(balls) > half).any(axis=1)).tolist()
     faults = [
-        table.fault_at(row, f"view '{said[row]}' is not among the job's views", suggestion(said[row], names))
-        for row in [row for row, name in enumerate(said) if name not in names][:_MOST]
+        table.fault_at(row, f"view '{written[row]}' is not among the job's views", suggestion(written[row], names))
+        for row in [row for row, name in enumerate(written) if name not in names][:_MOST]
     ]
     sizes = " x ".join(str(2 * n + 1) for n in half)
     limits = ", ".join(f"{name} from {-n} to {n}" for name, n in zip("ijk", half.tolist(), strict=True))
@@ -57,10 +57,10 @@ def read(views: Sequence[View], half: Index, table: Table) -> Readings:
     ]
     if faults:
         raise InputError(sorted(faults, key=lambda fault: fault.line or 0)[:_MOST])
-    used = [view for view in views if view.name in set(said)]
+    used = [view for view in views if view.name in set(written)]
     place = {view.name: n for n, view in enumerate(used)}
-    at = np.array([place[name] for name in said], dtype=np.intp)
-    return Readings(tuple(used), at, balls, table.stacked("xyz"), table)
+    at = np.array([place[name] for name in written], dtype=np.intp)
+    return GridReadings(tuple(used), at, balls, table.stacked("xyz"), table)
 
 
 def _counted_from(balls: Index, half: Index) -> int | None:

@@ -18,9 +18,9 @@ from metrocli.tasks.selfcal_grid import KIND
 from metrocli.tasks.selfcal_grid import warnings as grid_warnings
 from metrocli.tasks.selfcal_grid.determination.undetermined import Open
 from metrocli.tasks.selfcal_grid.error_map import Covariance, SiteErrors, Smooth, error_map, smooth
-from metrocli.tasks.selfcal_grid.lengths import LengthError, largest
-from metrocli.tasks.selfcal_grid.problem import Problem
-from metrocli.tasks.selfcal_grid.solve import LeftOut, Solved
+from metrocli.tasks.selfcal_grid.lengths import LargestLengthError, largest
+from metrocli.tasks.selfcal_grid.problem import GridProblem
+from metrocli.tasks.selfcal_grid.solve import AdjustedGrid, LeftOut
 from metrocli.tasks.selfcal_grid.warnings import uncontrolled
 from metrocli.tasks.shared.statistics import Statistics, basic_statistics, noise_notes, residual_table
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
@@ -44,7 +44,7 @@ class _Field:
     """inf where the views leave it undetermined"""
 
 
-def report(solved: Solved, left_open: Open, left_out: Sequence[LeftOut], points: Table | None) -> Result:
+def report(solved: AdjustedGrid, left_open: Open, left_out: Sequence[LeftOut], points: Table | None) -> Result:
     """Return the result of a solved self-calibration."""
     machine, artefact = _field(solved, bg.MACHINE), _field(solved, bg.ARTEFACT)
     form, length = _forms(solved, machine)
@@ -89,7 +89,7 @@ def report(solved: Solved, left_open: Open, left_out: Sequence[LeftOut], points:
     )
 
 
-def _forms(solved: Solved, machine: _Field) -> tuple[Smooth | None, LengthError | None]:
+def _forms(solved: AdjustedGrid, machine: _Field) -> tuple[Smooth | None, LargestLengthError | None]:
     """Return the smooth form and the length errors; both are None if a part of the field is undetermined."""
     if not np.isfinite(machine.std).all():
         return None, None
@@ -97,7 +97,7 @@ def _forms(solved: Solved, machine: _Field) -> tuple[Smooth | None, LengthError 
     return smooth(sites, _of_machine(solved)), largest(sites.places, machine.values)
 
 
-def _residuals(solved: Solved) -> Table:
+def _residuals(solved: AdjustedGrid) -> Table:
     """Return the residuals with the place in the machine, a site of the grid, where each reading was taken."""
     grid, read = solved.problem.grid, solved.problem.readings.observations
     table = residual_table(solved.residuals[0], solved.problem.readings)
@@ -105,11 +105,11 @@ def _residuals(solved: Solved) -> Table:
     return table.joined({"x y z [mm]": at})
 
 
-def _at_sites(solved: Solved, machine: _Field) -> SiteErrors:
+def _at_sites(solved: AdjustedGrid, machine: _Field) -> SiteErrors:
     return SiteErrors(machine.indices, solved.problem.grid.pitch, machine.values, machine.std)
 
 
-def _field(solved: Solved, name: str) -> _Field:
+def _field(solved: AdjustedGrid, name: str) -> _Field:
     """Return a field at its measured places; the machine error includes sites outside the grid."""
     block = solved.solution.blocks[name]
     indices = solved.problem.grid.sites if name == bg.MACHINE else solved.problem.grid.balls
@@ -123,14 +123,14 @@ def _table(field: _Field) -> Table:
     return Table.of({"i j k": field.indices.astype(np.int64), **errors})
 
 
-def _correction(solved: Solved, field: _Field) -> Table:
+def _correction(solved: AdjustedGrid, field: _Field) -> Table:
     """Return the correction to add to a reading near each site, which is minus the machine error."""
     places = np.asarray(field.indices * solved.problem.grid.pitch, dtype=float)
     correction = {"add_x add_y add_z [mm]": -field.values, "s_add_x s_add_y s_add_z [mm]": field.std}
     return Table.of({"x y z [mm]": places, **correction})
 
 
-def _of_machine(solved: Solved) -> Covariance:
+def _of_machine(solved: AdjustedGrid) -> Covariance:
     """Return a function for the covariance of weighted machine errors, component by component."""
     from scipy.sparse import csr_array
 
@@ -148,7 +148,7 @@ def _of_machine(solved: Solved) -> Covariance:
     return covariance
 
 
-def _mountings(solved: Solved) -> tuple[list[Estimate], Array]:
+def _mountings(solved: AdjustedGrid) -> tuple[list[Estimate], Array]:
     """Return the estimated mountings, and the covariance of mountings and effect parameters."""
     columns = solved.design.partition.columns
     block, places = solved.solution.blocks[bg.VIEW], columns[bg.VIEW].ravel()
@@ -169,7 +169,7 @@ def _undetermined(left_open: Open) -> Table:
     return Table.of_rows(("pattern", "directions"), rows)
 
 
-def _views(solved: Solved, left_out: Sequence[LeftOut]) -> Table:
+def _views(solved: AdjustedGrid, left_out: Sequence[LeftOut]) -> Table:
     """Return the fit of each view, within the adjustment and against the other views."""
     group, residuals = solved.problem.readings, solved.residuals[0]
     view = group.observations.index[bg.VIEW]
@@ -194,12 +194,12 @@ def _views(solved: Solved, left_out: Sequence[LeftOut]) -> Table:
     return table.joined({**fall, "left_out_p": [left.p_value for left in left_out]})
 
 
-def _keys_of(problem: Problem, rows: Sequence[int]) -> dict[str, list[str]]:
+def _keys_of(problem: GridProblem, rows: Sequence[int]) -> dict[str, list[str]]:
     keys = problem.readings.observations.keys
     return {f"{key} [text]": [values[row] for row in rows] for key, values in keys.items()}
 
 
-def _suspects(solved: Solved) -> Table:
+def _suspects(solved: AdjustedGrid) -> Table:
     rows = solved.suspects.rows
     order = np.argsort(-solved.suspects.tests)
     components = np.abs(solved.residuals[0].normalised[:, rows]).argmax(axis=0)
@@ -208,16 +208,16 @@ def _suspects(solved: Solved) -> Table:
     return Table.of({**keys, **of})
 
 
-def _rejected(solved: Solved) -> Table:
+def _rejected(solved: AdjustedGrid) -> Table:
     keys = _keys_of(solved.whole, [row for row, _ in solved.rejected])
     return Table.of({**keys, "w": [test for _, test in solved.rejected]})
 
 
-def _map(solved: Solved, machine: _Field, points: Table, form: Smooth | None) -> Table:
+def _map(solved: AdjustedGrid, machine: _Field, points: Table, form: Smooth | None) -> Table:
     return error_map(points, _at_sites(solved, machine), _of_machine(solved), form)
 
 
-def _arrays(solved: Solved, machine: _Field, form: Smooth | None) -> dict[str, Array]:
+def _arrays(solved: AdjustedGrid, machine: _Field, form: Smooth | None) -> dict[str, Array]:
     arrays: dict[str, Array] = {"pitch": np.array([solved.problem.grid.pitch])}
     if form is not None:
         arrays |= {
@@ -240,7 +240,7 @@ def _arrays(solved: Solved, machine: _Field, form: Smooth | None) -> dict[str, A
 
 
 def _statistics(
-    solved: Solved, left_open: Open, machine: _Field, length: LengthError | None
+    solved: AdjustedGrid, left_open: Open, machine: _Field, length: LargestLengthError | None
 ) -> tuple[Statistics, tuple[str, ...]]:
     rms = float(np.sqrt((solved.residuals[0].values ** 2).mean()))
     finite = np.isfinite(machine.std)
@@ -272,7 +272,7 @@ def _statistics(
     return statistics, (note,)
 
 
-def _length_std(solved: Solved, length: LengthError) -> float:
+def _length_std(solved: AdjustedGrid, length: LargestLengthError) -> float:
     from scipy.sparse import csr_array
 
     block = solved.solution.blocks[bg.MACHINE]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.adjust.coupled_fields import Design, adjust_fields, design_of
+from metrocli.adjust.coupled_fields import FieldDesign, adjust_fields, design_of
 from metrocli.adjust.sparse.bordered_factor import BorderedFactor, bordered_factor
 from metrocli.adjust.sparse.nested_dissection import Sparse
 from metrocli.adjust.sparse.partition import Partition
@@ -21,7 +21,7 @@ from metrocli.frozen import dataclass
 from metrocli.geometry.poses import rotation_of
 from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
-from metrocli.tasks.selfcal_grid.problem import Problem
+from metrocli.tasks.selfcal_grid.problem import GridProblem
 
 _DRAWS = 20
 
@@ -41,7 +41,7 @@ class _Sequence:
         return self.reduction.solve(self.jacobian.T @ (self.differences @ readings))[: self.reduction.sizes.net]
 
 
-def in_sequence(problem: Problem) -> Table:
+def in_sequence(problem: GridProblem) -> Table:
     """Return a table with one row for the joint adjustment and one for the sequence.
 
     Each row has the noise gain, the size of the machine error, and its difference from the joint adjustment. Rigid
@@ -72,7 +72,7 @@ def in_sequence(problem: Problem) -> Table:
     )
 
 
-def noise_gains(problem: Problem, rng: np.random.Generator, draws: int) -> tuple[float, float]:
+def noise_gains(problem: GridProblem, rng: np.random.Generator, draws: int) -> tuple[float, float]:
     """Return the noise gains of the machine error, joint and in sequence, from draws of pure noise."""
     design = design_of(problem.fields)
     observations = problem.readings.observations
@@ -91,16 +91,16 @@ def _rms(values: Array) -> float:
     return float(np.sqrt((values**2).mean()))
 
 
-def _on_grid(problem: Problem) -> Index:
+def _on_grid(problem: GridProblem) -> Index:
     free = problem.fields.blocks[bg.MACHINE].free & (problem.grid.within > 0)[:, None]
     return np.flatnonzero(free.ravel())
 
 
-def _grid_places(problem: Problem, design: Design) -> Index:
+def _grid_places(problem: GridProblem, design: FieldDesign) -> Index:
     return design.partition.columns[bg.MACHINE].ravel()[_on_grid(problem)]
 
 
-def _sequence(problem: Problem, design: Design) -> _Sequence:
+def _sequence(problem: GridProblem, design: FieldDesign) -> _Sequence:
     from scipy.sparse import csr_array, hstack
 
     parts, count = design.partition, 3 * problem.readings.observations.count
@@ -129,14 +129,14 @@ def _sequence(problem: Problem, design: Design) -> _Sequence:
     return _Sequence(differences, wanted, bordered_factor(wanted, sizes, seats))
 
 
-def _shape(problem: Problem, machine: Array) -> Array:
+def _shape(problem: GridProblem, machine: Array) -> Array:
     """Return machine errors on the grid, (3 sites, ...), without rigid motion and scale, which both ways determine."""
     places = problem.grid.site_places
     motions = np.concatenate([bg.rigid(places), places[:, :, None]], axis=2).reshape(-1, 7)[_on_grid(problem)]
     return np.asarray(machine - motions @ np.linalg.lstsq(motions, machine, rcond=None)[0])
 
 
-def _reduced_readings(problem: Problem) -> Array:
+def _reduced_readings(problem: GridProblem) -> Array:
     """Return the whitened residuals (3n,), turned back by the rotation of their view."""
     group = problem.readings
     observations = group.observations
@@ -146,7 +146,7 @@ def _reduced_readings(problem: Problem) -> Array:
     return np.asarray(observations.whitened(back)).reshape(-1)
 
 
-def _without_mountings(problem: Problem, noise: Array) -> Array:
+def _without_mountings(problem: GridProblem, noise: Array) -> Array:
     """Return noise (3, n, k) without the rigid motion that the fit of each unshifted view absorbs."""
     index = problem.readings.observations.index
     left = noise.copy()

@@ -12,7 +12,7 @@ from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.ball_grid import View
-from metrocli.settings import Choice, Either, ListOf, Quantity, Section, TableFile, Text, Whole, setting
+from metrocli.settings import Choice, Either, ListOf, Section, TableFile, Text, Whole, WithUnit, setting
 from metrocli.settings.sections import content, inputs_of
 from metrocli.table import ABSENT, Columns, Table, columns
 from metrocli.tasks.shared.figures import POSE, adjusted
@@ -53,7 +53,7 @@ class GridSettings:
     """The artefact's grid of balls."""
 
     size: tuple[int, ...] = setting(ListOf(Whole(1, 201), 3), "balls along i, j, k: odd numbers")
-    pitch: float = setting(Quantity("length", positive=True), "distance of neighbouring balls")
+    pitch: float = setting(WithUnit("length", positive=True), "distance of neighbouring balls")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield a fault for each even size."""
@@ -72,7 +72,7 @@ class Rotate:
     """A turn of the artefact about an axis of the machine."""
 
     axis: str = setting(Choice("x", "y", "z"), "axis of the machine")
-    angle: float = setting(Quantity("angle"), "a multiple of 90 deg, anticlockwise seen against the axis")
+    angle: float = setting(WithUnit("angle"), "a multiple of 90 deg, anticlockwise seen against the axis")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield a fault if the angle does not bring the grid onto itself."""
@@ -109,14 +109,14 @@ class ViewSettings:
 class GridSimulation:
     """The truth that `metrocli simulate` draws."""
 
-    machine_error: float = setting(Quantity("length", minimum=0.0), "largest error of the machine", default=0.017)
+    machine_error: float = setting(WithUnit("length", minimum=0.0), "largest error of the machine", default=0.017)
     artefact_error: float = setting(
-        Quantity("length", minimum=0.0), "standard deviation of the balls' places", default=0.3
+        WithUnit("length", minimum=0.0), "standard deviation of the balls' places", default=0.3
     )
-    shift: float = setting(Quantity("length", minimum=0.0), "standard deviation of each mounting's shift", default=0.2)
-    tilt: float = setting(Quantity("angle", minimum=0.0), "standard deviation of each mounting's turn", default=1e-3)
+    shift: float = setting(WithUnit("length", minimum=0.0), "standard deviation of each mounting's shift", default=0.2)
+    tilt: float = setting(WithUnit("angle", minimum=0.0), "standard deviation of each mounting's turn", default=1e-3)
     repeats: int = setting(Whole(1, 100), "times that each ball is measured in each view", default=1)
-    interval: float = setting(Quantity("time", positive=True), "time from ball to ball", default=20.0)
+    interval: float = setting(WithUnit("time", positive=True), "time from ball to ball", default=20.0)
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class Settings:
     grid: GridSettings = setting(Section(GridSettings), "the artefact")
     views: tuple[ViewSettings, ...] = setting(ListOf(Section(ViewSettings)), "how the artefact stood")
     noise: float | str = setting(
-        Either(Quantity("length", positive=True), Choice(*FROM_RESIDUALS)),
+        Either(WithUnit("length", positive=True), Choice(*FROM_RESIDUALS)),
         "standard deviation of each coordinate of a ball, or 'estimated' from the residuals, "
         "or 'structured': estimated, and readings taken one after the other may share errors",
     )

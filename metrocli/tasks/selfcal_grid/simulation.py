@@ -105,8 +105,8 @@ def _design(settings: Settings, truth: GridSimulation) -> Table:
     """Return the nominal readings: view by view, the balls whose sites are on the grid."""
     views = views_on_the_grid(settings)
     each = [np.tile(balls_on(view, settings.grid.half), (truth.repeats, 1)) for view in views]
-    count, ball = [len(one) for one in each], np.concatenate(each)
-    places = np.concatenate([view.sites(one) for view, one in zip(views, each, strict=True)]) * settings.grid.pitch
+    count, ball = [len(balls) for balls in each], np.concatenate(each)
+    places = np.concatenate([view.sites(balls) for view, balls in zip(views, each, strict=True)]) * settings.grid.pitch
     names = {"view": np.repeat([view.name for view in views], count), "i j k": ball.astype(np.int64)}
     table = Table.of({**names, "x y z [mm]": places.astype(float)})
     if truth.repeats > 1:

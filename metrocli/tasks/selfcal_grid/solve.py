@@ -7,10 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.coupled_fields import Design, FieldSolution, adjust_fields, design_of
+from metrocli.adjust.coupled_fields import FieldDesign, FieldSolution, adjust_fields, design_of
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.probabilities import chi_square_tail
-from metrocli.adjust.robust import Fit, Suspects, suspects
+from metrocli.adjust.robust import FitQuality, Suspects, suspects
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.adjust.sparse.bordered_factor import OpenDesignError
 from metrocli.arrays import Index, Mask
@@ -18,7 +18,7 @@ from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.selfcal_grid.determination.undetermined import determined, with_determined_datum
-from metrocli.tasks.selfcal_grid.problem import Problem
+from metrocli.tasks.selfcal_grid.problem import GridProblem
 
 _ROUNDS = 30
 _TAKEN = 1e-9
@@ -26,12 +26,12 @@ _TAKEN = 1e-9
 
 
 @dataclass(frozen=True)
-class Solved:
+class AdjustedGrid:
     """An adjusted self-calibration."""
 
-    problem: Problem
+    problem: GridProblem
     """The problem with the readings that were used"""
-    whole: Problem
+    whole: GridProblem
     found: FieldSolution
     residuals: tuple[Residuals, ...]
     """Residuals of each group of readings"""
@@ -40,7 +40,7 @@ class Solved:
     """Rows left out, with their |w|"""
 
     @property
-    def design(self) -> Design:
+    def design(self) -> FieldDesign:
         """Rank and covariance of the design."""
         return self.found.design
 
@@ -82,7 +82,7 @@ def _tail(chi2: float, dof: int) -> float:
     return chi_square_tail(dof, chi2) if dof > 0 and chi2 >= 0 else float("nan")
 
 
-def design(problem: Problem) -> Design:
+def design(problem: GridProblem) -> FieldDesign:
     """Return rank and covariance of the design.
 
     Raises UndeterminedError if there is one view only, the balls stand in one row, the views do not separate machine
@@ -98,21 +98,25 @@ def design(problem: Problem) -> Design:
             "the balls stand in one row: no view shows a turn of the artefact about it; measure at least two rows"
         )
     try:
-        found = design_of(problem.fields)
+        field_design = design_of(problem.fields)
     except OpenDesignError as error:
         raise UndeterminedError(
             f"the views leave machine and artefact error undetermined: {error}; with views turned by 90 deg about two "
             "axes and one view shifted by a pitch, only the 13 directions of rigid motion and scale are undetermined"
         ) from error
-    _refuse_absorbed(problem, found)
-    return with_determined_datum(problem, found)
+    _refuse_absorbed(problem, field_design)
+    return with_determined_datum(problem, field_design)
 
 
-def _refuse_absorbed(problem: Problem, found: Design) -> None:
+def _refuse_absorbed(problem: GridProblem, field_design: FieldDesign) -> None:
     """Raise UndeterminedError if the other unknowns can absorb an effect of the job in these views."""
-    null = found.null / np.maximum(np.abs(found.null).max(axis=0), 1e-300) if found.null.size else found.null
+    null = (
+        field_design.null / np.maximum(np.abs(field_design.null).max(axis=0), 1e-300)
+        if field_design.null.size
+        else field_design.null
+    )
     for effect in problem.effects:
-        columns = found.partition.columns[effect.block]
+        columns = field_design.partition.columns[effect.block]
         block = problem.fields.blocks[effect.block]
         reach = np.broadcast_to(block.reach, columns.shape)[columns >= 0]
         if (np.abs(null[columns[columns >= 0]]) > _TAKEN * reach[:, None]).any():
@@ -122,7 +126,7 @@ def _refuse_absorbed(problem: Problem, found: Design) -> None:
             )
 
 
-def solve(problem: Problem, remove: bool) -> Solved:
+def solve(problem: GridProblem, remove: bool) -> AdjustedGrid:
     """Return the adjusted problem; with `remove`, adjust again without the worst outliers until none is left.
 
     Raises NotConvergedError, or UndeterminedError as `design` does.
@@ -141,17 +145,17 @@ def solve(problem: Problem, remove: bool) -> Solved:
     return solved
 
 
-def _once(problem: Problem, whole: Problem, out: dict[int, float]) -> Solved:
-    found: FieldSolution = adjust_fields(problem.fields, design(problem))
-    solution = found.solution
+def _once(problem: GridProblem, whole: GridProblem, out: dict[int, float]) -> AdjustedGrid:
+    adjusted: FieldSolution = adjust_fields(problem.fields, design(problem))
+    solution = adjusted.solution
     if solution.outcome is not Outcome.CONVERGED:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit)
-    residuals = found.residuals()
-    tested = suspects(residuals[0], Fit(solution.cost, solution.dof, noise_known=True))
-    return Solved(problem, whole, found, residuals, tested, tuple(sorted(out.items())))
+    residuals = adjusted.residuals()
+    tested = suspects(residuals[0], FitQuality(solution.cost, solution.dof, noise_known=True))
+    return AdjustedGrid(problem, whole, adjusted, residuals, tested, tuple(sorted(out.items())))
 
 
-def _worst(solved: Solved, out: dict[int, float]) -> dict[int, float]:
+def _worst(solved: AdjustedGrid, out: dict[int, float]) -> dict[int, float]:
     """Return the suspects to leave out next: row among all readings, and |w|."""
     rows, tests = solved.suspects.rows, solved.suspects.tests
     if not len(rows):
@@ -161,21 +165,21 @@ def _worst(solved: Solved, out: dict[int, float]) -> dict[int, float]:
     return {int(kept[row]): float(test) for row, test in zip(rows[chosen], tests[chosen], strict=True)}
 
 
-def leave_one_out(solved: Solved) -> list[LeftOut]:
+def leave_one_out(solved: AdjustedGrid) -> list[LeftOut]:
     """Return for each view the fall of the sum of squares without it, and that of the degrees of freedom."""
     view = solved.problem.readings.observations.index[bg.VIEW]
     rows = []
-    for n, one in enumerate(solved.problem.views):
+    for n, left_out in enumerate(solved.problem.views):
         without = _adjusted(solved.problem.only(np.asarray(view != n)))
         if without is None:
-            rows.append(LeftOut(one.name, float("nan"), 0, float("nan"), 0))
+            rows.append(LeftOut(left_out.name, float("nan"), 0, float("nan"), 0))
             continue
         fall, dof = solved.solution.cost - without.cost, solved.solution.dof - without.dof
-        rows.append(LeftOut(one.name, fall, dof, without.cost, without.dof))
+        rows.append(LeftOut(left_out.name, fall, dof, without.cost, without.dof))
     return rows
 
 
-def _adjusted(rest: Problem) -> Solution | None:
+def _adjusted(rest: GridProblem) -> Solution | None:
     """Return the adjustment of some views; None if there is one view only, it is too open, or does not converge."""
     if len(np.unique(rest.readings.observations.index[bg.VIEW])) < 2:
         return None

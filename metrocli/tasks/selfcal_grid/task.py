@@ -20,12 +20,12 @@ from metrocli.tasks.selfcal_grid.determination.undetermined import opened
 from metrocli.tasks.selfcal_grid.diagnosis import adjusted_job, with_structure
 from metrocli.tasks.selfcal_grid.effects import EFFECTS, PLACES
 from metrocli.tasks.selfcal_grid.error_map import error_at
-from metrocli.tasks.selfcal_grid.problem import Problem, build
+from metrocli.tasks.selfcal_grid.problem import GridProblem, build
 from metrocli.tasks.selfcal_grid.report import report
 from metrocli.tasks.selfcal_grid.sequence import in_sequence
 from metrocli.tasks.selfcal_grid.settings import Files, Settings, views_of
 from metrocli.tasks.selfcal_grid.simulation import simulated
-from metrocli.tasks.selfcal_grid.solve import Solved, leave_one_out, solve
+from metrocli.tasks.selfcal_grid.solve import AdjustedGrid, leave_one_out, solve
 from metrocli.tasks.shared.noise import Structured
 
 _MANY = 20_000
@@ -72,7 +72,7 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     return adjusted_job(solved)
 
 
-def _with_noise_found(solved: Solved, remove: bool) -> Solved:
+def _with_noise_found(solved: AdjustedGrid, remove: bool) -> AdjustedGrid:
     """Return the adjustment with the noise estimated from its residuals.
 
     Raises UndeterminedError without degrees of freedom.
@@ -87,7 +87,7 @@ def compare(job: Job[Settings, Files]) -> Table:
     return in_sequence(_problem(replace(job, effects=())))
 
 
-def _problem(job: Job[Settings, Files]) -> Problem:
+def _problem(job: Job[Settings, Files]) -> GridProblem:
     """Return the problem of the job, with its effects."""
     settings, files = job.settings, job.files
     read = readings.read(views_of(settings), settings.grid.half, files.views)

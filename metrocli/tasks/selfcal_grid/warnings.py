@@ -10,14 +10,14 @@ from metrocli import units
 from metrocli.arrays import Array
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid.determination.undetermined import Open
-from metrocli.tasks.selfcal_grid.problem import Problem
-from metrocli.tasks.selfcal_grid.solve import LeftOut, Solved
+from metrocli.tasks.selfcal_grid.problem import GridProblem
+from metrocli.tasks.selfcal_grid.solve import AdjustedGrid, LeftOut
 from metrocli.tasks.shared.statistics import beyond_bound, noise_warnings
 from metrocli.tasks.shared.uncontrolled import SCALE, SCALE_WORDS, Hidden, table_of
 from metrocli.words import listed
 
 
-def warnings(solved: Solved, left_open: Open, std: Array, left_out: Sequence[LeftOut]) -> list[str]:
+def warnings(solved: AdjustedGrid, left_open: Open, std: Array, left_out: Sequence[LeftOut]) -> list[str]:
     """Return the warnings of a self-calibration; std is that of the machine error, inf where it is undetermined."""
     lines = noise_warnings(solved.solution)
     if left_open.families:
@@ -32,24 +32,24 @@ def warnings(solved: Solved, left_open: Open, std: Array, left_out: Sequence[Lef
         observations = solved.problem.readings.observations
         keys = observations.keys
         order = solved.suspects.rows[np.argsort(-solved.suspects.tests)]
-        told = [f"{keys['view'][n]}: ({keys['i'][n]}, {keys['j'][n]}, {keys['k'][n]})" for n in order]
-        lines.append(beyond_bound(told, solved.suspects.critical))
+        message = [f"{keys['view'][n]}: ({keys['i'][n]}, {keys['j'][n]}, {keys['k'][n]})" for n in order]
+        lines.append(beyond_bound(message, solved.suspects.critical))
     return lines + _disagreeing(left_out)
 
 
-def contradicting(solved: Solved) -> list[str]:
+def contradicting(solved: AdjustedGrid) -> list[str]:
     """Return a doubt if calibrated lengths disagree with the readings or with each other."""
     if not solved.problem.scale_given:
         return []
     tests = np.abs(solved.residuals[1].normalised[0])
     keys = solved.problem.fields.groups[1].observations.keys
-    told = [
+    message = [
         " to ".join(f"({', '.join(keys[f'{name}{end}'][n] for name in 'ijk')})" for end in "12")
         + f" |w| = {tests[n]:.1f}"
         for n in np.argsort(-tests)
         if tests[n] > solved.suspects.critical
     ]
-    return [f"lengths do not agree with each other or with the readings: {listed(told, 5)}"] if told else []
+    return [f"lengths do not agree with each other or with the readings: {listed(message, 5)}"] if message else []
 
 
 def _disagreeing(left_out: Sequence[LeftOut]) -> list[str]:
@@ -63,12 +63,12 @@ def _disagreeing(left_out: Sequence[LeftOut]) -> list[str]:
     ]
 
 
-def uncontrolled(problem: Problem) -> Table:
+def uncontrolled(problem: GridProblem) -> Table:
     """Return what machine and artefact error absorb together, and the error over the grid from a plausible size."""
     return table_of(_rows(problem))
 
 
-def _rows(problem: Problem) -> Iterator[Hidden]:
+def _rows(problem: GridProblem) -> Iterator[Hidden]:
     extent = problem.grid.pitch * float(np.linalg.norm(np.ptp(problem.grid.sites, axis=0)))
     if problem.scale_given:
         growth = units.parse_quantity("1.15 ppm", "ratio")

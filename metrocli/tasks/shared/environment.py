@@ -22,7 +22,7 @@ from metrocli.frozen import dataclass
 from metrocli.instruments.air import CIDDOR, EDLEN, STANDARD_CARBON_DIOXIDE, Weather, index
 from metrocli.instruments.tracer import AIR
 from metrocli.result import SCALE, Estimate
-from metrocli.settings import UNKNOWN, Choice, Known, Limits, Quantity, Section, Uncertain, setting
+from metrocli.settings import UNKNOWN, Choice, KnownQuantity, QuantityLimits, Section, Uncertain, WithUnit, setting
 from metrocli.table import Table, columns
 
 WEATHER = columns("pressure? [pressure]", "humidity? [humidity]")
@@ -32,13 +32,13 @@ _WORDS = {"temperature": "temperature", "pressure": "pressure", "humidity": "rel
 _HEADINGS = {"temperature": "temp_degC", "pressure": "pressure_hPa", "humidity": "humidity_percent"}
 _HOLD = "where the equations of the air hold"
 _LIMITS = {
-    "temperature": Limits(-40.0, 100.0, f"-40 to 100 degC, {_HOLD}"),
-    "pressure": Limits(100.0, 1400.0, f"100 to 1400 hPa, {_HOLD}"),
-    "humidity": Limits(0.0, 100.0, f"0 to 100 percent, {_HOLD}"),
+    "temperature": QuantityLimits(-40.0, 100.0, f"-40 to 100 degC, {_HOLD}"),
+    "pressure": QuantityLimits(100.0, 1400.0, f"100 to 1400 hPa, {_HOLD}"),
+    "humidity": QuantityLimits(0.0, 100.0, f"0 to 100 percent, {_HOLD}"),
 }
 """Weather for which the equations hold (Ciddor 1996; NIST, Index of Refraction of Air, VI)"""
-_LIGHT = Limits(300e-6, 1700e-6, f"300 to 1700 nm, {_HOLD}")
-_CARBON_DIOXIDE = Limits(0.0, 2000e-6, "0 to 2000 ppm: outdoor air has 420 ppm, a crowded room 2000 ppm")
+_LIGHT = QuantityLimits(300e-6, 1700e-6, f"300 to 1700 nm, {_HOLD}")
+_CARBON_DIOXIDE = QuantityLimits(0.0, 2000e-6, "0 to 2000 ppm: outdoor air has 420 ppm, a crowded room 2000 ppm")
 _STEPS = {"temperature": 0.01, "pressure": 0.1, "humidity": 0.1}
 """Steps of the derivatives of the index"""
 _ROUNDING = 1e-13
@@ -47,7 +47,7 @@ _REACH = 1e-2
 """Plausible relative error of the index, as of a scale"""
 
 
-def _of_air(spec: type[Quantity] | type[Uncertain], name: str, default: object) -> Any:
+def _of_air(spec: type[WithUnit] | type[Uncertain], name: str, default: object) -> Any:
     """Return the setting of the temperature, the pressure or the humidity of the air."""
     return setting(spec(name, limits=_LIMITS[name]), f"{_WORDS[name]} of the air", default=default)
 
@@ -56,25 +56,25 @@ def _of_air(spec: type[Quantity] | type[Uncertain], name: str, default: object) 
 class Assumed:
     """The air that the instrument assumes."""
 
-    temperature: float = _of_air(Quantity, "temperature", 20.0)
-    pressure: float = _of_air(Quantity, "pressure", 1013.25)
-    humidity: float = _of_air(Quantity, "humidity", 50.0)
+    temperature: float = _of_air(WithUnit, "temperature", 20.0)
+    pressure: float = _of_air(WithUnit, "pressure", 1013.25)
+    humidity: float = _of_air(WithUnit, "humidity", 50.0)
 
 
 @dataclass(frozen=True)
 class Environment:
     """The air through which lengths were read, and the air that the instrument assumed."""
 
-    temperature: Known = _of_air(Uncertain, "temperature", UNKNOWN)
-    pressure: Known = _of_air(Uncertain, "pressure", UNKNOWN)
-    humidity: Known = _of_air(Uncertain, "humidity", UNKNOWN)
-    wavelength: Known = setting(
-        Uncertain("wavelength", _LIGHT), "vacuum wavelength of the laser", default=Known(632.99e-6)
+    temperature: KnownQuantity = _of_air(Uncertain, "temperature", UNKNOWN)
+    pressure: KnownQuantity = _of_air(Uncertain, "pressure", UNKNOWN)
+    humidity: KnownQuantity = _of_air(Uncertain, "humidity", UNKNOWN)
+    wavelength: KnownQuantity = setting(
+        Uncertain("wavelength", _LIGHT), "vacuum wavelength of the laser", default=KnownQuantity(632.99e-6)
     )
     assumed: Assumed = setting(Section(Assumed), "the air that the instrument assumes", default=Assumed())
     correction: str = setting(Choice(CIDDOR, EDLEN), "equation of the refractive index", default=CIDDOR)
     carbon_dioxide: float = setting(
-        Quantity("ratio", limits=_CARBON_DIOXIDE),
+        WithUnit("ratio", limits=_CARBON_DIOXIDE),
         "carbon dioxide of the air, by volume",
         default=STANDARD_CARBON_DIOXIDE,
     )

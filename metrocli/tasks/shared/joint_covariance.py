@@ -46,7 +46,7 @@ def factors(covariance: Covariance, block: str, chosen: Mask) -> dict[str, Array
 
 
 @dataclass(frozen=True)
-class Source:
+class JointInput:
     """An input whose errors are unknowns `z = K e` of a block, e ~ N(0, I): e is the same for all that use it."""
 
     block: str
@@ -61,7 +61,7 @@ def owed(
     delivered: Sequence[str],
     change: Array,
     inputs: Mapping[str, Group],
-    sources: Mapping[str, Source] | None = None,
+    sources: Mapping[str, JointInput] | None = None,
 ) -> tuple[dict[str, Table], dict[str, Array]]:
     """Return the table of the inputs and, for each, the factor F of what it adds to the covariance of the estimates.
 
@@ -79,16 +79,17 @@ def owed(
             size = touch.jacobian.shape[1]
             columns = int(np.ravel(touch.index)[0]) * size + np.arange(size)
             rows = [
-                known.between(one, touch.block)[np.ix_(at, columns)] for one, at in zip(delivered, free, strict=True)
+                known.between(block, touch.block)[np.ix_(at, columns)]
+                for block, at in zip(delivered, free, strict=True)
             ]
             factor += np.concatenate(rows) @ touch.jacobian[:, :, 0].T
-        scale = np.concatenate([solution.by_step(one).ravel()[at] for one, at in zip(delivered, free, strict=True)])
+        scale = np.concatenate([solution.by_step(block).ravel()[at] for block, at in zip(delivered, free, strict=True)])
         factors[OWED + name] = change @ (factor * scale[:, None]) / np.sqrt(known.factor)
         names.append(name)
         digests.append(_digest(group))
     for name, source in (sources or {}).items():
-        parts = [known.between(one, source.block)[at] for one, at in zip(delivered, free, strict=True)]
-        scale = np.concatenate([solution.by_step(one).ravel()[at] for one, at in zip(delivered, free, strict=True)])
+        parts = [known.between(block, source.block)[at] for block, at in zip(delivered, free, strict=True)]
+        scale = np.concatenate([solution.by_step(block).ravel()[at] for block, at in zip(delivered, free, strict=True)])
         moved = np.concatenate(parts) * scale[:, None] @ source.turn
         factors[OWED + name] = change @ moved / np.sqrt(known.factor)
         names.append(name)

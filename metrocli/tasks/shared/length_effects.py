@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Link, Local, Step
+from metrocli.adjust.model.chain import Link, LinkContext, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
 from metrocli.effects.acting import Acting, Variable, beam_from, scalar, seen_from
@@ -19,7 +19,7 @@ AT = ("tracer", "point")
 """Kinds of place at which an effect on lengths can have sizes of its own"""
 
 
-def _path(value: Array, local: Local) -> Step:
+def _path(value: Array, local: LinkContext) -> Step:
     """Return the geometric distance `|x - x0| = (l + l0) / s` from the length l (1, n), with its derivatives."""
     tracer = local.rows(TRACER)
     dead_path, scale = tracer[3], tracer[4]
@@ -29,12 +29,12 @@ def _path(value: Array, local: Local) -> Step:
     return Step(path[None], np.broadcast_to(1 / scale, path.shape)[None, None], {TRACER: by_tracer})
 
 
-def _azimuth(value: Array, local: Local) -> Step:
+def _azimuth(value: Array, local: LinkContext) -> Step:
     given = local.observations.conditions
     return Step(np.arctan2(given[SIN_A], given[COS_A])[None])
 
 
-def _elevation(value: Array, local: Local) -> Step:
+def _elevation(value: Array, local: LinkContext) -> Step:
     return Step(np.arcsin(local.observations.conditions[INCIDENCE] - 1)[None])
 
 

@@ -17,12 +17,12 @@ from metrocli.effects.model import Model
 from metrocli.errors import UndeterminedError
 from metrocli.frozen import dataclass
 from metrocli.instruments import tracer as t
-from metrocli.settings import Choice, Either, Quantity, setting
+from metrocli.settings import Choice, Either, WithUnit, setting
 from metrocli.tasks.shared.noise import model_setting
 from metrocli.units.people import format_quantity
 
 ESTIMATED = "estimated"
-REPEATABILITY = Either(Quantity("length", minimum=0.0), Choice(ESTIMATED))
+REPEATABILITY = Either(WithUnit("length", minimum=0.0), Choice(ESTIMATED))
 REPEATABILITY_WORDS = "standard deviation of each coordinate at a return to the same place; or estimated"
 _SETTLED = 1e-3
 """An estimated repeatability has converged when a round changes it by less than this fraction"""
@@ -34,8 +34,8 @@ _LEAST = 0.02
 class LengthNoise:
     """Standard deviation of a length, `sqrt(a^2 + b^2 (l + l0)^2)` (Härtig et al., weights of eq. 2)."""
 
-    constant: float = setting(Quantity("length", positive=True), "a: the part that does not depend on the length")
-    proportional: float = setting(Quantity("ratio", minimum=0.0), "b: the part proportional to the path", default=0.0)
+    constant: float = setting(WithUnit("length", positive=True), "a: the part that does not depend on the length")
+    proportional: float = setting(WithUnit("ratio", minimum=0.0), "b: the part proportional to the path", default=0.0)
     repeatability: float | str | None = setting(REPEATABILITY, REPEATABILITY_WORDS, default=None)
     model: str = model_setting()
 
@@ -45,10 +45,10 @@ class Scale:
     """Prior knowledge of the tracers' scales."""
 
     uncertainty: float = setting(
-        Quantity("ratio", positive=True), "standard uncertainty of each tracer's scale about 1 (eq. 4), its own part"
+        WithUnit("ratio", positive=True), "standard uncertainty of each tracer's scale about 1 (eq. 4), its own part"
     )
     common: float | None = setting(
-        Quantity("ratio", minimum=0.0),
+        WithUnit("ratio", minimum=0.0),
         "standard uncertainty of the error that all scales share, as of one weather station; 0 without one",
         default=None,
     )

@@ -58,12 +58,12 @@ def matched(table: Table, column: str, names: Sequence[str] | Texts, where: str)
     place = {name: i for i, name in enumerate(names)}
     values = table.texts(column)
     rows = np.fromiter(map(place.get, values, repeat(-1)), dtype=np.intp, count=len(values))
-    strange = np.flatnonzero(rows < 0)
-    if strange.size:
-        meant = {name: nearest(name, names) for name in {values[row] for row in strange[:MOST_FAULTS].tolist()}}
-        hints = {name: f"did you mean '{found}'?" for name, found in meant.items() if found}
+    unmatched = np.flatnonzero(rows < 0)
+    if unmatched.size:
+        meant = {name: nearest(name, names) for name in {values[row] for row in unmatched[:MOST_FAULTS].tolist()}}
+        hints = {name: f"did you mean '{meaning}'?" for name, meaning in meant.items() if meaning}
         text = f"{column} '{{}}' is not in {where}".format
-        raise InputError(table.faults_at(strange, lambda row: text(values[row]), lambda row: hints.get(values[row])))
+        raise InputError(table.faults_at(unmatched, lambda row: text(values[row]), lambda row: hints.get(values[row])))
     return rows
 
 
@@ -75,7 +75,7 @@ def _by_hashes(texts: Texts, names: Texts) -> Index | None:
     if not len(texts) or not len(names):
         return None
     width = max(texts.dtype, names.dtype)
-    here, there = (row_hashes(Table({"": one.astype(width)}), ("",)) for one in (texts, names))
+    here, there = (row_hashes(Table({"": texts_of.astype(width)}), ("",)) for texts_of in (texts, names))
     order = np.argsort(there)
     begins = np.flatnonzero(np.append(True, here[1:] != here[:-1]))  # of the runs of rows with one name
     candidates = order[np.searchsorted(there[order[:-1]], here[begins])]
@@ -98,7 +98,7 @@ def repeated(
             yield row, before
 
 
-def told_apart(keys: Mapping[str, tuple[str, ...]], pair: Index, time: Array | None) -> dict[str, tuple[str, ...]]:
+def distinguished(keys: Mapping[str, tuple[str, ...]], pair: Index, time: Array | None) -> dict[str, tuple[str, ...]]:
     """Return the keys of readings, with their times where what they read (its number, (n,)) is read twice."""
     if time is None or len(np.unique(pair)) == len(pair):
         return dict(keys)

@@ -41,7 +41,7 @@ def coordinates(place: Array) -> str:
 
 
 @dataclass(frozen=True)
-class Sights:
+class NetworkLengths:
     """Lengths between members, such as points, and their ends, such as tracers, as an adjustment found them."""
 
     noun: str
@@ -64,10 +64,10 @@ class Sights:
     offset: Mask
     """Members whose lengths share an unknown offset, (members,)"""
 
-    def selected(self, members: Mask) -> Sights:
+    def selected(self, members: Mask) -> NetworkLengths:
         """Return the sights of some of the members."""
         rows, number = members[self.of], np.cumsum(members) - 1
-        return Sights(
+        return NetworkLengths(
             self.noun,
             [name for name, kept in zip(self.names, members, strict=True) if kept],
             number[self.of[rows]],
@@ -107,8 +107,8 @@ class Mirrored:
         return f"{self.noun} {self.name} at {coordinates(self.found)} or {coordinates(self.other)}"
 
 
-def of_tracers(solution: Solution, group: Group, said: Array) -> Sights:
-    """Return the lengths of a group as those from tracers to the ends of its chain; `said` are the listed places."""
+def of_tracers(solution: Solution, group: Group, listed_at: Array) -> NetworkLengths:
+    """Return the lengths of a group as those from tracers, which are `listed_at` places, to the ends of its chain."""
     block, observations = solution.blocks[t.TRACER], group.observations
     residuals = residuals_of(solution, group)
     noun = next(key for key in observations.keys if key in ("tracer", "station"))
@@ -116,7 +116,7 @@ def of_tracers(solution: Solution, group: Group, said: Array) -> Sights:
     length = next(i for i, link in enumerate(links) if isinstance(link, t.LengthFrom))
     ends = Chain(tuple(links[:length])).predict(solution.blocks, observations).T
     sigma = np.hypot(residuals.sigma[0], _spread(solution, observations))
-    return Sights(
+    return NetworkLengths(
         noun,
         block.members,
         observations.index[t.TRACER],
@@ -126,16 +126,16 @@ def of_tracers(solution: Solution, group: Group, said: Array) -> Sights:
         block.values[:, :3],
         solution.std(t.TRACER)[:, :3],
         block.free[:, :3],
-        said,
+        listed_at,
         block.free[:, 3],
     )
 
 
-def of_points(solution: Solution, group: Group, nominal: Array) -> Sights:
+def of_points(solution: Solution, group: Group, nominal: Array) -> NetworkLengths:
     """Return the lengths of a group as those from points to tracers; `nominal` are the listed places of the points."""
     block, observations = solution.blocks[t.POINT], group.observations
     residuals, tracer = residuals_of(solution, group), observations.index[t.TRACER]
-    return Sights(
+    return NetworkLengths(
         block.noun,
         block.members,
         observations.index[t.POINT],
@@ -183,7 +183,7 @@ def hidden_by(places: Sequence[Mirrored]) -> Iterator[Hidden]:
         )
 
 
-def mirrored(sights: Sights, noise: float = 1.0) -> list[Mirrored]:
+def mirrored(sights: NetworkLengths, noise: float = 1.0) -> list[Mirrored]:
     """Return the members with a second place whose chi-square is at most 10.83 larger (0.1 %) than that of the first.
 
     `noise` is a factor on the standard deviations. Members whose ends are far from one plane are not tried.
@@ -222,7 +222,7 @@ def _sums(of: Index, left: Array, right: Array, weight: Array, count: int) -> Ar
     return np.moveaxis(np.array(pairs), 2, 0)
 
 
-def _planes(sights: Sights, lengths: Index) -> tuple[Array, Array, Array]:
+def _planes(sights: NetworkLengths, lengths: Index) -> tuple[Array, Array, Array]:
     """Return unit normal (m, 3), relative thickness (m,) and centre (m, 3) of the plane nearest to each member's ends.
 
     Coordinates that are given are no direction of the normal.
@@ -241,7 +241,7 @@ def _planes(sights: Sights, lengths: Index) -> tuple[Array, Array, Array]:
     return vectors[:, :, 0], thin, np.asarray(centre)
 
 
-def _refined(sights: Sights, start: Array, noise: float) -> tuple[Array, Array]:
+def _refined(sights: NetworkLengths, start: Array, noise: float) -> tuple[Array, Array]:
     """Return the places (m, 3) of least chi-square near a start, and by how much it is below that of the places found.
 
     Damped Gauss-Newton steps of all members at once; each has its own damping.

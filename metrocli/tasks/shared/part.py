@@ -10,15 +10,15 @@ from metrocli import units
 from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 from metrocli.result import Result
-from metrocli.settings import Known, Limits, Uncertain, setting
+from metrocli.settings import KnownQuantity, QuantityLimits, Uncertain, setting
 from metrocli.tasks.shared.uncontrolled import Hidden
-from metrocli.uncertainty.predicted import Places
+from metrocli.uncertainty.predicted import PredictedPlaces
 
 FIGURES = ("growth", "growth_std")
 """Statistics of a result whose points or targets are at 20 degC"""
 REFERENCE = 20.0
 """Temperature at which sizes are stated [degC]"""
-_SOLIDS = Limits(-1e-5, 1e-3, "what solids expand by: write e.g. 11.5e-6 1/K")
+_SOLIDS = QuantityLimits(-1e-5, 1e-3, "what solids expand by: write e.g. 11.5e-6 1/K")
 """Coefficients of expansion of solids [1/K]: soft polymers have up to 3e-4, zirconium tungstate -9e-6"""
 
 
@@ -26,8 +26,8 @@ _SOLIDS = Limits(-1e-5, 1e-3, "what solids expand by: write e.g. 11.5e-6 1/K")
 class Warm:
     """A body at the measurement; its sizes are given at 20 degC."""
 
-    temperature: Known = setting(Uncertain("temperature"), "its temperature at the measurement")
-    expansion: Known = setting(Uncertain("expansion", _SOLIDS), "its coefficient of expansion")
+    temperature: KnownQuantity = setting(Uncertain("temperature"), "its temperature at the measurement")
+    expansion: KnownQuantity = setting(Uncertain("expansion", _SOLIDS), "its coefficient of expansion")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield a fault for an entry without a value."""
@@ -109,11 +109,11 @@ class Part(Warm):
         wider[:k, :k], wider[k, k] = core, self.std**2
         return np.concatenate([common * self.shrinkage, at[:, :, None]], axis=2), wider
 
-    def of_places(self, places: Places, about: Array) -> Places:
+    def of_places(self, places: PredictedPlaces, about: Array) -> PredictedPlaces:
         """Return places at 20 degC, with the growth that they share; the point `about` (3,) stays."""
         at = (places.values - about) * self.shrinkage
         common, core = self.of_factors(at, places.common, places.core)
-        return Places(at + about, common, core, places.own * self.shrinkage**2)
+        return PredictedPlaces(at + about, common, core, places.own * self.shrinkage**2)
 
 
 def growth_of(result: Result) -> dict[str, float]:

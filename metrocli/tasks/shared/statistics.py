@@ -50,15 +50,15 @@ def basic_statistics(solution: Solution, rms: Mapping[str, float]) -> Statistics
 
 
 def with_noise(
-    statistics: Statistics, solution: Solution, found: Mapping[str, float], structured: Structured | None = None
+    statistics: Statistics, solution: Solution, weighed_noise: Mapping[str, float], structured: Structured | None = None
 ) -> Statistics:
     """Return the statistics of a job whose noise is estimated from the residuals.
 
     `found` is that noise, by its name. sigma0 then belongs to the unit weight, and the global test does not apply.
     """
-    (size,) = found.values()
+    (size,) = weighed_noise.values()
     kept = {name: value for name, value in statistics.items() if name not in ("p_value", "sigma0_low", "sigma0_high")}
-    noise: Statistics = {"noise_estimated": True, **found, "sigma0": size, "chi2": solution.dof * size**2}
+    noise: Statistics = {"noise_estimated": True, **weighed_noise, "sigma0": size, "chi2": solution.dof * size**2}
     return {**kept, **noise, **(structured.statistics if structured is not None else {})}
 
 

@@ -21,7 +21,7 @@ from metrocli.instruments.tracer_start import MOST, start
 from metrocli.table import Table
 from metrocli.tasks.shared.environment import Air
 from metrocli.tasks.shared.lengths import Scale, scale_priors
-from metrocli.tasks.shared.lists import matched, sigmas, told_apart
+from metrocli.tasks.shared.lists import distinguished, matched, sigmas
 
 _MISFIT = 0.05
 """Lengths whose median misfit exceeds this share of the volume do not belong to these points"""
@@ -42,7 +42,7 @@ class Tracers:
     names: tuple[str, ...]
     of: Index
     """Number of the tracer of each length, (n,)"""
-    said: Array
+    listed_at: Array
     """Listed places of the tracers, (tracers, 3), nan if not listed"""
     sigma: Array
     """Standard uncertainties of the listed places, (tracers, 3): 0 exact, nan unknown"""
@@ -84,10 +84,10 @@ def tracers_of(lengths: Table, listed: Table | None, order: Callable[[list[str]]
             sigma = np.full((len(names), 3), np.nan) if listed is None else sigmas(listed)
     used = np.bincount(place, minlength=len(names)) > 0
     rows = np.flatnonzero(used)
-    said = np.full((len(names), 3), np.nan) if listed is None else listed.stacked("xyz")
+    listed_at = np.full((len(names), 3), np.nan) if listed is None else listed.stacked("xyz")
     idle = tuple(names[row] for row in np.flatnonzero(~used))
     found = tuple(names[row] for row in rows)
-    return Tracers(found, (np.cumsum(used) - 1)[place], said[rows], sigma[rows], rows, idle, noun)
+    return Tracers(found, (np.cumsum(used) - 1)[place], listed_at[rows], sigma[rows], rows, idle, noun)
 
 
 def observed(
@@ -110,7 +110,7 @@ def observed(
         length[None],
         np.ones(1),
         {t.POINT: point, t.TRACER: tracers.of},
-        keys=told_apart(keys, point * len(tracers.names) + tracers.of, conditions.get("t")),
+        keys=distinguished(keys, point * len(tracers.names) + tracers.of, conditions.get("t")),
         conditions=given,
         components=("length",),
         unit="mm",
@@ -123,7 +123,7 @@ def _of_each(names: Sequence[str], index: Index) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class Seen:
+class LengthsToTracers:
     """Lengths with the places of their points as far as they are known, from which tracers are found."""
 
     tracers: Tracers
@@ -149,7 +149,7 @@ def few_of_each(tracers: Tracers) -> Index:
     )
 
 
-def places_of(seen: Seen) -> Array:
+def places_of(seen: LengthsToTracers) -> Array:
     """Return x0, y0, z0, dead path and scale 1 of each tracer, (tracers, 5).
 
     Raises UndeterminedError if a tracer reads too few points to determine or to find its place. Raises InputError if
@@ -159,7 +159,7 @@ def places_of(seen: Seen) -> Array:
     count, fewest = len(tracers.names), 3 if seen.absolute else 4
     values = np.zeros((count, 5))
     values[:, 4] = 1.0
-    misfits, strange = np.zeros(count), np.zeros(count, dtype=bool)
+    misfits, misfitting = np.zeros(count), np.zeros(count, dtype=bool)
     for i, name in enumerate(tracers.names):
         points, lengths = _of_tracer(seen, i)
         if len(points) < fewest and not (tracers.sigma[i] == 0).all():
@@ -172,30 +172,30 @@ def places_of(seen: Seen) -> Array:
         if len(points) >= fewest + _SPARE:
             misfits[i] = _misfit(points, lengths, values[i])
             away = float(np.linalg.norm(values[i, :3] - points.mean(axis=0)))
-            strange[i] = misfits[i] > _MISFIT * seen.extent or away > _REMOTE * seen.extent
+            misfitting[i] = misfits[i] > _MISFIT * seen.extent or away > _REMOTE * seen.extent
     if tracers.given.all():  # known tracers find their points: a rough list of points is off for all of them alike
-        strange &= misfits > _WORSE * median(misfits)
-    bad = np.flatnonzero(strange)
+        misfitting &= misfits > _WORSE * median(misfits)
+    bad = np.flatnonzero(misfitting)
     if bad.size:
         raise InputError([_strange(seen, int(i), float(misfits[i]), bad.size) for i in bad])
     return values
 
 
-def _of_tracer(seen: Seen, i: int) -> tuple[Array, Array]:
+def _of_tracer(seen: LengthsToTracers, i: int) -> tuple[Array, Array]:
     """Return the places of the points that a tracer reads, (n, 3), and the lengths."""
     mine = seen.tracers.of[seen.rows] == i
     return seen.points[mine], seen.length[mine]
 
 
-def _start_of(seen: Seen, i: int, points: Array, lengths: Array) -> Array:
+def _start_of(seen: LengthsToTracers, i: int, points: Array, lengths: Array) -> Array:
     """Return x0, y0, z0 and dead path of one tracer from its lengths; coordinates with a sigma stay as listed."""
-    tracers, given = seen.tracers, seen.tracers.said[i]
-    said = None if np.isnan(given).any() else given
+    tracers, given = seen.tracers, seen.tracers.listed_at[i]
+    listed_at = None if np.isnan(given).any() else given
     known = np.isfinite(tracers.sigma[i])
     if known.all():
         dead = 0.0 if seen.absolute else float(median(np.linalg.norm(points - given, axis=1) - lengths))
         return np.array([*given, dead])
-    places = start(points, lengths, seen.absolute, said)
+    places = start(points, lengths, seen.absolute, listed_at)
     if np.isnan(places).any():
         raise UndeterminedError(
             f"{tracers.noun} {tracers.names[i]} reads {len(points)} points, too few to find where it stands: "
@@ -213,7 +213,7 @@ def _misfit(points: Array, lengths: Array, tracer: Array) -> float:
     return float(median(np.abs(errors - median(errors))))
 
 
-def _strange(seen: Seen, i: int, misfit: float, bad: int) -> Fault:
+def _strange(seen: LengthsToTracers, i: int, misfit: float, bad: int) -> Fault:
     points, lengths = _of_tracer(seen, i)
     tracers = seen.tracers
     name = f"{tracers.noun} {tracers.names[i]}"

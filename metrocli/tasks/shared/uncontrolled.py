@@ -33,7 +33,7 @@ class Hidden:
 
 def table_of(hidden: Iterable[Hidden]) -> Table:
     """Return the table `not_controlled`: effect, assumed, hides [mm], control."""
-    rows = [(one.effect, one.assumed, one.hides, one.control) for one in hidden]
+    rows = [(quantity.effect, quantity.assumed, quantity.hides, quantity.control) for quantity in hidden]
     return Table.of_rows(("effect [text]", "assumed [text]", "hides [mm]", "control [text]"), rows)
 
 

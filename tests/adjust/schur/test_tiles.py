@@ -10,7 +10,7 @@ import pytest
 from adjust import dense
 from adjust.dense import Array
 
-from metrocli.adjust.adjustment import Control, adjust, covariance_at
+from metrocli.adjust.adjustment import StoppingRule, adjust, covariance_at
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, prior
@@ -260,7 +260,7 @@ def test_the_last_step_leaves_nothing_to_go(m: int, off: float) -> None:
 def test_without_a_covariance_the_values_are_the_same() -> None:
     made = lengths(m=4)
     one = made.solved()
-    two = adjust(made.blocks, made.groups, made.datum, Control(covariance=False))
+    two = adjust(made.blocks, made.groups, made.datum, StoppingRule(covariance=False))
     assert two.cost == one.cost
     assert all(np.array_equal(one.blocks[name].values, two.blocks[name].values) for name in one.blocks)
 

@@ -26,7 +26,7 @@ from metrocli.diagnosis.laws import steps
 from metrocli.diagnosis.laws.definition import as_define, as_wanted, written
 from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.near import near_effects
-from metrocli.diagnosis.laws.terms import Form, columns_of, forms_of
+from metrocli.diagnosis.laws.terms import TermForm, columns_of, forms_of
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.verdict import as_data
 from metrocli.effects.acting import measured
@@ -108,7 +108,7 @@ def test_a_column_of_the_data_keeps_its_name_beside_those_of_a_law(found: Diagno
     spot = replace(term.spot, acting=acting)
     texts = [text.replace("X", "s1") for text in term.form.factors]
     wave = replace(term, spot=spot, form=replace(term.form, variables=("s1",), factors=tuple(texts)))
-    line = replace(term, spot=spot, form=Form("powers", ("a1",), ("a1",)))
+    line = replace(term, spot=spot, form=TermForm("powers", ("a1",), ("a1",)))
     law = replace(
         found.law, terms=(wave, line), sizes=(*found.law.sizes, np.ones(1)), stds=(*found.law.stds, np.ones(1))
     )

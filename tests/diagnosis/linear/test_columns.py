@@ -9,8 +9,8 @@ import pytest
 
 from metrocli.diagnosis.linear import column_parts
 from metrocli.diagnosis.linear.basis import Basis
-from metrocli.diagnosis.linear.column_parts import Course, Own, Step
-from metrocli.diagnosis.linear.columns import Columns, gathered, joined
+from metrocli.diagnosis.linear.column_parts import Course, OwnColumns, StepColumns
+from metrocli.diagnosis.linear.columns import CandidateColumns, gathered, joined
 
 ROWS, MEMBERS = 60, 12
 
@@ -28,24 +28,30 @@ def basis(rng: np.random.Generator, repeats: bool) -> Basis:
     return Basis(local, member, MEMBERS, np.linalg.qr(shared)[0])
 
 
-def some(rng: np.random.Generator) -> tuple[Columns, np.ndarray]:
+def some(rng: np.random.Generator) -> tuple[CandidateColumns, np.ndarray]:
     """Return five alternatives of two parameters that change different rows, and the same as a dense array."""
     dense = np.zeros((ROWS, 5, 2))
     items = []
     for number, (first, last) in enumerate([(0, 20), (10, 20), (20, 55), (0, 60), (30, 31)]):
         rows = np.arange(first, last)
         dense[rows, number] = rng.normal(size=(len(rows), 2))
-        items.append((number // 2, Own(rows, dense[rows, number])))
+        items.append((number // 2, OwnColumns(rows, dense[rows, number])))
     return gathered(items), dense
 
 
-def steps(rng: np.random.Generator) -> tuple[Columns, np.ndarray]:
+def steps(rng: np.random.Generator) -> tuple[CandidateColumns, np.ndarray]:
     """Return five alternatives of two parameters: a course of all rows, one of some, and the same dense."""
     courses = [
         Course(rng.permutation(ROWS), rng.normal(size=(ROWS, 2))),
         Course(rng.permutation(np.arange(20, ROWS)), rng.normal(size=(40, 2))),
     ]
-    several = [Step(courses[0], 7), Step(courses[1], 3), Step(courses[0], 0), Step(courses[1], 39), Step(courses[0], 7)]
+    several = [
+        StepColumns(courses[0], 7),
+        StepColumns(courses[1], 3),
+        StepColumns(courses[0], 0),
+        StepColumns(courses[1], 39),
+        StepColumns(courses[0], 7),
+    ]
     dense = np.zeros((ROWS, 5, 2))
     for number, one in enumerate(several):
         dense[one.rows, number] = one.values
@@ -58,7 +64,7 @@ def steps(rng: np.random.Generator) -> tuple[Columns, np.ndarray]:
 def test_products_and_squares_are_those_of_the_projected_columns(
     repeats: bool,
     small: int,
-    made: Callable[[np.random.Generator], tuple[Columns, np.ndarray]],
+    made: Callable[[np.random.Generator], tuple[CandidateColumns, np.ndarray]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(column_parts, "_SMALL", small)
@@ -77,7 +83,7 @@ def test_products_and_squares_are_those_of_the_projected_columns(
 
 @pytest.mark.parametrize("made", [some, steps], ids=["columns of their own", "steps"])
 def test_rows_left_out_and_alternatives_added_are_those_of_the_dense_array(
-    made: Callable[[np.random.Generator], tuple[Columns, np.ndarray]],
+    made: Callable[[np.random.Generator], tuple[CandidateColumns, np.ndarray]],
 ) -> None:
     rng = np.random.default_rng(4)
     columns, dense = made(rng)
@@ -101,7 +107,7 @@ def test_a_course_of_all_rows_is_in_the_order_of_time() -> None:
     """As many rows as a measurement has, and in another order: each product takes the values of its own row."""
     rng = np.random.default_rng(17)
     course = Course(rng.permutation(ROWS), rng.normal(size=(ROWS, 2)))
-    columns = gathered((None, Step(course, begin)) for begin in (0, 25))
+    columns = gathered((None, StepColumns(course, begin)) for begin in (0, 25))
     vectors = rng.normal(size=(ROWS, 3))
     expected = np.einsum("raq,rm->aqm", columns.whole([0, 1], ROWS), vectors)
     assert np.abs(columns.products(vectors) - expected).max() < 1e-12
@@ -111,11 +117,12 @@ def test_many_small_parts_give_the_products_of_each() -> None:
     """As one sparse matrix, with rows of a vector that lie behind the last of any part; and without vectors."""
     rng = np.random.default_rng(18)
     items = [
-        (number, Own(np.sort(rng.choice(ROWS, 9, replace=False)), rng.normal(size=(9, 2)))) for number in range(15)
+        (number, OwnColumns(np.sort(rng.choice(ROWS, 9, replace=False)), rng.normal(size=(9, 2))))
+        for number in range(15)
     ]
     items[3] = (2, items[3][1])
     course = Course(rng.permutation(ROWS), rng.normal(size=(ROWS, 2)))
-    columns = gathered([*items, (None, Step(course, 4))])
+    columns = gathered([*items, (None, StepColumns(course, 4))])
     vectors = rng.normal(size=(ROWS + 5, 3))
     expected = np.einsum("raq,rm->aqm", columns.whole(range(columns.count), ROWS), vectors[:ROWS])
     assert np.abs(columns.products(vectors) - expected).max() < 1e-12

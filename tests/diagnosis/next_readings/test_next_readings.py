@@ -19,11 +19,11 @@ from benchmarks.hidden import lengths, machine
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
-from metrocli.diagnosis.linear.candidates import Alternative, NotTested
+from metrocli.diagnosis.linear.candidates import Candidate, NotTested
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.next_readings.choice import Next, next_readings, revealing
-from metrocli.diagnosis.next_readings.pool import Known, Pool, pool_of
+from metrocli.diagnosis.next_readings.pool import KnownErrors, Pool, pool_of
 from metrocli.diagnosis.next_readings.proposals import Proposal, proposals, with_proposals
 from metrocli.diagnosis.next_readings.separation import chance_to_separate
 from metrocli.effects.effect import ELAPSED
@@ -95,7 +95,7 @@ def pool_with(made: list[Proposal], rival: str) -> tuple[Pool, Pool, float]:
     (finding,) = diagnosis.findings
     other = next(one for one in finding.effect.rivals if str(one.alternative) == rival)
     effects = [finding.effect.alternative, other.alternative]
-    now = then = pool_of(diagnosis.job, made, effects, (), Known(diagnosis.noise.ratio))
+    now = then = pool_of(diagnosis.job, made, effects, (), KnownErrors(diagnosis.noise.ratio))
     for number in range(len(made)):
         then = then.with_proposal(number)
     return now, then, other.odds
@@ -230,7 +230,7 @@ def test_gains_are_those_of_the_adjustment_with_the_readings_in_it() -> None:
     job = points()
     effect = next(one for one in job.effects if one.name == "tracker-range-zero")
     sizes, proposed = np.array([0.02]), proposals(job)[::40]
-    pool = pool_of(job, proposed, [Alternative(effect, ())])
+    pool = pool_of(job, proposed, [Candidate(effect, ())])
     first, second = np.argsort(-pool.gains()[:, 0, 0])[:2].tolist()
     after = pool.with_proposal(first)
     for made, gram in (
@@ -252,7 +252,7 @@ def test_wrong_readings_of_another_group_leave_the_others_their_weight() -> None
     first = {key: str(names[0]) for key, names in job.model.readings[0].observations.keys.items()}
 
     def known(*wrong: dict[str, str]) -> float:
-        pool = pool_of(job, proposals(job)[:1], [Alternative(effect, ())], known=Known(wrong=wrong))
+        pool = pool_of(job, proposals(job)[:1], [Candidate(effect, ())], known=KnownErrors(wrong=wrong))
         return float(pool.gram[0, 0])
 
     assert known({"image": "I01"}) == known({**first, "image": "I01"}) == known()

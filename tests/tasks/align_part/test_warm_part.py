@@ -13,14 +13,14 @@ from benchmarks.coverage import PART, alignment_settings, corners, poses_over, t
 from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.result import Result
-from metrocli.settings import Known
+from metrocli.settings import KnownQuantity
 from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.align_part import task as align_part
 from metrocli.tasks.align_part.fitted_targets import target_list
 from metrocli.tasks.shared.part import Part
 
-STEEL = Part(Known(25.0, 0.5), Known(11.5e-6, 1e-6))
+STEEL = Part(KnownQuantity(25.0, 0.5), KnownQuantity(11.5e-6, 1e-6))
 TRUTH = np.array([getattr(PART, name) for name in poses.EULER])
 GAUGED = np.array([[0.0, 0, 0], [1500, 1000, 400]])
 
@@ -83,8 +83,8 @@ def test_what_is_found_scatters_as_stated() -> None:
 
 
 def test_a_part_taken_as_cold_is_off() -> None:
-    exact = Part(Known(25.0), Known(11.5e-6))
-    unaware, truth = run(exact, 5, known=Part(Known(20.0), Known(11.5e-6)))
+    exact = Part(KnownQuantity(25.0), KnownQuantity(11.5e-6))
+    unaware, truth = run(exact, 5, known=Part(KnownQuantity(20.0), KnownQuantity(11.5e-6)))
     aware, _ = run(exact, 5)
     there = (1 + truth["part-expansion.scale"]) * GAUGED @ turn(TRUTH[3:]).T + TRUTH[:3]
     far, near = (np.abs(one.tables["points"].stacked(("x", "y", "z")) - there).max() for one in (unaware, aware))

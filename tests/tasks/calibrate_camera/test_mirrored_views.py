@@ -9,17 +9,17 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.geometry import poses
 from metrocli.instruments.lenses.lens import image_point
 from metrocli.tasks.calibrate_camera.build import build
-from metrocli.tasks.calibrate_camera.problem import Problem
-from metrocli.tasks.calibrate_camera.settings import Camera
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
+from metrocli.tasks.calibrate_camera.settings import CameraSettings
 from metrocli.tasks.shared.images.adjustment import Options, adjust_images
 from metrocli.tasks.shared.images.sightings import Sighted
-from metrocli.tasks.shared.images.target_list import Targets
+from metrocli.tasks.shared.images.target_list import TargetCoordinates
 
 LENS = {"f": 2800.0, "cx": 1223.5, "cy": 1023.5}
 VIEWS = 6
 
 
-def seen(rng: np.random.Generator, distance: float, noise: float) -> tuple[Problem, np.ndarray]:
+def seen(rng: np.random.Generator, distance: float, noise: float) -> tuple[CameraProblem, np.ndarray]:
     """Return the calibration of poses alone from a 3 x 3 board of 40 mm, and the true poses about its middle."""
     board = np.array([[20.0 * x, 20.0 * y, 0.0] for x in range(3) for y in range(3)])
     angles = np.column_stack([rng.uniform(-0.6, 0.6, (VIEWS, 2)), rng.uniform(-3, 3, VIEWS)])
@@ -39,12 +39,12 @@ def seen(rng: np.random.Generator, distance: float, noise: float) -> tuple[Probl
         components=("u", "v"),
         unit="px",
     )
-    targets = Targets(names, board, np.zeros_like(board), np.full(9, np.nan))
-    camera = Camera(image_size=(2448, 2048), estimate=(), **LENS)
+    targets = TargetCoordinates(names, board, np.zeros_like(board), np.full(9, np.nan))
+    camera = CameraSettings(image_size=(2448, 2048), estimate=(), **LENS)
     return build("board", camera, Sighted(images, targets, observations)), truth
 
 
-def wrong_views(problem: Problem, truth: np.ndarray) -> list[str]:
+def wrong_views(problem: CameraProblem, truth: np.ndarray) -> list[str]:
     solution = adjust_images(problem.blocks, problem.images, problem.others, None, Options()).solution
     turn = poses.rotation_of(solution.blocks["view"].values) @ np.swapaxes(poses.rotation_of(truth), 1, 2)
     angle = np.linalg.norm(poses.vector_from_rotation(turn), axis=1)

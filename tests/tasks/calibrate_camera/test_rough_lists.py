@@ -12,7 +12,7 @@ from metrocli.arrays import Array
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
-from metrocli.tasks.calibrate_camera.settings import Camera, Inputs, Settings
+from metrocli.tasks.calibrate_camera.settings import CameraSettings, Inputs, Settings
 
 FOCAL, SIZE, NOISE = 7000.0, (8688, 5792), 0.1
 NOWHERE = Path("nowhere")
@@ -49,7 +49,7 @@ def calibrated(seed: int, rough: float) -> Result:
         rig="network",
         inputs=Inputs(observations=NOWHERE, targets=NOWHERE),
         noise="estimated",
-        camera=Camera(image_size=SIZE, estimate=ESTIMATE),
+        camera=CameraSettings(image_size=SIZE, estimate=ESTIMATE),
     )
     return calibrate_camera.run(calibrate_camera.TASK.job(settings, observations=observations, targets=targets))
 

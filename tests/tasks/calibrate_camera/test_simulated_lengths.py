@@ -16,7 +16,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.settings import TEST_LENGTHS
 from metrocli.tasks.calibrate_camera.simulation import with_lengths
 from metrocli.tasks.multilaterate.settings import POINTS
-from metrocli.tasks.shared.images.target_list import Targets
+from metrocli.tasks.shared.images.target_list import TargetCoordinates
 
 Metrocli = Callable[..., Any]
 TRUTH = "simulation: {lens: {f: 2813 px, k1: 0.2, k2: -0.1}, images: 8, distance: 500 mm, tilt: 40 deg}\n"
@@ -35,9 +35,9 @@ def lengths(*rows: tuple[str, str, float, float]) -> Table:
     return Table(columns, {"length": "mm", "sigma": "mm"})
 
 
-def targets(points: list[list[float]], sigma: list[float]) -> Targets:
+def targets(points: list[list[float]], sigma: list[float]) -> TargetCoordinates:
     names = tuple("ABCDEFG"[: len(points)])
-    return Targets(
+    return TargetCoordinates(
         names,
         np.array(points, dtype=float),
         np.repeat(np.array(sigma)[:, None], 3, axis=1),

@@ -35,7 +35,7 @@ def measured(seed: int, wrong: bool, **changed: object) -> Job[Settings, Files]:
     return replace(job, settings=replace(job.settings, **changed))  # type: ignore[arg-type]
 
 
-def said(job: Job[Settings, Files]) -> str:
+def words(job: Job[Settings, Files]) -> str:
     """Return the message of a failed calibration, or the doubts of its result."""
     try:
         result: Result = calibrate_camera.run(job)
@@ -46,14 +46,14 @@ def said(job: Job[Settings, Files]) -> str:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_an_image_with_names_in_another_order_is_named(seed: int) -> None:
-    text = said(measured(seed, wrong=True))
+    text = words(measured(seed, wrong=True))
     assert ODD in text and text.count("fits no view") == 1
     assert "more views" not in text and "image_size and the poses" not in text
 
 
 def test_right_images_are_not_named_and_a_wrong_one_can_be_left_out() -> None:
-    assert said(measured(0, wrong=False)) == ""
-    assert said(measured(0, wrong=True, outliers="remove")) == ""
+    assert words(measured(0, wrong=False)) == ""
+    assert words(measured(0, wrong=True, outliers="remove")) == ""
 
 
 def test_a_few_wrong_readings_make_no_image_strange() -> None:
@@ -63,7 +63,7 @@ def test_a_few_wrong_readings_make_no_image_strange() -> None:
     u = seen.numbers("u").copy()
     u[[5, 40, 300, 301, 500]] += [300.0, -200, 150, 400, -90]
     spoilt = replace(job, files=replace(job.files, observations=Table({**seen.columns, "u": u}, seen.units)))
-    assert "fits no view" not in said(spoilt)
+    assert "fits no view" not in words(spoilt)
 
 
 def mirrored(job: Job[Settings, Files], one: str, width: int) -> Job[Settings, Files]:
@@ -114,11 +114,11 @@ def near_and_far(seed: int, tilt: float, order: int, estimated: tuple[str, ...])
 @pytest.mark.slow
 def test_distortion_is_no_other_order() -> None:
     """Targets stand so densely that distortion moves them by a large part of a step."""
-    parallel = said(near_and_far(8, 0.005, 0, ()))
+    parallel = words(near_and_far(8, 0.005, 0, ()))
     assert "all views are parallel" in parallel and "fits no view" not in parallel
-    (doubt,) = said(near_and_far(9, 0.4, 0, ("f",))).splitlines()
+    (doubt,) = words(near_and_far(9, 0.4, 0, ("f",))).splitlines()
     assert doubt.startswith("half of the points of image i0 are off by more than") and "lack distortion" in doubt
-    assert "image i0 fits no view" in said(near_and_far(9, 0.4, 700, ()))
+    assert "image i0 fits no view" in words(near_and_far(9, 0.4, 700, ()))
 
 
 @pytest.mark.parametrize("more", [0, pytest.param(1, marks=pytest.mark.slow)])
@@ -130,7 +130,7 @@ def test_images_of_one_row_of_targets_are_in_no_other_order(more: int) -> None:
     image, number = np.array(seen.texts("image")), np.array([int(name[1:]) for name in seen.texts("target")])
     rows = (image > "i4") | ((number >= 480) & (number < 528)) | (number == 700) * bool(more)
     few = replace(job, files=replace(job.files, observations=selected(seen, rows)))
-    text = said(few)
+    text = words(few)
     assert text and "fits no view" not in text
 
 

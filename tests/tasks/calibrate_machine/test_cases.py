@@ -76,12 +76,12 @@ def test_a_wave_shorter_than_the_pieces_of_a_path_is_not_called_excluded() -> No
     from simulated import machine as sim
 
     from metrocli.diagnosis.diagnose import diagnose
-    from metrocli.tasks.calibrate_machine.settings import Noise
+    from metrocli.tasks.calibrate_machine.settings import MachineNoise
 
     rng = np.random.default_rng(81)
     machine = sim.random_machine(rng)
     flight = sim.flight(machine, sim.walls(rng, 31), rng, spacing=3.0)
-    settings = sim.settings("on-the-fly", noise=Noise(beam=1e-3, lateral=5e-3))
+    settings = sim.settings("on-the-fly", noise=MachineNoise(beam=1e-3, lateral=5e-3))
     adjusted = calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, path=flight.path, track=flight.track))
     found = diagnose(adjusted).design
     assert "screw-pitch-error" not in {one.alternative.effect.name for one in found.candidates}

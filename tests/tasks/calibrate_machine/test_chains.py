@@ -15,14 +15,14 @@ from metrocli.arrays import Array
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import measurement, on_the_fly
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
-from metrocli.tasks.calibrate_machine.problem import Problem
-from metrocli.tasks.calibrate_machine.settings import Noise
+from metrocli.tasks.calibrate_machine.problem import MachineProblem
+from metrocli.tasks.calibrate_machine.settings import MachineNoise
 
 KNOTS = (4, 4, 3)
 """0 lies on a knot of X and Z, and between two of Y"""
 
 
-def at_standstill() -> Problem:
+def at_standstill() -> MachineProblem:
     rng = np.random.default_rng(71)
     machine = sim.random_machine(rng, "ZXY", KNOTS)
     return standstill(
@@ -31,7 +31,7 @@ def at_standstill() -> Problem:
     )
 
 
-def along_a_path() -> Problem:
+def along_a_path() -> MachineProblem:
     rng = np.random.default_rng(72)
     machine = sim.random_machine(rng, "YXZ", KNOTS)
     flight = sim.flight(machine, sim.walls(rng, 30), rng, spacing=8.0)
@@ -41,12 +41,12 @@ def along_a_path() -> Problem:
         knots=KNOTS,
         chain="YXZ",
         tool_uncertainty=0.01,
-        noise=Noise(beam=1e-3, lateral=5e-3),
+        noise=MachineNoise(beam=1e-3, lateral=5e-3),
     )
     return on_the_fly(measurement(settings, flight.path, flight.track)).problem
 
 
-def with_six_channels() -> Problem:
+def with_six_channels() -> MachineProblem:
     rng = np.random.default_rng(73)
     machine = sim.random_machine(rng, "XYZ", KNOTS)
     lines = sim.line_table([sim.line(machine, axis, rng, n=7) for axis in ("x", "y", "z", "xy", "yz", "xz")])
@@ -54,14 +54,14 @@ def with_six_channels() -> Problem:
         "six-dof",
         tools={"": (0.0, 0.0, 0.0)},
         knots=KNOTS,
-        noise=Noise(displacement=5e-4, straightness=1e-3, angle=1e-6),
+        noise=MachineNoise(displacement=5e-4, straightness=1e-3, angle=1e-6),
     )
     return six_dof(settings, lines)
 
 
 @pytest.mark.parametrize("problem", [at_standstill, along_a_path, with_six_channels])
 def test_derivatives_are_differences(problem) -> None:  # type: ignore[no-untyped-def]
-    made: Problem = problem()
+    made: MachineProblem = problem()
     rng = np.random.default_rng(74)
     group = made.readings
     blocks = {name: moved(block, rng) for name, block in made.blocks.items()}
@@ -105,7 +105,7 @@ def by_differences(group: Group, blocks: Mapping[str, Block], name: str, step: A
 )
 def test_values_are_those_of_plain_formulas(problem, seed: int, order: str) -> None:  # type: ignore[no-untyped-def]
     """What the tables add to the readings; a sign wrong in value and derivative together shows here."""
-    made: Problem = problem()
+    made: MachineProblem = problem()
     machine = sim.random_machine(np.random.default_rng(seed), order, KNOTS)
     group, blocks = made.readings, dict(made.blocks)
     perfect = group.chain.predict(without_errors(blocks), group.observations)

@@ -242,7 +242,7 @@ def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) 
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("chain: wXbYZt", "chain: wXbYt", "'wXbYt' is not a chain of the axes X, Y and Z"),
         ("range: [0 mm, 600 mm]", "range: [600 mm, 0 mm]", "the range does not ascend"),
@@ -262,17 +262,17 @@ def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) 
         ("x: {range", "u: {range", "unknown key 'u'"),
     ],
 )
-def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, said: str, metrocli: Metrocli) -> None:
+def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, message: str, metrocli: Metrocli) -> None:
     (folder / "job.yaml").write_text(STANDSTILL.replace(old, new, 1))
     (folder / "points.csv").write_text("point,x_mm,y_mm,z_mm,mx_mm,my_mm,mz_mm,tool\na,0,0,0,0,0,0,T1\n")
     ran = metrocli("check", "job.yaml")
     assert ran.code == 3
-    assert said in ran.err
+    assert message in ran.err
     assert "job.yaml:" in ran.err
 
 
 @pytest.mark.parametrize(
-    ("change", "code", "said"),
+    ("change", "code", "message"),
     [
         (lambda lines: [lines[0], lines[1].replace(",T", ",X"), *lines[2:]], 3, "points.csv:2: error: tool 'X"),
         (lambda lines: [lines[0].replace("mx_mm,my_mm,mz_mm", "mx_m,my_m,mz_m"), *lines[1:]], 3, "1000 times as large"),
@@ -313,12 +313,12 @@ def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, said: str, m
         ),
     ],
 )
-def test_wrong_points_are_told(folder: Path, change, code: int, said: str, metrocli: Metrocli) -> None:  # type: ignore[no-untyped-def]
+def test_wrong_points_are_told(folder: Path, change, code: int, message: str, metrocli: Metrocli) -> None:  # type: ignore[no-untyped-def]
     job = made(folder, STANDSTILL, metrocli)
     lines = (folder / "points.csv").read_text().split("\n")
     (folder / "points.csv").write_text("\n".join(change(lines)))
     ran = metrocli("calibrate-machine", job)
-    assert (ran.code, said in ran.err) == (code, True), ran.err
+    assert (ran.code, message in ran.err) == (code, True), ran.err
     assert not (folder / "result.h5").exists()
 
 

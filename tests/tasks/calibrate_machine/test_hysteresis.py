@@ -14,7 +14,7 @@ from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.instruments.machine_path import Path, since_turn
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.settings import Noise
+from metrocli.tasks.calibrate_machine.settings import MachineNoise
 
 Array = NDArray[np.float64]
 WIDTH = 0.006
@@ -46,7 +46,7 @@ def of_lines(length: float, seed: int = 121) -> Diagnosis:
         lines.append(run | dict(zip(sim.CHANNELS, channels, strict=True)))
     lines += [sim.line(true, axis, rng) for axis in ("xy", "yz", "xz")]
     settings = sim.settings(
-        "six-dof", tools={"": (0.0, 0.0, 0.0)}, noise=Noise(displacement=5e-4, straightness=1e-3, angle=1e-6)
+        "six-dof", tools={"": (0.0, 0.0, 0.0)}, noise=MachineNoise(displacement=5e-4, straightness=1e-3, angle=1e-6)
     )
     return diagnose(calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, lines=sim.line_table(lines))))
 

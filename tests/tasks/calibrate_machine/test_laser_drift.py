@@ -12,7 +12,7 @@ from simulated import machine as sim
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.settings import Noise
+from metrocli.tasks.calibrate_machine.settings import MachineNoise
 
 Array = NDArray[np.float64]
 Drift = Callable[[str, Array, Array, Array], Array]
@@ -49,7 +49,7 @@ def job(drift: Drift, runs: int = 4, once: tuple[str, ...] = (), warming: bool =
         warmth.append(warmer)
         lines.append(run | dict(zip(sim.CHANNELS, channels, strict=True)) | {"t": t, "temp": 20 + warmer})
     table = sim.line_table(lines, ("t", "temp") if warming else ("t",))
-    noise = Noise(displacement=5e-4, straightness=5e-4, angle=1e-6)
+    noise = MachineNoise(displacement=5e-4, straightness=5e-4, angle=1e-6)
     settings = sim.settings("six-dof", tools={"": (0.0, 0.0, 0.0)}, noise=noise)
     return calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, lines=table))
 
@@ -91,7 +91,7 @@ def test_on_a_line_that_is_run_once_a_drift_of_the_zero_is_a_positioning_error()
     of = {one.alternative.instance: one for one in seen if one.alternative.effect.name == "laser-dead-path-drift"}
     unseen, shown = of["L0",], of["L1",]
     assert np.isinf(unseen.detectable) and unseen.absorbed_by
-    assert 2e-3 < unseen.hides.size < 4e-3
+    assert 2e-3 < unseen.undetected.size < 4e-3
     assert shown.detectable < 1e-3 / 60 / 5
 
 

@@ -23,10 +23,10 @@ from metrocli.tasks.calibrate_machine.diagnosis import noise_of
 from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.layout import line_of, stations_lie
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
-from metrocli.tasks.calibrate_machine.settings import Noise, Settings
-from metrocli.tasks.calibrate_machine.solve import Solved, solve
+from metrocli.tasks.calibrate_machine.settings import MachineNoise, Settings
+from metrocli.tasks.calibrate_machine.solve import AdjustedMachine, solve
 from metrocli.tasks.calibrate_machine.tables import tables_of
-from metrocli.tasks.calibrate_machine.volume import Prediction, predict
+from metrocli.tasks.calibrate_machine.volume import ToolErrors, predict
 from metrocli.tasks.shared.lists import listed_places
 from metrocli.tasks.shared.noise import DECLARED
 
@@ -44,11 +44,11 @@ def rows_of(table: Table, rows: npt.NDArray[np.intp]) -> Table:
     return replace(table, columns={name: np.asarray(table.columns[name])[rows] for name in table.columns}, lines=lines)
 
 
-def solved_of(settings: Settings, table: Table) -> Solved:
+def solved_of(settings: Settings, table: Table) -> AdjustedMachine:
     return solve(calibrate_machine.problem_of(calibrate_machine.TASK.job(settings, lengths=table)), False)
 
 
-def predicted(solved: Solved, at: sim.Array, tool: int) -> Prediction:
+def predicted(solved: AdjustedMachine, at: sim.Array, tool: int) -> ToolErrors:
     tables = tables_of(solved.problem.machine, solved.solution)
     return predict(tables.machine, tables.blocks, (tables.unknowns, tables.raw), at.T, tool)[0]
 
@@ -88,7 +88,7 @@ def test_cases_that_another_program_simulated_come_out_right(case: Path) -> None
 def test_without_noise_the_error_of_both_tools_is_recovered_to_a_nanometre(order: str) -> None:
     rng = np.random.default_rng(31)
     machine = sim.random_machine(rng, order)
-    table = lengths.measured(machine, rng, noise=Noise(constant=0.0), stations=lengths.STATIONS)
+    table = lengths.measured(machine, rng, noise=MachineNoise(constant=0.0), stations=lengths.STATIONS)
     settings = lengths.settings()
     settings = replace(settings, machine=replace(settings.machine, chain=order))
     solved = solved_of(settings, table)

@@ -15,10 +15,10 @@ from metrocli.instruments.machine_path import Path
 from metrocli.instruments.track_alignment import align
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.settings import Noise, Settings
+from metrocli.tasks.calibrate_machine.settings import MachineNoise, Settings
 
 KNOTS = (5, 5, 5)
-NOISE = Noise(beam=1e-3, lateral=5e-3)
+NOISE = MachineNoise(beam=1e-3, lateral=5e-3)
 
 
 def job(**more: object) -> Settings:
@@ -172,12 +172,12 @@ def test_points_off_the_path_while_the_beam_is_lost_are_cut(machine: sim.Machine
 
 
 @pytest.mark.parametrize(
-    ("factor", "said"), [(1e-3, "0.001 times as large"), (1e3, "1000 times as large"), (1 / 25.4, "0.03937 times")]
+    ("factor", "message"), [(1e-3, "0.001 times as large"), (1e3, "1000 times as large"), (1 / 25.4, "0.03937 times")]
 )
-def test_a_wrong_unit_is_told(machine: sim.Machine, vertices: Array, factor: float, said: str) -> None:
+def test_a_wrong_unit_is_told(machine: sim.Machine, vertices: Array, factor: float, message: str) -> None:
     flight = sim.flight(machine, vertices, np.random.default_rng(38), spacing=4.0)
     track = changed(flight.track, flight.track.stacked("xyz") * factor)
-    with pytest.raises(InputError, match=said) as told:
+    with pytest.raises(InputError, match=message) as told:
         calibrate_machine.run(calibrate_machine.TASK.job(job(), path=flight.path, track=track))
     assert "is their unit right?" in str(told.value)
 
@@ -249,7 +249,7 @@ def test_a_tool_of_which_nothing_is_known_is_refused_with_a_hint(machine: sim.Ma
 def test_no_warning_names_a_key_that_the_method_does_not_take(machine: sim.Machine, vertices: Array) -> None:
     """On the fly there is neither `outliers: remove` nor a noise to be found."""
     flight = sim.flight(machine, vertices, np.random.default_rng(46), spacing=4.0)
-    noisy = replace(job(), noise=Noise(beam=1e-4, lateral=1e-3))
+    noisy = replace(job(), noise=MachineNoise(beam=1e-4, lateral=1e-3))
     result = calibrate_machine.run(calibrate_machine.TASK.job(noisy, path=flight.path, track=flight.track))
     assert any(line.startswith("sigma0 = ") for line in result.warnings)
     assert not any("remove" in line or "estimated" in line for line in result.warnings)
@@ -309,7 +309,7 @@ def test_weights_are_those_of_the_beam(machine: sim.Machine, vertices: Array) ->
     """With a beam ten times better than its sides the normalised residuals have unit size in both directions."""
     rng = np.random.default_rng(48)
     flight = sim.flight(machine, vertices, rng)
-    settings = replace(job(), noise=Noise(beam=1e-3, lateral=5e-3))
+    settings = replace(job(), noise=MachineNoise(beam=1e-3, lateral=5e-3))
     result = calibrate_machine.run(calibrate_machine.TASK.job(settings, path=flight.path, track=flight.track))
     residuals = result.tables["residuals"]
     for which in "ab":

@@ -20,9 +20,9 @@ from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagona
 from metrocli.tasks.calibrate_machine.plans.planned import planned_problem
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.rank.identifiability import identify
-from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Noise
+from metrocli.tasks.calibrate_machine.settings import MachineNoise, MachineSimulation
 
-NOISE = Noise(beam=1e-3, lateral=5e-3)
+NOISE = MachineNoise(beam=1e-3, lateral=5e-3)
 
 
 @pytest.mark.parametrize(
@@ -106,9 +106,9 @@ def test_a_length_that_is_too_short_is_said() -> None:
 
 def promised_over_found(plan: Plan, result: Result) -> list[float]:
     """Largest standard uncertainties of the errors: of the measurement over those of the plan."""
-    said, got = plan.tables["errors"], result.tables["errors"]
-    assert said.texts("error") == got.texts("error")
-    return (got.numbers("largest_std") / said.numbers("largest_std")).tolist()
+    listed_at, got = plan.tables["errors"], result.tables["errors"]
+    assert listed_at.texts("error") == got.texts("error")
+    return (got.numbers("largest_std") / listed_at.numbers("largest_std")).tolist()
 
 
 def test_points_are_planned_and_keep_their_promise() -> None:
@@ -142,7 +142,7 @@ def test_points_are_planned_and_keep_their_promise() -> None:
 
 def test_lines_of_a_laser_are_planned_and_keep_their_promise() -> None:
     settings = sim.settings(
-        "six-dof", tools={"": (0.0, 0.0, 0.0)}, noise=Noise(displacement=5e-4, straightness=1e-3, angle=1e-6)
+        "six-dof", tools={"": (0.0, 0.0, 0.0)}, noise=MachineNoise(displacement=5e-4, straightness=1e-3, angle=1e-6)
     )
     plan = calibrate_machine.plan(calibrate_machine.TASK.job(replace(settings, plan=PathPlan(control="siemens"))))
     lines = plan.files["lines.csv"]

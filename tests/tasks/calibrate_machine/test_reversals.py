@@ -16,7 +16,7 @@ from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.settings import Noise
+from metrocli.tasks.calibrate_machine.settings import MachineNoise
 
 Array = NDArray[np.float64]
 WIDTH, TILT = 0.012, np.array([4e-5, -3e-5, 5e-5])
@@ -75,7 +75,7 @@ def along_lines(change: Callable[[str, Array], Array], seed: int = 82) -> Table:
 
 
 def of_lines(table: Table) -> Diagnosis:
-    noise = Noise(displacement=1e-3, straightness=1e-3, angle=1e-6)
+    noise = MachineNoise(displacement=1e-3, straightness=1e-3, angle=1e-6)
     settings = sim.settings("six-dof", tools={"": (0.0, 0.0, 0.0)}, noise=noise)
     return diagnose(calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, lines=table)))
 
@@ -107,7 +107,7 @@ def test_points_approached_from_one_side_do_not_show_it() -> None:
     unseen = {one.alternative.instance: one for one in seen.candidates if str(one.alternative).startswith("straight")}
     assert set(unseen) == {("xy",), ("xz",), ("yx",), ("yz",), ("zx",), ("zy",)}
     assert all(np.isinf(one.detectable) and one.absorbed_by for one in unseen.values())
-    assert max(one.hides.size for one in unseen.values()) < 1e-6
+    assert max(one.undetected.size for one in unseen.values()) < 1e-6
 
 
 @pytest.mark.slow

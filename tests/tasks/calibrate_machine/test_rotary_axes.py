@@ -16,7 +16,7 @@ from metrocli.project.inputs import read_inputs
 from metrocli.project.job import load
 from metrocli.result import Result
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.solve import Solved, solve
+from metrocli.tasks.calibrate_machine.solve import AdjustedMachine, solve
 from metrocli.tasks.calibrate_machine.tables import Tables, tables_of
 from metrocli.tasks.calibrate_machine.volume import predict
 
@@ -24,7 +24,7 @@ Array = sim.Array
 TABLES = sim.KINDS["table-table"]
 
 
-def solved(job: Path) -> Solved:
+def solved(job: Path) -> AdjustedMachine:
     file = load(job)
     held = calibrate_machine.TASK.job(file.settings, effects=file.effects, **read_inputs(file))
     return solve(calibrate_machine.problem_of(held).with_effects(file.effects), False)
@@ -35,7 +35,7 @@ def result(job: Path) -> Result:
     return calibrate_machine.run(calibrate_machine.TASK.job(file.settings, effects=file.effects, **read_inputs(file)))
 
 
-def off_in_volume(machine: sim.Machine, found: Solved, tables: Tables, tool: str) -> float:
+def off_in_volume(machine: sim.Machine, found: AdjustedMachine, tables: Tables, tool: str) -> float:
     """The largest error of the prediction at 40 places between the readings, less a motion of the workpiece."""
     rng = np.random.default_rng(9)
     poses = [machine.drawn_pose(rng) for _ in range(40)]

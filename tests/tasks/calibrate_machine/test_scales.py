@@ -14,13 +14,13 @@ from simulated import machine_lengths as lengths
 
 from metrocli.formats import csv, hdf5
 from metrocli.result import Result
-from metrocli.settings import Known
+from metrocli.settings import KnownQuantity
 from metrocli.table import Column, Columns
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.part import Warm
 
-GLASS = Warm(Known(22.0, 0.1), Known(8e-6, 0.5e-6))
+GLASS = Warm(KnownQuantity(22.0, 0.1), KnownQuantity(8e-6, 0.5e-6))
 GROWN = 16e-6
 STD = float(np.linalg.norm([2 * 0.5e-6, 8e-6 * 0.1, 0.5e-6 * 0.1]))
 JOB = """metrocli: 1

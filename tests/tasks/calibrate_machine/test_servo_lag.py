@@ -12,7 +12,7 @@ from simulated import machine as sim
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.settings import LateralNoise, Noise
+from metrocli.tasks.calibrate_machine.settings import LateralNoise, MachineNoise
 
 Array = NDArray[np.float64]
 STEP = 0.02
@@ -40,7 +40,7 @@ def job(tau: tuple[float, float, float], times: bool = True) -> AdjustedJob:
     seen = eye.reads(at + tool + sim.displacements(true, at, tool), rng)
     columns = {"t": STEP * np.arange(len(seen))} if times else {}
     path, track = sim.coordinate_table("path.csv", vertices, {}), sim.coordinate_table("track.csv", seen, columns)
-    noise = Noise(beam=1e-3, lateral=LateralNoise(5e-3, 0.0))
+    noise = MachineNoise(beam=1e-3, lateral=LateralNoise(5e-3, 0.0))
     settings = sim.settings("on-the-fly", knots=(3, 3, 3), noise=noise)
     return calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, path=path, track=track))
 

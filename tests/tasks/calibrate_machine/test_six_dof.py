@@ -10,13 +10,13 @@ from simulated.machine import line, line_table
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
+from metrocli.tasks.calibrate_machine.acceptance.positioning import LineUncertainty
 from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets
 from metrocli.tasks.calibrate_machine.iso230 import positioning as positioning_of
-from metrocli.tasks.calibrate_machine.settings import Noise, Settings
+from metrocli.tasks.calibrate_machine.settings import MachineNoise, Settings
 
 KNOTS = (5, 6, 5)
-KNOWN = Measured(0.0005)
+KNOWN = LineUncertainty(0.0005)
 SPAN = sim.HIGH - sim.LOW
 
 
@@ -29,7 +29,7 @@ def job(**more: object) -> Settings:
         "six-dof",
         tools={"": (0.0, 0.0, 0.0)},
         knots=KNOTS,
-        noise=Noise(displacement=5e-4, straightness=1e-3, angle=1e-6),
+        noise=MachineNoise(displacement=5e-4, straightness=1e-3, angle=1e-6),
         **more,
     )
 
@@ -133,7 +133,7 @@ def test_one_missing_axis_is_told(machine: sim.Machine) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (
             lambda t: {"axis": np.where(np.arange(len(t)) == 3, "u", t.columns["axis"])},
@@ -153,12 +153,12 @@ def test_one_missing_axis_is_told(machine: sim.Machine) -> None:
         ),
     ],
 )
-def test_wrong_rows_are_told(machine: sim.Machine, change, said: str) -> None:  # type: ignore[no-untyped-def]
+def test_wrong_rows_are_told(machine: sim.Machine, change, message: str) -> None:  # type: ignore[no-untyped-def]
     whole = line_table([line(machine, axis, np.random.default_rng(56)) for axis in AXES])
     bad = Table({**whole.columns, **change(whole)}, whole.units, whole.file, whole.lines)
     with pytest.raises(InputError) as told:
         calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=bad))
-    assert said in str(told.value)
+    assert message in str(told.value)
 
 
 def test_one_run_each_way_has_no_repeatability() -> None:

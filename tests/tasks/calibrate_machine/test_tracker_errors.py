@@ -82,4 +82,4 @@ def test_what_an_error_that_does_not_show_changes_is_covered_by_what_it_hides() 
         one for one in what_can_be_seen(after).candidates if one.alternative.effect.name == "tracker-vertical-index"
     )
     assert candidate.detectable > size["angle"]
-    assert 0.001 < made <= candidate.hides.size < 0.05
+    assert 0.001 < made <= candidate.undetected.size < 0.05

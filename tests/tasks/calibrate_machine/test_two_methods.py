@@ -36,6 +36,6 @@ def test_compare_holds_the_two_results_against_each_other(tmp_path: Path, metroc
         hdf5.write(tmp_path / f"{name}.h5", result, Record("", (), "0", "2026-01-01T00:00:00Z"))
     ran = metrocli("compare", tmp_path / "lengths.h5", tmp_path / "standstill.h5", "--json")
     assert ran.code == 0, ran.err
-    said, expected = json.loads(ran.out), agreement_of(one, other, machine).compared
-    assert said["chi2"] == pytest.approx(expected.chi2) and said["dof"] == expected.dof
-    assert said["p_value"] > 1e-3
+    listed_at, expected = json.loads(ran.out), agreement_of(one, other, machine).compared
+    assert listed_at["chi2"] == pytest.approx(expected.chi2) and listed_at["dof"] == expected.dof
+    assert listed_at["p_value"] > 1e-3

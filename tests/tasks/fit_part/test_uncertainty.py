@@ -18,15 +18,15 @@ from metrocli.result import Result
 from metrocli.settings import Section
 from metrocli.table import Table
 from metrocli.tasks.fit_part.draws import drawing, sensitivity_of_draws
-from metrocli.tasks.fit_part.fit import Aim, Fit, most, most_of_many
+from metrocli.tasks.fit_part.fit import PoseCriterion, PoseFit, most, most_of_many
 from metrocli.tasks.fit_part.ideal import ideal
 from metrocli.tasks.fit_part.nominals import OfSurfaces
 from metrocli.tasks.fit_part.report import report
 from metrocli.tasks.fit_part.settings import Inputs, NominalFile, Overstock, Settings
-from metrocli.tasks.fit_part.solve import Solved, fitted_part, prepare, solve
+from metrocli.tasks.fit_part.solve import FittedPart, fitted_part, prepare, solve
 from metrocli.tasks.fit_part.stock import Stock
 from metrocli.tasks.fit_part.uncertainty import of_result, sensitivity
-from metrocli.uncertainty.predicted import Places
+from metrocli.uncertainty.predicted import PredictedPlaces
 
 EXCHANGED = 32
 """A casting whose pose other points come to hold, with errors of the usual size"""
@@ -49,7 +49,7 @@ def ideal_of(folder: Path) -> OfSurfaces:
     return part
 
 
-def solved_of(one: Casting, part: NominalFile, aim: str = "most", minimum: float = 0.5) -> Solved:
+def solved_of(one: Casting, part: NominalFile, aim: str = "most", minimum: float = 0.5) -> FittedPart:
     """What a job gives."""
     columns = {"point": np.array([f"P{n}" for n in range(len(one.points))]), "surface": one.surface}
     places = {axis: one.points[:, k] for k, axis in enumerate("xyz")}
@@ -67,7 +67,7 @@ def test_the_sensitivity_is_the_difference_of_two_fits(aim: str, minimum: float,
     surface = np.array([part.names.index(name) for name in one.surface])
     near = poses.inverse(poses.pose_from_euler(one.pose[:3], one.pose[3:]))
 
-    def at(points: Array) -> tuple[Aim, Fit]:
+    def at(points: Array) -> tuple[PoseCriterion, PoseFit]:
         stock = Stock(part, points, surface)
         return fitted_part(stock, aim, minimum, most(stock, near), start)
 
@@ -75,7 +75,7 @@ def test_the_sensitivity_is_the_difference_of_two_fits(aim: str, minimum: float,
     assert (fit.duals > 0).any() == (aim != "even" or minimum > 1)
     rng = np.random.default_rng(2)
     own = np.broadcast_to(np.eye(3), (len(one.points), 3, 3))
-    places = Places(one.points, rng.normal(size=(len(one.points), 3, 2)), np.diag([4.0, 9.0]), own)
+    places = PredictedPlaces(one.points, rng.normal(size=(len(one.points), 3, 2)), np.diag([4.0, 9.0]), own)
     found = sensitivity(fit, chosen, start, places)
     along = rng.normal(size=one.points.shape)
     h = 1e-3 if aim == "most" else 1e-4
@@ -165,11 +165,11 @@ def test_a_shift_of_all_points_is_a_shift_of_the_pose_in_each_draw(tmp_path: Pat
     near = poses.inverse(poses.pose_from_euler(one.pose[:3], one.pose[3:]))
     aim, fit = fitted_part(stock, "most", 0.5, most(stock, near), np.zeros(6))
     shift = np.broadcast_to(np.eye(3), (len(one.points), 3, 3))
-    places = Places(one.points, shift, 0.04 * np.eye(3), 9e-4 * shift)
+    places = PredictedPlaces(one.points, shift, 0.04 * np.eye(3), 9e-4 * shift)
     found = sensitivity_of_draws(fit, aim, np.zeros(6), places)
     moved = of_result(fit) @ found.by_common
     assert moved[:3] == pytest.approx(np.eye(3), abs=1e-6) and np.abs(moved[3:]).max() < 1e-8
-    independent = Places(one.points, shift[:, :, :0], np.zeros((0, 0)), 9e-4 * shift)
+    independent = PredictedPlaces(one.points, shift[:, :, :0], np.zeros((0, 0)), 9e-4 * shift)
     alone = sensitivity_of_draws(fit, aim, np.zeros(6), independent)
     # the shift moves the pose and nothing else: what remains is what independent errors do, by other draws
     size = np.sqrt(np.diag(alone.own))
@@ -232,7 +232,7 @@ def test_simulated_errors_have_the_joint_covariance() -> None:
     rng = np.random.default_rng(7)
     common, core = rng.normal(size=(5, 3, 3)), np.diag([0.5, 0.2, -0.01])
     own = np.stack([np.diag(rng.uniform(0.5, 2, 3)) for _ in range(5)])
-    draw = drawing(Places(np.zeros((5, 3)), common, core, own))
+    draw = drawing(PredictedPlaces(np.zeros((5, 3)), common, core, own))
     drawn = np.array([draw(rng).ravel() for _ in range(20_000)])
     expected = common.reshape(15, 3) @ core @ common.reshape(15, 3).T
     for n in range(5):
@@ -258,7 +258,7 @@ def test_the_uncertainty_of_a_mean_overstock_keeps_what_the_points_share(tmp_pat
     solved = solved_of(one, file_of(tmp_path))
     points = solved.prepared.readings.surface_points
     shift = np.broadcast_to(np.eye(3), (len(points.names), 3, 3))
-    places = Places(points.points, shift, 0.04 * np.eye(3), 9e-4 * shift)
+    places = PredictedPlaces(points.points, shift, 0.04 * np.eye(3), 9e-4 * shift)
     shared = replace(solved.prepared.readings, surface_points=replace(points, places=places))
     surfaces = report(replace(solved, prepared=replace(solved.prepared, readings=shared))).tables["surfaces"]
     count = dict(zip(surfaces.texts("surface"), surfaces.numbers("points"), strict=True))

@@ -14,7 +14,7 @@ from tasks.fit_part.test_fit import Metrocli, fitted
 
 from metrocli.errors import InputError
 from metrocli.result import Result
-from metrocli.settings import Known
+from metrocli.settings import KnownQuantity
 from metrocli.tasks.fit_part.readings import read
 from metrocli.tasks.fit_part.settings import Inputs, Overstock, Settings
 from metrocli.tasks.multilaterate import task as multilaterate
@@ -77,7 +77,7 @@ def test_the_overstock_has_no_uncertainty_of_where_the_part_stood(tmp_path: Path
 
 
 def test_points_that_are_at_20_degc_are_not_taken_there_again(tmp_path: Path) -> None:
-    net, part = network(20, 5, noise=0.0), Part(Known(25.0, 0.5), Known(11.5e-6, 1e-6))
+    net, part = network(20, 5, noise=0.0), Part(KnownQuantity(25.0, 0.5), KnownQuantity(11.5e-6, 1e-6))
     cold = multilaterate.run(multilaterate.TASK.job(replace(settings(), part=part), net.lengths(), net.point_table()))
     job = Settings(Inputs(points=Path("points.h5"), nominal=Path("part.yaml")), Overstock(0.5), part=part)
     with pytest.raises(InputError, match="at 20 degC already"):

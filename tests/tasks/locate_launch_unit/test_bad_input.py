@@ -12,7 +12,7 @@ from simulated.launch import NOISE, Poses, anywhere, poses, settings
 from metrocli.doubt import doubts_of
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
-from metrocli.tasks.locate_launch_unit.settings import Noise
+from metrocli.tasks.locate_launch_unit.settings import LaunchUnitNoise
 
 RNG = np.random.default_rng(32)
 UNIT = np.array([300.0, 400.0, -250.0])
@@ -58,7 +58,7 @@ def test_closed_loop_needs_distances() -> None:
 def test_distances_need_their_standard_deviation() -> None:
     with pytest.raises(InputError, match="add `distance: 1 um`"):
         locate_launch_unit.run(
-            locate_launch_unit.TASK.job(settings(noise=Noise(NOISE.encoder)), anywhere(4, 1, True).table())
+            locate_launch_unit.TASK.job(settings(noise=LaunchUnitNoise(NOISE.encoder)), anywhere(4, 1, True).table())
         )
 
 

@@ -69,4 +69,4 @@ def test_from_one_side_it_is_a_constant_that_the_angle_of_the_unit_takes() -> No
     (one,) = (one for one in seen if str(one.alternative) == "belt-hysteresis phi1")
     assert np.isinf(one.detectable)
     assert "gamma" in " ".join(one.absorbed_by)
-    assert one.hides.size < 1e-6
+    assert one.undetected.size < 1e-6

@@ -12,12 +12,12 @@ from simulated.launch import NOISE, PAPER_ENCODER, Poses, anywhere, paper, poses
 from metrocli.result import Result
 from metrocli.tasks.locate_launch_unit import settings as unit_job
 from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
-from metrocli.tasks.locate_launch_unit.settings import Noise
+from metrocli.tasks.locate_launch_unit.settings import LaunchUnitNoise
 
 RNG = np.random.default_rng(31)
 
 
-def located(given: Poses, method: str = "adjustment", noise: Noise = NOISE) -> Result:
+def located(given: Poses, method: str = "adjustment", noise: LaunchUnitNoise = NOISE) -> Result:
     return locate_launch_unit.run(locate_launch_unit.TASK.job(settings(method, noise), given.table()))
 
 
@@ -94,7 +94,7 @@ def test_the_covariance_is_honest(n: int, distances: bool) -> None:
 @pytest.mark.parametrize("method", ["lines", "closed-loop"])
 def test_the_methods_of_the_paper_state_what_they_scatter(method: str) -> None:
     exact = anywhere(4, 5, distances=True)
-    noise = Noise(PAPER_ENCODER, 0.01)
+    noise = LaunchUnitNoise(PAPER_ENCODER, 0.01)
     results = [located(exact.noisy(RNG, noise), method, noise) for _ in range(300)]
     errors = np.array([off(result, exact.truth) for result in results])
     stated = np.sqrt(np.diag(results[0].covariance))
@@ -108,7 +108,7 @@ def test_the_methods_of_the_paper_state_what_they_scatter(method: str) -> None:
 @pytest.mark.slow
 def test_the_scatter_of_the_paper_s_errors_is_the_stated_covariance() -> None:
     """Kuprin et al., table 2, with encoders of 50 urad: 300 locations, and the paper's own error among them."""
-    noise = Noise(PAPER_ENCODER)
+    noise = LaunchUnitNoise(PAPER_ENCODER)
     rng = np.random.default_rng(2022)
     results = [located(paper().noisy(rng, noise), "adjustment", noise) for _ in range(300)]
     errors = np.array([off(result, paper().truth) for result in results])
@@ -204,7 +204,7 @@ def test_the_least_detectable_error_of_an_encoder_is_detected_in_80_of_100() -> 
 def test_the_least_detectable_error_counts_noise_that_is_larger_than_declared() -> None:
     """Readings with 1.6 times the declared noise: the size that each result states is found in 80 of 100."""
     exact, rng, hits = anywhere(8, 23, distances=True), np.random.default_rng(3), []
-    real = Noise(1.6 * NOISE.encoder, 1.6 * (NOISE.distance or 0.0))
+    real = LaunchUnitNoise(1.6 * NOISE.encoder, 1.6 * (NOISE.distance or 0.0))
     for _ in range(60):
         noisy = exact.noisy(rng, real)
         table = located(noisy).tables["angles"]

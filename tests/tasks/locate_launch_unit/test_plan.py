@@ -13,14 +13,21 @@ from metrocli import nc_program
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.plan import Plan
 from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
-from metrocli.tasks.locate_launch_unit.settings import Axes, Noise, Planned, Range, Settings, Truth
+from metrocli.tasks.locate_launch_unit.settings import (
+    Axes,
+    LaunchUnitNoise,
+    PlannedLines,
+    ReceiverRange,
+    Settings,
+    TrueLaunchUnit,
+)
 
 RNG = np.random.default_rng(41)
-PAPER_PLAN = Planned(Axes((-1200.0, 4200.0), (0.0, 1200.0), (0.0, 1600.0)), 50.0, 300.0)
+PAPER_PLAN = PlannedLines(Axes((-1200.0, 4200.0), (0.0, 1200.0), (0.0, 1600.0)), 50.0, 300.0)
 NAMES = ("x", "y", "z", "xy", "yz", "xz")
 
 
-def planned(given: Poses, plan: Planned = PAPER_PLAN, noise: Noise = NOISE) -> Plan:
+def planned(given: Poses, plan: PlannedLines = PAPER_PLAN, noise: LaunchUnitNoise = NOISE) -> Plan:
     return locate_launch_unit.plan(
         locate_launch_unit.TASK.job(replace(settings(noise=noise), plan=plan), given.table())
     )
@@ -100,7 +107,7 @@ def test_the_predicted_beam_at_4_m_holds_in_simulation(line: int, encoder: float
     from metrocli.tasks.locate_launch_unit.readings import read
     from metrocli.tasks.locate_launch_unit.solve import locate
 
-    noise, exact = Noise(encoder), paper(0.3)
+    noise, exact = LaunchUnitNoise(encoder), paper(0.3)
     reach = Reach(np.array([[-5000.0, 5000.0]] * 3), 50.0, 300.0, 4000.0)
     window = Window(0.25, 5e-4)
     inside, stays = 0, 0
@@ -144,7 +151,7 @@ def test_alignment_at_the_far_end_leaves_the_place_alone() -> None:
 
 
 def test_the_paper_s_scenario_has_next_to_no_margin_and_says_why() -> None:
-    plan = planned(paper(), noise=Noise(PAPER_ENCODER))
+    plan = planned(paper(), noise=LaunchUnitNoise(PAPER_ENCODER))
     lines = plan.tables["lines"]
     assert lines.numbers("probability_at_range")[0] == pytest.approx(0.46, abs=0.03)
     text = "\n".join(plan.notes)
@@ -174,7 +181,7 @@ def test_encoders_of_5_arcsec_need_six_poses() -> None:
 def test_before_measuring_the_places_tell_what_to_expect() -> None:
     table = paper().table()
     places = replace(table, columns={name: table.columns[name] for name in ("pose", "x", "y", "z", "spindle")})
-    job = replace(settings(), plan=PAPER_PLAN, simulation=Truth(tuple(PAPER_UNIT), 0.3))
+    job = replace(settings(), plan=PAPER_PLAN, simulation=TrueLaunchUnit(tuple(PAPER_UNIT), 0.3))
     expected = locate_launch_unit.plan(locate_launch_unit.TASK.job(job, places=places))
     assert expected.notes[0] == "expected from 3 poses that are still to be measured"
     assert [e.std for e in expected.figures] == pytest.approx([e.std for e in planned(paper()).figures], rel=1e-6)
@@ -185,16 +192,16 @@ def test_before_measuring_the_places_tell_what_to_expect() -> None:
 
 def test_lines_that_miss_the_volume_are_named() -> None:
     outside = poses(np.array([500.0, -80.0, 200.0]), 0.1, anywhere(5, 3).receivers)
-    plan = planned(outside, Planned(Axes((0.0, 2000.0), (0.0, 1000.0), (0.0, 1000.0)), 50.0, 300.0))
+    plan = planned(outside, PlannedLines(Axes((0.0, 2000.0), (0.0, 1000.0), (0.0, 1000.0)), 50.0, 300.0))
     assert plan.tables["lines"].texts("line") == ["y", "xy", "yz"]
     assert sum("y = -80.0 mm of the unit is outside 0 ... 1000 mm" in line for line in plan.warnings) == 3
     far = poses(np.array([500.0, -80.0, -300.0]), 0.1, anywhere(5, 3).receivers)
     with pytest.raises(UndeterminedError, match="no line can be measured from where the unit stands") as told:
-        planned(far, Planned(Axes((0.0, 2000.0), (0.0, 1000.0), (0.0, 1000.0)), 50.0, 300.0, ()))
+        planned(far, PlannedLines(Axes((0.0, 2000.0), (0.0, 1000.0), (0.0, 1000.0)), 50.0, 300.0, ()))
     assert told.value.exit_code == 4
 
 
-def check_program(text: str, plan: Plan, line: str, unit: np.ndarray, job: Planned) -> None:
+def check_program(text: str, plan: Plan, line: str, unit: np.ndarray, job: PlannedLines) -> None:
     """The moves visit exactly the points, with feed and dwell; no rapid comes near the unit."""
     comments = text.splitlines()
     park = np.array(
@@ -239,7 +246,7 @@ def test_programs_keep_clear_of_a_unit_anywhere(seed: int) -> None:
     rng = np.random.default_rng(seed)
     box = np.array([[0.0, 2000.0], [0.0, 1000.0], [0.0, 1000.0]])
     unit = rng.uniform(box[:, 0], box[:, 1])
-    job = Planned(Axes(*map(tuple, box)), 40.0, float(rng.uniform(100, 300)))
+    job = PlannedLines(Axes(*map(tuple, box)), 40.0, float(rng.uniform(100, 300)))
     receivers = rng.uniform(box[:, 0], box[:, 1], (6, 3))
     plan = planned(poses(unit, 1.0, receivers[np.linalg.norm(receivers - unit, axis=1) > 100]), job)
     assert len(plan.files) + sum("NC program" in line for line in plan.warnings) == len(plan.tables["lines"])
@@ -261,8 +268,8 @@ def test_a_slow_feed_is_not_none(feed: float, word: str) -> None:
 
 
 def test_settings_that_leave_no_room_are_refused() -> None:
-    assert list(Planned(PAPER_PLAN.axes, 50.0, 4000.0).faults())
+    assert list(PlannedLines(PAPER_PLAN.axes, 50.0, 4000.0).faults())
     assert not list(PAPER_PLAN.faults())
     assert list(Axes((0.0, 0.0), (0.0, 1.0), (0.0, 1.0)).faults())
-    assert Range().distance == 4000.0
+    assert ReceiverRange().distance == 4000.0
     assert Settings.__dataclass_fields__["plan"].default is None

@@ -55,7 +55,7 @@ def test_probing_points_far_from_their_replay_are_a_mistake(mistake: str) -> Non
         probing = table(at, "point", net.names)
         probing = replace(probing, columns={"feature": np.repeat(["flank"], 20), **probing.columns})
         job = multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), probing=probing)
-        absurd[name] = multilaterate.run(job).astray, misfit_of(multilaterate.diagnosed(job)).worst
+        absurd[name] = multilaterate.run(job).list_offset, misfit_of(multilaterate.diagnosed(job)).worst
     assert max(absurd["as it is"]) < 0.1
     # beyond 1 `diagnose` calls it a mistake; the task refuses the file if another reading of it is 1000 times better
     assert min(absurd[mistake]) > 1
@@ -71,17 +71,17 @@ def test_a_ball_bar_is_corrected_to_its_calibrated_lengths() -> None:
     more = rng.uniform(0, 1, (25, 3)) * [900, 700, 500]
     both = np.concatenate([true, more])
     # the mover reads the sphere where its scale puts it; replayed, it goes where it went
-    said = both * (1 - 25e-6)
+    listed_at = both * (1 - 25e-6)
     net = network(100, 4, seed=3)
-    net = replace(net, points=both, nominal=said).read(rng)
+    net = replace(net, points=both, nominal=listed_at).read(rng)
     names = net.names[:75]
-    probing = table(said[:75], "point", names)
+    probing = table(listed_at[:75], "point", names)
     probing = replace(probing, columns={"feature": np.repeat(["S1", "S2", "S3"], 25), **probing.columns})
     result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), probing=probing))
     corrected = result.tables["corrected"]
     assert list(corrected) == ["feature", "point", "x", "y", "z", "sx", "sy", "sz"]
     assert corrected.texts("point") == names
-    before = np.array([sphere(said[25 * k : 25 * k + 25]) for k in range(3)])
+    before = np.array([sphere(listed_at[25 * k : 25 * k + 25]) for k in range(3)])
     after = np.array([sphere(corrected.stacked("xyz")[25 * k : 25 * k + 25]) for k in range(3)])
     for i, j in ((0, 1), (1, 2), (0, 2)):
         calibrated = np.linalg.norm(CENTRES[i] - CENTRES[j])

@@ -103,8 +103,8 @@ def test_on_the_command_line(tmp_path: Path, metrocli) -> None:  # type: ignore[
     expected = distance(result, "P3", "P8")
     ran = metrocli("show", tmp_path / "o.h5", "--distance", "P3", "P8", "--json")
     assert ran.code == 0
-    said = json.loads(ran.out)
-    assert said["value"] == pytest.approx(expected.value, abs=1e-12) and said["std"] == pytest.approx(
+    listed_at = json.loads(ran.out)
+    assert listed_at["value"] == pytest.approx(expected.value, abs=1e-12) and listed_at["std"] == pytest.approx(
         expected.std, rel=1e-9
     )
     assert "P3 - P8" in metrocli("show", tmp_path / "o.h5", "--distance", "P3", "P8").out

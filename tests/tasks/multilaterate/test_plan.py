@@ -27,7 +27,7 @@ from simulated.lengths import (
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.formats import csv
 from metrocli.plan import Plan
-from metrocli.settings import Known
+from metrocli.settings import KnownQuantity
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.distance import distance
@@ -54,10 +54,10 @@ def test_the_measurement_states_what_was_planned(m: int, scale: float | None) ->
     result = multilaterate.run(
         multilaterate.TASK.job(settings(scale), net.lengths(), net.point_table(), net.tracer_table())
     )
-    said, then = plan.tables["points"], result.tables["points"]
-    assert said.stacked(["sx", "sy", "sz"]) == pytest.approx(then.stacked(["sx", "sy", "sz"]), rel=2e-3)
+    listed_at, then = plan.tables["points"], result.tables["points"]
+    assert listed_at.stacked(["sx", "sy", "sz"]) == pytest.approx(then.stacked(["sx", "sy", "sz"]), rel=2e-3)
     worst = np.sqrt(np.linalg.eigvalsh(result.arrays["points_covariance"])[:, -1])
-    assert said.numbers("worst") == pytest.approx(worst, rel=2e-3)
+    assert listed_at.numbers("worst") == pytest.approx(worst, rel=2e-3)
     for name in ("redundancy", "detectable", "moves_point"):
         told, found = plan.tables["reliability"].numbers(name), result.tables["residuals"].numbers(name)
         sound = plan.tables["reliability"].numbers("redundancy") > 1e-3
@@ -75,7 +75,7 @@ def test_the_measurement_states_what_was_planned(m: int, scale: float | None) ->
 
 
 def test_the_growth_of_a_part_is_planned_as_it_is_stated() -> None:
-    net, part = network(30, 4, seed=2), Part(Known(24.0, 0.5), Known(12e-6, 1e-6))
+    net, part = network(30, 4, seed=2), Part(KnownQuantity(24.0, 0.5), KnownQuantity(12e-6, 1e-6))
     bare, job = settings(), replace(settings(), part=part)
     points, tracers = replace(net, nominal=net.points).point_table(), net.tracer_table(0.0)
     without, plan = (
@@ -122,9 +122,9 @@ def test_what_is_read_may_be_listed() -> None:
     zero.columns["length"][:] = 0.0  # type: ignore[index]
     plan = planned(net, lengths=zero, candidates=candidates(CORNERS[6:7] * VOLUME))
     result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
-    said, then = plan.tables["points"], result.tables["points"]
-    assert said.texts("point") == then.texts("point") and len(said) == 38
-    assert said.stacked(["sx", "sy", "sz"]) == pytest.approx(then.stacked(["sx", "sy", "sz"]), rel=2e-3)
+    listed_at, then = plan.tables["points"], result.tables["points"]
+    assert listed_at.texts("point") == then.texts("point") and len(listed_at) == 38
+    assert listed_at.stacked(["sx", "sy", "sz"]) == pytest.approx(then.stacked(["sx", "sy", "sz"]), rel=2e-3)
     assert any("2 points have no length: P7, P20" in line for line in plan.warnings)
     readings = np.column_stack([net.readings, np.where(np.isnan(net.readings).all(axis=1), np.nan, 1.0)])
     more = replace(net, tracers=np.vstack([net.tracers, CORNERS[6] * VOLUME]), readings=readings)
@@ -257,10 +257,10 @@ def job(tmp_path: Path) -> Path:
 def test_the_command_plans_without_lengths(job: Path, metrocli: Callable[..., Any]) -> None:
     ran = metrocli("plan", job, "--json")
     assert ran.code == 0, ran.err
-    said = json.loads(ran.out)
-    assert {Path(name).name for name in said["files"]} >= {"points.csv", "reliability.csv", "candidates.csv"}
-    assert all(Path(name).is_file() for name in said["files"])
-    assert "T0.x" in said["figures"] and len(said["tables"]["points"]["rows"]) == 30
+    listed_at = json.loads(ran.out)
+    assert {Path(name).name for name in listed_at["files"]} >= {"points.csv", "reliability.csv", "candidates.csv"}
+    assert all(Path(name).is_file() for name in listed_at["files"])
+    assert "T0.x" in listed_at["figures"] and len(listed_at["tables"]["points"]["rows"]) == 30
 
 
 def test_the_command_needs_the_tracers(job: Path, metrocli: Callable[..., Any]) -> None:

@@ -246,7 +246,7 @@ def test_the_factor_of_wrong_lengths_is_sought_for_people_only(monkeypatch: pyte
     lengths = np.linalg.norm(points - place, axis=1) * 17 + rng.normal(0, 900, 30)
     nowhere, unknown = np.full((1, 3), np.nan), np.full((1, 3), np.nan)
     one = tracers.Tracers(("LT1",), np.zeros(30, dtype=int), nowhere, unknown, np.zeros(1, dtype=int))
-    seen = tracers.Seen(one, np.arange(30), points, lengths, 1000.0)
+    seen = tracers.LengthsToTracers(one, np.arange(30), points, lengths, 1000.0)
     with pytest.raises(InputError, match="do not belong to these points"):
         tracers.places_of(seen)
     for_people = len(calls)
@@ -264,7 +264,7 @@ def test_a_delay_that_all_ranges_share_is_no_sign_of_wrong_rows() -> None:
     listed = np.tile(points + rng.normal(0, 50, points.shape), (6, 1))
     names, of_each = [f"A{i}" for i in range(6)], np.repeat(np.arange(6), 40)
     known = tracers.Tracers(tuple(names), of_each, beacons, np.zeros((6, 3)), np.arange(6))
-    seen = tracers.Seen(known, np.arange(240), listed, lengths.ravel(), 5000.0, absolute=True)
+    seen = tracers.LengthsToTracers(known, np.arange(240), listed, lengths.ravel(), 5000.0, absolute=True)
     assert (tracers.places_of(seen)[:, :3] == beacons).all()
     lengths[2] = rng.permutation(lengths[2])
     with pytest.raises(InputError) as raised:
@@ -277,13 +277,13 @@ def test_points_known_no_better_than_their_ranges_are_not_far_from_their_list() 
     """Ranges of 25 mm in a volume of 1 m move the points by more than 2 % of it, and no list is wrong."""
     net = replace(network(30, 6, seed=146), dead=np.zeros(6)).read(np.random.default_rng(148))
     rough = replace(net, readings=net.readings + np.random.default_rng(147).normal(0, 25.0, net.readings.shape))
-    astray = {}
+    list_offset = {}
     for declared in (25.0, 1.0):
         job = replace(settings(measures="absolute"), noise=LengthNoise(declared, 0.0))
         beacons = rough.tracer_table(0.0)
         built = build(job, Files(rough.lengths(), rough.point_table(), beacons))
-        astray[declared] = solve(built, remove=False).astray
-    assert astray[25.0] < 0.7 < 1 < astray[1.0]
+        list_offset[declared] = solve(built, remove=False).list_offset
+    assert list_offset[25.0] < 0.7 < 1 < list_offset[1.0]
 
 
 @pytest.mark.parametrize("listed", [True, False])

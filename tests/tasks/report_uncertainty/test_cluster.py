@@ -312,9 +312,9 @@ def test_an_encrypted_cluster_takes_the_certificates_of_dasks_own_configuration(
             capsys.readouterr()
             with dask.config.set(configuration):
                 ran = carry_out(tmp_path, job, "there", "--scheduler", scheduler)
-            said = capsys.readouterr().err
-            assert (ran.code, ran.path.exists(), "Traceback" in said) == (3, False, False), said
-            return said
+            printed = capsys.readouterr().err
+            assert (ran.code, ran.path.exists(), "Traceback" in printed) == (3, False, False), printed
+            return printed
 
         assert "uses TLS, and no certificate is given" in refused(address)
         assert "uses TLS, and no certificate is given" in refused(str(file))

@@ -36,11 +36,11 @@ def others(kind: str) -> list[Any]:
 
 def quantity(given: dict[str, Any]) -> dict[str, Any]:
     """One input of a case in the words of a job."""
-    said: dict[str, Any] = {"value": given["mean"], "distribution": SHAPES[given["dist"]]}
+    entry: dict[str, Any] = {"value": given["mean"], "distribution": SHAPES[given["dist"]]}
     spread = given.get("sd", given.get("scale"))
-    said |= {} if spread is None else {"std": spread}
-    said |= {key: given[key] for key in ("half_width", "dof") if key in given}
-    return said | ({"inexactness": given["d"]} if "d" in given else {})
+    entry |= {} if spread is None else {"std": spread}
+    entry |= {key: given[key] for key in ("half_width", "dof") if key in given}
+    return entry | ({"inexactness": given["d"]} if "d" in given else {})
 
 
 def job(case: dict[str, Any], probability: float | None, k: float | None = None) -> dict[str, Any]:

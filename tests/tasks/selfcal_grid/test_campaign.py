@@ -11,7 +11,7 @@ def test_the_cases_share_nothing_with_the_solver() -> None:
     """What the machine, the artefact and the mountings can follow: the same space, found from formulas written twice."""
     from metrocli.adjust.coupled_fields import design_of
     from metrocli.tasks.selfcal_grid.problem import build
-    from metrocli.tasks.selfcal_grid.readings import Readings
+    from metrocli.tasks.selfcal_grid.readings import GridReadings
     from metrocli.tasks.selfcal_grid.settings import views_of
 
     for names in ("1234", "123456"):
@@ -22,7 +22,7 @@ def test_the_cases_share_nothing_with_the_solver() -> None:
         from metrocli.table import Table
 
         columns = {"view": np.array(list(names))[v.view], **dict(zip("ijk", v.balls[v.ball].T, strict=True))}
-        readings = Readings(tuple(views_of(settings)), v.view, v.balls[v.ball], m.readings, Table(columns))
+        readings = GridReadings(tuple(views_of(settings)), v.view, v.balls[v.ball], m.readings, Table(columns))
         design = design_of(build(readings, (settings.grid.half, grids.PITCH), grids.NOISE).fields)
         n = len(v.view)
         rows = np.concatenate([np.arange(3) * n + i for i in range(n)])

@@ -12,14 +12,14 @@ from simulated.grid import NOISE, PITCH, grid, without
 from metrocli.adjust.coupled_fields import adjust_fields, design_of
 from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.selfcal_grid import readings as grid_readings
-from metrocli.tasks.selfcal_grid.problem import Problem, build
+from metrocli.tasks.selfcal_grid.problem import GridProblem, build
 from metrocli.tasks.selfcal_grid.sequence import noise_gains
 from metrocli.tasks.selfcal_grid.settings import views_of
 
 RUNS = 100
 
 
-def problem(n: int, views: str = "1234", seed: int = 0, drop: float = 0.0) -> tuple[Problem, object]:
+def problem(n: int, views: str = "1234", seed: int = 0, drop: float = 0.0) -> tuple[GridProblem, object]:
     one = grid(n, views, seed)
     settings = one.settings()
     table = one.read(np.random.default_rng(0), noise=0.0)

@@ -14,11 +14,11 @@ from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import readings as grid_readings
 from metrocli.tasks.selfcal_grid import task as selfcal_grid
 from metrocli.tasks.selfcal_grid.determination.undetermined import opened
-from metrocli.tasks.selfcal_grid.problem import Problem, build
+from metrocli.tasks.selfcal_grid.problem import GridProblem, build
 from metrocli.tasks.selfcal_grid.settings import views_of
 
 
-def problem_of(one: Grid, table: Table) -> Problem:
+def problem_of(one: Grid, table: Table) -> GridProblem:
     settings = one.settings()
     readings = grid_readings.read(views_of(settings), settings.grid.half, table)
     return build(readings, (settings.grid.half, PITCH), settings.noise)

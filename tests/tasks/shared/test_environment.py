@@ -19,7 +19,7 @@ from simulated.lengths import Network, network, places, settings, without_motion
 
 from metrocli.formats import csv, hdf5
 from metrocli.result import Estimate, Result
-from metrocli.settings import Known
+from metrocli.settings import KnownQuantity
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
@@ -38,7 +38,13 @@ ONE_PPM_COLD = 1000 * PPM / (COLD - 1)
 
 def environment(temperature: float = 20.0, pressure: float = 1013.25, std: float = 0.0) -> Environment:
     """Dry air, read by instruments that assume dry air of 20 degC and 1013.25 hPa."""
-    return Environment(Known(temperature), Known(pressure, std), Known(0.0), Known(633e-6), Assumed(20.0, 1013.25, 0.0))
+    return Environment(
+        KnownQuantity(temperature),
+        KnownQuantity(pressure, std),
+        KnownQuantity(0.0),
+        KnownQuantity(633e-6),
+        Assumed(20.0, 1013.25, 0.0),
+    )
 
 
 def run(net: Network, lengths: Table, air: Environment, **more: Table) -> Result:
@@ -130,7 +136,7 @@ def test_the_air_that_instruments_assume_is_not_controlled() -> None:
 
 def test_parts_of_the_weather_and_the_wavelength_add_in_quadrature() -> None:
     net = network(20, 5)
-    given = replace(environment(std=3 * ONE_PPM), wavelength=Known(633e-6, 4 * PPM * 633e-6))
+    given = replace(environment(std=3 * ONE_PPM), wavelength=KnownQuantity(633e-6, 4 * PPM * 633e-6))
     assert relative(run(net, net.lengths(), given)) == pytest.approx(5 * PPM, rel=0.01)
 
 
@@ -150,7 +156,7 @@ def test_lengths_to_a_machine_are_corrected_and_their_scale_is_uncertain() -> No
     """One tool, so that no known distance between tools gives the scale."""
     rng, tool = np.random.default_rng(2), {"T1": (0.0, 0.0, 120.0)}
     machine = machines.random_machine(rng)
-    table = of_machine.measured(machine, rng, n=120, tools=tool, noise=of_machine.Noise(constant=1e-9))
+    table = of_machine.measured(machine, rng, n=120, tools=tool, noise=of_machine.MachineNoise(constant=1e-9))
     read = replace(table, columns={**table.columns, "length": table.numbers("length") * COLD / STANDARD})
     job = of_machine.settings(tool)
 
@@ -192,9 +198,9 @@ def test_an_entry_beside_its_column_is_said_to_be_unused() -> None:
     net = network(30, 5)
     lengths = in_air(net, 1.0)
     warm = replace(lengths, columns={**lengths.columns, "temp": np.full(len(lengths), 21.0)})
-    said = [line for line in run(net, warm, environment(25.0)).warnings if "environment: the value of" in line]
-    assert said == [f"environment: the value of temperature is not used, since {warm.file} has the column temp_degC"]
-    only_std = replace(environment(), temperature=Known(float("nan"), 0.1))
+    words = [line for line in run(net, warm, environment(25.0)).warnings if "environment: the value of" in line]
+    assert words == [f"environment: the value of temperature is not used, since {warm.file} has the column temp_degC"]
+    only_std = replace(environment(), temperature=KnownQuantity(float("nan"), 0.1))
     for table, air in ((warm, only_std), (lengths, environment(25.0))):
         assert "is not used, since" not in " ".join(run(net, table, air).warnings)
 

@@ -12,13 +12,13 @@ import pytest
 from simulated.lengths import network, places, settings
 
 from metrocli.result import Result
-from metrocli.settings import Known
+from metrocli.settings import KnownQuantity
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.distance import distance
 from metrocli.tasks.shared.part import Part
 
-STEEL = Part(Known(22.1), Known(11.5e-6, 1e-6))
+STEEL = Part(KnownQuantity(22.1), KnownQuantity(11.5e-6, 1e-6))
 GROWN = 1 + 11.5e-6 * 2.1
 
 
@@ -38,7 +38,7 @@ def test_points_are_given_at_20_degc() -> None:
 
 def test_distances_have_the_uncertainty_of_the_growth_once() -> None:
     """`u(L)^2 = u_0^2 + (L (T - 20) u(alpha))^2 + (L alpha u(T))^2`, by hand for the longest distance."""
-    part = replace(STEEL, temperature=Known(22.1, 0.2))
+    part = replace(STEEL, temperature=KnownQuantity(22.1, 0.2))
     warm, cold = run(None), run(part)
     of = max(range(1, 20), key=lambda i: distance(warm, "P0", f"P{i}").value)
     before, after = (distance(result, "P0", f"P{of}") for result in (warm, cold))
@@ -48,7 +48,7 @@ def test_distances_have_the_uncertainty_of_the_growth_once() -> None:
 
 
 def test_stated_growth_is_the_spread_of_many_draws() -> None:
-    part, rng = Part(Known(20.0, 0.5), Known(23e-6, 2e-6)), np.random.default_rng(4)
+    part, rng = Part(KnownQuantity(20.0, 0.5), KnownQuantity(23e-6, 2e-6)), np.random.default_rng(4)
     drawn = rng.normal(23e-6, 2e-6, 400_000) * rng.normal(0.0, 0.5, 400_000)
     assert part.std == pytest.approx(drawn.std(), rel=0.005)
 
@@ -82,8 +82,8 @@ def test_an_expansion_that_no_solid_has_is_refused(tmp_path: Path, metrocli: Cal
 
 def test_a_temperature_without_its_uncertainty_is_not_controlled() -> None:
     """1 K off moves the points as far as stated; with `std` it is in their uncertainty instead."""
-    exact = Part(Known(22.1), Known(11.5e-6))
-    warm, warmer = run(exact), run(replace(exact, temperature=Known(23.1)))
+    exact = Part(KnownQuantity(22.1), KnownQuantity(11.5e-6))
+    warm, warmer = run(exact), run(replace(exact, temperature=KnownQuantity(23.1)))
 
     def hides(result: Result) -> list[float]:
         table = result.tables["not_controlled"]

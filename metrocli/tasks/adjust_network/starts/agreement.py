@@ -9,7 +9,7 @@ from metrocli.errors import NotConvergedError
 from metrocli.frozen import dataclass
 from metrocli.geometry import poses
 from metrocli.instruments.tracker import cartesian
-from metrocli.tasks.adjust_network.readings import Readings
+from metrocli.tasks.adjust_network.readings import NetworkReadings
 from metrocli.words import listed
 
 _CONTRADICTORY = 0.03
@@ -17,7 +17,7 @@ _CONTRADICTORY = 0.03
 
 
 @dataclass(frozen=True)
-class Start:
+class NetworkStart:
     """Rough values of all unknowns."""
 
     points: Array
@@ -28,7 +28,7 @@ class Start:
     """Azimuth of each round of a levelled station, (rounds,)"""
 
 
-def placed(readings: Readings, rough: Start) -> tuple[Index, Array]:
+def placed(readings: NetworkReadings, rough: NetworkStart) -> tuple[Index, Array]:
     """Return the whole sightings, and where each puts its point."""
     seen = readings.sightings
     rows = np.flatnonzero(np.isfinite(seen.values).all(axis=0) & np.isfinite(rough.poses[seen.station, 0]))
@@ -47,14 +47,14 @@ def medians(places: Array, point: Index, count: int) -> Array:
     begin = np.cumsum(counts) - counts
     known = counts > 0
     low, high = (begin + (counts - 1) // 2)[known], (begin + counts // 2)[known]
-    found = np.full((count, 3), np.nan)
+    centres = np.full((count, 3), np.nan)
     for axis in range(3):
         ordered = places[np.lexsort((places[:, axis], point)), axis]
-        found[known, axis] = (ordered[low] + ordered[high]) / 2
-    return found
+        centres[known, axis] = (ordered[low] + ordered[high]) / 2
+    return centres
 
 
-def disagreement(readings: Readings, rough: Start) -> tuple[float, str]:
+def disagreement(readings: NetworkReadings, rough: NetworkStart) -> tuple[float, str]:
     """Return how far set-ups put the same points apart, as a share of the extent, and which ones do so most, in words.
 
     It is the median over the sightings of points that several set-ups see; 0 without any.
@@ -69,13 +69,13 @@ def disagreement(readings: Readings, rough: Start) -> tuple[float, str]:
     off = np.linalg.norm(places - middle[seen.point[rows]], axis=1)[shared]
     extent = _extent(places)
     station = seen.station[rows][shared]
-    of = {int(one): float(np.median(off[station == one])) for one in np.unique(station)}
-    worst = sorted(of, key=lambda one: -of[one])[:3]
-    words = listed([f"{readings.stations.names[one]} by {of[one]:.3g} mm" for one in worst])
+    of = {int(number): float(np.median(off[station == number])) for number in np.unique(station)}
+    worst = sorted(of, key=lambda number: -of[number])[:3]
+    words = listed([f"{readings.stations.names[number]} by {of[number]:.3g} mm" for number in worst])
     return float(np.median(off)) / extent, words
 
 
-def astray(readings: Readings, rough: Start) -> float:
+def list_offset(readings: NetworkReadings, rough: NetworkStart) -> float:
     """Return how far sightings put points from their list, as a share of the extent: the median over the points."""
     rows, places = placed(readings, rough)
     middle = medians(places, readings.sightings.point[rows], readings.points.count)
@@ -88,7 +88,7 @@ def _extent(places: Array) -> float:
     return float(np.ptp(places, axis=0).max()) or 1.0
 
 
-def must_agree(readings: Readings, rough: Start) -> None:
+def must_agree(readings: NetworkReadings, rough: NetworkStart) -> None:
     """Raise NotConvergedError for set-ups that contradict each other, as no noise and no effect makes them do."""
     share, words = disagreement(readings, rough)
     if share > _CONTRADICTORY:

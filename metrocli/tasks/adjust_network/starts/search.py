@@ -13,8 +13,8 @@ from metrocli.arrays import Array, Index, Mask
 from metrocli.errors import UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments.tracker import cartesian
-from metrocli.tasks.adjust_network.readings import Readings
-from metrocli.tasks.adjust_network.starts.agreement import Start, astray, disagreement, must_agree
+from metrocli.tasks.adjust_network.readings import NetworkReadings
+from metrocli.tasks.adjust_network.starts.agreement import NetworkStart, disagreement, list_offset, must_agree
 from metrocli.tasks.adjust_network.starts.rough_poses import fitted
 from metrocli.words import listed
 
@@ -34,7 +34,7 @@ def _whole(places: Array) -> Mask:
 class _Search:
     """Points and set-ups that are placed so far."""
 
-    def __init__(self, readings: Readings, begin: Array, levelled: Mask) -> None:
+    def __init__(self, readings: NetworkReadings, begin: Array, levelled: Mask) -> None:
         """`begin` (points, 3) are the points that are known at the beginning, nan for others."""
         self.readings, self.levelled = readings, levelled
         seen = readings.sightings
@@ -66,7 +66,7 @@ class _Search:
     def run(self) -> None:
         """Place set-ups until no further one can be placed."""
         while True:
-            best = max(self._open(), key=lambda one: one[0], default=(0, -1))
+            best = max(self._open(), key=lambda pair: pair[0], default=(0, -1))
             if best[0] <= 0:
                 return
             self.place(best[1])
@@ -74,14 +74,14 @@ class _Search:
     def _open(self) -> list[tuple[int, int]]:
         """Return how many known points each set-up that can be placed shares, and its number."""
         known = self._known()
-        found = []
+        missing = []
         for number, rows in enumerate(self.rows):
             if np.isfinite(self.gamma[number]):
                 continue
             usable = self._usable(number, rows, known)
             if self._enough(number, usable):
-                found.append((len(usable), number))
-        return found
+                missing.append((len(usable), number))
+        return missing
 
     def _known(self) -> Mask:
         return _whole(self.points)
@@ -143,9 +143,9 @@ class _Search:
             self.points[seen.point[rows]] = poses.apply(turned, self.local[rows])
         self._place_over()
 
-    def found(self) -> Start:
+    def found(self) -> NetworkStart:
         """Return what is placed."""
-        return Start(self.points, self.poses, np.nan_to_num(self.gamma))
+        return NetworkStart(self.points, self.poses, np.nan_to_num(self.gamma))
 
     def stuck(self) -> bool:
         """Return whether the points at the beginning place no set-up."""
@@ -176,7 +176,7 @@ class _Search:
                 self.points[point] = np.linalg.solve(matrix, right)
 
 
-def start(readings: Readings) -> Start:
+def start(readings: NetworkReadings) -> NetworkStart:
     """Return rough values of points and stations.
 
     Set-ups are placed on the list of points, if they agree there, and else on each other. Raises UndeterminedError that
@@ -187,7 +187,7 @@ def start(readings: Readings) -> Start:
     search = _Search(readings, given, levelled)
     search.run()
     begun = search.found()
-    if search.stuck() or max(disagreement(readings, begun)[0], astray(readings, begun)) > _LOOSE:
+    if search.stuck() or max(disagreement(readings, begun)[0], list_offset(readings, begun)) > _LOOSE:
         search = _alone(readings, levelled)
         _onto_list(search, given)
     search.intersect()
@@ -196,7 +196,7 @@ def start(readings: Readings) -> Start:
     return search.found()
 
 
-def _alone(readings: Readings, levelled: Mask) -> _Search:
+def _alone(readings: NetworkReadings, levelled: Mask) -> _Search:
     """Return the points in the frame of a set-up: a levelled one if there is one, that which sees most points."""
     search = _Search(readings, np.full_like(readings.points.listed, np.nan), levelled)
     shots = [int(search.whole[rows].sum()) for rows in search.rows]

@@ -8,15 +8,15 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
 from metrocli.instruments import camera
 from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.effects import EFFECTS
-from metrocli.tasks.calibrate_camera.multi_camera.system import System
-from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem
+from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.covariates import at_solution, covariate, folds, named, refit
 
 _OF_TARGETS = ("stretched-targets", "target-plane-bend", "moved-target", "scale-of-targets")
 _OF_ONE = "it is sought in the images of one camera: diagnose a job of that camera alone"
 
 
-def adjusted_job(system: System, adjusted: Adjusted) -> AdjustedJob:
+def adjusted_job(system: CameraSystem, adjusted: AdjustedImages) -> AdjustedJob:
     """Return adjusted cameras as input of `diagnose`; cross-validation holds out whole exposures."""
     model = at_solution(system.model, adjusted)
     index = model.readings[0].observations.index
@@ -36,5 +36,5 @@ def adjusted_job(system: System, adjusted: Adjusted) -> AdjustedJob:
         single_components=True,
         sharing=len(np.unique(index["view"])),
         made_together=("image",),
-        not_sought={one.name: _OF_ONE for one in EFFECTS if one.name not in _OF_TARGETS},
+        not_sought={effect.name: _OF_ONE for effect in EFFECTS if effect.name not in _OF_TARGETS},
     )

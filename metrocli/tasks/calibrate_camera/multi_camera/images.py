@@ -34,7 +34,7 @@ class Exposures:
 
     def common(self, first: int, second: int) -> Index:
         """Return the exposures of which both cameras have an image."""
-        both = (self.exposure[self.camera == one] for one in (first, second))
+        both = (self.exposure[self.camera == number] for number in (first, second))
         return np.asarray(np.intersect1d(*both))
 
 
@@ -43,17 +43,19 @@ def exposures(cameras: Mapping[str, OneOfSeveral], images: Sequence[str]) -> Exp
 
     Raises InputError for images of no camera or of two, and for cameras without an image.
     """
-    shapes = {name: re.compile("(.*)".join(map(re.escape, one.images.split("*")))) for name, one in cameras.items()}
-    found = [
+    shapes = {
+        name: re.compile("(.*)".join(map(re.escape, several.images.split("*")))) for name, several in cameras.items()
+    }
+    numbered = [
         [(number, match[1]) for number, shape in enumerate(shapes.values()) if (match := shape.fullmatch(image))]
         for image in images
     ]
-    wrong = [image for image, matches in zip(images, found, strict=True) if len(matches) != 1]
+    wrong = [image for image, matches in zip(images, numbered, strict=True) if len(matches) != 1]
     if wrong:
-        known = in_a_row([f"{name} {one.images}" for name, one in cameras.items()])
+        known = in_a_row([f"{name} {several.images}" for name, several in cameras.items()])
         raise InputError([Fault(f"images of no camera, or of two: {listed(wrong, 5)}", hint=f"cameras have {known}")])
-    camera = np.array([matches[0][0] for matches in found], dtype=np.intp)
-    names, exposure = np.unique([matches[0][1] for matches in found], return_inverse=True)
+    camera = np.array([matches[0][0] for matches in numbered], dtype=np.intp)
+    names, exposure = np.unique([matches[0][1] for matches in numbered], return_inverse=True)
     empty = [name for number, name in enumerate(cameras) if not (camera == number).any()]
     if empty:
         raise InputError(f"no image of {in_a_row(empty)} shows enough targets; check `cameras: images`")
@@ -77,9 +79,9 @@ def connected(exposed: Exposures) -> list[tuple[int, int]]:
     """
     count = len(exposed.cameras)
     shared = np.array([[len(exposed.common(a, b)) for b in range(count)] for a in range(count)])
-    reached, found = [0], list[tuple[int, int]]()
+    reached, pairs = [0], list[tuple[int, int]]()
     while len(reached) < count:
-        others = [one for one in range(count) if one not in reached]
+        others = [number for number in range(count) if number not in reached]
         among = shared[np.ix_(others, reached)]
         if not among.any():
             alone, rest = (in_a_row([exposed.cameras[i] for i in some]) for some in (others, reached))
@@ -89,6 +91,6 @@ def connected(exposed: Exposures) -> list[tuple[int, int]]:
                 "  what would determine it: images of both at once that show the targets"
             )
         i, j = np.unravel_index(int(among.argmax()), among.shape)
-        found.append((others[int(i)], reached[int(j)]))
+        pairs.append((others[int(i)], reached[int(j)]))
         reached.append(others[int(i)])
-    return found
+    return pairs

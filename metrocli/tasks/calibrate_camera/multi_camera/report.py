@@ -18,8 +18,8 @@ from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.advice import correlation_warnings
-from metrocli.tasks.calibrate_camera.multi_camera.system import IMAGE, System
-from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.tasks.calibrate_camera.multi_camera.system import IMAGE, CameraSystem
+from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import POSE_UNITS, Parameters, unit_of
 from metrocli.tasks.shared.images.tables import (
     adjustment_notes,
@@ -42,12 +42,12 @@ CAMERAS = "cameras"
 """Table of the cameras: image size and pose of each"""
 
 
-def delivered(system: System) -> tuple[str, ...]:
+def delivered(system: CameraSystem) -> tuple[str, ...]:
     """Return the blocks of the estimates."""
     return (camera.LENS, camera.MOUNT, *((camera.TAPER,) if system.rig == "cmm" else ()), *free_blocks(system.effects))
 
 
-def report(system: System, adjusted: Adjusted) -> Result:
+def report(system: CameraSystem, adjusted: AdjustedImages) -> Result:
     """Return the result of several cameras that were adjusted together."""
     solution, residuals = adjusted.solution, adjusted.known_residuals()
     p = parameters(system, solution)
@@ -90,7 +90,7 @@ def report(system: System, adjusted: Adjusted) -> Result:
     )
 
 
-def parameters(system: System, solution: Solution) -> Parameters:
+def parameters(system: CameraSystem, solution: Solution) -> Parameters:
     """Return the lens of each camera, then the pose of each but the first, named `right.f`, `right.x`, and effects.
 
     The pose is that of the camera in the frame of the first, as x y z alpha beta gamma: `X_first = R X_camera + d`.
@@ -108,22 +108,22 @@ def parameters(system: System, solution: Solution) -> Parameters:
         changes.append(poses.euler_form_by_step(pose))
         names += [f"{name}.{key}" for key in poses.EULER]
         of += POSE_UNITS
-    found = estimates(system.effects, solution)
-    changes.append(np.eye(len(found)))
+    added = estimates(system.effects, solution)
+    changes.append(np.eye(len(added)))
     change = _diagonal(changes)
     covariance = change @ solution.joint(delivered(system)) @ change.T
-    names, of = [*names, *(one.name for one in found)], [*of, *(one.unit for one in found)]
-    every = np.concatenate([*values, [one.value for one in found]])
+    names, of = [*names, *(estimate.name for estimate in added)], [*of, *(estimate.unit for estimate in added)]
+    every = np.concatenate([*values, [estimate.value for estimate in added]])
     return Parameters(tuple(names), every, (covariance + covariance.T) / 2, tuple(of))
 
 
 def _diagonal(parts: Sequence[Array]) -> Array:
-    size = sum(len(one) for one in parts)
-    found, at = np.zeros((size, size)), 0
-    for one in parts:
-        found[at : at + len(one), at : at + len(one)] = one
-        at += len(one)
-    return found
+    size = sum(len(part) for part in parts)
+    whole, at = np.zeros((size, size)), 0
+    for matrix in parts:
+        whole[at : at + len(matrix), at : at + len(matrix)] = matrix
+        at += len(matrix)
+    return whole
 
 
 def _lens_table(solution: Solution) -> Table:
@@ -138,7 +138,7 @@ def _lens_table(solution: Solution) -> Table:
     return Table.of({**columns, **numbers, "unit [text]": np.tile([unit_of(name) for name in lens.columns], count)})
 
 
-def _cameras(system: System, solution: Solution) -> Table:
+def _cameras(system: CameraSystem, solution: Solution) -> Table:
     """Return the size of the images of each camera, and its pose in the frame of the first."""
     mount = solution.blocks[camera.MOUNT]
     change = poses.euler_form_by_step(mount.values)
@@ -151,7 +151,7 @@ def _cameras(system: System, solution: Solution) -> Table:
     return Table.of({**own, **dict(zip(headings, pairs, strict=True))})
 
 
-def _statistics(system: System, adjusted: Adjusted, residuals: Array) -> Statistics:
+def _statistics(system: CameraSystem, adjusted: AdjustedImages, residuals: Array) -> Statistics:
     solution, observations = adjusted.solution, adjusted.group.observations
     low, high = chi_interval(solution)
     statistics: Statistics = {
@@ -183,7 +183,7 @@ def _baselines(solution: Solution) -> Iterator[str]:
         yield f"{name} is {units.format_quantity(far, 'mm', std)} from {mount.members[0]}, turned by {turn:.3g} degrees"
 
 
-def _folds(system: System, adjusted: Adjusted) -> Iterator[str]:
+def _folds(system: CameraSystem, adjusted: AdjustedImages) -> Iterator[str]:
     """Yield the cameras whose lens model folds over where they have readings."""
     observations, lens = adjusted.group.observations, adjusted.solution.blocks[camera.LENS]
     for number, name in enumerate(lens.members):

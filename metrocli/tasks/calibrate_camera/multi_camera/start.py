@@ -23,7 +23,7 @@ _CANDIDATES, _TRIED = 12, 40
 
 
 @dataclass(frozen=True)
-class Seen:
+class CalibratedCamera:
     """One camera with its images, as its own calibration found them."""
 
     name: str
@@ -43,7 +43,7 @@ class Seen:
         return _NEAR * self.size
 
 
-def pose_between(first: Seen, second: Seen, points: Array) -> Array:
+def pose_between(first: CalibratedCamera, second: CalibratedCamera, points: Array) -> Array:
     """Return the pose (6,) of the second camera in the frame of the first, from the pair of images that fits best.
 
     `points` (n, 3) are the targets. Raises InputError that names the pairs of images that do not fit the others.
@@ -55,9 +55,9 @@ def pose_between(first: Seen, second: Seen, points: Array) -> Array:
     fits = off[best] <= second.limit
     if not fits.all():
         pose = held[best] if fits.mean() >= _MOST else _by_all(first, second, points)
-        found = list(_strangers(first, second, points, pose, (at, to)))
+        strangers = list(_strangers(first, second, points, pose, (at, to)))
         # a pose that few pairs fit is chance
-        lines = [line for line, _ in found] if fits.mean() >= _MOST or any(known for _, known in found) else []
+        lines = [line for line, _ in strangers] if fits.mean() >= _MOST or any(known for _, known in strangers) else []
         raise InputError([Fault(_refusal(first, second, lines, len(at)), hint="rename the images, or leave them out")])
     chosen: Array = held[best]
     return chosen
@@ -67,11 +67,11 @@ def _off(pose: Array, first: Array, second: Array, focal: float, points: Array) 
     """Return by how much the second camera sees targets elsewhere than poses of the first predict, rms (images,) px."""
     predicted = poses.compose(first, np.broadcast_to(pose, first.shape))
     rays = [poses.apply(poses.inverse(one)[:, None], points) for one in (predicted, second)]
-    units = [one / np.linalg.norm(one, axis=2, keepdims=True) for one in rays]
+    units = [ray / np.linalg.norm(ray, axis=2, keepdims=True) for ray in rays]
     return np.asarray(focal * np.sqrt(((units[0] - units[1]) ** 2).sum(axis=2).mean(axis=1)))
 
 
-def _refusal(first: Seen, second: Seen, lines: Sequence[str], pairs: int) -> str:
+def _refusal(first: CalibratedCamera, second: CalibratedCamera, lines: Sequence[str], pairs: int) -> str:
     if not lines:
         return (
             f"{second.name} has no one place beside {first.name}: their images contradict each other. Did a camera "
@@ -82,7 +82,7 @@ def _refusal(first: Seen, second: Seen, lines: Sequence[str], pairs: int) -> str
 
 
 def _strangers(
-    first: Seen, second: Seen, points: Array, pose: Array, pairs: tuple[Index, Index]
+    first: CalibratedCamera, second: CalibratedCamera, points: Array, pose: Array, pairs: tuple[Index, Index]
 ) -> Iterator[tuple[str, bool]]:
     """Yield each image that does not fit its partner, the one with which it was taken, and whether that is known."""
     for i, j in zip(*pairs, strict=True):
@@ -95,14 +95,14 @@ def _strangers(
             yield f"{second.images[j]} not with {first.images[i]}{other}", known
 
 
-def _by_all(first: Seen, second: Seen, points: Array) -> Array:
+def _by_all(first: CalibratedCamera, second: CalibratedCamera, points: Array) -> Array:
     """Return the pose with which the most images of the second camera fit any image of the first."""
     few = points[:: max(len(points) // 4, 1)]
     begins, ends = _thinned(first.places, _CANDIDATES), _thinned(second.places, _TRIED)
     tried = [poses.compose(poses.inverse(one), other) for one in begins for other in ends]
 
     def matching(pose: Array) -> int:
-        all_of = (np.broadcast_to(one, first.places.shape) for one in ends)
+        all_of = (np.broadcast_to(end, first.places.shape) for end in ends)
         return sum(bool((_off(pose, first.places, one, second.focal, few) <= second.limit).any()) for one in all_of)
 
     return max(tried, key=matching)
@@ -114,7 +114,7 @@ def _thinned(values: Array, most: int) -> Array:
 
 def all_in_first(between: Sequence[tuple[int, int, Array]], count: int) -> Array:
     """Return the poses (cameras, 6) in the frame of the first, of poses of cameras in that of another, in order."""
-    found = np.zeros((count, 6))
+    in_first = np.zeros((count, 6))
     for camera, beside, pose in between:
-        found[camera] = poses.compose(found[beside], pose)
-    return found
+        in_first[camera] = poses.compose(in_first[beside], pose)
+    return in_first

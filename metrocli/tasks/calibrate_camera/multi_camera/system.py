@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group, priors
 from metrocli.adjust.model.observations import Observations
@@ -21,8 +21,8 @@ from metrocli.instruments import camera
 from metrocli.instruments.lenses.lens import PARAMETERS
 from metrocli.tasks.calibrate_camera.build import build, target_datum
 from metrocli.tasks.calibrate_camera.multi_camera.images import Exposures, connected, exposures, of_camera
-from metrocli.tasks.calibrate_camera.multi_camera.start import Seen, all_in_first, pose_between
-from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.multi_camera.start import CalibratedCamera, all_in_first, pose_between
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.settings import OneOfSeveral, Settings
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
@@ -34,7 +34,7 @@ _STEPS = 60
 
 
 @dataclass(frozen=True)
-class System(Modelled):
+class CameraSystem(Modelled):
     """Several cameras, ready to adjust."""
 
     rig: str
@@ -57,7 +57,7 @@ class System(Modelled):
         return self.cameras[name].image_size or (0, 0)
 
 
-def system_of(settings: Settings, cameras: Mapping[str, OneOfSeveral], sighted: Sighted) -> System:
+def system_of(settings: Settings, cameras: Mapping[str, OneOfSeveral], sighted: Sighted) -> CameraSystem:
     """Return the adjustment of all cameras with its starting values, from the calibration of each.
 
     Raises InputError and UndeterminedError as `build`, `exposures`, `connected` and `pose_between`.
@@ -78,26 +78,26 @@ def system_of(settings: Settings, cameras: Mapping[str, OneOfSeveral], sighted: 
     known = priors(blocks[camera.TARGET], targets.sigma, free)
     model = Model(blocks, (group, *known), datum, (IMAGES,), places, nominal={camera.TARGET: targets.points})
     warnings = (*sighted.warnings, *(line for problem in each for line in problem.sighted.warnings))
-    system = System(model, settings.rig, cameras, exposed, replace(sighted, warnings=warnings))
+    system = CameraSystem(model, settings.rig, cameras, exposed, replace(sighted, warnings=warnings))
     if not sighted.eccentric:
         return system
-    group, found = corrected(group, blocks, tuple(known), datum, targets.radius)
-    return system.with_model(model.with_group(group).with_blocks(found))
+    group, consistent = corrected(group, blocks, tuple(known), datum, targets.radius)
+    return system.with_model(model.with_group(group).with_blocks(consistent))
 
 
-def _alone(rig: str, camera_of: tuple[str, OneOfSeveral], sighted: Sighted) -> Problem:
+def _alone(rig: str, camera_of: tuple[str, OneOfSeveral], sighted: Sighted) -> CameraProblem:
     """Return the calibration of one camera, adjusted."""
     name, settings = camera_of
     try:
         problem = build(rig, settings, sighted)
     except UndeterminedError as error:
         raise UndeterminedError(f"camera {name}: {error}") from error
-    control = Control(limit=_STEPS, covariance=False)
-    found = adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, control)
-    return problem.with_blocks({**problem.blocks, **found.blocks})
+    control = StoppingRule(limit=_STEPS, covariance=False)
+    solution = adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, control)
+    return problem.with_blocks({**problem.blocks, **solution.blocks})
 
 
-def _seen(exposed: Exposures, number: int, problem: Problem) -> Seen:
+def _seen(exposed: Exposures, number: int, problem: CameraProblem) -> CalibratedCamera:
     values = problem.blocks[camera.view_name(problem.rig)].values
     places = poses.inverse(values) if problem.rig == "board" else values
     lens = problem.blocks[camera.LENS].named()
@@ -107,11 +107,11 @@ def _seen(exposed: Exposures, number: int, problem: Problem) -> Seen:
         exposure = np.zeros(1, dtype=np.intp)
     focal = float(lens.get("f", lens.get("fx", 0.0)))
     names = problem.sighted.images[: len(exposure)]
-    return Seen(exposed.cameras[number], names, exposure, places, focal, max(problem.image_size))
+    return CalibratedCamera(exposed.cameras[number], names, exposure, places, focal, max(problem.image_size))
 
 
 def _blocks(
-    rig: str, exposed: Exposures, each: Sequence[Problem], placed: tuple[Sequence[Seen], Array]
+    rig: str, exposed: Exposures, each: Sequence[CameraProblem], placed: tuple[Sequence[CalibratedCamera], Array]
 ) -> dict[str, Block]:
     seen, held = placed
     rows = [problem.blocks[camera.TARGET] for problem in each]
@@ -131,15 +131,15 @@ def _blocks(
     }
 
 
-def _views(exposed: Exposures, seen: Sequence[Seen], held: Array, count: int) -> Array:
+def _views(exposed: Exposures, seen: Sequence[CalibratedCamera], held: Array, count: int) -> Array:
     """Return the pose of the first camera in the frame of the targets at each exposure, by the first that sees them."""
-    found = np.full((count, 6), np.nan)
-    for one, mount in zip(seen, held, strict=True):
+    views = np.full((count, 6), np.nan)
+    for calibrated, mount in zip(seen, held, strict=True):
         back = poses.inverse(mount)
-        new = np.isnan(found[one.exposure, 0])
-        at = poses.compose(one.places, np.broadcast_to(back, one.places.shape))
-        found[one.exposure[new]] = at[new]
-    return found
+        new = np.isnan(views[calibrated.exposure, 0])
+        at = poses.compose(calibrated.places, np.broadcast_to(back, calibrated.places.shape))
+        views[calibrated.exposure[new]] = at[new]
+    return views
 
 
 def _lenses(cameras: Sequence[str], blocks: Sequence[Block]) -> Block:

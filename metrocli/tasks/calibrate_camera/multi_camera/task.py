@@ -13,10 +13,10 @@ from metrocli.result import Result
 from metrocli.tasks.calibrate_camera.advice import in_words
 from metrocli.tasks.calibrate_camera.multi_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.multi_camera.report import delivered, report
-from metrocli.tasks.calibrate_camera.multi_camera.system import System, system_of
+from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem, system_of
 from metrocli.tasks.calibrate_camera.settings import FEWEST, Files, OneOfSeveral, Settings
 from metrocli.tasks.job import Job
-from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
+from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.settings import ESTIMATE
 from metrocli.tasks.shared.images.sightings import Needs, sightings
 
@@ -36,11 +36,11 @@ def diagnosed(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) ->
     return adjusted_job(system, _solved(replace(job.settings, outliers="report"), system))
 
 
-def prepared(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> System:
+def prepared(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> CameraSystem:
     """Return the adjustment of all cameras with starting values and effects."""
     settings, files = job.settings, job.files
     if files.images is not None:
-        cameras = {name: _sized(name, one, files.images.size) for name, one in cameras.items()}
+        cameras = {name: _sized(name, several, files.images.size) for name, several in cameras.items()}
     sigma = float("nan") if settings.targets == ESTIMATE else 0.0
     sighted = sightings(
         settings, files.observations, files.targets, files.images, Needs(FEWEST[settings.rig], sigma, sigma)
@@ -48,17 +48,17 @@ def prepared(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> 
     return system_of(settings, cameras, sighted).with_effects(job.effects)
 
 
-def _sized(name: str, one: OneOfSeveral, size: tuple[int, int]) -> OneOfSeveral:
-    declared = one.image_size or size
+def _sized(name: str, several: OneOfSeveral, size: tuple[int, int]) -> OneOfSeveral:
+    declared = several.image_size or size
     if tuple(declared) != tuple(size):
         raise InputError(
             f"the images are {size[0]} x {size[1]} px, but cameras: {name}: image_size is {declared[0]} x "
             f"{declared[1]} px"
         )
-    return replace(one, image_size=size)
+    return replace(several, image_size=size)
 
 
-def _solved(settings: Settings, system: System) -> Adjusted:
+def _solved(settings: Settings, system: CameraSystem) -> AdjustedImages:
     """Adjust all cameras; raises UndeterminedError or NotConvergedError if there is no good solution."""
     if settings.noise == STRUCTURED:
         must_suffice(len(system.exposed.names), "images")

@@ -16,7 +16,7 @@ from metrocli.effects.effect import Effect, Parameter, sizes
 from metrocli.effects.links.lens_shape import Knots, LensShape
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
-from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.shape.spline import SHAPE, kernels, link_free_of_base
 
 _SMALL = 3e-3
@@ -43,7 +43,7 @@ LENS_SHAPE = Effect(
 """The entry of the table; `lens_shape` returns the effect in the image and beside the lens of a calibration"""
 
 
-def lens_shape(problem: Problem) -> Effect:
+def lens_shape(problem: CameraProblem) -> Effect:
     """Return the effect beside the base lens of a calibration, with a parameter for each direction of its shape."""
     link = link_free_of_base(problem)
     values, vectors = np.linalg.eigh(np.mean(kernels(link, problem.image_size), axis=0))
@@ -54,7 +54,7 @@ def lens_shape(problem: Problem) -> Effect:
     return replace(LENS_SHAPE, parameters=parameters, link=lambda block, where: LensShape(link.knots, modes, block))
 
 
-def beside_base(problem: Problem, wanted: Iterable[Wanted]) -> tuple[Wanted, ...]:
+def beside_base(problem: CameraProblem, wanted: Iterable[Wanted]) -> tuple[Wanted, ...]:
     """Return the effects that a job names, a lens shape as that beside its base lens.
 
     Raises InputError if its size is not stated.

@@ -9,14 +9,14 @@ from metrocli.arrays import Array
 from metrocli.effects.links.lens_shape import LensShape
 from metrocli.instruments.lenses.conventions import image_grid
 from metrocli.table import Table
-from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.shape.spline import SHAPE
 from metrocli.tasks.shared.images.settings import SPLINE
 
 TABLE = "lens_shape"
 
 
-def link_of(problem: Problem) -> LensShape | None:
+def link_of(problem: CameraProblem) -> LensShape | None:
     """Return the link of the shape in a calibration; None without one."""
     return next((link for link in problem.images.chain.links if isinstance(link, LensShape)), None)
 
@@ -28,7 +28,7 @@ def by_shape(link: LensShape, uv: Array) -> Array:
     return np.concatenate([at @ link.to_coefficients[:half], at @ link.to_coefficients[half:]])
 
 
-def shape_table(problem: Problem, solution: Solution) -> dict[str, Table]:
+def shape_table(problem: CameraProblem, solution: Solution) -> dict[str, Table]:
     """Return the coefficients of the shift [px] at their knots, with standard uncertainties; {} without a shape."""
     link = link_of(problem)
     if link is None:
@@ -40,7 +40,7 @@ def shape_table(problem: Problem, solution: Solution) -> dict[str, Table]:
     return {TABLE: Table.of({**columns, "std_du [px]": std[0], "std_dv [px]": std[1]})}
 
 
-def shape_rms(problem: Problem, solution: Solution) -> float:
+def shape_rms(problem: CameraProblem, solution: Solution) -> float:
     """Return the root mean square shift over the image [px]; 0 without a shape."""
     link = link_of(problem)
     if link is None:
@@ -49,7 +49,7 @@ def shape_rms(problem: Problem, solution: Solution) -> float:
     return float(np.sqrt(2 * (shift**2).mean()))
 
 
-def shape_notes(problem: Problem, solution: Solution, model: str | None) -> list[str]:
+def shape_notes(problem: CameraProblem, solution: Solution, model: str | None) -> list[str]:
     """Return how large the shape is, or that the model spline of the job has found no shape."""
     if link_of(problem) is not None:
         return [f"shape of the lens beside its base: {shape_rms(problem, solution):.2g} px (rms over the image)"]

@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.chain import Local
+from metrocli.adjust.model.chain import LinkContext
 from metrocli.adjust.model.groups import Group, joint_prior
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution
@@ -21,7 +21,7 @@ from metrocli.effects.links.lens_shape import Knots, LensShape
 from metrocli.instruments import camera
 from metrocli.instruments.lenses.conventions import image_grid
 from metrocli.instruments.lenses.lens import direction
-from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.shape.size import Evidence, likely
 
 SHAPE = "lens-shape"
@@ -36,7 +36,7 @@ _SHOWN = 4.0
 """Gain in the logarithm of the likelihood below which the readings show no shape"""
 
 
-def with_shape(problem: Problem, noise_known: bool) -> Problem:
+def with_shape(problem: CameraProblem, noise_known: bool) -> CameraProblem:
     """Return the calibration with the shape of its lens as unknowns with a prior; as it is if they show no shape."""
     base = _adjusted(problem)
     if not base.outcome.good:
@@ -49,13 +49,13 @@ def with_shape(problem: Problem, noise_known: bool) -> Problem:
     return _extended(problem, link, size.covariance)
 
 
-def link_free_of_base(problem: Problem) -> LensShape:
+def link_free_of_base(problem: CameraProblem) -> LensShape:
     """Return the link of a shape that base lens and rotations of the camera leave; its unknowns have no scale yet."""
     return LensShape(_knots(problem.image_size), _free_of(problem))
 
 
-def _adjusted(problem: Problem) -> Solution:
-    return adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, Control(limit=_STEPS))
+def _adjusted(problem: CameraProblem) -> Solution:
+    return adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, StoppingRule(limit=_STEPS))
 
 
 def _knots(image_size: tuple[int, int]) -> Knots:
@@ -64,14 +64,14 @@ def _knots(image_size: tuple[int, int]) -> Knots:
     return Knots(image_size, (across, down))
 
 
-def _free_of(problem: Problem) -> Array:
+def _free_of(problem: CameraProblem) -> Array:
     """Return N: coefficients whose shift over the image is orthogonal to base lens and rotations of the camera."""
     knots, lens = _knots(problem.image_size), problem.blocks[camera.LENS]
     uv = np.stack(image_grid(problem.image_size))
     seen = direction(lens.named(), uv[0], uv[1], problem.convention)
     known = np.isfinite(seen[0])
     uv, seen = uv[:, known], seen[:, known]
-    local = Local({camera.LENS: lens}, Observations(uv, np.ones(1), {}), frozenset({camera.LENS}))
+    local = LinkContext({camera.LENS: lens}, Observations(uv, np.ones(1), {}), frozenset({camera.LENS}))
     step = camera.lens_link(problem.convention).step(seen, local)
     turned = np.cross(np.eye(3)[:, :, None], seen[None], axisa=1, axisb=1, axisc=1)  # (3, 3, n): about x, y, z
     by_turn = np.einsum("apn,kpn->akn", np.asarray(step.by_input), turned)
@@ -93,7 +93,7 @@ def kernels(link: LensShape, image_size: tuple[int, int]) -> list[Array]:
     return [n.T @ np.kron(np.eye(2), one) @ n for one in alike]
 
 
-def _extended(problem: Problem, link: LensShape, covariance: Array) -> Problem:
+def _extended(problem: CameraProblem, link: LensShape, covariance: Array) -> CameraProblem:
     size = link.to_coefficients.shape[1]
     block = Block(SHAPE, np.zeros((1, size)), tuple(f"w{k + 1}" for k in range(size)))
     prior = joint_prior([block], [tuple(range(size))], covariance)
@@ -104,7 +104,7 @@ def _extended(problem: Problem, link: LensShape, covariance: Array) -> Problem:
     return problem.with_model(replace(model, groups=groups, blocks={**model.blocks, SHAPE: block}))
 
 
-def _evidence(problem: Problem, link: LensShape, noise_known: bool) -> Evidence:
+def _evidence(problem: CameraProblem, link: LensShape, noise_known: bool) -> Evidence:
     """Return what the readings know of the shape, from an adjustment with a wide prior that is taken off again."""
     size = link.to_coefficients.shape[1]
     wide = np.eye(size) * _WIDE**2

@@ -82,12 +82,12 @@ def diagonals(tables: Tables, drawn: Array, tool: int) -> tuple[Table, Table]:
         share, length = np.linspace(0, 1, _STEPS), float(np.linalg.norm(end - start))
         position = start[:, None] + (end - start)[:, None] * share
         towards = np.repeat((end - start)[:, None] / length, _STEPS, axis=1)
-        found = _profile(tables, drawn, tool, position, towards)
-        row = found.rows - found.rows[0]
+        profile = _profile(tables, drawn, tool, position, towards)
+        row = profile.rows - profile.rows[0]
         std = np.sqrt(np.maximum(np.einsum("np,pq,nq->n", row, tables.raw, row, optimize=True), 0.0))
-        along = {"position [mm]": length * share, "deviation [mm]": found.values - found.values[0], "std [mm]": std}
+        along = {"position [mm]": length * share, "deviation [mm]": profile.values - profile.values[0], "std [mm]": std}
         parts.append(Table.of({"diagonal": np.repeat(np.array([name]), _STEPS), **along}))
-        figures.append((name, length, *found.range_with_u()))
+        figures.append((name, length, *profile.range_with_u()))
     return Table.stack(parts), Table.of_rows(("diagonal", "length [mm]", "E [mm]", "U_E [mm]"), figures)
 
 
@@ -108,11 +108,13 @@ def circular(tables: Tables, drawn: Array, tool: int, radius: float | None) -> T
             continue
         towards = np.zeros((3, _AROUND))
         towards[axes[0]], towards[axes[1]] = np.cos(turn), np.sin(turn)
-        found = _profile(tables, drawn, tool, (low + high)[:, None] / 2 + own * towards, towards)
+        profile = _profile(tables, drawn, tool, (low + high)[:, None] / 2 + own * towards, towards)
         # the centre of the least-squares circle of a small deviation is its first harmonic (ISO 12181-1)
         centre = np.column_stack([np.cos(turn), np.sin(turn)]) * np.sqrt(2 / _AROUND)
         left = Profile(
-            found.values - centre @ (centre.T @ found.values), found.rows - centre @ (centre.T @ found.rows), drawn
+            profile.values - centre @ (centre.T @ profile.values),
+            profile.rows - centre @ (centre.T @ profile.rows),
+            drawn,
         )
         figures.append((name, own, *left.range_with_u(), float(left.values.max()), float(left.values.min())))
     headings = ("plane", "radius [mm]", "G [mm]", "U_G [mm]", "F_max [mm]", "F_min [mm]")

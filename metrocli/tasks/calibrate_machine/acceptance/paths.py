@@ -18,7 +18,7 @@ from metrocli.tasks.calibrate_machine.acceptance.positioning import COVERAGE
 from metrocli.tasks.calibrate_machine.described import commanded
 from metrocli.tasks.calibrate_machine.problem import tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
-from metrocli.tasks.calibrate_machine.solve import Solved
+from metrocli.tasks.calibrate_machine.solve import AdjustedMachine
 from metrocli.tasks.calibrate_machine.tables import Tables, unit_of_position
 from metrocli.tasks.calibrate_machine.volume import predict
 
@@ -26,7 +26,7 @@ _SAME = 1e-4
 """Positions of a path and of a reading are the same within this [mm, rad]"""
 
 
-def paths(tables: Tables, solved: Solved, settings: Settings, listed: Table | None) -> dict[str, Table]:
+def paths(tables: Tables, solved: AdjustedMachine, settings: Settings, listed: Table | None) -> dict[str, Table]:
     """Return the ranges along each path in the axes of the workpiece with U (k = 2), and the error at each position.
 
     The predicted range is that of the error of the tip; U is propagated from tables and locations, at the two positions
@@ -99,7 +99,7 @@ class _Read:
     """(3, n)"""
 
 
-def _left(solved: Solved, machine: Machine, position: Array, tool: Index) -> Array:
+def _left(solved: AdjustedMachine, machine: Machine, position: Array, tool: Index) -> Array:
     """Return what readings at the positions of paths show beyond the prediction (3, n); nan without a reading."""
     read, found = _read(solved, machine), np.full((3, position.shape[1]), np.nan)
     if read is None:
@@ -112,7 +112,7 @@ def _left(solved: Solved, machine: Machine, position: Array, tool: Index) -> Arr
     return found
 
 
-def _read(solved: Solved, machine: Machine) -> _Read | None:
+def _read(solved: AdjustedMachine, machine: Machine) -> _Read | None:
     """Return the residuals of probing as errors of the tip on the workpiece; None for other readings."""
     observations = solved.problem.readings.observations
     if ON_WORKPIECE not in observations.index or (observations.conditions[OF_TOOL] >= 0).any():

@@ -30,8 +30,8 @@ def figures(up: Array, down: Array) -> dict[str, float]:
     """
     means, spread = at_each_target(up, down)
     return {
-        name: one.value(means, spread) if all(map(len, _needed(name, up, down))) else float("nan")
-        for name, one in _sums(means, spread).items()
+        name: part.value(means, spread) if all(map(len, _needed(name, up, down))) else float("nan")
+        for name, part in _sums(means, spread).items()
     }
 
 
@@ -42,7 +42,7 @@ def _needed(name: str, up: Array, down: Array) -> tuple[Array, ...]:
 
 
 @dataclass(frozen=True)
-class Measured:
+class LineUncertainty:
     """How well the readings of a line are known."""
 
     reading: float
@@ -51,7 +51,7 @@ class Measured:
     """Standard uncertainty of all distances of the line in common (device, temperature, misalignment)"""
 
 
-def expanded(up: Array, down: Array, targets: Array, known: Measured) -> dict[str, float]:
+def expanded(up: Array, down: Array, targets: Array, known: LineUncertainty) -> dict[str, float]:
     """Return U (k = 2) of each figure: `2 sqrt(u_r^2 sum g_i^2 + u_s^2 (sum g_i p_i)^2)`.
 
     g is the derivative of the figure by each reading, p its position, u_r and u_s the uncertainties of a reading and
@@ -61,13 +61,13 @@ def expanded(up: Array, down: Array, targets: Array, known: Measured) -> dict[st
     means, spread = at_each_target(up, down)
     values = figures(up, down)
     runs = np.maximum([[len(up)], [len(down)]], 1)
-    found = {}
-    for name, one in _sums(means, spread).items():
+    expansions = {}
+    for name, part in _sums(means, spread).items():
         # the derivatives of mean and standard deviation are square to each other, and those of the latter add up to 0
-        squares = (one.mean**2 / runs + one.spread**2 / np.maximum(runs - 1, 1)).sum()
-        u = COVERAGE * np.hypot(known.reading * np.sqrt(squares), known.scale * (one.mean * targets).sum())
-        found[name] = float(u) if np.isfinite(values[name]) else float("nan")
-    return found
+        squares = (part.mean**2 / runs + part.spread**2 / np.maximum(runs - 1, 1)).sum()
+        u = COVERAGE * np.hypot(known.reading * np.sqrt(squares), known.scale * (part.mean * targets).sum())
+        expansions[name] = float(u) if np.isfinite(values[name]) else float("nan")
+    return expansions
 
 
 def at_each_target(up: Array, down: Array) -> tuple[Array, Array]:
@@ -120,7 +120,7 @@ def _sums(means: Array, spread: Array) -> dict[str, _Sum]:
     repeats = [both, repeatability(0), repeatability(1)]
     return {
         "A": accuracy((0, 1)), "A_up": accuracy((0,)), "A_down": accuracy((1,)),
-        "R": max(repeats, key=lambda one: one.value(means, spread)), "R_up": repeats[1], "R_down": repeats[2],
+        "R": max(repeats, key=lambda part: part.value(means, spread)), "R_up": repeats[1], "R_down": repeats[2],
         "B": _Sum(reversal(int(np.argmax(np.abs(gap)))), none),
         "B_mean": _Sum(np.repeat([[1.0], [-1.0]], m, axis=1) / m, none),
         "E": systematic((0, 1)), "E_up": systematic((0,)), "E_down": systematic((1,)),

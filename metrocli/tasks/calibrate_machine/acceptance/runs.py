@@ -15,10 +15,10 @@ from metrocli.frozen import dataclass
 from metrocli.instruments.axes.rotary import RotaryAxis
 from metrocli.instruments.machine import errors_of
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
+from metrocli.tasks.calibrate_machine.acceptance.positioning import LineUncertainty
 from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
 from metrocli.tasks.calibrate_machine.settings import Settings
-from metrocli.tasks.calibrate_machine.solve import Solved
+from metrocli.tasks.calibrate_machine.solve import AdjustedMachine
 from metrocli.tasks.calibrate_machine.tables import Tables
 
 _FEWEST = 3
@@ -28,7 +28,7 @@ _ROUNDED = 3
 
 
 def positioning_of(
-    tables: Tables, solved: Solved, settings: Settings, factor: float
+    tables: Tables, solved: AdjustedMachine, settings: Settings, factor: float
 ) -> tuple[dict[str, Table], tuple[str, ...]]:
     """Return the figures of ISO 230-2 and the means at their targets, of runs along single axes, and warnings."""
     if tables.machine.turns:
@@ -40,7 +40,7 @@ def positioning_of(
         return {}, ()
     # readings scatter evenly over the range at rest (ISO 230-2:2014, annex A: E_VE)
     reading = float(np.hypot(own, settings.positioning.environment / np.sqrt(12)))
-    figures, warnings = positioning(runs, Measured(reading, settings.positioning.scale))
+    figures, warnings = positioning(runs, LineUncertainty(reading, settings.positioning.scale))
     found = {"positioning": figures, "positioning_targets": at_targets(runs)}
     return {name: one for name, one in found.items() if one is not None}, warnings
 
@@ -53,7 +53,7 @@ class _RotaryRuns:
     reading: float
 
 
-def _rotary_runs(tables: Tables, solved: Solved) -> _RotaryRuns:
+def _rotary_runs(tables: Tables, solved: AdjustedMachine) -> _RotaryRuns:
     """Return the runs of all rotary axes with several runs; readings need the side from which the axis came.
 
     The readings y of a target, with the derivatives j by the angle, show `E + j'(y - f)/(j'j)` with the standard
@@ -96,7 +96,7 @@ def _parts(there: Array, side: Array) -> Iterator[Index]:
             yield own
 
 
-def _run(tables: Tables, solved: Solved, axis: RotaryAxis, rows: Index) -> tuple[Array, Array, float]:
+def _run(tables: Tables, solved: AdjustedMachine, axis: RotaryAxis, rows: Index) -> tuple[Array, Array, float]:
     """Return the targets [deg], the deviations and the largest standard uncertainty [rad] of a run."""
     blocks, name = solved.solution.blocks, solved.problem.readings.name
     group = next(one for one in solved.solution.groups if one.name == name)

@@ -45,7 +45,7 @@ def _across(letter: str, names: str, dimension: str, plausible: str) -> tuple[Pa
 
 
 def _listed(letter: str, names: str) -> str:
-    return ", ".join(one.name for one in _across(letter, names, "length", "1 mm"))
+    return ", ".join(parameter.name for parameter in _across(letter, names, "length", "1 mm"))
 
 
 def _jump(letter: str) -> Effect:

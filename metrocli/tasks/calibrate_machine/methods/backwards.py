@@ -15,33 +15,33 @@ from metrocli.instruments.machine import AXES, TOOL
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, Settings
 from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
-from metrocli.tasks.shared.tracers import Seen
+from metrocli.tasks.shared.tracers import LengthsToTracers
 
 _NEARER = 0.25
 """The median distance of stations from their list has to fall below this share of itself when they are mirrored"""
 
 
-def refuse_backwards(found: Array, seen: Seen) -> None:
+def refuse_backwards(measured: Array, seen: LengthsToTracers) -> None:
     """Raise InputError if places of stations (n, 3) are near their list only with one axis mirrored about its middle.
 
     The middle is that of the reflectors, which tools carry away from the axes.
 
     Only places listed without a standard uncertainty are compared: the others are kept.
     """
-    said, sigma = seen.tracers.said, seen.tracers.sigma
-    rough = np.isfinite(said).all(axis=1) & np.isnan(sigma).all(axis=1)
+    listed_at, sigma = seen.tracers.listed_at, seen.tracers.sigma
+    rough = np.isfinite(listed_at).all(axis=1) & np.isnan(sigma).all(axis=1)
     if not rough.any():
         return
-    found, said = found[rough], said[rough]
+    measured, listed_at = measured[rough], listed_at[rough]
     twice = seen.points.min(axis=0) + seen.points.max(axis=0)
-    mirrored = [_miss(np.where(np.arange(3) == axis, twice - found, found), said) for axis in range(3)]
+    mirrored = [_miss(np.where(np.arange(3) == axis, twice - measured, measured), listed_at) for axis in range(3)]
     axis = int(np.argmin(mirrored))
-    if mirrored[axis] < _NEARER * _miss(found, said):
-        raise InputError([_fault(AXES[axis], _miss(found, said), mirrored[axis], seen.file)])
+    if mirrored[axis] < _NEARER * _miss(measured, listed_at):
+        raise InputError([_fault(AXES[axis], _miss(measured, listed_at), mirrored[axis], seen.file)])
 
 
-def _miss(found: Array, said: Array) -> float:
-    return float(np.median(np.linalg.norm(found - said, axis=1)))
+def _miss(measured: Array, listed_at: Array) -> float:
+    return float(np.median(np.linalg.norm(measured - listed_at, axis=1)))
 
 
 def _fault(axis: str, as_read: float, mirrored: float, file: str) -> Fault:

@@ -22,16 +22,16 @@ from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, 
 from metrocli.tasks.calibrate_machine.files import NO_FILES, Files
 from metrocli.tasks.calibrate_machine.methods.backwards import refuse_backwards
 from metrocli.tasks.calibrate_machine.methods.targets import BED, targets, with_distances
-from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
+from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.environment import air_of, priors_of, unused
 from metrocli.tasks.shared.lengths import PathNoise, stop_priors, stops_of
-from metrocli.tasks.shared.tracers import Seen, observed, places_of, tracers_of
+from metrocli.tasks.shared.tracers import LengthsToTracers, observed, places_of, tracers_of
 
 READINGS = "lengths"
 
 
-def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Problem:
+def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> MachineProblem:
     """Return the adjustment problem.
 
     Raises InputError if the lengths do not belong to the commanded points, and UndeterminedError if a station reads too
@@ -42,9 +42,9 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Proble
     machine = machine_of(settings)
     blocks = error_blocks(machine, settings)
     position = commanded(machine, table)
-    found = with_distances(targets(settings, blocks, table, files.reflectors), files.distances)
+    measured = with_distances(targets(settings, blocks, table, files.reflectors), files.distances)
     on = settings.instrument.on
-    nominal = found.places(machine, position, on)
+    nominal = measured.places(machine, position, on)
     read_by = tracers_of(table, files.listed_stations, dict.fromkeys, "station")
     must_support(machine, position, blocks)
     names = np.array(table.texts("point"), dtype=str)
@@ -53,19 +53,19 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Proble
     given = conditions(machine, position, table, nominal if machine.turns else None)
     readings = observed(table, read_by, (points.tolist(), point), given, air)
     time = readings.conditions.get("t")
-    stops = stops_of(visits(position, found.tool, point), time)
+    stops = stops_of(visits(position, measured.tool, point), time)
     observations = replace(
         readings,
-        index={**machine.index(position), **found.index, **readings.index, t.STOP: stops},
+        index={**machine.index(position), **measured.index, **readings.index, t.STOP: stops},
         conditions={
             **readings.conditions,
             t.ALONE: (stops == 0).astype(float),
-            **(found.conditions | found.first_seen(table) if machine.turns else {}),
+            **(measured.conditions | measured.first_seen(table) if machine.turns else {}),
         },
     )
     places = np.ascontiguousarray(nominal.T)
     extent = float(np.ptp(places, axis=0).max()) or 1.0
-    seen = Seen(read_by, np.arange(len(table)), places, table.numbers("length"), extent, file=table.file)
+    seen = LengthsToTracers(read_by, np.arange(len(table)), places, table.numbers("length"), extent, file=table.file)
     station_block = t.tracer_block(
         _places(seen, machine), read_by.names, read_by.free(False, settings.scale is not None), extent
     )
@@ -74,17 +74,17 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Proble
     noise = PathNoise.of(settings.noise.of_lengths)
     stop_block = t.stop_block(stops) if noise.repeatability else None
     more = (station_block, stop_block, None if air is None else air.block)
-    unknowns = {**blocks, **found.blocks, **{block.name: block for block in more if block is not None}}
-    chain = t.chain(reach(machine, on, found.workpiece), stop_block is not None, air is not None)
+    unknowns = {**blocks, **measured.blocks, **{block.name: block for block in more if block is not None}}
+    chain = t.chain(reach(machine, on, measured.workpiece), stop_block is not None, air is not None)
     others = (
-        *found.others,
+        *measured.others,
         *gauge(machine, unknowns),
         *read_by.known(station_block, settings.scale),
         *stop_priors(stop_block, noise.repeatability),
         *priors_of(air),
     )
     tools = list(settings.tools)
-    return Problem(
+    return MachineProblem(
         model_of(
             unknowns,
             noise.at(Group(READINGS, chain, observations), unknowns),
@@ -94,16 +94,16 @@ def lengths(settings: Settings, table: Table, files: Files = NO_FILES) -> Proble
         ),
         machine,
         np.ones(len(table)),
-        found.used(tools),
+        measured.used(tools),
         unused(settings.environment, table),
         notes=() if air is None else (air.note,),
         noise=noise,
-        said=read_by.said,
+        listed_at=read_by.listed_at,
         sees_bed=machine.turns and on == BED,
     )
 
 
-def _places(seen: Seen, machine: Machine) -> Array:
+def _places(seen: LengthsToTracers, machine: Machine) -> Array:
     """Return the places of the stations at the start; raises InputError if no place fits their lengths.
 
     Where axes turn, chain, sense or `at` may be wrong: a fault that asks nothing lets a task try them.
@@ -113,17 +113,17 @@ def _places(seen: Seen, machine: Machine) -> Array:
     except InputError as error:
         if not machine.turns:
             raise
-        faults = [replace(one, hint=None) if (one.hint or "").endswith("?") else one for one in error.faults]
+        faults = [replace(fault, hint=None) if (fault.hint or "").endswith("?") else fault for fault in error.faults]
         raise InputError(faults) from error
 
 
 def stop_names(stops: Index, points: np.typing.NDArray[np.str_], time: Array | None) -> list[str]:
     """Return the names of the stops of several lengths, by point and time; the first stands for all other stops."""
-    found = [t.NO_STOP]
+    names = [t.NO_STOP]
     if time is not None:
         first = np.unique(stops, return_index=True)[1][int((stops == 0).any()) :]
-        found += [f"{points[row]} at {time[row]:g} s" for row in first]
-    return found
+        names += [f"{points[row]} at {time[row]:g} s" for row in first]
+    return names
 
 
 def visits(position: Array, tool: Index, point: Index) -> Index:

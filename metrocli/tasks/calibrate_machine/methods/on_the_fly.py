@@ -34,9 +34,9 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support, tool_prior
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.methods.track import Track, cut
-from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of, tools_of
+from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of, tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
-from metrocli.tasks.calibrate_machine.solve import Solved, solve, solved_again
+from metrocli.tasks.calibrate_machine.solve import AdjustedMachine, solve, solved_again
 from metrocli.tasks.calibrate_machine.volume import grid_group
 
 READINGS = "path"
@@ -51,7 +51,7 @@ _WILD = 8.0
 
 
 @dataclass(frozen=True)
-class Measurement:
+class TrackMeasurement:
     """A track with its path, noise and cells."""
 
     machine: Machine
@@ -63,22 +63,22 @@ class Measurement:
     settings: Settings
     effects: tuple[Wanted, ...] = ()
 
-    def with_noise_times(self, factor: float) -> Measurement:
+    def with_noise_times(self, factor: float) -> TrackMeasurement:
         """Return the measurement with a factor on the declared noise of the tracker."""
         return replace(self, noise=self.noise.times(factor))
 
 
-def measurement(settings: Settings, path: Table, track: Table, effects: Sequence[Wanted] = ()) -> Measurement:
+def measurement(settings: Settings, path: Table, track: Table, effects: Sequence[Wanted] = ()) -> TrackMeasurement:
     """Return a track aligned with its path; raises InputError if it does not match the path."""
     machine = machine_of(settings)
     legs = path_of(settings, machine, path)
     tool = tools_of(track, settings) if "tool" in track else None
     measured = cut(track, legs, error_blocks(machine, settings)[TOOL].values, tool, settings.corner)
     cells = legs.cells(machine, _longest_cell(effects))
-    return Measurement(machine, legs, measured, tracker_noise(settings), cells, settings, tuple(effects))
+    return TrackMeasurement(machine, legs, measured, tracker_noise(settings), cells, settings, tuple(effects))
 
 
-def on_the_fly(whole: Measurement) -> Solved:
+def on_the_fly(whole: TrackMeasurement) -> AdjustedMachine:
     """Solve, and relinearise until no point moves along its leg."""
     settings = whole.settings
     tracker = tracker_block(whole.track.pose, settings.machine.tool_std)
@@ -88,7 +88,7 @@ def on_the_fly(whole: Measurement) -> Solved:
     def at(state: Mapping[str, Block], before: Array) -> _Linearised:
         return _Linearised(state, ways(cut, state), before)
 
-    def moved(here: _Linearised, again: Solved) -> tuple[_Linearised, bool]:
+    def moved(here: _Linearised, again: AdjustedMachine) -> tuple[_Linearised, bool]:
         still = np.abs(here.way - here.before).max() < _SETTLED
         return (here, False) if still else (at(again.solution.blocks, here.way), True)
 
@@ -109,7 +109,7 @@ class _Linearised:
 
 def _longest_cell(effects: Sequence[Wanted]) -> float:
     """Return the longest cell for the periods of the effects: an eighth of a period is nearly a parabola."""
-    periods = [float(one.values["period"]) for one in effects if "period" in one.values]
+    periods = [float(effect.values["period"]) for effect in effects if "period" in effect.values]
     return min(periods, default=np.inf) / _CELLS_IN_A_PERIOD
 
 
@@ -122,7 +122,7 @@ def path_of(settings: Settings, machine: Machine, table: Table) -> Path:
     return path
 
 
-def problem_at(whole: Measurement, state: Mapping[str, Block]) -> Problem:
+def problem_at(whole: TrackMeasurement, state: Mapping[str, Block]) -> MachineProblem:
     """Return the adjustment problem of the condensed track, linearised at the blocks of `state`."""
     path, track = whole.path, whole.track
     blocks = {**state, LEG: leg_block(_across(whole, state))}
@@ -136,7 +136,7 @@ def problem_at(whole: Measurement, state: Mapping[str, Block]) -> Problem:
     names = list(whole.settings.tools)
     facts = {"condensed_points": len(few.x), "noise_in_cells": _noise_in_cells(few, observations)}
     readings = Group(READINGS, path_chain(reach(whole.machine)), observations)
-    problem = Problem(
+    problem = MachineProblem(
         model_of(blocks, readings, tool_prior(blocks, whole.settings)),
         whole.machine,
         few.weight,
@@ -147,12 +147,12 @@ def problem_at(whole: Measurement, state: Mapping[str, Block]) -> Problem:
     return problem.with_effects(whole.effects)
 
 
-def _across(whole: Measurement, state: Mapping[str, Block]) -> Array:
+def _across(whole: TrackMeasurement, state: Mapping[str, Block]) -> Array:
     """Return two unit vectors across each leg in the tracker's frame, (legs, 2, 3)."""
     return np.asarray(whole.path.across @ poses.rotation_of(state[TRACKER].values[0]))
 
 
-def _line(whole: Measurement, state: Mapping[str, Block]) -> tuple[Array, Array]:
+def _line(whole: TrackMeasurement, state: Mapping[str, Block]) -> tuple[Array, Array]:
     """Return the start and the direction of each leg as commanded, in the tracker's frame, (legs, 3) each."""
     pose = state[TRACKER].values[0]
     rotation = poses.rotation_of(pose)
@@ -160,12 +160,12 @@ def _line(whole: Measurement, state: Mapping[str, Block]) -> tuple[Array, Array]
     return start @ rotation, whole.path.direction @ rotation
 
 
-def _offset(whole: Measurement, state: Mapping[str, Block]) -> Array:
+def _offset(whole: TrackMeasurement, state: Mapping[str, Block]) -> Array:
     """Return the coordinates of each commanded line across its leg, (legs, 2)."""
     return np.asarray(np.einsum("lab,lb->la", _across(whole, state), _line(whole, state)[0]))
 
 
-def _channels(whole: Measurement, state: Mapping[str, Block]) -> Array:
+def _channels(whole: TrackMeasurement, state: Mapping[str, Block]) -> Array:
     """Return two coordinates of each point across its leg, from the commanded line, its conditions, and its speed."""
     leg, points, conditions = whole.track.leg, whole.track.points, whole.track.conditions
     across = _across(whole, state)[leg]
@@ -176,7 +176,7 @@ def _channels(whole: Measurement, state: Mapping[str, Block]) -> Array:
     return np.concatenate([values, *(one[None] for one in given)])
 
 
-def ways(whole: Measurement, state: Mapping[str, Block]) -> Array:
+def ways(whole: TrackMeasurement, state: Mapping[str, Block]) -> Array:
     """Return the commanded distance along its leg at which the predicted path passes each point, (n,)."""
     start, direction = _line(whole, state)
     leg = whole.track.leg
@@ -193,7 +193,7 @@ def _apart(path: Path, leg: Index) -> Array:
     return np.asarray(path.before[leg] + leg)
 
 
-def _errors_along(whole: Measurement, state: Mapping[str, Block]) -> tuple[Array, Array]:
+def _errors_along(whole: TrackMeasurement, state: Mapping[str, Block]) -> tuple[Array, Array]:
     """Return distances along the path (with gaps between legs), (m,), and the predicted error there, (3, m).
 
     The rows are the error along the leg and its two components across the leg.
@@ -209,7 +209,7 @@ def _errors_along(whole: Measurement, state: Mapping[str, Block]) -> tuple[Array
 
 
 def _observations(
-    whole: Measurement, few: Condensed, leg: Index, position: Array, blocks: Mapping[str, Block]
+    whole: TrackMeasurement, few: Condensed, leg: Index, position: Array, blocks: Mapping[str, Block]
 ) -> Observations:
     path = whole.path
     start, direction = _line(whole, blocks)
@@ -245,7 +245,7 @@ def _noise_in_cells(few: Condensed, observations: Observations) -> float:
     return float(np.sqrt(few.misfit[:2].sum() / few.dof / declared))
 
 
-def _without_wild(whole: Measurement, state: Mapping[str, Block]) -> Measurement:
+def _without_wild(whole: TrackMeasurement, state: Mapping[str, Block]) -> TrackMeasurement:
     """Return the measurement without points that are far from the predicted path."""
     track = whole.track
     marks, error = _errors_along(whole, state)

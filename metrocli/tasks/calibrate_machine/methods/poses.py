@@ -21,7 +21,7 @@ from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.methods.probing import probing
 from metrocli.tasks.calibrate_machine.methods.standstill import CARTESIAN, standstill
 from metrocli.tasks.calibrate_machine.methods.targets import brought_to, targets
-from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, STANDSTILL, MachineSimulation, Settings
 from metrocli.tasks.shared.environment import air_of
 from metrocli.tasks.shared.lists import listed_places, matched
@@ -35,7 +35,7 @@ _FIRST_TEMPERATURE = 20.0
 _TIGHT = 3
 """Decimals of poses [mm, deg]"""
 
-PROBLEMS: Mapping[str, Callable[[Settings, Table, Files], Problem]] = {
+PROBLEMS: Mapping[str, Callable[[Settings, Table, Files], MachineProblem]] = {
     STANDSTILL: standstill,
     LENGTHS: lengths,
     PROBING: probing,
@@ -43,7 +43,7 @@ PROBLEMS: Mapping[str, Callable[[Settings, Table, Files], Problem]] = {
 """The adjustment problem of a table, by the method that reads rotary axes in any pose"""
 
 
-def problem_at(settings: Settings, table: Table, files: Files) -> Problem:
+def problem_at(settings: Settings, table: Table, files: Files) -> MachineProblem:
     """Return the adjustment problem of a table, with the errors that an earlier calibration gives.
 
     Raises InputError if the files do not belong together.
@@ -99,8 +99,8 @@ def without_errors(settings: Settings, table: Table, files: Files, tracker: Arra
 def places_read(settings: Settings, table: Table, files: Files) -> Array:
     """Return the places (3, n) of the targets on a machine without errors, in the axes of what the instrument is on."""
     machine = machine_of(settings)
-    found = targets(settings, error_blocks(machine, settings), table, files.reflectors)
-    return found.places(machine, commanded(machine, table), settings.instrument.on)
+    measured = targets(settings, error_blocks(machine, settings), table, files.reflectors)
+    return measured.places(machine, commanded(machine, table), settings.instrument.on)
 
 
 def around(places: Array, count: int) -> Array:

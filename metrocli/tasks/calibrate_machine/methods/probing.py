@@ -23,8 +23,8 @@ from metrocli.instruments.machine import Machine
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support, raise_if
 from metrocli.tasks.calibrate_machine.files import Files
-from metrocli.tasks.calibrate_machine.methods.targets import Targets, balls_of, with_distances
-from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
+from metrocli.tasks.calibrate_machine.methods.targets import MeasuredTargets, balls_of, with_distances
+from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 
 READINGS = "probing"
@@ -33,38 +33,38 @@ _FAR = 20.0
 """A ball that the nominal machine places farther from the probe than this [mm] is not the one that was probed"""
 
 
-def probing(settings: Settings, table: Table, files: Files) -> Problem:
+def probing(settings: Settings, table: Table, files: Files) -> MachineProblem:
     """Return the adjustment problem; raises InputError if poses, balls and tools do not belong together."""
     if files.balls is None:
         raise InputError("probing needs the approximate places of the balls: `inputs: {balls: balls.csv}`")
     machine = machine_of(settings)
     blocks = error_blocks(machine, settings)
     position = commanded(machine, table)
-    found = with_distances(balls_of(settings, blocks, table, files.balls), files.distances)
+    targets = with_distances(balls_of(settings, blocks, table, files.balls), files.distances)
     must_support(machine, position, blocks)
     read = displacements(table)
-    _must_meet(machine, position, found, read, table)
+    _must_meet(machine, position, targets, read, table)
     seen = np.einsum("abn,bn->an", axes_of(machine, position, settings.sensor), read)
-    n, place = position.shape[1], seen_from_bed(machine, position, machine.tools[found.tool].T, True)
+    n, place = position.shape[1], seen_from_bed(machine, position, machine.tools[targets.tool].T, True)
     shares = {OF_WORKPIECE: np.ones(n), OF_TOOL: -np.ones(n)}
     observations = Observations(
         seen,
         np.full(1, settings.noise.probing or 0.0),
-        machine.index(position) | found.index,
+        machine.index(position) | targets.index,
         keys=keys_of(table),
-        conditions=conditions(machine, position, table, place) | shares | found.first_seen(table),
+        conditions=conditions(machine, position, table, place) | shares | targets.first_seen(table),
         components=("x", "y", "z"),
         unit="mm",
     )
     readings = Group(READINGS, Chain((Undisturbed(machine), FromBed(machine, True))), observations)
-    unknowns = {**blocks, **found.blocks}
+    unknowns = {**blocks, **targets.blocks}
     names = list(settings.tools)
-    return Problem(
-        model_of(unknowns, readings, (*found.others, *gauge(machine, unknowns))),
+    return MachineProblem(
+        model_of(unknowns, readings, (*targets.others, *gauge(machine, unknowns))),
         machine,
         np.ones(n),
-        tuple(names[i] for i in np.unique(found.tool)),
-        found.read_once,
+        tuple(names[i] for i in np.unique(targets.tool)),
+        targets.read_once,
     )
 
 
@@ -93,19 +93,19 @@ def keys_of(table: Table) -> dict[str, tuple[str, ...]]:
     return {"ball": tuple(balls), "probing": tuple(number)}
 
 
-def _must_meet(machine: Machine, position: Array, found: Targets, read: Array, table: Table) -> None:
+def _must_meet(machine: Machine, position: Array, targets: MeasuredTargets, read: Array, table: Table) -> None:
     """Raise InputError if balls are not where the probe found them, or have the names of others."""
-    tools = seen_from_bed(machine, position, machine.tools[found.tool].T, True) + read
-    off = np.linalg.norm(found.places(machine, position, "bed") - tools, axis=0)
+    tools = seen_from_bed(machine, position, machine.tools[targets.tool].T, True) + read
+    off = np.linalg.norm(targets.places(machine, position, "bed") - tools, axis=0)
     if (off <= _FAR).all():
         return
-    balls = found.blocks[ON_WORKPIECE]
+    balls = targets.blocks[ON_WORKPIECE]
     places = (np.broadcast_to(ball[:, None], tools.shape) for ball in balls.values)
     gaps = np.array([np.linalg.norm(seen_from_bed(machine, position, own, False) - tools, axis=0) for own in places])
     at, meets = gaps.argmin(axis=0), gaps.min(axis=0) <= _FAR
     if meets.mean() > 0.5:
         wrong = np.flatnonzero(meets & (off > _FAR))
-        raise_if(_of_other_names(found.fixed, at, wrong, balls.members, table))
+        raise_if(_of_other_names(targets.fixed, at, wrong, balls.members, table))
     elif np.median(off) > _FAR:
         # a fault without a hint: a task then tries what may be wrong in the settings
         text = f"the probe is {np.median(off):.0f} mm from the listed balls in the median pose: chain, sense or `at` of"

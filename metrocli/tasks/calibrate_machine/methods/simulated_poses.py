@@ -42,7 +42,7 @@ from metrocli.tasks.calibrate_machine.methods.poses import (
 from metrocli.tasks.calibrate_machine.methods.probing import DISPLACEMENTS
 from metrocli.tasks.calibrate_machine.methods.standstill import CARTESIAN, tracker_noise
 from metrocli.tasks.calibrate_machine.methods.targets import moved_by
-from metrocli.tasks.calibrate_machine.problem import PLACES_OF_AXES, Problem
+from metrocli.tasks.calibrate_machine.problem import PLACES_OF_AXES, MachineProblem
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, STANDSTILL, MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.truth import true_errors, truth_of, warmed
 from metrocli.tasks.job import Job
@@ -82,7 +82,7 @@ def simulated_turning(job: Job[Settings, Files], simulation: MachineSimulation, 
     }[settings.method]
     true = {
         name: float(value)
-        for block in (truth.blocks[one] for one in PLACES_OF_AXES if one in truth.blocks)
+        for block in (truth.blocks[name] for name in PLACES_OF_AXES if name in truth.blocks)
         for name, value in zip(block.columns, block.values[0], strict=True)
         if name in settings.estimated
     }
@@ -106,29 +106,31 @@ def _poses(job: Job[Settings, Files], simulation: MachineSimulation, rng: np.ran
     return table.joined({heading(name): values for name, values in more.items() if name not in table})
 
 
-def _drawn(problem: Problem, rng: np.random.Generator) -> dict[str, Block]:
+def _drawn(problem: MachineProblem, rng: np.random.Generator) -> dict[str, Block]:
     """Return the blocks of a problem at random values within what is known of them: priors, calibrated distances."""
-    found = dict(problem.blocks)
+    drawn = dict(problem.blocks)
     for group in problem.groups:
         link = group.chain.links[0]
         if isinstance(link, ReadBlock):
-            values = np.array(found[link.block].values)
+            values = np.array(drawn[link.block].values)
             noise = rng.normal(size=group.observations.sigma.shape) * group.observations.sigma
             values[link.entries(group.observations.index[link.block])] += noise.T.ravel()
-            found[link.block] = found[link.block].with_values(values)
+            drawn[link.block] = drawn[link.block].with_values(values)
     for name in (TOOL, ON_WORKPIECE):
-        if name in found:
-            unsaid = (problem.blocks[name].values == found[name].values) & found[name].free
-            found[name] = found[name].with_values(found[name].values + unsaid * rng.normal(0, _UNSAID, unsaid.shape))
-    return {**found, **_at_distances(problem, found, rng)}
+        if name in drawn:
+            unsaid = (problem.blocks[name].values == drawn[name].values) & drawn[name].free
+            drawn[name] = drawn[name].with_values(drawn[name].values + unsaid * rng.normal(0, _UNSAID, unsaid.shape))
+    return {**drawn, **_at_distances(problem, drawn, rng)}
 
 
-def _at_distances(problem: Problem, found: Mapping[str, Block], rng: np.random.Generator) -> dict[str, Block]:
+def _at_distances(problem: MachineProblem, blocks: Mapping[str, Block], rng: np.random.Generator) -> dict[str, Block]:
     """Return points on the workpiece moved as little as possible to calibrated distances with their errors."""
-    group = next((one for one in problem.groups if isinstance(one.chain.links[0], DistanceBetween)), None)
+    group = next(
+        (distances for distances in problem.groups if isinstance(distances.chain.links[0], DistanceBetween)), None
+    )
     if group is None:
         return {}
-    given, block = group.observations, found[ON_WORKPIECE]
+    given, block = group.observations, blocks[ON_WORKPIECE]
     read = group.with_observations(
         given.with_readings(given.readings + rng.normal(size=given.sigma.shape) * given.sigma)
     )
@@ -136,11 +138,11 @@ def _at_distances(problem: Problem, found: Mapping[str, Block], rng: np.random.G
     return {ON_WORKPIECE: adjust([block], [read, *near]).blocks[ON_WORKPIECE]}
 
 
-def _instruments(problem: Problem, drawn: Mapping[str, Block], files: Files, tracker: Array) -> dict[str, Block]:
+def _instruments(problem: MachineProblem, drawn: Mapping[str, Block], files: Files, tracker: Array) -> dict[str, Block]:
     """Return tracker or stations at their true places; a station's dead path is that to its first reading."""
-    found = {}
+    instruments = {}
     if TRACKER in problem.blocks:
-        found[TRACKER] = problem.blocks[TRACKER].with_values(tracker[None])
+        instruments[TRACKER] = problem.blocks[TRACKER].with_values(tracker[None])
     stations = files.listed_stations
     if TRACER in problem.blocks and stations is not None:
         block, listed = problem.blocks[TRACER], stations.texts("station")
@@ -148,8 +150,8 @@ def _instruments(problem: Problem, drawn: Mapping[str, Block], files: Files, tra
         values[:, :3] += stations.stacked("xyz")[[listed.index(name) for name in block.members]]
         values[:, 3] = block.values[:, 3]
         values[:, 4] += 1.0
-        found[TRACER] = block.with_values(values)
-    return found
+        instruments[TRACER] = block.with_values(values)
+    return instruments
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,7 @@ class _Reading:
 
     job: Job[Settings, Files]
     table: Table
-    problem: Problem
+    problem: MachineProblem
 
     def at(self, observations: Observations) -> Array:
         """Return the readings without noise."""

@@ -29,7 +29,7 @@ from metrocli.instruments.six_dof import (
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of, must_support, tool_prior
 from metrocli.tasks.calibrate_machine.iso230 import Run, others_at
-from metrocli.tasks.calibrate_machine.problem import SIDES, Problem, conditions, model_of, since_turns
+from metrocli.tasks.calibrate_machine.problem import SIDES, MachineProblem, conditions, model_of, since_turns
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.words import listed, suggestion
 
@@ -44,7 +44,7 @@ _LEAST_PART = 1e-6
 
 
 @dataclass(frozen=True)
-class Lines:
+class MeasuredLines:
     """The lines of a file, and the place of each of their readings."""
 
     names: tuple[str, ...]
@@ -78,7 +78,7 @@ class Lines:
         return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
 
 
-def lines_of(machine: Machine, table: Table) -> Lines:
+def lines_of(machine: Machine, table: Table) -> MeasuredLines:
     """Return the lines of a file.
 
     Raises InputError for unknown directions, lines with several directions or too few positions, and contradictory
@@ -101,7 +101,7 @@ def lines_of(machine: Machine, table: Table) -> Lines:
         raise InputError(faults)
     position = _positions(machine, table, axes)
     axis = tuple(str(axes[of == i][0]) for i in range(len(names)))
-    return Lines(names, axis, of, position, table.numbers("position"))
+    return MeasuredLines(names, axis, of, position, table.numbers("position"))
 
 
 def _refuse_directions(table: Table) -> None:
@@ -142,7 +142,7 @@ def _positions(machine: Machine, table: Table, axes: Values) -> Array:
     return commanded(machine, table.joined({"x y z [mm]": position.T}))
 
 
-def six_dof(settings: Settings, table: Table) -> Problem:
+def six_dof(settings: Settings, table: Table) -> MachineProblem:
     """Return the adjustment of the lines."""
     machine = machine_of(settings)
     blocks = error_blocks(machine, settings)
@@ -171,7 +171,7 @@ def six_dof(settings: Settings, table: Table) -> Problem:
     free: Mask | bool = True
     if displacement is not None:
         free = np.array([[channel == f"e{axis}" for channel in COLUMNS] for axis in lines.axis])
-    return Problem(
+    return MachineProblem(
         model_of({**blocks, LINE: line_block(lines.names, free)}, readings, tool_prior(blocks, settings)),
         machine,
         np.ones(len(table)),
@@ -182,7 +182,7 @@ def six_dof(settings: Settings, table: Table) -> Problem:
     )
 
 
-def displacement_only(settings: Settings, lines: Lines, table: Table) -> Array | None:
+def displacement_only(settings: Settings, lines: MeasuredLines, table: Table) -> Array | None:
     """Return the displacement of each reading, (n,), where the file has no other channels; None if it has all six.
 
     Raises InputError if it has some of them, or if the noise of the channels that it has is not given.
@@ -222,20 +222,20 @@ def displacement_only(settings: Settings, lines: Lines, table: Table) -> Array |
     return found
 
 
-def runs_of(lines: Lines, table: Table) -> list[Run]:
+def runs_of(lines: MeasuredLines, table: Table) -> list[Run]:
     """Return the runs along single axes with their displacement readings; a line may have runs in both directions."""
     turns = np.flatnonzero((np.diff(lines.of) != 0) | (np.diff(lines.sense) != 0)) + 1
-    found = []
+    runs = []
     for rows in np.split(np.arange(len(lines.of)), turns):
         direction, name = lines.axis[lines.of[rows[0]]], lines.names[lines.of[rows[0]]]
         if len(DIRECTIONS[direction]) == 1 and len(rows) > 1:
             at = np.delete(lines.position[:, rows[0]], DIRECTIONS[direction]).round(2).tolist()
             axis, where = direction.upper(), others_at(direction.upper(), at)
-            found.append(Run(axis, lines.distance[rows], table.numbers(f"e{direction}")[rows], where, name))
-    return found
+            runs.append(Run(axis, lines.distance[rows], table.numbers(f"e{direction}")[rows], where, name))
+    return runs
 
 
-def approach(lines: Lines) -> dict[str, Array]:
+def approach(lines: MeasuredLines) -> dict[str, Array]:
     """Return the directions of approach, and the distances since an axis turned on its line, (n,) each.
 
     The directions are 0 for axes that stand still on the line.
@@ -248,7 +248,7 @@ def approach(lines: Lines) -> dict[str, Array]:
     return sides | {name: np.concatenate([way[name] for way in ways]) for name in sorted(common)}
 
 
-def line_conditions(lines: Lines, along: Array) -> dict[str, Array]:
+def line_conditions(lines: MeasuredLines, along: Array) -> dict[str, Array]:
     """Return the conditions of readings on lines: distances from middle and start, unit vectors across and along."""
     least = np.eye(3)[np.argmin(np.abs(along), axis=1)]
     first = np.cross(along, least)
@@ -262,7 +262,7 @@ def line_conditions(lines: Lines, along: Array) -> dict[str, Array]:
     return distances | dict(zip((*ACROSS, *ALONG), (*across, *along[lines.of].T), strict=True))
 
 
-def planned_lines(machine: Machine, step: float) -> Lines:
+def planned_lines(machine: Machine, step: float) -> MeasuredLines:
     """Return lines along the axes in both directions and along three face diagonals, with readings every `step` mm."""
     of, positions, distances = [], [], []
     for line, moving in enumerate(DIRECTIONS.values()):
@@ -275,7 +275,7 @@ def planned_lines(machine: Machine, step: float) -> Lines:
         positions.append(start[:, None] + size[:, None] / length * way)
         distances.append(way if len(moving) > 1 else positions[-1][moving[0]])
     names = tuple(DIRECTIONS)
-    return Lines(names, names, np.concatenate(of), np.concatenate(positions, axis=1), np.concatenate(distances))
+    return MeasuredLines(names, names, np.concatenate(of), np.concatenate(positions, axis=1), np.concatenate(distances))
 
 
 def laser_noise(settings: Settings) -> LineNoise:

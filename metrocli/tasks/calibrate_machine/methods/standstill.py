@@ -16,7 +16,7 @@ from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, 
 from metrocli.tasks.calibrate_machine.files import NO_FILES, Files
 from metrocli.tasks.calibrate_machine.methods.targets import BED, targets, with_distances
 from metrocli.tasks.calibrate_machine.methods.track import tracker_pose
-from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
+from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.shared.lists import refuse
 
@@ -41,7 +41,7 @@ def faces(points: Table) -> dict[str, Array]:
     return {FACE: np.where(given == 1.0, 1.0, -1.0)}
 
 
-def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Problem:
+def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> MachineProblem:
     """Return the adjustment problem; raises InputError if the measured points do not match the commanded ones."""
     machine = machine_of(settings)
     blocks = error_blocks(machine, settings)
@@ -71,7 +71,7 @@ def standstill(settings: Settings, points: Table, files: Files = NO_FILES) -> Pr
     readings = Group(READINGS, point_chain(reach(machine, on, found.workpiece)), observations)
     names = list(settings.tools)
     unknowns = {**blocks, **found.blocks, TRACKER: tracker_block(pose, min(settings.machine.tool_std, _VAGUE))}
-    return Problem(
+    return MachineProblem(
         model_of(unknowns, readings, (*found.others, *gauge(machine, unknowns))),
         machine,
         np.ones(position.shape[1]),

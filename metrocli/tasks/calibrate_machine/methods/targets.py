@@ -38,7 +38,7 @@ _REACH = 100.0
 
 
 @dataclass(frozen=True)
-class Targets:
+class MeasuredTargets:
     """The targets of readings: members of the blocks of tools and of points on the workpiece."""
 
     blocks: Mapping[str, Block]
@@ -109,7 +109,7 @@ class Targets:
         return np.where(self.on_workpiece, fixed, at_tool)
 
 
-def targets(settings: Settings, blocks: Mapping[str, Block], table: Table, reflectors: Table | None) -> Targets:
+def targets(settings: Settings, blocks: Mapping[str, Block], table: Table, reflectors: Table | None) -> MeasuredTargets:
     """Return the targets of a table whose column `tool` names tools and reflectors.
 
     Raises InputError for a name that is neither, and for a reflector on the workpiece that is seen from there.
@@ -117,7 +117,7 @@ def targets(settings: Settings, blocks: Mapping[str, Block], table: Table, refle
     if reflectors is None:
         tool = tools_of(table, settings)
         none = np.zeros(len(tool), dtype=np.intp)
-        return Targets({TOOL: blocks[TOOL]}, tool, none, none > 0, tool_prior(blocks, settings))
+        return MeasuredTargets({TOOL: blocks[TOOL]}, tool, none, none > 0, tool_prior(blocks, settings))
     names, listed = list(settings.tools), reflectors.texts("reflector")
     where = np.array(reflectors.texts("on"))
     refuse(reflectors, {"`on` is workpiece or tool": ~np.isin(where, ("workpiece", "tool"))})
@@ -143,13 +143,13 @@ def targets(settings: Settings, blocks: Mapping[str, Block], table: Table, refle
     on_workpiece = np.array([known[name][0] for name in read])
     number = np.array([known[name][1] for name in read])
     tool_block, more = _with_tools(blocks[TOOL], reflectors, ~fixed)
-    found = {TOOL: tool_block}
+    unknowns = {TOOL: tool_block}
     others = [*tool_prior(blocks, settings), *more]
     if fixed.any():
-        found[ON_WORKPIECE], known_places = _listed(reflectors, "reflector", fixed)
+        unknowns[ON_WORKPIECE], known_places = _listed(reflectors, "reflector", fixed)
         others += known_places
-    return Targets(
-        found,
+    return MeasuredTargets(
+        unknowns,
         np.where(on_workpiece, 0, number),
         np.where(on_workpiece, number, 0),
         on_workpiece,
@@ -183,9 +183,9 @@ def brought_to(machine: Machine, position: Array, ball: Array, tip: Array) -> Ar
 def moved_by(machine: Machine, position: Array, way: Array) -> Array:
     """Return positions (axes, n) whose linear axes are moved by ways (3, n) along x, y and z."""
     linear = [i for i, axis in enumerate(machine.axes) if not isinstance(axis, RotaryAxis)]
-    found = np.array(position)
-    found[linear] += way[[machine.axes[i].number for i in linear]]
-    return found
+    moved = np.array(position)
+    moved[linear] += way[[machine.axes[i].number for i in linear]]
+    return moved
 
 
 def _with_tools(tools: Block, listed: Table, chosen: Mask) -> tuple[Block, list[Group]]:
@@ -216,7 +216,7 @@ def _listed(listed: Table, key: str, chosen: Mask) -> tuple[Block, list[Group]]:
     return block, priors(block, sigma, block.free)
 
 
-def balls_of(settings: Settings, blocks: Mapping[str, Block], table: Table, balls: Table) -> Targets:
+def balls_of(settings: Settings, blocks: Mapping[str, Block], table: Table, balls: Table) -> MeasuredTargets:
     """Return the balls that a probe finds; raises InputError for a ball that is not in the list."""
     tool = tools_of(table, settings)
     read = np.unique(np.array(table.texts("ball")))
@@ -224,20 +224,22 @@ def balls_of(settings: Settings, blocks: Mapping[str, Block], table: Table, ball
     ball = matched(table, "ball", np.array(balls.texts("ball"))[used].tolist(), balls.file)
     block, known = _listed(balls, "ball", used)
     others = (*tool_prior(blocks, settings), *known)
-    return Targets({TOOL: blocks[TOOL], ON_WORKPIECE: block}, tool, ball, np.ones(len(ball), dtype=bool), others)
+    return MeasuredTargets(
+        {TOOL: blocks[TOOL], ON_WORKPIECE: block}, tool, ball, np.ones(len(ball), dtype=bool), others
+    )
 
 
-def with_distances(found: Targets, distances: Table | None) -> Targets:
+def with_distances(measured: MeasuredTargets, distances: Table | None) -> MeasuredTargets:
     """Return targets with calibrated distances between points on the workpiece.
 
     Raises InputError for a name that no reading has.
     """
     if distances is None:
-        return found
-    if not found.workpiece:
+        return measured
+    if not measured.workpiece:
         raise InputError([distances.fault("there are no points on the workpiece", "leave the distances out")])
-    names = found.blocks[ON_WORKPIECE].members
-    ends = np.stack([matched(distances, one, list(names), "the points that are read") for one in ("from", "to")])
+    names = measured.blocks[ON_WORKPIECE].members
+    ends = np.stack([matched(distances, end, list(names), "the points that are read") for end in ("from", "to")])
     refuse(
         distances,
         {
@@ -254,4 +256,4 @@ def with_distances(found: Targets, distances: Table | None) -> Targets:
         unit="mm",
     )
     group = Group("distances", Chain((DistanceBetween(ON_WORKPIECE),)), observed)
-    return replace(found, others=(*found.others, group))
+    return replace(measured, others=(*measured.others, group))

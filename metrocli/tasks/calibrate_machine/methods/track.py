@@ -116,8 +116,8 @@ def cut(table: Table, path: Path, tools: Array, track_tool: Index | None, corner
     points = table.stacked("xyz").T
     if points.shape[1] < _FEW:
         raise InputError([Fault(f"{points.shape[1]} points are too few for a track along a path", table.file)])
-    found = _aligned(points, track_tool, path, tools, table.file)
-    leg, along, off = _on_legs(points, found, path, tools)
+    alignment = _aligned(points, track_tool, path, tools, table.file)
+    leg, along, off = _on_legs(points, alignment, path, tools)
     usual = float(np.median(off))
     wild = off > usual * 3 + _WILD
     near_corner = (along < corner) | (along > path.lengths[leg] - corner)
@@ -137,34 +137,34 @@ def cut(table: Table, path: Path, tools: Array, track_tool: Index | None, corner
     }
     seen = np.bincount(leg[kept], minlength=len(path.lengths)) > 0
     told = _told(breaks, leg, along, wild) + _unseen(seen, path)
-    return Track(points[:, kept], leg[kept], conditions, found.pose, tuple(told), facts)
+    return Track(points[:, kept], leg[kept], conditions, alignment.pose, tuple(told), facts)
 
 
 def _aligned(points: Array, tool: Index | None, path: Path, tools: Array, file: str) -> Alignment:
-    found = align(points, tool, path, tools)
+    alignment = align(points, tool, path, tools)
     _, leg, nominal = path.sampled(3000)
     nominal = nominal + tools[path.tool[leg]].T
     limit = _FAR * extent(nominal)
-    if found.miss <= limit and wrong_unit(points[:, found.rows], nominal) is None:
-        return found
-    thin = points[:, found.rows]
+    if alignment.miss <= limit and wrong_unit(points[:, alignment.rows], nominal) is None:
+        return alignment
+    thin = points[:, alignment.rows]
     if wrong_unit(thin, nominal) is not None:
         raise InputError([mismatch(thin, nominal, file)])
     mirrored = align(points * [[1.0], [1.0], [-1.0]], tool, path, tools)
     if mirrored.miss <= limit:
         text = "the track is a mirror image of the path"
         raise InputError([Fault(text, file, hint=MIRRORED)])
-    text = f"the track does not have the shape of the path: {found.miss:.3g} mm off after the best alignment"
+    text = f"the track does not have the shape of the path: {alignment.miss:.3g} mm off after the best alignment"
     hint = "is this the track of another path, or are vertices missing or in another order?"
     raise InputError([Fault(text, file, hint=hint)])
 
 
-def _on_legs(points: Array, found: Alignment, path: Path, tools: Array) -> tuple[Index, Array, Array]:
+def _on_legs(points: Array, alignment: Alignment, path: Path, tools: Array) -> tuple[Index, Array, Array]:
     """Return the leg of each point, the distance along it, and the distance from it, each (n,)."""
-    aligned = poses.apply(found.pose, points.T)
+    aligned = poses.apply(alignment.pose, points.T)
     numbers = np.arange(points.shape[1])
-    after = np.clip(np.searchsorted(found.rows, numbers), 0, len(found.rows) - 1)
-    ends = path.leg_of(found.way)
+    after = np.clip(np.searchsorted(alignment.rows, numbers), 0, len(alignment.rows) - 1)
+    ends = path.leg_of(alignment.way)
     candidates = (ends[np.maximum(after - 1, 0)], ends[after])
     each = [_to_leg(aligned, leg, path, tools) for leg in candidates]
     second = each[1][1] < each[0][1]

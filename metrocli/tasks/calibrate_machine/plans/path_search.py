@@ -17,7 +17,7 @@ from metrocli.frozen import dataclass
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.tracker import LEG
-from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.rank.amplification import volume_matrix
 from metrocli.tasks.calibrate_machine.rank.identifiability import identify
 
@@ -29,11 +29,11 @@ _LEAST = 0.3
 _FLOOR = 1e-9
 """Information of a combination that no chord has seen yet, relative to the mean per length of many random chords"""
 
-Planned = Callable[[Path], Problem]
+Planned = Callable[[Path], MachineProblem]
 
 
 @dataclass(frozen=True)
-class Found:
+class ChosenPath:
     """A path, and its worst ratio of volume error to path misfit."""
 
     vertices: Array
@@ -64,7 +64,7 @@ def edges_and_diagonals(machine: Machine) -> Path:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class PathRequirements:
     """Requirements for a path: longest length [mm], largest ratio, number of tools, and seed of the random chords."""
 
     length: float
@@ -106,7 +106,7 @@ class _Volume:
         return float(np.sqrt(max(values[-1], 0.0))), scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def search(machine: Machine, planned: Planned, wanted: Wanted) -> Found:
+def search(machine: Machine, planned: Planned, wanted: PathRequirements) -> ChosenPath:
     """Return a path that reaches the wanted ratio, or the best one found up to the longest length."""
     rng = np.random.default_rng(wanted.seed)
     volume, floor = _begin(machine, planned, wanted, rng)
@@ -135,10 +135,12 @@ def search(machine: Machine, planned: Planned, wanted: Wanted) -> Found:
         if now != tool[-1]:
             vertices, tool = [*vertices, vertices[-1]], [*tool, now]
         vertices, tool = [*vertices, choice.end[best]], [*tool, now]
-    return Found(np.array(vertices), np.array(tool, dtype=np.intp), ratio)
+    return ChosenPath(np.array(vertices), np.array(tool, dtype=np.intp), ratio)
 
 
-def _begin(machine: Machine, planned: Planned, wanted: Wanted, rng: np.random.Generator) -> tuple[_Volume, Array]:
+def _begin(
+    machine: Machine, planned: Planned, wanted: PathRequirements, rng: np.random.Generator
+) -> tuple[_Volume, Array]:
     """Return the volume by which paths are judged, and a small normal matrix as the start, from many random chords."""
     ends = np.concatenate([_on_walls(machine, rng) for _ in range(1 + _DENSE // _CHOICE)])
     tool = np.arange(len(ends)) % wanted.tools

@@ -27,9 +27,9 @@ from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.described import error_blocks, machine_of, tool_prior
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import READINGS, path_of
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
-from metrocli.tasks.calibrate_machine.plans.path_search import Found, Wanted, edges_and_diagonals, search
+from metrocli.tasks.calibrate_machine.plans.path_search import ChosenPath, PathRequirements, edges_and_diagonals, search
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
-from metrocli.tasks.calibrate_machine.problem import Problem, conditions, model_of
+from metrocli.tasks.calibrate_machine.problem import MachineProblem, conditions, model_of
 from metrocli.tasks.calibrate_machine.rank.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.tables import Determination, Tables, tables_of, unit_of
@@ -45,7 +45,7 @@ _GAUSS = np.sqrt(0.6)
 _NODES, _WEIGHTS = np.array([-_GAUSS, 0.0, _GAUSS]) / 2 + 0.5, np.array([5.0, 8.0, 5.0]) / 18.0
 
 
-def planned_problem(settings: Settings, plan: PathPlan, path: Path) -> Problem:
+def planned_problem(settings: Settings, plan: PathPlan, path: Path) -> MachineProblem:
     """Return the adjustment problem of a planned path, with readings at the three Gauss nodes of each cell."""
     machine = machine_of(settings)
     pose = tracker_pose(machine.low, machine.high, plan)
@@ -73,7 +73,7 @@ def planned_problem(settings: Settings, plan: PathPlan, path: Path) -> Problem:
     names = list(settings.tools)
     used = tuple(names[i] for i in np.unique(path.tool))
     group = Group(READINGS, path_chain(reach(machine)), observations)
-    return Problem(model_of(blocks, group, tool_prior(blocks, settings)), machine, length, used)
+    return MachineProblem(model_of(blocks, group, tool_prior(blocks, settings)), machine, length, used)
 
 
 def tracker_pose(low: Array, high: Array, plan: PathPlan) -> Array:
@@ -107,9 +107,9 @@ def plan_of_path(settings: Settings, table: Table | None) -> Plan:
     machine = machine_of(settings)
     own = [] if table is None else _own(settings, wanted, path_of(settings, machine, table))
     longest = wanted.length or edges_and_diagonals(machine).length
-    asked = Wanted(longest, wanted.ratio * _MARGIN, len(settings.tools), wanted.seed)
-    found = search(machine, lambda path: planned_problem(settings, wanted, path), asked)
-    path = Path.of(found.vertices, found.tool)
+    asked = PathRequirements(longest, wanted.ratio * _MARGIN, len(settings.tools), wanted.seed)
+    chosen = search(machine, lambda path: planned_problem(settings, wanted, path), asked)
+    path = Path.of(chosen.vertices, chosen.tool)
     worth = worth_of(settings, planned_problem(settings, wanted, path))
     time, ratio = float(travelled_time(path, wanted.feed)), worth.identified.ratio
     warnings = (
@@ -124,8 +124,8 @@ def plan_of_path(settings: Settings, table: Table | None) -> Plan:
     ]
     figures = (Estimate("path_length", path.length, 0.0, "mm"), Estimate("duration", time, 0.0, "s"))
     files: dict[str, Table | str] = {
-        "path.csv": _path_table(settings, found, wanted),
-        "path.nc": _program(settings, found, wanted),
+        "path.csv": _path_table(settings, chosen, wanted),
+        "path.nc": _program(settings, chosen, wanted),
     }
     return planned(notes, figures, worth, files, warnings)
 
@@ -139,7 +139,7 @@ class Worth:
     volumetric: Table
 
 
-def worth_of(settings: Settings, problem: Problem) -> Worth:
+def worth_of(settings: Settings, problem: MachineProblem) -> Worth:
     """Return what the planned readings will determine; raises UndeterminedError if the volume is not determined."""
     identified = identify(problem)
     solution = covariance_at(identified.blocks.values(), problem.groups)
@@ -200,21 +200,21 @@ def predicted_errors(tables: Tables, identified: Identifiability) -> Table:
     )
 
 
-def _path_table(settings: Settings, found: Found, wanted: PathPlan) -> Table:
-    table = Table.of({"x y z [mm]": found.vertices})
+def _path_table(settings: Settings, path: ChosenPath, wanted: PathPlan) -> Table:
+    table = Table.of({"x y z [mm]": path.vertices})
     if list(settings.tools) != [""]:
-        table = table.joined({"tool": np.array(list(settings.tools))[found.tool]})
-    return table.joined({"feed [mm/s]": np.full(len(found.tool), wanted.feed)})
+        table = table.joined({"tool": np.array(list(settings.tools))[path.tool]})
+    return table.joined({"feed [mm/s]": np.full(len(path.tool), wanted.feed)})
 
 
-def _program(settings: Settings, found: Found, wanted: PathPlan) -> str:
+def _program(settings: Settings, path: ChosenPath, wanted: PathPlan) -> str:
     """Return the path as an NC program: positions of the spindle's reference point, without tool length offset."""
     names = list(settings.tools)
     blocks: list[NcBlock] = []
-    for i, vertex in enumerate(found.vertices):
+    for i, vertex in enumerate(path.vertices):
         to = dict(zip("XYZ", vertex.tolist(), strict=True))
-        if i == 0 or found.tool[i] != found.tool[i - 1]:
-            blocks += [Stop(f"mount reflector {names[found.tool[i]]}".strip()), Rapid(to), Dwell(REST)]
+        if i == 0 or path.tool[i] != path.tool[i - 1]:
+            blocks += [Stop(f"mount reflector {names[path.tool[i]]}".strip()), Rapid(to), Dwell(REST)]
         else:
             blocks += [Feed(to, wanted.feed), Dwell(REST)]
     remarks = [*PLACES, "the reflector faces the tracker; exact stop at every vertex"]

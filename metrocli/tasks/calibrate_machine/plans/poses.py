@@ -21,7 +21,7 @@ from metrocli.tasks.calibrate_machine.methods.poses import in_degrees, places_re
 from metrocli.tasks.calibrate_machine.plans.planned import Worth, planned, tracker_pose, worth_of
 from metrocli.tasks.calibrate_machine.plans.stops import judged
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
-from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, PROBING, STANDSTILL, Settings
 from metrocli.tasks.calibrate_machine.volume import shares_spread
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
@@ -54,10 +54,10 @@ def plan_of_poses(settings: Settings, files: Files) -> Plan:
     own = []
     if listed is not None:
         own = judged(f"the poses of the job: {len(listed)}", settings, _problem(settings, listed, files))
-    found, lacks = _enough(settings, files)
-    table, worth = found.table, found.worth
+    trial, lacks = _enough(settings, files)
+    table, worth = trial.table, trial.worth
     names = {PROBING: "ball", LENGTHS: "station"}
-    figures = [Estimate("readings", float(len(table)), 0.0, "1"), Estimate("uncertainty", found.uncertainty, 0.0, "mm")]
+    figures = [Estimate("readings", float(len(table)), 0.0, "1"), Estimate("uncertainty", trial.uncertainty, 0.0, "mm")]
     text = f"proposed: {len(table)} readings"
     if settings.method in names:
         n = len(set(table.texts(names[settings.method])))
@@ -94,31 +94,31 @@ def _enough(settings: Settings, files: Files) -> tuple[_Trial, str]:
         table = poses_at(settings, files, shares_spread(len(machine.axes), round(count)))
         return _Trial(table, worth_of(settings, _problem(settings, table, files)()))
 
-    found = tried(count)
+    trial = tried(count)
     if wanted.uncertainty is None:
-        while found.worth.identified.ratio > wanted.ratio and count * _GROWTH < _MOST:
+        while trial.worth.identified.ratio > wanted.ratio and count * _GROWTH < _MOST:
             count *= _GROWTH
-            before, found = found, tried(count)
-            if found.worth.identified.ratio > _GAIN * before.worth.identified.ratio:
-                found = min(before, found, key=lambda one: one.worth.identified.ratio)
+            before, trial = trial, tried(count)
+            if trial.worth.identified.ratio > _GAIN * before.worth.identified.ratio:
+                trial = min(before, trial, key=lambda one: one.worth.identified.ratio)
                 break
-        ratio = found.worth.identified.ratio
-        return found, _FEW.format(f"a ratio of {ratio:.1f} to {wanted.ratio:g}") if ratio > wanted.ratio else ""
+        ratio = trial.worth.identified.ratio
+        return trial, _FEW.format(f"a ratio of {ratio:.1f} to {wanted.ratio:g}") if ratio > wanted.ratio else ""
     for _ in range(_ROUNDS):  # the variance falls with the number of poses, faster while knots have few of them
-        factor = (found.uncertainty / wanted.uncertainty) ** 2
+        factor = (trial.uncertainty / wanted.uncertainty) ** 2
         if _CLOSE <= factor <= 1 or (factor > 1 and count == _MOST):
             break
         count = min(count * factor * (1 + (1 - _CLOSE) / 2), _MOST)
-        found = tried(count)
-    lacks = found.uncertainty > wanted.uncertainty
-    sizes = f"{found.uncertainty * 1000:.2g} um to {wanted.uncertainty * 1000:.2g} um in the volume"
-    return found, _FEW.format(sizes) if lacks else ""
+        trial = tried(count)
+    lacks = trial.uncertainty > wanted.uncertainty
+    sizes = f"{trial.uncertainty * 1000:.2g} um to {wanted.uncertainty * 1000:.2g} um in the volume"
+    return trial, _FEW.format(sizes) if lacks else ""
 
 
-def _problem(settings: Settings, table: Table, files: Files) -> Callable[[], Problem]:
+def _problem(settings: Settings, table: Table, files: Files) -> Callable[[], MachineProblem]:
     """Return a function that builds the adjustment of poses, read on a machine without errors."""
 
-    def problem() -> Problem:
+    def problem() -> MachineProblem:
         tracker = np.zeros(6)
         if settings.method == STANDSTILL:
             places = places_read(settings, table, files)

@@ -29,7 +29,7 @@ from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, planned, worth_of
 from metrocli.tasks.calibrate_machine.plans.stops import all_over, judged, visits
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
-from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, Problem, tools_of
+from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, MachineProblem, tools_of
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
@@ -114,10 +114,12 @@ def _chosen(settings: Settings, wanted: PathPlan, candidates: Array) -> _Choice:
             f"{wanted.time / 3600:.1f} h are too short for three stations with {_FEWEST} points for each tool: "
             "give `plan: {time: ...}` more, or use fewer knots"
         )
-    enough = [one for one in choices if wanted.uncertainty is not None and one.uncertainty <= wanted.uncertainty]
+    enough = [
+        choice for choice in choices if wanted.uncertainty is not None and choice.uncertainty <= wanted.uncertainty
+    ]
     if enough:
-        return min(enough, key=lambda one: one.time)
-    return min(choices, key=lambda one: one.uncertainty)
+        return min(enough, key=lambda choice: choice.time)
+    return min(choices, key=lambda choice: choice.uncertainty)
 
 
 def _in_turn(settings: Settings, wanted: PathPlan, candidates: Array) -> Iterator[_Choice]:
@@ -135,11 +137,11 @@ def _in_turn(settings: Settings, wanted: PathPlan, candidates: Array) -> Iterato
         if len(chosen) < 3 or most < _FEWEST:
             continue
         points = min(most, _MOST)
-        one = float(np.sqrt(variances[best] * (_TRIED + 8)))
+        unit = float(np.sqrt(variances[best] * (_TRIED + 8)))
         if wanted.uncertainty is not None:
-            points = min(max(int(np.ceil((one / wanted.uncertainty) ** 2)) - 8, _FEWEST), points)
+            points = min(max(int(np.ceil((unit / wanted.uncertainty) ** 2)) - 8, _FEWEST), points)
         time = len(chosen) * (wanted.setup + (points + 8) * tools * step)
-        yield _Choice(tuple(chosen), points, one / np.sqrt(points + 8), time)
+        yield _Choice(tuple(chosen), points, unit / np.sqrt(points + 8), time)
 
 
 def _matrices(settings: Settings, table: Table, candidates: Array) -> tuple[list[Array], Array, Array]:
@@ -156,7 +158,7 @@ def _matrices(settings: Settings, table: Table, candidates: Array) -> tuple[list
     return matrices, _volume(settings, problem, errors), errors.reach(problem.blocks)
 
 
-def _volume(settings: Settings, problem: Problem, errors: Unknowns) -> Array:
+def _volume(settings: Settings, problem: MachineProblem, errors: Unknowns) -> Array:
     """Return the mean square error vector over the grid of the volume, without rigid motion, as a quadratic form."""
     position = grid_of(problem.machine, settings.volume.counts())
     total = np.zeros((errors.size, errors.size))
@@ -172,7 +174,7 @@ def _time_of_a_point(table: Table, feed: float) -> float:
     return float(moves.mean() / feed + REST)
 
 
-def _problem(settings: Settings, points: Table, places: Array, names: list[str]) -> Problem:
+def _problem(settings: Settings, points: Table, places: Array, names: list[str]) -> MachineProblem:
     """Return the adjustment of lengths from stations to all points, on a machine without errors."""
     vectors = np.array(list(settings.tools.values()))[tools_of(points, settings)]
     reflector, n = points.stacked(POSITION) + vectors, len(points)

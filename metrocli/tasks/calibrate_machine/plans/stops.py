@@ -22,7 +22,7 @@ from metrocli.tasks.calibrate_machine.methods.six_dof import planned_lines, six_
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, Worth, planned, tracker_pose, worth_of
 from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
-from metrocli.tasks.calibrate_machine.problem import Problem, tools_of
+from metrocli.tasks.calibrate_machine.problem import MachineProblem, tools_of
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Settings
 from metrocli.tasks.calibrate_machine.volume import grid_of, spread_over
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
@@ -110,21 +110,21 @@ def all_over(settings: Settings, count: int) -> Table:
     return table if names == [""] else table.joined({"tool": np.repeat(np.array(names), 8 + count)})
 
 
-def _seen(settings: Settings, table: Table) -> Callable[[], Problem]:
+def _seen(settings: Settings, table: Table) -> Callable[[], MachineProblem]:
     """Return a function that builds the adjustment of points, measured by a tracker on a machine without errors."""
     machine = machine_of(settings)
     pose = tracker_pose(machine.low, machine.high, settings.plan or PathPlan())
     return lambda: standstill(settings, without_errors(settings, table, NO_FILES, pose)[0])
 
 
-def _worth(settings: Settings, problem: Callable[[], Problem]) -> Worth | UndeterminedError:
+def _worth(settings: Settings, problem: Callable[[], MachineProblem]) -> Worth | UndeterminedError:
     try:
         return worth_of(settings, problem())
     except UndeterminedError as error:
         return error
 
 
-def judged(head: str, settings: Settings, problem: Callable[[], Problem]) -> list[str]:
+def judged(head: str, settings: Settings, problem: Callable[[], MachineProblem]) -> list[str]:
     """Return lines of text on what the readings of the job will determine."""
     worth = _worth(settings, problem)
     lines: Sequence[str] = (

@@ -14,14 +14,14 @@ from metrocli.arrays import Array
 from metrocli.instruments.axes.rotary import Combinations
 from metrocli.instruments.machine import TOOL
 from metrocli.instruments.tracer import AIR, STOP
-from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.volume import rows_over_volume
 
 _LOOSE = 1e6
 """Factor on the standard deviations of conditions that makes their weights like those of readings of 1 mm"""
 
 
-def worst_ratio(problem: Problem) -> float:
+def worst_ratio(problem: MachineProblem) -> float:
     """Return the largest ratio of the error in the volume to the misfit of the readings, both root mean square.
 
     `max |G v| / |J v|` over all errors v that the tables can describe. G maps v to the error in the volume after the
@@ -53,10 +53,10 @@ def _without(block: Block, given: Collection[str]) -> Block:
 
 def _loose(held: Sequence[Group]) -> list[Group]:
     """Return the conditions of tables among groups, with weights like those of readings, which saves digits."""
-    return [one.with_noise_times(_LOOSE) for one in held if isinstance(one.chain.links[0], Combinations)]
+    return [group.with_noise_times(_LOOSE) for group in held if isinstance(group.chain.links[0], Combinations)]
 
 
-def _angles_as_lengths(problem: Problem) -> Array:
+def _angles_as_lengths(problem: MachineProblem) -> Array:
     """Return the size of each component that counts as 1 mm; for angles the lever is half the volume's diagonal."""
     lever = problem.machine.diagonal / 2
     return np.array(
@@ -64,7 +64,7 @@ def _angles_as_lengths(problem: Problem) -> Array:
     )
 
 
-def volume_matrix(problem: Problem, unknowns: Unknowns) -> Array:
+def volume_matrix(problem: MachineProblem, unknowns: Unknowns) -> Array:
     """Return the matrix (unknowns, unknowns) of the mean square displacement in the volume as a quadratic form.
 
     The mean is over the volume and the measured tools, without rigid motion.

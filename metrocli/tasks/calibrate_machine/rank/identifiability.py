@@ -26,7 +26,7 @@ from metrocli.instruments.machine import ANGLES, TOOL, Machine, errors_of
 from metrocli.instruments.tracer import STOP
 from metrocli.tasks.calibrate_machine.described import error_names
 from metrocli.tasks.calibrate_machine.methods.targets import met_again
-from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.problem import MachineProblem
 from metrocli.tasks.calibrate_machine.rank.amplification import worst_ratio
 from metrocli.tasks.calibrate_machine.rank.open_directions import OpenDirections, in_words
 from metrocli.tasks.calibrate_machine.tables import Determination
@@ -42,7 +42,7 @@ _TOUCHED = 1e-6
 class Identifiability:
     """Which errors a measurement determines, and its worst ratio of volume error to misfit."""
 
-    problem: Problem
+    problem: MachineProblem
     opened: OpenDirections
     blocks: Mapping[str, Block]
     """The blocks of unknowns, with undetermined entries held at zero"""
@@ -108,7 +108,7 @@ class Identifiability:
         return tuple(name for name, status in self.status.items() if status == Determination.TOGETHER)
 
 
-def identify(problem: Problem) -> Identifiability:
+def identify(problem: MachineProblem) -> Identifiability:
     """Return which errors the measurement determines.
 
     Raises UndeterminedError if an open direction moves a measured tool in the volume.
@@ -125,7 +125,7 @@ def identify(problem: Problem) -> Identifiability:
     return Identifiability(problem, opened, held, undetermined)
 
 
-def at_knots(problem: Problem) -> tuple[Group, ...]:
+def at_knots(problem: MachineProblem) -> tuple[Group, ...]:
     """Return the groups of a problem as if all rotary axes had stood at the knots below, and again at those above.
 
     Tables are straight between knots, but levers turn. So readings between knots seem to determine, by hundreds of
@@ -133,7 +133,7 @@ def at_knots(problem: Problem) -> tuple[Group, ...]:
     """
     turning = [axis for axis in problem.machine.axes if isinstance(axis, RotaryAxis)]
     readings = problem.readings
-    others = tuple(one for one in problem.groups if one.name != readings.name)
+    others = tuple(group for group in problem.groups if group.name != readings.name)
     if not turning:
         return problem.groups
     copies = []
@@ -147,12 +147,12 @@ def at_knots(problem: Problem) -> tuple[Group, ...]:
     return (*copies, *others)
 
 
-def _moved(problem: Problem, opened: OpenDirections, tool: str) -> Array:
+def _moved(problem: MachineProblem, opened: OpenDirections, tool: str) -> Array:
     """Return the displacement of a tool over the volume by each open direction, (3 n, k)."""
     return opened.moved(rows_over_volume(problem.machine, problem.blocks, tool, opened.unknowns))
 
 
-def _refuse_harmful(problem: Problem, opened: OpenDirections) -> None:
+def _refuse_harmful(problem: MachineProblem, opened: OpenDirections) -> None:
     if opened.directions.shape[1] == 0:
         return
     moved = np.concatenate([_moved(problem, opened, tool) for tool in problem.tools_used])

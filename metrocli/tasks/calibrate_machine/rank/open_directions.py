@@ -17,7 +17,7 @@ from metrocli.instruments.axes.kinematics import OF_WORKPIECE, ON_WORKPIECE
 from metrocli.instruments.machine import ANGLES, Machine
 from metrocli.instruments.tracer import TRACER
 from metrocli.tasks.calibrate_machine.layout import cure_of, line_of
-from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.problem import MachineProblem
 
 _NAMED = 0.2
 """Errors with at least this share of the largest entry of a direction are named in it"""
@@ -43,7 +43,7 @@ class OpenDirections:
     def rows_of(self) -> Mapping[str, Index]:
         """Indices of the unknowns of each error, by its name."""
         columns = [column for _, _, column in self.unknowns.names(self.blocks)]
-        return {name: np.array([i for i, one in enumerate(columns) if one == name], int) for name in self.names}
+        return {name: np.array([i for i, column in enumerate(columns) if column == name], int) for name in self.names}
 
     def moved(self, group_rows: Array) -> Array:
         """Return the displacement that each direction causes at its full plausible size, (d*n, k)."""
@@ -55,7 +55,7 @@ class OpenDirections:
         return {name: float(np.abs(directions[at]).max(initial=0.0)) for name, at in self.rows_of.items()}
 
 
-def in_words(problem: Problem, opened: OpenDirections, harmful: Array) -> str:
+def in_words(problem: MachineProblem, opened: OpenDirections, harmful: Array) -> str:
     """Return in words that combinations of errors (unknowns, k) move the tool but are not determined."""
     simple, count = _simple(harmful), harmful.shape[1]
     first = (
@@ -79,7 +79,7 @@ def in_words(problem: Problem, opened: OpenDirections, harmful: Array) -> str:
     )
 
 
-def _known(problem: Problem, opened: OpenDirections, directions: Array) -> Iterator[str]:
+def _known(problem: MachineProblem, opened: OpenDirections, directions: Array) -> Iterator[str]:
     """Yield a sentence for each cause that is known to leave directions open on machines with rotary axes."""
     shares = opened.shares(directions)
     largest = max(shares.values()) or 1.0
@@ -103,7 +103,7 @@ def _known(problem: Problem, opened: OpenDirections, directions: Array) -> Itera
         )
 
 
-def _controlling(problem: Problem) -> Block:
+def _controlling(problem: MachineProblem) -> Block:
     """Return the points on the workpiece without those of which nothing is known but one reading."""
     points, (readings, *others) = problem.blocks[ON_WORKPIECE], problem.groups
     given = readings.observations

@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.arrays import Array, Index
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.frozen import dataclass
-from metrocli.tasks.multilaterate.features.ideal import STEP, UNKNOWNS, Ideal, Shape, tangents
+from metrocli.tasks.multilaterate.features.ideal import STEP, UNKNOWNS, Ideal, IdealFeature, tangents
 
 _DIRECTIONS = 150
 """Directions of an axis, evenly over half the sphere"""
@@ -20,19 +20,19 @@ _SAMPLE = 400
 """Points, at most, that choose the directions"""
 
 
-def starts(shape: Shape, points: Array) -> Iterator[Ideal]:
+def starts(shape: IdealFeature, points: Array) -> Iterator[Ideal]:
     """Yield features near the points (n, 3) from which a fit can start."""
     centre = points.mean(axis=0)
     away = points - centre
     size = float(np.sqrt((away**2).sum(axis=1).mean())) or 1.0
     principal = np.linalg.svd(away, full_matrices=False)[2]
-    if shape is Shape.LINE:
+    if shape is IdealFeature.LINE:
         yield Ideal(shape, centre, principal[0], size=size)
-    elif shape is Shape.PLANE:
+    elif shape is IdealFeature.PLANE:
         yield Ideal(shape, centre, principal[2], size=size)
-    elif shape is Shape.CIRCLE:
+    elif shape is IdealFeature.CIRCLE:
         yield from _round(shape, away / size, centre, size, principal[2:])
-    elif shape is Shape.SPHERE:
+    elif shape is IdealFeature.SPHERE:
         scaled = away / size
         *middle, rest = _solved(np.column_stack([2 * scaled, np.ones(len(points))]), (scaled**2).sum(axis=1))[0]
         radius = np.sqrt(max(rest + float(np.square(middle).sum()), 0.0))
@@ -50,7 +50,7 @@ def _directions() -> Array:
     return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
 
 
-def _round(shape: Shape, scaled: Array, centre: Array, size: float, axes: Array) -> Iterator[Ideal]:
+def _round(shape: IdealFeature, scaled: Array, centre: Array, size: float, axes: Array) -> Iterator[Ideal]:
     """Yield the features about those axes whose squared radii fit best.
 
     About an axis `u^2 + v^2 = 2 (a u + b v) + R^2 - a^2 - b^2`, with `2 R k h + k^2 h^2` more for a cone: linear.
@@ -60,12 +60,12 @@ def _round(shape: Shape, scaled: Array, centre: Array, size: float, axes: Array)
         first, second = tangents(axis)
         u, v, h = scaled @ first, scaled @ second, scaled @ axis
         columns = [2 * u, 2 * v, np.ones(len(u))]
-        columns += [h, h**2] if shape is Shape.CONE else []
+        columns += [h, h**2] if shape is IdealFeature.CONE else []
         solved, misfit = _solved(np.column_stack(columns), u**2 + v**2)
         radius = np.sqrt(max(solved[2] + solved[0] ** 2 + solved[1] ** 2, 0.0))
         if radius == 0:
             continue
-        slope = solved[3] / (2 * radius) if shape is Shape.CONE else 0.0
+        slope = solved[3] / (2 * radius) if shape is IdealFeature.CONE else 0.0
         origin = centre + size * (solved[0] * first + solved[1] * second)
         fits.append((misfit / radius, Ideal(shape, origin, axis, size * radius, float(np.arctan(slope)), size)))
     fits.sort(key=lambda one: one[0])
@@ -84,7 +84,7 @@ _DETERMINED = 1e-7
 """Smallest singular value, relative to the largest, of unknowns that the points determine"""
 
 
-def least_squares(shape: Shape, points: Array) -> Fit:
+def least_squares(shape: IdealFeature, points: Array) -> FeatureFit:
     """Return the feature with the least sum of squared distances of the points (n, 3).
 
     Raises UndeterminedError if the points do not determine it, NotConvergedError if the iteration does not end.
@@ -107,12 +107,12 @@ def least_squares(shape: Shape, points: Array) -> Fit:
     sensitivity = np.zeros((STEP, *points.shape))
     towards = np.einsum("nka,nkc->anc", rows, ideal.by_point(points))
     sensitivity[wanted] = -np.einsum("ab,bnc->anc", np.linalg.inv(normal), towards)
-    return Fit(ideal, Criterion.LEAST_SQUARES, distances(ideal, points), sensitivity)
+    return FeatureFit(ideal, Criterion.LEAST_SQUARES, distances(ideal, points), sensitivity)
 
 
-def fewest(shape: Shape) -> int:
+def fewest(shape: IdealFeature) -> int:
     """Return the least number of points that can determine a shape."""
-    return {Shape.LINE: 2, Shape.CIRCLE: 3}.get(shape, len(UNKNOWNS[shape]))
+    return {IdealFeature.LINE: 2, IdealFeature.CIRCLE: 3}.get(shape, len(UNKNOWNS[shape]))
 
 
 def _gauss_newton(ideal: Ideal, points: Array, wanted: list[int]) -> Ideal | None:
@@ -150,7 +150,7 @@ class Criterion(StrEnum):
 
 
 @dataclass(frozen=True)
-class Contact:
+class ZoneContact:
     """The points that hold a minimum zone: no change of the feature makes all their deviations smaller."""
 
     rows: Index
@@ -163,7 +163,7 @@ class Contact:
 
 
 @dataclass(frozen=True)
-class Fit:
+class FeatureFit:
     """An ideal feature laid through points."""
 
     ideal: Ideal
@@ -172,12 +172,12 @@ class Fit:
     """Signed distance of each point; without a sign from a line (n,) [mm]"""
     sensitivity: Array
     """Derivative of the step of the feature by each point (7, n, 3)"""
-    contact: Contact | None = None
+    contact: ZoneContact | None = None
 
     @property
     def form(self) -> float:
         """Width of the zone of the feature that holds all points; the diameter of the cylinder about a line [mm]."""
-        if self.ideal.shape is Shape.LINE:
+        if self.ideal.shape is IdealFeature.LINE:
             return float(2 * self.deviations.max())
         return float(np.ptp(self.deviations))
 
@@ -190,7 +190,7 @@ class Fit:
 
     def _form_by_points(self, points: Array) -> Array:
         ends = [(int(np.argmax(self.deviations)), 2.0)]
-        if self.ideal.shape is not Shape.LINE:
+        if self.ideal.shape is not IdealFeature.LINE:
             ends = [(int(np.argmax(self.deviations)), 1.0), (int(np.argmin(self.deviations)), -1.0)]
         rows = np.array([row for row, _ in ends])
         factors = np.array([factor for _, factor in ends])
@@ -203,13 +203,13 @@ class Fit:
 def distances(ideal: Ideal, points: Array) -> Array:
     """Return the deviation that makes the zone: of a circle in its plane, of a line the distance (n,)."""
     values = np.real(ideal.deviations(points))
-    return np.linalg.norm(values, axis=1) if ideal.shape is Shape.LINE else values[:, 0]
+    return np.linalg.norm(values, axis=1) if ideal.shape is IdealFeature.LINE else values[:, 0]
 
 
 def gradients(ideal: Ideal, points: Array, step: Array | None = None) -> tuple[Array, Array]:
     """Return the derivatives of `distances` by the step (n, 7), at a step, and by the point (n, 3)."""
     by_step, by_point = ideal.by_step(points, step), ideal.by_point(points)
-    if ideal.shape is not Shape.LINE:
+    if ideal.shape is not IdealFeature.LINE:
         return by_step[:, 0], by_point[:, 0]
     values = np.real(ideal.deviations(points, step))
     away = values / np.maximum(np.linalg.norm(values, axis=1), 1e-300)[:, None]

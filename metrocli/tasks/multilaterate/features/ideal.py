@@ -25,7 +25,7 @@ _TINY = 1e-150
 """Imaginary step of a derivative: it has no rounding, since nothing is subtracted (Squire and Trapp 1998)"""
 
 
-class Shape(StrEnum):
+class IdealFeature(StrEnum):
     """The ideal features."""
 
     LINE = "line"
@@ -38,15 +38,15 @@ class Shape(StrEnum):
 
 _ALONG, _ACROSS, _TILT, _RADIUS, _ANGLE = (2,), (0, 1), (3, 4), (5,), (6,)
 UNKNOWNS = {
-    Shape.LINE: _ACROSS + _TILT,
-    Shape.PLANE: _ALONG + _TILT,
-    Shape.CIRCLE: _ACROSS + _ALONG + _TILT + _RADIUS,
-    Shape.SPHERE: _ACROSS + _ALONG + _RADIUS,
-    Shape.CYLINDER: _ACROSS + _TILT + _RADIUS,
-    Shape.CONE: _ACROSS + _TILT + _RADIUS + _ANGLE,
+    IdealFeature.LINE: _ACROSS + _TILT,
+    IdealFeature.PLANE: _ALONG + _TILT,
+    IdealFeature.CIRCLE: _ACROSS + _ALONG + _TILT + _RADIUS,
+    IdealFeature.SPHERE: _ACROSS + _ALONG + _RADIUS,
+    IdealFeature.CYLINDER: _ACROSS + _TILT + _RADIUS,
+    IdealFeature.CONE: _ACROSS + _TILT + _RADIUS + _ANGLE,
 }
 """The components of a step that change each shape"""
-ZONE_UNKNOWNS = UNKNOWNS | {Shape.CIRCLE: _ACROSS + _RADIUS}
+ZONE_UNKNOWNS = UNKNOWNS | {IdealFeature.CIRCLE: _ACROSS + _RADIUS}
 """The same for a minimum zone: that of a circle lies in the plane of the least-squares circle (ISO 12181-1)"""
 STEP = 7
 NUMBERS = ("x", "y", "z", "i", "j", "k", "radius", "half_angle")
@@ -57,7 +57,7 @@ NUMBERS = ("x", "y", "z", "i", "j", "k", "radius", "half_angle")
 class Ideal:
     """One ideal feature, and the chart of small changes about it."""
 
-    shape: Shape
+    shape: IdealFeature
     origin: Array
     axis: Array
     """Unit vector; of a sphere (0, 0, 1) without a meaning"""
@@ -76,16 +76,16 @@ class Ideal:
         origin, axis, radius, angle = self._parts(np.zeros(STEP) if step is None else step)
         away = points - origin
         height: Numbers = away @ axis
-        if self.shape is Shape.PLANE:
+        if self.shape is IdealFeature.PLANE:
             return height[:, None]
-        if self.shape is Shape.SPHERE:
+        if self.shape is IdealFeature.SPHERE:
             outside: Numbers = _length(away) - radius
             return outside[:, None]
         across: Numbers = away - height[:, None] * axis
-        if self.shape is Shape.LINE:
+        if self.shape is IdealFeature.LINE:
             return across
         gap = _length(across) - radius
-        if self.shape is Shape.CIRCLE:
+        if self.shape is IdealFeature.CIRCLE:
             return np.stack([gap, height], axis=1)
         tapered: Numbers = np.cos(angle) * gap - np.sin(angle) * height
         return tapered[:, None]
@@ -109,9 +109,9 @@ class Ideal:
         """
         origin, axis, radius, angle = self._parts(np.zeros(STEP) if step is None else step)
         height = (centre - origin) @ axis
-        if self.shape is Shape.PLANE:
+        if self.shape is IdealFeature.PLANE:
             origin = centre - height * axis
-        elif self.shape not in (Shape.CIRCLE, Shape.SPHERE):
+        elif self.shape not in (IdealFeature.CIRCLE, IdealFeature.SPHERE):
             origin, radius = origin + height * axis, radius + np.tan(angle) * height
         return np.concatenate([origin, axis, [radius, angle]])
 

@@ -9,8 +9,15 @@ import numpy as np
 from metrocli.adjust.small_programmes import highest, quadratic
 from metrocli.arrays import Array
 from metrocli.errors import NotConvergedError
-from metrocli.tasks.multilaterate.features.fit import Contact, Criterion, Fit, distances, gradients, least_squares
-from metrocli.tasks.multilaterate.features.ideal import STEP, ZONE_UNKNOWNS, Ideal, Shape
+from metrocli.tasks.multilaterate.features.fit import (
+    Criterion,
+    FeatureFit,
+    ZoneContact,
+    distances,
+    gradients,
+    least_squares,
+)
+from metrocli.tasks.multilaterate.features.ideal import STEP, ZONE_UNKNOWNS, Ideal, IdealFeature
 
 _ITERATIONS = 200
 _EXACT = 1e-12
@@ -37,7 +44,7 @@ _SECOND = 1e-5
 """Step of a second derivative, relative to the size of the feature"""
 
 
-def minimum_zone(shape: Shape, points: Array) -> Fit:
+def minimum_zone(shape: IdealFeature, points: Array) -> FeatureFit:
     """Return the feature whose largest deviation is least (ISO 1101: minimum zone), near that of least squares.
 
     Programmes approach it; Newton's method on the points in contact ends it. Raises as `least_squares` does.
@@ -46,18 +53,18 @@ def minimum_zone(shape: Shape, points: Array) -> Fit:
     wanted = list(ZONE_UNKNOWNS[shape])
     level = _level(start.ideal, points)
     if level <= _EXACT * start.ideal.size:
-        return Fit(start.ideal, Criterion.MINIMUM_ZONE, start.deviations, start.sensitivity)
+        return FeatureFit(start.ideal, Criterion.MINIMUM_ZONE, start.deviations, start.sensitivity)
     zone = _approached(start.ideal, points, wanted) or _enumerated(start.ideal, points, wanted)
     if zone is None:
         raise NotConvergedError(f"no points in contact prove the minimum zone of the {shape}")
     ideal, contact = zone[0].about(points.mean(axis=0)), zone[1]
     sensitivity = _of_contact(ideal, points, wanted, contact, start)
-    return Fit(ideal, Criterion.MINIMUM_ZONE, distances(ideal, points), sensitivity, contact)
+    return FeatureFit(ideal, Criterion.MINIMUM_ZONE, distances(ideal, points), sensitivity, contact)
 
 
-def _approached(ideal: Ideal, points: Array, wanted: list[int]) -> tuple[Ideal, Contact] | None:
+def _approached(ideal: Ideal, points: Array, wanted: list[int]) -> tuple[Ideal, ZoneContact] | None:
     """Return the minimum zone by programmes and Newton's method, and its points in contact; None without a proof."""
-    nearer = _by_quadratic if ideal.shape is Shape.LINE else _by_linear
+    nearer = _by_quadratic if ideal.shape is IdealFeature.LINE else _by_linear
     for gain, least in itertools.product(_GAINS, _LEAST_WEIGHTS):
         ideal = nearer(ideal, points, wanted, gain) if least == _LEAST_WEIGHTS[0] else ideal
         held, contact = _in_contact(ideal, points, wanted, least)
@@ -66,7 +73,7 @@ def _approached(ideal: Ideal, points: Array, wanted: list[int]) -> tuple[Ideal, 
     return None
 
 
-def _enumerated(ideal: Ideal, points: Array, wanted: list[int]) -> tuple[Ideal, Contact] | None:
+def _enumerated(ideal: Ideal, points: Array, wanted: list[int]) -> tuple[Ideal, ZoneContact] | None:
     """Return the least zone that a set of the farthest points proves, of all their sets; None without one.
 
     Where two points hold nearly all of the zone, others come into contact far from where programmes end.
@@ -77,7 +84,7 @@ def _enumerated(ideal: Ideal, points: Array, wanted: list[int]) -> tuple[Ideal, 
     for size in range(2, len(wanted) + 2):
         for chosen in itertools.combinations(farthest, size):
             rows = np.array(chosen)
-            contact = Contact(rows, np.sign(values[rows]), np.full(size, 1 / size), np.inf)
+            contact = ZoneContact(rows, np.sign(values[rows]), np.full(size, 1 / size), np.inf)
             held = _newtons((ideal, contact), points, wanted, _STEPS_OF_SETS, ideal.size)
             level = _level(held[0], points)
             if level < least and _proven(held[0], points, held[1]):
@@ -89,7 +96,7 @@ def _level(ideal: Ideal, points: Array) -> float:
     return float(np.abs(distances(ideal, points)).max())
 
 
-def _proven(ideal: Ideal, points: Array, contact: Contact) -> bool:
+def _proven(ideal: Ideal, points: Array, contact: ZoneContact) -> bool:
     """Return whether the points in contact hold the zone: none is beyond them, and no change makes all smaller."""
     at_limit = float(np.abs(distances(ideal, points[contact.rows])).min())
     inside = _level(ideal, points) <= at_limit + _PROVEN * ideal.size * _EXACT
@@ -151,7 +158,7 @@ def _by_quadratic(ideal: Ideal, points: Array, wanted: list[int], gain: float) -
     return ideal
 
 
-def _in_contact(ideal: Ideal, points: Array, wanted: list[int], least: float) -> tuple[Ideal, Contact]:
+def _in_contact(ideal: Ideal, points: Array, wanted: list[int], least: float) -> tuple[Ideal, ZoneContact]:
     """Return the feature held by its points in contact, to rounding, and those points.
 
     A step may overshoot the zone a little on the way: the next one mends what the bend of the distances left.
@@ -162,8 +169,8 @@ def _in_contact(ideal: Ideal, points: Array, wanted: list[int], least: float) ->
 
 
 def _newtons(
-    held: tuple[Ideal, Contact], points: Array, wanted: list[int], steps: int, limit: float
-) -> tuple[Ideal, Contact]:
+    held: tuple[Ideal, ZoneContact], points: Array, wanted: list[int], steps: int, limit: float
+) -> tuple[Ideal, ZoneContact]:
     """Return a feature and its points in contact after steps of Newton's method, while the zone is below a limit."""
     for _ in range(steps):
         step, weights = _newton(held[0], points, wanted, held[1])
@@ -176,7 +183,7 @@ def _newtons(
     return held
 
 
-def _contact(ideal: Ideal, points: Array, wanted: list[int], least: float) -> Contact:
+def _contact(ideal: Ideal, points: Array, wanted: list[int], least: float) -> ZoneContact:
     """Return the points in contact with the best proof: `min |sum w_i g_i|` over w >= 0 of sum 1 (Lawson, Hanson).
 
     Points of less than the least weight are left out: near the solution they only make up for what is not exact yet.
@@ -196,15 +203,15 @@ def _contact(ideal: Ideal, points: Array, wanted: list[int], least: float) -> Co
     weights /= weights.sum()
     held = weights > least
     optimality = float(np.linalg.norm(weights @ rows))
-    return Contact(near[held], sides[held], weights[held], optimality)
+    return ZoneContact(near[held], sides[held], weights[held], optimality)
 
 
-def _weighted(ideal: Ideal, points: Array, wanted: list[int], contact: Contact, weights: Array) -> Contact:
+def _weighted(ideal: Ideal, points: Array, wanted: list[int], contact: ZoneContact, weights: Array) -> ZoneContact:
     rows = contact.sides[:, None] * gradients(ideal, points[contact.rows])[0][:, wanted]
-    return Contact(contact.rows, contact.sides, weights, float(np.linalg.norm(weights @ rows)))
+    return ZoneContact(contact.rows, contact.sides, weights, float(np.linalg.norm(weights @ rows)))
 
 
-def _newton(ideal: Ideal, points: Array, wanted: list[int], contact: Contact) -> tuple[Array, Array]:
+def _newton(ideal: Ideal, points: Array, wanted: list[int], contact: ZoneContact) -> tuple[Array, Array]:
     """Return the step (7,) and the weights of `sum w_i g_i = 0`, `sum w_i = 1`, `f_i = t` from a linearisation."""
     at, sides = points[contact.rows], contact.sides
     values = sides * distances(ideal, at)
@@ -239,7 +246,7 @@ def _curvature(ideal: Ideal, points: Array, wanted: list[int], weights: Array) -
     return np.asarray((matrix + matrix.T) / 2)
 
 
-def _of_contact(ideal: Ideal, points: Array, wanted: list[int], contact: Contact, plain: Fit) -> Array:
+def _of_contact(ideal: Ideal, points: Array, wanted: list[int], contact: ZoneContact, plain: FeatureFit) -> Array:
     """Return the derivative of the step by each point (7, n, 3) with the points in contact held.
 
     What a circle's zone leaves to its least-squares plane follows that plane.

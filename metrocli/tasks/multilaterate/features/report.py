@@ -10,10 +10,10 @@ import numpy as np
 from metrocli.arrays import Array, Index
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.features.fit import Criterion, Fit, gradients, least_squares
-from metrocli.tasks.multilaterate.features.ideal import NUMBERS, Shape
+from metrocli.tasks.multilaterate.features.fit import Criterion, FeatureFit, gradients, least_squares
+from metrocli.tasks.multilaterate.features.ideal import NUMBERS, IdealFeature
 from metrocli.tasks.multilaterate.features.minimum_zone import minimum_zone
-from metrocli.tasks.multilaterate.features.wanted import Wanted
+from metrocli.tasks.multilaterate.features.wanted import RequestedFeature
 from metrocli.tasks.multilaterate.probed.tips import Joint
 from metrocli.words import listed
 
@@ -26,17 +26,19 @@ _READINGS_FIT = 0.0
 _REACH = 3.0
 """Distance of a point from the limit of its zone, in standard deviations, up to which errors can bring it there"""
 _WITHOUT = {
-    Shape.LINE: ("radius", "half_angle"),
-    Shape.PLANE: ("radius", "half_angle"),
-    Shape.CIRCLE: ("half_angle",),
-    Shape.SPHERE: ("i", "j", "k", "half_angle"),
-    Shape.CYLINDER: ("half_angle",),
-    Shape.CONE: (),
+    IdealFeature.LINE: ("radius", "half_angle"),
+    IdealFeature.PLANE: ("radius", "half_angle"),
+    IdealFeature.CIRCLE: ("half_angle",),
+    IdealFeature.SPHERE: ("i", "j", "k", "half_angle"),
+    IdealFeature.CYLINDER: ("half_angle",),
+    IdealFeature.CONE: (),
 }
 """Numbers that a shape does not have: nan in the table"""
 
 
-def fitted(wanted: Sequence[Wanted], corrected: Table, joint: Joint) -> tuple[dict[str, Table], dict[str, Array]]:
+def fitted(
+    wanted: Sequence[RequestedFeature], corrected: Table, joint: Joint
+) -> tuple[dict[str, Table], dict[str, Array]]:
     """Return the tables of features and of their points, and the covariance of all numbers of all features.
 
     The covariance (9F, 9F) is in the order of the rows and of x, y, z, i, j, k, radius, half_angle, form. Raises
@@ -88,7 +90,7 @@ def exchanging(tables: Mapping[str, Table]) -> tuple[str, ...]:
     )
 
 
-def _exchanges(each: Sequence[tuple[Wanted, Fit]], points: Array, joint: Joint) -> Index:
+def _exchanges(each: Sequence[tuple[RequestedFeature, FeatureFit]], points: Array, joint: Joint) -> Index:
     """Return how many further points the errors can bring to the limits of each minimum zone, (F,)."""
     covariance, counts = joint.each(), np.zeros(len(each), dtype=np.intp)
     for number, (feature, fit) in enumerate(each):
@@ -108,14 +110,14 @@ def _std_of(name: str) -> str:
     return f"s{name}" if len(name) == 1 else f"s_{name}"
 
 
-def _fit(one: Wanted, criterion: Criterion, points: Array) -> Fit:
+def _fit(feature: RequestedFeature, criterion: Criterion, points: Array) -> FeatureFit:
     try:
-        return (least_squares if criterion is Criterion.LEAST_SQUARES else minimum_zone)(one.shape, points)
+        return (least_squares if criterion is Criterion.LEAST_SQUARES else minimum_zone)(feature.shape, points)
     except (UndeterminedError, NotConvergedError) as error:
-        raise type(error)(f"feature '{one.name}': {error}", _READINGS_FIT) from error
+        raise type(error)(f"feature '{feature.name}': {error}", _READINGS_FIT) from error
 
 
-def _refuse_vague(each: Sequence[tuple[Wanted, Fit]], values: Array, std: Array) -> None:
+def _refuse_vague(each: Sequence[tuple[RequestedFeature, FeatureFit]], values: Array, std: Array) -> None:
     """Raise UndeterminedError for a feature that the errors of its points could move by its own size or turn around."""
     for (feature, fit), number, spread in zip(each, values, std, strict=True):
         reach = np.append(spread[[0, 1, 2, 6]] / fit.ideal.size, spread[[3, 4, 5, 7]])
@@ -132,11 +134,11 @@ def _refuse_vague(each: Sequence[tuple[Wanted, Fit]], values: Array, std: Array)
             )
 
 
-def _numbers(fit: Fit, points: Array) -> Array:
+def _numbers(fit: FeatureFit, points: Array) -> Array:
     return np.append(np.real(fit.ideal.numbers(points.mean(axis=0))), fit.form)
 
 
-def _derivatives(each: Sequence[tuple[Wanted, Fit]], points: Array) -> Any:
+def _derivatives(each: Sequence[tuple[RequestedFeature, FeatureFit]], points: Array) -> Any:
     """Return the derivative of all numbers by all coordinates, sparse (9F, 3n)."""
     from scipy.sparse import csr_array
 
@@ -151,7 +153,7 @@ def _derivatives(each: Sequence[tuple[Wanted, Fit]], points: Array) -> Any:
     return csr_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
 
 
-def _points(each: Sequence[tuple[Wanted, Fit]], corrected: Table) -> Table:
+def _points(each: Sequence[tuple[RequestedFeature, FeatureFit]], corrected: Table) -> Table:
     """Return the deviation of each point from its feature, and its weight where it is in contact."""
     weights = []
     for feature, fit in each:

@@ -9,41 +9,41 @@ import numpy as np
 from metrocli.arrays import Index
 from metrocli.errors import Fault, InputError
 from metrocli.frozen import dataclass
-from metrocli.settings import Placed
+from metrocli.settings import LocatedValue
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.features.fit import Criterion, fewest
-from metrocli.tasks.multilaterate.features.ideal import Shape
+from metrocli.tasks.multilaterate.features.ideal import IdealFeature
 from metrocli.words import suggestion
 
 
 @dataclass(frozen=True)
-class Wanted:
+class RequestedFeature:
     """A feature to lay through some of the probing points."""
 
     name: str
-    shape: Shape
+    shape: IdealFeature
     criteria: tuple[Criterion, ...]
     rows: Index
 
 
-def wanted_features(features: Mapping[str, Placed], probing: Table | None) -> tuple[Wanted, ...]:
+def wanted_features(features: Mapping[str, LocatedValue], probing: Table | None) -> tuple[RequestedFeature, ...]:
     """Return the features of a job; raises InputError for those without points or with too few."""
     names = np.array([] if probing is None else probing.texts("feature"), dtype=str)
     known = sorted(set(names.tolist()))
-    found, faults = [], []
+    requested, faults = [], []
     for name, placed in features.items():
-        shape = Shape(placed.value if isinstance(placed.value, str) else placed.value.shape)
+        shape = IdealFeature(placed.value if isinstance(placed.value, str) else placed.value.shape)
         fit = "least-squares" if isinstance(placed.value, str) else placed.value.fit
         rows = np.flatnonzero(names == name)
         if fault := _fault(name, shape, len(rows), known, placed):
             faults.append(fault)
-        found.append(Wanted(name, shape, tuple(Criterion) if fit == "both" else (Criterion(fit),), rows))
+        requested.append(RequestedFeature(name, shape, tuple(Criterion) if fit == "both" else (Criterion(fit),), rows))
     if faults:
         raise InputError(faults)
-    return tuple(found)
+    return tuple(requested)
 
 
-def _fault(name: str, shape: Shape, points: int, known: list[str], placed: Placed) -> Fault | None:
+def _fault(name: str, shape: IdealFeature, points: int, known: list[str], placed: LocatedValue) -> Fault | None:
     at = placed.node.path
     if not known:
         return placed.node.fault(f"{at}: features need `inputs: probing`", "expected probing points on the feature")

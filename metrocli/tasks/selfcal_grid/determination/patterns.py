@@ -8,13 +8,13 @@ import numpy as np
 
 from metrocli.arrays import Array, Index
 from metrocli.instruments import ball_grid as bg
-from metrocli.tasks.selfcal_grid.problem import Problem
+from metrocli.tasks.selfcal_grid.problem import GridProblem
 
 Projector = Callable[[Array], Array]
 """Function from fields (sites, 3, k) to the part of them that has the pattern"""
 
 
-def patterns(problem: Problem) -> Iterator[tuple[str, Projector]]:
+def patterns(problem: GridProblem) -> Iterator[tuple[str, Projector]]:
     """Yield patterns with their projectors, the simplest first."""
     sites = problem.grid.sites
     pairs = _lonely(problem)
@@ -46,7 +46,7 @@ def patterns(problem: Problem) -> Iterator[tuple[str, Projector]]:
         yield "fields that all rotations of the views carry into themselves", _symmetric(sites, turns)
 
 
-def _lonely(problem: Problem) -> Array:
+def _lonely(problem: GridProblem) -> Array:
     """Return the sites (n,) with a single reading, of a ball that has no other reading."""
     index = problem.readings.observations.index
     site, ball = index[bg.MACHINE], index[bg.ARTEFACT]

@@ -13,13 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.coupled_fields import Design, in_datum
+from metrocli.adjust.coupled_fields import FieldDesign, in_datum
 from metrocli.adjust.decompositions import thin_svd
 from metrocli.arrays import Array, Mask
 from metrocli.frozen import dataclass
 from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.selfcal_grid.determination.patterns import patterns
-from metrocli.tasks.selfcal_grid.problem import Problem
+from metrocli.tasks.selfcal_grid.problem import GridProblem
 from metrocli.tasks.selfcal_grid.settings import Rotate, turn_in_words
 
 _ONE = 1e-6
@@ -30,7 +30,7 @@ _ENOUGH = 1 / 3
 
 
 @dataclass(frozen=True)
-class Family:
+class UndeterminedFields:
     """Undetermined fields of one pattern."""
 
     pattern: str
@@ -51,7 +51,7 @@ class Open:
 
     scale: bool
     """Whether the common scale is undetermined"""
-    families: tuple[Family, ...]
+    families: tuple[UndeterminedFields, ...]
     """Further directions, beyond the rigid motions and the scale"""
     remedies: tuple[Remedy, ...]
     """Views that would remove some of the families, the best first"""
@@ -77,7 +77,7 @@ class Open:
         return lines
 
 
-def opened(problem: Problem, design: Design) -> Open:
+def opened(problem: GridProblem, design: FieldDesign) -> Open:
     """Return the open directions of a design with their names and remedies."""
     scale = not problem.scale_given
     extra = design.null.shape[1] - 12 - scale
@@ -90,7 +90,7 @@ def opened(problem: Problem, design: Design) -> Open:
     return Open(scale, families + mountings, tuple(remedy for remedy in remedies if remedy.left < design.null.shape[1]))
 
 
-def determined(problem: Problem, design: Design) -> dict[str, Mask]:
+def determined(problem: GridProblem, design: FieldDesign) -> dict[str, Mask]:
     """Return which entries of both fields and of the mountings are determined apart from rigid motion and scale.
 
     At a determined entry the open directions Z equal a combination E M of the standard directions E (rigid motion and
@@ -115,7 +115,7 @@ def determined(problem: Problem, design: Design) -> dict[str, Mask]:
     return {name: np.asarray(known[places] & (places >= 0)) for name, places in columns.items()}
 
 
-def _reach(problem: Problem, design: Design) -> Array:
+def _reach(problem: GridProblem, design: FieldDesign) -> Array:
     """Return how far one unit of each unknown moves a ball, (unknowns,): 1, for rotations half the size of the grid."""
     reach = np.ones(design.partition.width)
     turns = design.partition.columns[bg.VIEW][:, 3:]
@@ -123,7 +123,7 @@ def _reach(problem: Problem, design: Design) -> Array:
     return reach
 
 
-def _evened(problem: Problem, design: Design) -> Array:
+def _evened(problem: GridProblem, design: FieldDesign) -> Array:
     """Return an orthonormal basis of the open directions, with each unknown scaled to the motion of a ball."""
     return np.asarray(np.linalg.qr(design.null * _reach(problem, design)[:, None])[0])
 
@@ -143,7 +143,7 @@ def _fit(null: Array, moves: Array) -> Array:
     return np.asarray(fit)
 
 
-def with_determined_datum(problem: Problem, design: Design) -> Design:
+def with_determined_datum(problem: GridProblem, design: FieldDesign) -> FieldDesign:
     """Return the design with its datum over the determined entries only.
 
     Without directions open beyond rigid motion and scale, the design stays as it is.
@@ -155,7 +155,7 @@ def with_determined_datum(problem: Problem, design: Design) -> Design:
     return in_datum(replace(problem.fields, conditions=conditions), design)
 
 
-def _standard(problem: Problem) -> dict[str, Array]:
+def _standard(problem: GridProblem) -> dict[str, Array]:
     """Return the directions that every set of views leaves open, by block: (members, size, 12 or 13)."""
     sites, balls = problem.grid.site_places, problem.grid.ball_places
     turns = np.stack([view.turn for view in problem.views])
@@ -176,7 +176,7 @@ def _standard(problem: Problem) -> dict[str, Array]:
     return {bg.MACHINE: machine, bg.ARTEFACT: artefact, bg.VIEW: mounting}
 
 
-def _machine_fields(problem: Problem, design: Design) -> tuple[Array, Array]:
+def _machine_fields(problem: GridProblem, design: FieldDesign) -> tuple[Array, Array]:
     """Return an orthonormal basis of the open machine errors, (3 sites, k), and the same as fields (sites, 3, k)."""
     columns = design.partition.columns[bg.MACHINE]
     null = np.where((columns >= 0)[:, :, None], design.null[np.maximum(columns, 0)], 0.0).reshape(columns.size, -1)
@@ -185,26 +185,26 @@ def _machine_fields(problem: Problem, design: Design) -> tuple[Array, Array]:
     return basis, basis.reshape(*columns.shape, -1)
 
 
-def _families(problem: Problem, basis: Array, fields: Array, extra: int) -> Iterator[Family]:
+def _families(problem: GridProblem, basis: Array, fields: Array, extra: int) -> Iterator[UndeterminedFields]:
     """Yield the families, the simplest patterns first, each without the directions of the families before it."""
     named = _within(basis, _standard(problem)[bg.MACHINE].reshape(len(basis), -1))
     left = extra
     for pattern, projector in patterns(problem):
         inside = basis.T @ projector(fields).reshape(basis.shape)
         values, vectors = np.linalg.eigh((inside + inside.T) / 2)
-        found = vectors[:, values > 1 - _ONE]
-        fresh = found - named @ (named.T @ found)
+        open_vectors = vectors[:, values > 1 - _ONE]
+        fresh = open_vectors - named @ (named.T @ open_vectors)
         new, sizes, _ = thin_svd(fresh)
         new = new[:, sizes > 1e-4]
         if new.shape[1]:
             named = np.concatenate([named, new], axis=1)
             left -= new.shape[1]
-            yield Family(pattern, new.shape[1])
+            yield UndeterminedFields(pattern, new.shape[1])
     if left > 0:
-        yield Family("other fields that look the same in every view", left)
+        yield UndeterminedFields("other fields that look the same in every view", left)
 
 
-def _loose_mountings(problem: Problem, design: Design) -> Iterator[Family]:
+def _loose_mountings(problem: GridProblem, design: FieldDesign) -> Iterator[UndeterminedFields]:
     """Yield the views whose mounting is open and moves neither field, such as a view of one ball or of one row."""
     null, places = _evened(problem, design), design.partition.columns[bg.VIEW]
     fields = np.setdiff1d(np.arange(len(null)), places)
@@ -213,7 +213,9 @@ def _loose_mountings(problem: Problem, design: Design) -> Iterator[Family]:
     for view, at in zip(problem.views, places, strict=True):
         count = int(np.linalg.matrix_rank(alone[at[at >= 0]], tol=_NEGLIGIBLE)) if alone.size else 0
         if count:
-            yield Family(f"turns of view '{view.name}', whose balls are fewer than three or in a row", count)
+            yield UndeterminedFields(
+                f"turns of view '{view.name}', whose balls are fewer than three or in a row", count
+            )
 
 
 def _within(basis: Array, fields: Array) -> Array:
@@ -225,7 +227,7 @@ def _within(basis: Array, fields: Array) -> Array:
     return left[:, sizes > 1e-6]
 
 
-def _remedies(problem: Problem, design: Design) -> Iterator[Remedy]:
+def _remedies(problem: GridProblem, design: FieldDesign) -> Iterator[Remedy]:
     """Yield each simple further view with the number of directions that it would leave open."""
     for words, view in candidates():
         yield Remedy(words, _left_with(problem, design, view))
@@ -240,7 +242,7 @@ def candidates() -> Iterator[tuple[str, bg.View]]:
         yield turn_in_words(turn), bg.View("+", turn, np.zeros(3))
 
 
-def _left_with(problem: Problem, design: Design, view: bg.View) -> int:
+def _left_with(problem: GridProblem, design: FieldDesign, view: bg.View) -> int:
     """Return how many directions stay open with one more view: those Z c that a mounting of this view can absorb."""
     at = bg.numbers_at(problem.grid.sites, view.sites(problem.grid.balls))
     balls = np.flatnonzero(at >= 0)
@@ -253,7 +255,7 @@ def _left_with(problem: Problem, design: Design, view: bg.View) -> int:
     return int((values < 1e-9 * max(values.max(initial=0.0), 1e-12)).sum())
 
 
-def _entries(design: Design, block: str) -> Array:
+def _entries(design: FieldDesign, block: str) -> Array:
     columns = design.partition.columns[block]
     null = design.null / np.linalg.norm(design.null, axis=0)
     return np.where((columns >= 0)[:, :, None], null[np.maximum(columns, 0)], 0.0)

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.clusters.robust import STRUCTURED, Clusters
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.robust import Fit, Suspects, apart, gross, robust_start, suspects
+from metrocli.adjust.robust import FitQuality, Suspects, apart, gross, robust_start, suspects
 from metrocli.adjust.rounds import Used, in_rounds
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.arrays import Array
@@ -66,7 +66,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Adjusted:
+class AdjustedImages:
     """An adjustment of image points, with the readings that were rejected."""
 
     solution: Solution
@@ -89,7 +89,7 @@ class Adjusted:
             raise RuntimeError(self.solution.outcome.value)
         return self.residuals
 
-    def with_structure(self, delivered: Sequence[str]) -> Adjusted:
+    def with_structure(self, delivered: Sequence[str]) -> AdjustedImages:
         """Return the adjustment with the covariance that lets readings of one image share errors.
 
         `delivered` are the blocks of the estimates. Raises as `cluster_robust` does.
@@ -102,7 +102,7 @@ class Adjusted:
 
 
 @dataclass(frozen=True)
-class _Using:
+class _KeptImagePoints:
     """The image points in use, with their noise, at values to start from."""
 
     used: Used
@@ -122,12 +122,12 @@ class _Solved:
     def suspects(self, noise_known: bool) -> Suspects:
         if self.residuals is None:
             return Suspects(np.zeros(0, dtype=np.intp), np.zeros(0), 0.0)
-        return suspects(self.residuals, Fit(self.solution.cost, self.solution.dof, noise_known))
+        return suspects(self.residuals, FitQuality(self.solution.cost, self.solution.dof, noise_known))
 
 
 def adjust_images(
     blocks: Mapping[str, Block], group: Group, others: Sequence[Group], datum: Datum | None, options: Options
-) -> Adjusted:
+) -> AdjustedImages:
     """Adjust image points from a robust start; remove outliers and estimate the noise as the options ask.
 
     Gross errors are removed before the first adjustment. Then the outliers whose tests do not depend on each other are
@@ -138,18 +138,18 @@ def adjust_images(
     if not options.started:
         state = robust_start(blocks.values(), [group, *others], group.name, datum, "view")
     far = gross(group, state) if options.remove_outliers else np.zeros(group.observations.count)
-    begun = _Using(
+    begun = _KeptImagePoints(
         Used(far), group.selected(np.flatnonzero(far == 0)), state, _ROUGH if options.remove_outliers else _EXACT
     )
 
-    def fewer(using: _Using, solved: _Solved) -> tuple[_Using, bool]:
+    def fewer(using: _KeptImagePoints, solved: _Solved) -> tuple[_KeptImagePoints, bool]:
         suspected = solved.suspects(not options.estimate_noise)
         out = np.zeros(0, dtype=np.intp)
         if options.remove_outliers and solved.residuals is not None:
             out = apart(suspected, solved.residuals, solved.group.observations.index["view"])
         keep = np.ones(solved.group.observations.count, dtype=bool)
         keep[suspected.rows[out]] = False
-        left = _Using(
+        left = _KeptImagePoints(
             using.used.without(suspected, out),
             solved.group.selected(keep),
             solved.solution.blocks,
@@ -162,7 +162,7 @@ def adjust_images(
         _must_fit(solved.residuals, options.image_size)
     noise = float(np.sqrt(np.mean(solved.group.observations.sigma**2))) if options.estimate_noise else None
     suspected = solved.suspects(not options.estimate_noise)
-    return Adjusted(
+    return AdjustedImages(
         solved.solution, solved.group, solved.residuals, _rejected(group, using.used.tests), suspected, noise
     )
 
@@ -178,12 +178,12 @@ def _must_fit(residuals: Residuals | None, image_size: tuple[int, int]) -> None:
         )
 
 
-def _solved(using: _Using, others: Sequence[Group], datum: Datum | None, estimate_noise: bool) -> _Solved:
+def _solved(using: _KeptImagePoints, others: Sequence[Group], datum: Datum | None, estimate_noise: bool) -> _Solved:
     """Adjust; if the noise is estimated, repeat with the noise of the last round until it no longer changes."""
 
     def solve(here: tuple[Group, Mapping[str, Block]]) -> _Solved:
         group, state = here
-        solution = adjust(state.values(), [group, *others], datum, Control(tolerance=using.within.step))
+        solution = adjust(state.values(), [group, *others], datum, StoppingRule(tolerance=using.within.step))
         return _Solved(solution, group, residuals_of(solution, group) if solution.outcome.good else None)
 
     def renewed(

@@ -89,14 +89,14 @@ def parameters(rig: str, solution: Solution, effects: Sequence[Added] = ()) -> P
         values = np.concatenate([values, poses.euler_form(solution.blocks[camera.TAPER].values[0])])
         names += list(poses.EULER)
         units += POSE_UNITS
-    found = estimates(effects, solution)
+    added = estimates(effects, solution)
     matrix = solution.joint(delivered(rig, effects))
     if rig == "cmm":
         change = np.eye(len(matrix))
         pose = slice(len(free), len(free) + 6)
         change[pose, pose] = poses.euler_form_by_step(solution.blocks[camera.TAPER].values[0])
         matrix = change @ matrix @ change.T
-    names += [one.name for one in found]
-    units += [one.unit for one in found]
-    values = np.concatenate([values, [one.value for one in found]])
+    names += [estimate.name for estimate in added]
+    units += [estimate.unit for estimate in added]
+    values = np.concatenate([values, [estimate.value for estimate in added]])
     return Parameters(tuple(names), values, (matrix + matrix.T) / 2, tuple(units))

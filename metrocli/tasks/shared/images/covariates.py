@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.solution import Solution
@@ -20,14 +20,14 @@ from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.instruments.camera import LENS, TARGET
-from metrocli.tasks.shared.images.adjustment import IMAGES, Adjusted
+from metrocli.tasks.shared.images.adjustment import IMAGES, AdjustedImages
 
 PLACE = "place in the image"
 FOLDS = 10
 """Parts of the readings that cross-validation holds out in turn, at most"""
 
 
-def at_solution(model: Model, adjusted: Adjusted) -> Model:
+def at_solution(model: Model, adjusted: AdjustedImages) -> Model:
     """Return the model at the solution of its adjustment, with the readings that were used and their conditions."""
     groups = tuple(adjusted.group if group.name == IMAGES else group for group in model.groups)
     return with_conditions(replace(model, blocks=adjusted.solution.blocks, groups=groups))
@@ -79,7 +79,7 @@ def refit(datum: Datum | None) -> Callable[[Model, Mapping[str, Mask]], Solution
     def adjusted(model: Model, keep: Mapping[str, Mask]) -> Solution:
         groups = [group.selected(keep[group.name]) if group.name in keep else group for group in model.groups]
         blocks = [_without_the_unread(block, groups[0].observations.index) for block in model.blocks.values()]
-        return adjust(blocks, groups, datum, Control())
+        return adjust(blocks, groups, datum, StoppingRule())
 
     return adjusted
 
@@ -94,4 +94,4 @@ def _without_the_unread(block: Block, index: Mapping[str, Index]) -> Block:
 
 def named(covariates: Iterable[Covariate]) -> tuple[Covariate, ...]:
     """Return the covariates that are not constant over the readings."""
-    return tuple(one for one in covariates if np.ptp(np.atleast_2d(one.values[IMAGES]), axis=1).max() > 0)
+    return tuple(known for known in covariates if np.ptp(np.atleast_2d(known.values[IMAGES]), axis=1).max() > 0)

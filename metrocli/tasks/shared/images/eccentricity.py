@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.adjustment import StoppingRule, adjust
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
@@ -74,12 +74,12 @@ def corrected(
     the declared radii (`metrocli/tasks/shared/images/eccentricity.py`).
     """
     measured = group.observations.readings
-    state = dict(adjust(blocks.values(), [group, *others], datum, Control(limit=15, covariance=False)).blocks)
+    state = dict(adjust(blocks.values(), [group, *others], datum, StoppingRule(limit=15, covariance=False)).blocks)
     check_diameters(group, imaged(group, state, radius)[1], radius[group.observations.index[TARGET]])
     for _ in range(_ROUNDS):
         moved = measured - shift(group, state, radius)
         group = group.with_observations(replace(group.observations, readings=moved))
-        state = dict(adjust(state.values(), [group, *others], datum, Control(limit=15, covariance=False)).blocks)
+        state = dict(adjust(state.values(), [group, *others], datum, StoppingRule(limit=15, covariance=False)).blocks)
     return group, state
 
 

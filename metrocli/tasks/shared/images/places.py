@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.chain import LinkContext, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.arrays import Array
 from metrocli.effects.acting import PLACE, TIMED, Acting, Variable, components, condition, point, seen_from
@@ -22,13 +22,13 @@ _UV, _PX = ("u", "v"), ("px", "px")
 _RADIUS = condition("radius", "mm", "radius")
 
 
-def _off_centre(value: Array, local: Local) -> Array:
+def _off_centre(value: Array, local: LinkContext) -> Array:
     rows = local.rows(LENS)
     columns = local.blocks[LENS].columns
     return value - rows[[columns.index("cx"), columns.index("cy")]]
 
 
-def _by_centre(local: Local, by_off: Array) -> Array:
+def _by_centre(local: LinkContext, by_off: Array) -> Array:
     """Return the derivatives (1, size, n) by the lens of a variable with derivatives (1, 2, n) by the offset."""
     columns = local.blocks[LENS].columns
     by_lens = np.zeros((1, len(columns), by_off.shape[2]))
@@ -36,13 +36,13 @@ def _by_centre(local: Local, by_off: Array) -> Array:
     return by_lens
 
 
-def _off(number: int, value: Array, local: Local) -> Step:
+def _off(number: int, value: Array, local: LinkContext) -> Step:
     by_off = np.zeros((1, 2, 1))
     by_off[0, number] = 1.0
     return Step(_off_centre(value, local)[number : number + 1], by_off, {LENS: _by_centre(local, by_off)})
 
 
-def _from_centre(value: Array, local: Local) -> Step:
+def _from_centre(value: Array, local: LinkContext) -> Step:
     off = _off_centre(value, local)
     size = np.maximum(np.hypot(*off), 1e-300)
     by_off = (off / size)[None]

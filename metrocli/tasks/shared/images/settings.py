@@ -11,7 +11,7 @@ from metrocli.geometry.poses import EULER
 from metrocli.instruments.lenses.distortion import DISTORTION, OF_FISHEYE, RATIONAL, TILT
 from metrocli.instruments.lenses.forms import PROGRAMS
 from metrocli.instruments.lenses.lens import PARAMETERS, UNITS
-from metrocli.settings import Choice, ListOf, Number, Quantity, Section, Whole, setting
+from metrocli.settings import Choice, ListOf, Number, Section, Whole, WithUnit, setting
 from metrocli.targets.pattern import GRIDS, Pattern
 from metrocli.tasks.shared.figures import POSE
 
@@ -88,9 +88,9 @@ _TERMS = {
     "division": RATIONAL,
 }
 """Distortion parameters of models that lack some"""
-_PX = Quantity("pixel")
-_FOCAL = Quantity("pixel", minimum=1.0)
-_ANGLE = Quantity("angle")
+_PX = WithUnit("pixel")
+_FOCAL = WithUnit("pixel", minimum=1.0)
+_ANGLE = WithUnit("angle")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,16 +167,16 @@ class LensModel(LensValues):
 class Extrinsics:
     """The camera in the taper: `X_taper = R(alpha, beta, gamma) X_camera + (x, y, z)`."""
 
-    x: float = setting(Quantity("length"), "x of the camera's centre")
-    y: float = setting(Quantity("length"), "y of the camera's centre")
-    z: float = setting(Quantity("length"), "z of the camera's centre")
-    alpha: float = setting(Quantity("angle"), "turn about x, first")
-    beta: float = setting(Quantity("angle"), "turn about y, second")
-    gamma: float = setting(Quantity("angle"), "turn about z, third")
+    x: float = setting(WithUnit("length"), "x of the camera's centre")
+    y: float = setting(WithUnit("length"), "y of the camera's centre")
+    z: float = setting(WithUnit("length"), "z of the camera's centre")
+    alpha: float = setting(WithUnit("angle"), "turn about x, first")
+    beta: float = setting(WithUnit("angle"), "turn about y, second")
+    gamma: float = setting(WithUnit("angle"), "turn about z, third")
 
 
 _SPREAD: Mapping[str, Any] = {
-    "px": Quantity("pixel", minimum=0.0), "rad": Quantity("angle", minimum=0.0), "mm": Quantity("length", minimum=0.0)
+    "px": WithUnit("pixel", minimum=0.0), "rad": WithUnit("angle", minimum=0.0), "mm": WithUnit("length", minimum=0.0)
 }  # fmt: skip
 CameraUncertainty: Any = make_dataclass(
     "CameraUncertainty",
@@ -218,7 +218,7 @@ class CameraFile(LensModel):
     image_size: tuple[int, int] = setting(
         ListOf(Whole(minimum=2, maximum=100_000), length=2), "width and height in pixels"
     )
-    pixel_size: float | None = setting(Quantity("length", positive=True), "side of a pixel", default=None)
+    pixel_size: float | None = setting(WithUnit("length", positive=True), "side of a pixel", default=None)
     model: str | None = setting(Choice(*MODELS), "opencv, fisheye, backward or division", default=None)
     program: str | None = setting(Choice(*PROGRAMS), "the program whose file this was", default=None)
     extrinsics: Extrinsics | None = setting(Section(Extrinsics), "the camera in the taper", default=None)

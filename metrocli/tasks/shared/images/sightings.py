@@ -19,7 +19,7 @@ from metrocli.targets.find import find
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.images.eccentricity import SIZE
 from metrocli.tasks.shared.images.settings import ImageSettings
-from metrocli.tasks.shared.images.target_list import Targets, known_targets
+from metrocli.tasks.shared.images.target_list import TargetCoordinates, known_targets
 from metrocli.words import listed
 
 OBSERVATIONS = Columns(
@@ -60,7 +60,7 @@ class Sighted:
     """Image points of known targets, ready for an adjustment."""
 
     images: tuple[str, ...]
-    targets: Targets
+    targets: TargetCoordinates
     observations: Observations
     warnings: tuple[str, ...] = ()
     eccentric: bool = False
@@ -163,10 +163,10 @@ def sight(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]:
     A single dot has another place in each image, so it is named after the image (file name without its ending). Raises
     InputError if no image shows a target, or one cannot be read.
     """
-    found = _sought(images, pattern)
-    if isinstance(found, InputError):
-        raise InputError(found.faults)
-    return found
+    observed = _sought(images, pattern)
+    if isinstance(observed, InputError):
+        raise InputError(observed.faults)
+    return observed
 
 
 @lru_cache(maxsize=1)
@@ -189,13 +189,17 @@ def _in_all(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]
     sizes: list[Array] = []
     warnings: list[str] = []
     for name, picture in images:
-        found = find(pattern, picture)
-        if found.reason:
-            warnings.append(f"{name}: {found.reason}")
-        names += [name] * len(found.targets)
-        targets += [name.rsplit(".", 1)[0]] if pattern.type == "dot" and len(found.targets) else list(found.targets)
-        parts.append(found.uv)
-        sizes.append(np.sqrt(found.axes.prod(axis=1)))
+        targets_seen = find(pattern, picture)
+        if targets_seen.reason:
+            warnings.append(f"{name}: {targets_seen.reason}")
+        names += [name] * len(targets_seen.targets)
+        targets += (
+            [name.rsplit(".", 1)[0]]
+            if pattern.type == "dot" and len(targets_seen.targets)
+            else list(targets_seen.targets)
+        )
+        parts.append(targets_seen.uv)
+        sizes.append(np.sqrt(targets_seen.axes.prod(axis=1)))
     uv = np.concatenate([*parts, np.zeros((0, 2))])
     if not len(uv):
         text = f"no target found in any of {len(images.names)} images{_shown_board(pattern, images, images.names)}"
@@ -206,7 +210,7 @@ def _in_all(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]
     return table, tuple(warnings)
 
 
-def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
+def join(table: Table, targets: TargetCoordinates, sigma: float, fewest: int) -> Sighted:
     """Match readings to targets; leave out images with fewer than `fewest` readings, with a warning.
 
     `sigma` is the standard deviation [px] of readings without one of their own. Raises InputError that names every
@@ -254,30 +258,30 @@ def check_inside(sighted: Sighted, size: tuple[int, int]) -> Sighted:
     i = int(np.flatnonzero(far if far.any() else outside)[0])
     keys = sighted.observations.keys
     which = "one of them far" if far.any() else "the first"
-    told = (
+    message = (
         f"{outside.sum()} of {outside.size} readings lie outside an image of {size[0]} x {size[1]} px, "
         f"{which}: image {keys['image'][i]}, target {keys['target'][i]} at ({uv[0, i]:.1f}, {uv[1, i]:.1f}); "
         "check image_size and the columns"
     )
     exchanged = ((uv >= -_BEYOND * extent[::-1]) & (uv <= (1 + _BEYOND) * extent[::-1])).all()
     if exchanged:
-        raise InputError(f"{told}; with u and v exchanged all would lie inside")
+        raise InputError(f"{message}; with u and v exchanged all would lie inside")
     if outside.mean() > _MANY or far.any():
-        raise InputError(told)
-    return replace(sighted, warnings=(*sighted.warnings, told))
+        raise InputError(message)
+    return replace(sighted, warnings=(*sighted.warnings, message))
 
 
-def _matched(table: Table, targets: Targets) -> tuple[np.ndarray[tuple[int], np.dtype[np.str_]], Index]:
+def _matched(table: Table, targets: TargetCoordinates) -> tuple[np.ndarray[tuple[int], np.dtype[np.str_]], Index]:
     """Return the name of each reading's target and its number in the list; raises InputError for unknown targets."""
     place = {name: i for i, name in enumerate(targets.names)}
     of_target = np.asarray(table.columns["target"], dtype=str)
     names, which = np.unique(of_target, return_inverse=True)
     numbers = np.array([place.get(str(name), -1) for name in names], dtype=np.intp)[which]
-    strange = np.flatnonzero(numbers < 0)
-    if strange.size:
+    unmatched = np.flatnonzero(numbers < 0)
+    if unmatched.size:
         hint = "add it to the targets file, or remove the row"
         text = "target '{}' is not in the list of targets".format
-        raise InputError(table.faults_at(strange, lambda row: text(of_target[row]), lambda row: hint))
+        raise InputError(table.faults_at(unmatched, lambda row: text(of_target[row]), lambda row: hint))
     return of_target, numbers
 
 

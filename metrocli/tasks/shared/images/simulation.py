@@ -25,7 +25,7 @@ from metrocli.targets import drawings, render
 from metrocli.targets.codes import codes
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.images.adjustment import IMAGES
-from metrocli.tasks.shared.images.target_list import Targets
+from metrocli.tasks.shared.images.target_list import TargetCoordinates
 from metrocli.tasks.shared.statistics import CONDITIONS
 
 _MARGIN = 2.0
@@ -36,7 +36,7 @@ _ASTRAY = 1e-6
 
 
 @dataclass(frozen=True)
-class Shown:
+class SimulatedCamera:
     """A camera with its true parameters, the targets in front of it, and its images."""
 
     lens: Mapping[str, float]
@@ -44,13 +44,13 @@ class Shown:
     images: tuple[str, ...]
     to_camera: Array
     """Pose that takes targets into the camera's frame, for each image (images, 6)"""
-    targets: Targets
+    targets: TargetCoordinates
     convention: str = "forward"
     conditions: Mapping[str, Array] = field(default_factory=dict)
     """Time and temperature of each image, (images,)"""
 
 
-def true_targets(listed: Targets, rng: np.random.Generator) -> Targets:
+def true_targets(listed: TargetCoordinates, rng: np.random.Generator) -> TargetCoordinates:
     """Return the true targets: the listed places with normal errors of the listed standard deviations."""
     return replace(
         listed, points=listed.points + rng.normal(0.0, 1.0, listed.points.shape) * np.nan_to_num(listed.sigma)
@@ -58,7 +58,7 @@ def true_targets(listed: Targets, rng: np.random.Generator) -> Targets:
 
 
 @dataclass(frozen=True)
-class Sights:
+class ExactImagePoints:
     """Exact image points of the targets inside each image, before noise is added."""
 
     view: Index
@@ -67,7 +67,7 @@ class Sights:
     """Image coordinates (2, n) px"""
 
 
-def sights(shown: Shown, only: Callable[[int], list[int]] | None = None) -> Sights:
+def sights(shown: SimulatedCamera, only: Callable[[int], list[int]] | None = None) -> ExactImagePoints:
     """Return the image points of the targets inside each image.
 
     `only` returns the targets that an image shows; None: all. Raises InputError if no target is inside any image.
@@ -81,10 +81,10 @@ def sights(shown: Shown, only: Callable[[int], list[int]] | None = None) -> Sigh
         points.append(uv[inside])
     if sum(map(len, views)) == 0:
         raise InputError("simulation: no target is inside any image; check the poses and the distance")
-    return Sights(np.concatenate(views), np.concatenate(targets), np.concatenate(points).T)
+    return ExactImagePoints(np.concatenate(views), np.concatenate(targets), np.concatenate(points).T)
 
 
-def sightings_table(shown: Shown, seen: Sights, sigma: float, rng: np.random.Generator) -> Table:
+def sightings_table(shown: SimulatedCamera, seen: ExactImagePoints, sigma: float, rng: np.random.Generator) -> Table:
     """Return the table of observations with normal noise `sigma` [px] and the conditions of the images."""
     uv = seen.uv + rng.normal(0.0, sigma, seen.uv.T.shape).T
     names = {"image": np.array(shown.images)[seen.view], "target": np.array(shown.targets.names)[seen.target]}
@@ -92,7 +92,7 @@ def sightings_table(shown: Shown, seen: Sights, sigma: float, rng: np.random.Gen
     return Table.of({**names, "u v [px]": uv.T, **when})
 
 
-def _projected(shown: Shown, image: int, chosen: Index) -> tuple[Array, Mask]:
+def _projected(shown: SimulatedCamera, image: int, chosen: Index) -> tuple[Array, Mask]:
     """Return image points (n, 2) and whether the image of the whole target, radius included, is inside the image."""
     points = poses.apply(shown.to_camera[image], shown.targets.points[chosen])
     fisheye = shown.convention == "fisheye"
@@ -111,7 +111,7 @@ def _projected(shown: Shown, image: int, chosen: Index) -> tuple[Array, Mask]:
     return np.column_stack([u, v]), inside
 
 
-def _mapped(shown: Shown, x: Array, y: Array, u: Array, v: Array) -> Mask:
+def _mapped(shown: SimulatedCamera, x: Array, y: Array, u: Array, v: Array) -> Mask:
     """Return whether the image of each point is real.
 
     The lens polynomial folds over far outside the image, so that points out of sight are mapped back into it.
@@ -120,7 +120,7 @@ def _mapped(shown: Shown, x: Array, y: Array, u: Array, v: Array) -> Mask:
     return np.hypot(back_x - x, back_y - y) < _ASTRAY
 
 
-def _distorted(shown: Shown, x: Array, y: Array) -> tuple[Array, Array]:
+def _distorted(shown: SimulatedCamera, x: Array, y: Array) -> tuple[Array, Array]:
     """Return the image points u, v [px] of ideal points x, y in the plane Z = 1; a backward lens is iterated."""
     if shown.convention != "backward":
         return image_point(shown.lens, x, y, shown.convention == "fisheye")
@@ -140,7 +140,7 @@ _SETTLED = 1e-10
 """The image points have converged when a round changes them by less than this [px]"""
 
 
-def image_group(shown: Shown, seen: Sights, chain: Chain, poses: str) -> Group:
+def image_group(shown: SimulatedCamera, seen: ExactImagePoints, chain: Chain, poses: str) -> Group:
     """Return the image points as readings of a chain; `poses` names the block with a pose for each image."""
     index = {"view": seen.view, poses: seen.view, TARGET: seen.target}
     conditions = {name: values[seen.view] for name, values in shown.conditions.items()}
@@ -148,7 +148,9 @@ def image_group(shown: Shown, seen: Sights, chain: Chain, poses: str) -> Group:
     return Group(IMAGES, chain, Observations(seen.uv, np.ones(1), index, conditions=conditions))
 
 
-def planted(model: Model, seen: Sights, effects: Sequence[Wanted]) -> tuple[Sights, dict[str, float]]:
+def planted(
+    model: Model, seen: ExactImagePoints, effects: Sequence[Wanted]
+) -> tuple[ExactImagePoints, dict[str, float]]:
     """Return the image points with effects in them, and the true values of the effects by name.
 
     `model` is the model of the job at the truth.
@@ -173,11 +175,11 @@ def _image_points(model: Model) -> Array:
     """
     group = model.readings[0]
     for _ in range(_ROUNDS):
-        found = group.chain.predict(model.blocks, group.observations)
-        if not np.isfinite(found).all():
+        uv = group.chain.predict(model.blocks, group.observations)
+        if not np.isfinite(uv).all():
             raise InputError("simulation: with this effect the camera does not see every target; check its size")
-        change = float(np.abs(found - group.observations.readings).max(initial=0.0))
-        group = group.with_observations(group.observations.with_readings(found))
+        change = float(np.abs(uv - group.observations.readings).max(initial=0.0))
+        group = group.with_observations(group.observations.with_readings(uv))
         if change < _SETTLED:
             break
     return group.observations.readings
@@ -187,7 +189,7 @@ Draw = Callable[[], "Picture"]
 
 
 def pictures(
-    shown: Shown, pattern: Pattern, rng: np.random.Generator, only: Callable[[int], list[int]] | None = None
+    shown: SimulatedCamera, pattern: Pattern, rng: np.random.Generator, only: Callable[[int], list[int]] | None = None
 ) -> Iterator[tuple[str, Draw]]:
     """Yield the path of each image and a function that renders it; each image has a random seed of its own."""
     seeds = rng.integers(0, 2**63, len(shown.images))
@@ -196,7 +198,7 @@ def pictures(
         yield f"images/{image}", drawer(shown, pattern, i, chosen, int(seeds[i]))
 
 
-def drawer(shown: Shown, pattern: Pattern, image: int, chosen: list[int], seed: int) -> Draw:
+def drawer(shown: SimulatedCamera, pattern: Pattern, image: int, chosen: list[int], seed: int) -> Draw:
     """Return a function that renders one image with the chosen targets."""
 
     def draw() -> Picture:
@@ -207,21 +209,21 @@ def drawer(shown: Shown, pattern: Pattern, image: int, chosen: list[int], seed: 
     return draw
 
 
-def _rays(shown: Shown, uv: Array) -> Array:
+def _rays(shown: SimulatedCamera, uv: Array) -> Array:
     seen = direction(shown.lens, uv[:, 0], uv[:, 1], shown.convention).T
     unit: Array = seen / np.linalg.norm(seen, axis=1, keepdims=True)
     return unit
 
 
-def _scene(shown: Shown, pattern: Pattern, image: int, chosen: list[int]) -> list[render.Placed]:
+def _scene(shown: SimulatedCamera, pattern: Pattern, image: int, chosen: list[int]) -> list[render.PlacedDrawing]:
     rotation = poses.rotation_of(shown.to_camera[image])
     if pattern.type not in ("dot", "coded-rings"):
-        return [render.Placed(drawings.board(pattern), rotation, shown.to_camera[image, :3])]
+        return [render.PlacedDrawing(drawings.board(pattern), rotation, shown.to_camera[image, :3])]
     points = poses.apply(shown.to_camera[image], shown.targets.points)
-    return [render.Placed(_drawing(shown, pattern, i), rotation, points[i]) for i in chosen if points[i, 2] > 0]
+    return [render.PlacedDrawing(_drawing(shown, pattern, i), rotation, points[i]) for i in chosen if points[i, 2] > 0]
 
 
-def _drawing(shown: Shown, pattern: Pattern, target: int) -> drawings.Drawing:
+def _drawing(shown: SimulatedCamera, pattern: Pattern, target: int) -> drawings.Drawing:
     radius = float(shown.targets.radius[target])
     if not np.isfinite(radius):
         raise InputError(

@@ -10,7 +10,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import Suspects
 from metrocli.arrays import Array, Index
 from metrocli.table import Table
-from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.statistics import beyond_bound
 
 _VIEW_SUSPECT = 2.5
@@ -75,7 +75,7 @@ def suspect_readings(suspects: Suspects, group: Group) -> list[str]:
     return [beyond_bound(worst, suspects.critical)]
 
 
-def adjustment_notes(adjusted: Adjusted) -> list[str]:
+def adjustment_notes(adjusted: AdjustedImages) -> list[str]:
     """Return the notes of the report: the estimated noise and the number of rejected readings."""
     lines = []
     if adjusted.noise is not None:

@@ -21,7 +21,7 @@ TARGETS = Columns(
 
 
 @dataclass(frozen=True)
-class Targets:
+class TargetCoordinates:
     """A list of targets and how well each coordinate is known."""
 
     names: tuple[str, ...]
@@ -35,7 +35,7 @@ class Targets:
 
 def known_targets(
     pattern: Pattern | None, targets: Table | None, unknown_sigma: float, of_pattern: float = 0.0
-) -> Targets:
+) -> TargetCoordinates:
     """Return the targets of the list, or without a list those of the printed pattern.
 
     A target without a radius in the list has that of the pattern. `unknown_sigma` [mm] is the standard deviation in a
@@ -53,7 +53,7 @@ def known_targets(
     return known
 
 
-def read_targets(table: Table, default_sigma: float = 0.0) -> Targets:
+def read_targets(table: Table, default_sigma: float = 0.0) -> TargetCoordinates:
     """Return the targets of a list; without a sigma column their sigma is `default_sigma` [mm] (nan: unknown).
 
     Raises InputError that names every row with a negative standard deviation or a radius that is not above zero.
@@ -64,15 +64,15 @@ def read_targets(table: Table, default_sigma: float = 0.0) -> Targets:
             sigma = sigmas(table, default_sigma)
         with each():
             refuse(table, {"a radius is not above zero": np.asarray(radius <= 0)})
-    return Targets(tuple(table.texts("target")), table.stacked("xyz"), sigma, radius)
+    return TargetCoordinates(tuple(table.texts("target")), table.stacked("xyz"), sigma, radius)
 
 
-def targets_of(pattern: Pattern, sigma: float = 0.0) -> Targets:
+def targets_of(pattern: Pattern, sigma: float = 0.0) -> TargetCoordinates:
     """Return the targets of a printed pattern with a standard deviation [mm]; nan: unknown."""
     names, points = pattern_points(pattern)
-    return Targets(tuple(names), points, np.full_like(points, sigma), np.full(len(names), np.nan))
+    return TargetCoordinates(tuple(names), points, np.full_like(points, sigma), np.full(len(names), np.nan))
 
 
-def images_needed(targets: Targets) -> Index:
+def images_needed(targets: TargetCoordinates) -> Index:
     """Return in how many images each target has to be seen, (m,): two if a coordinate of it is unknown, else one."""
     return np.where(np.isnan(targets.sigma).any(axis=1), 2, 1)

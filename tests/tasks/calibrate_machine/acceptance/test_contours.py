@@ -11,7 +11,7 @@ from simulated import machine as sim
 from metrocli.result import Result
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.acceptance.contours import Profile, draws
-from metrocli.tasks.calibrate_machine.settings import Volume
+from metrocli.tasks.calibrate_machine.settings import VolumeGrid
 
 KNOTS = (5, 5, 5)
 SPAN = sim.HIGH - sim.LOW
@@ -21,7 +21,7 @@ SIGNS = {"PPP": (1, 1, 1), "NPP": (-1, 1, 1), "PNP": (1, -1, 1), "NNP": (-1, -1,
 
 
 def calibrated(machine: sim.Machine, rng: np.random.Generator, noise: float, radius: float = 150.0) -> Result:
-    job = replace(sim.settings(tools=sim.THREE, knots=KNOTS), volume=Volume((3, 3, 3), radius))
+    job = replace(sim.settings(tools=sim.THREE, knots=KNOTS), volume=VolumeGrid((3, 3, 3), radius))
     points = sim.points(machine, rng, 150, sim.THREE, noise=noise)
     return calibrate_machine.run(calibrate_machine.TASK.job(job, points=points))
 

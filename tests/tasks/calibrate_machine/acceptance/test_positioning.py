@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from metrocli.tasks.calibrate_machine.acceptance.positioning import FIGURES, Measured, expanded, figures
+from metrocli.tasks.calibrate_machine.acceptance.positioning import FIGURES, LineUncertainty, expanded, figures
 
 UP = np.array([[0.0, 4.0, 1.0], [2.0, 5.0, 1.0], [1.0, 6.0, 4.0]]) / 1000
 DOWN = np.array([[3.0, 9.0, 2.0], [5.0, 9.0, 5.0], [4.0, 9.0, 5.0]]) / 1000
@@ -36,7 +36,7 @@ def test_a_worked_example() -> None:
 def test_uncertainty_of_the_worked_example() -> None:
     """By hand: variances of means u²/3, of standard deviations u²/2, and the lever of the scale."""
     u, scale = 0.0002, 1e-6
-    found = expanded(UP, DOWN, TARGETS, Measured(u, scale))
+    found = expanded(UP, DOWN, TARGETS, LineUncertainty(u, scale))
     assert found["B"] == pytest.approx(2 * u * np.sqrt(2 / 3))
     assert found["B_mean"] == pytest.approx(2 * u * np.sqrt(2 / 9))
     # the extremes are at 100 mm (down) and 0 mm (up)
@@ -57,7 +57,7 @@ def test_uncertainty_is_what_the_figures_scatter_by() -> None:
     up = shape + spread * rng.normal(size=(5, 12))
     down = shape - np.where(np.arange(12) == 3, 0.012, 0.003) + spread * rng.normal(size=(5, 12))
     u, scale = 1e-5, 3e-7
-    stated = expanded(up, down, targets, Measured(u, scale))
+    stated = expanded(up, down, targets, LineUncertainty(u, scale))
     drawn = []
     for _ in range(600):
         factor = scale * rng.normal() * targets
@@ -68,7 +68,7 @@ def test_uncertainty_is_what_the_figures_scatter_by() -> None:
 
 
 def test_one_run_has_no_repeatability() -> None:
-    found, spread = figures(UP[:1], DOWN), expanded(UP[:1], DOWN, TARGETS, Measured(1e-4))
+    found, spread = figures(UP[:1], DOWN), expanded(UP[:1], DOWN, TARGETS, LineUncertainty(1e-4))
     for name in ("A", "A_up", "R", "R_up"):
         assert np.isnan(found[name]) and np.isnan(spread[name])
     for name in ("A_down", "R_down", "B", "E", "M"):

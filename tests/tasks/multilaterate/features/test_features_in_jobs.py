@@ -16,24 +16,24 @@ from simulated.lengths import Array, Network, network, settings
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.nodes import Node, Source
 from metrocli.result import Result
-from metrocli.settings import Known, Placed
+from metrocli.settings import KnownQuantity, LocatedValue
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.features.ideal import Shape
+from metrocli.tasks.multilaterate.features.ideal import IdealFeature
 from metrocli.tasks.multilaterate.settings import SHAPES, Correction, Feature
 from metrocli.tasks.shared.part import Part
 
 BALLS = np.array([[150.0, 150.0, 100.0], [800.0, 420.0, 380.0]])
 
 
-def asked(**features: str | Feature) -> Mapping[str, Placed]:
+def asked(**features: str | Feature) -> Mapping[str, LocatedValue]:
     return {
-        name: Placed(value, Node("scalar", Source("job.yaml", (), Path()), f"features.{name}"))
+        name: LocatedValue(value, Node("scalar", Source("job.yaml", (), Path()), f"features.{name}"))
         for name, value in features.items()
     }
 
 
-def run(net: Network, probed: Array, names: list[str], features: Mapping[str, Placed], **more: Any) -> Result:
+def run(net: Network, probed: Array, names: list[str], features: Mapping[str, LocatedValue], **more: Any) -> Result:
     """The job with the first points of a network probed at `probed`."""
     columns = {"feature": np.array(names), "point": np.array(net.names[: len(names)])}
     table = Table(columns | dict(zip("xyz", probed.T, strict=True)), dict.fromkeys("xyz", "mm"), "probing.csv")
@@ -111,7 +111,7 @@ def test_part_and_tips_reach_radii_and_the_distance_of_centres_as_by_hand() -> N
     probing = Table(columns | dict(zip("xyz", net.nominal[:28].T, strict=True)), dict.fromkeys("xyz", "mm"))
     tips = Table({"tip": np.array(["T1", "T2"]), **dict.fromkeys("xyz", np.zeros(2)), "sigma": np.array(sigmas)})
     growth, u_growth = 12e-6 * 4, np.sqrt((4 * 1e-6) ** 2 + (12e-6 * 0.3) ** 2 + (1e-6 * 0.3) ** 2)
-    part = Part(Known(24.0, 0.3), Known(12e-6, 1e-6))
+    part = Part(KnownQuantity(24.0, 0.3), KnownQuantity(12e-6, 1e-6))
     job = replace(settings(), features=asked(A="sphere", B="sphere"), part=part, correction=Correction(0.001, 0.0007))
     files = (net.lengths(), net.point_table(), net.tracer_table())
     result = multilaterate.run(multilaterate.TASK.job(job, *files, probing=probing, tips=tips))
@@ -159,7 +159,7 @@ def test_a_plane_through_points_near_a_line_is_refused_by_its_direction() -> Non
 
 def test_a_job_gives_both_fits_of_each_shape() -> None:
     rng = np.random.default_rng(4)
-    kinds = list(Shape)
+    kinds = list(IdealFeature)
     parts = [cloud(shape, 20, 0.01, rng) / 3 + [500, 300, 250] for shape in kinds]
     points = np.concatenate([*parts, rng.uniform(0, 1, (12, 3)) * [900, 600, 500]])
     net = replace(network(132, 5, seed=6), points=points, nominal=points.copy()).read(rng)
@@ -192,13 +192,13 @@ def test_minimum_zones_that_other_points_can_hold_are_named() -> None:
         result = run(net, points[:6], ["A"] * 6, wanted, correction=Correction(0.0, probe))
         found = result.tables["features"]
         assert found.numbers("may_touch").tolist() == [0, expected]
-        said = [line for line in result.notes if "errors can lay on other points" in line]
-        assert len(said) == (expected > 0)
-        assert not said or f"A ({expected} more)" in said[0]
+        listed_at = [line for line in result.notes if "errors can lay on other points" in line]
+        assert len(listed_at) == (expected > 0)
+        assert not listed_at or f"A ({expected} more)" in listed_at[0]
 
 
 def test_a_job_can_ask_for_every_shape() -> None:
-    assert tuple(Shape) == SHAPES
+    assert tuple(IdealFeature) == SHAPES
 
 
 def test_features_without_covariance_between_points_are_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:

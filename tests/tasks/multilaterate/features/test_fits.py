@@ -11,8 +11,8 @@ from scipy.optimize import minimize
 from simulated.features import AXES, Array, cloud
 
 from metrocli.errors import UndeterminedError
-from metrocli.tasks.multilaterate.features.fit import Fit, least_squares
-from metrocli.tasks.multilaterate.features.ideal import Shape
+from metrocli.tasks.multilaterate.features.fit import FeatureFit, least_squares
+from metrocli.tasks.multilaterate.features.ideal import IdealFeature
 from metrocli.tasks.multilaterate.features.minimum_zone import minimum_zone
 
 PIPE = """-3283.654 -79.927 194.917  -3271.578 -84.991 203.643  -3292.599 -64.647 196.517  -3308.806 -73.417 213.805
@@ -32,13 +32,13 @@ def published(text: str) -> Array:
 
 
 def test_a_published_cylinder_is_found() -> None:
-    fit = least_squares(Shape.CYLINDER, published(PIPE))
+    fit = least_squares(IdealFeature.CYLINDER, published(PIPE))
     assert fit.ideal.radius == pytest.approx(19.16, abs=0.005)
     assert fit.deviations == pytest.approx(PIPE_DEVIATIONS, abs=6e-4)
 
 
 def test_a_published_tube_is_found() -> None:
-    fit = least_squares(Shape.CYLINDER, published(TUBE))
+    fit = least_squares(IdealFeature.CYLINDER, published(TUBE))
     assert fit.ideal.radius == pytest.approx(10.00, abs=0.01)
     assert fit.ideal.axis[2] == pytest.approx(0.999993, abs=1e-6)
     assert np.sqrt((fit.deviations**2).sum() / (36 - 5)) == pytest.approx(0.197, abs=5e-4)
@@ -49,29 +49,29 @@ def angles(vector: Array) -> Array:
     return np.array([np.arccos(vector[2] / np.linalg.norm(vector)), np.arctan2(vector[1], vector[0])])
 
 
-def distances(shape: Shape, values: Array, points: Array) -> Array:
+def distances(shape: IdealFeature, values: Array, points: Array) -> Array:
     """Distances by the textbook: values are a point, polar angle and azimuth, radius, half angle."""
     axis = np.array([np.sin(values[3]) * np.cos(values[4]), np.sin(values[3]) * np.sin(values[4]), np.cos(values[3])])
     away = points - values[:3]
     height, radial = away @ axis, np.linalg.norm(np.cross(away, axis), axis=1)
     return {
-        Shape.LINE: radial,
-        Shape.PLANE: height,
-        Shape.CIRCLE: np.concatenate([radial - values[5], height]),
-        Shape.SPHERE: np.linalg.norm(away, axis=1) - values[5],
-        Shape.CYLINDER: radial - values[5],
-        Shape.CONE: (radial - values[5]) * np.cos(values[6]) - height * np.sin(values[6]),
+        IdealFeature.LINE: radial,
+        IdealFeature.PLANE: height,
+        IdealFeature.CIRCLE: np.concatenate([radial - values[5], height]),
+        IdealFeature.SPHERE: np.linalg.norm(away, axis=1) - values[5],
+        IdealFeature.CYLINDER: radial - values[5],
+        IdealFeature.CONE: (radial - values[5]) * np.cos(values[6]) - height * np.sin(values[6]),
     }[shape]
 
 
-def parameters(fit: Fit) -> Array:
+def parameters(fit: FeatureFit) -> Array:
     return np.array([*fit.ideal.origin, *angles(fit.ideal.axis), fit.ideal.radius, fit.ideal.half_angle])
 
 
-@pytest.mark.parametrize("shape", Shape)
-def test_least_squares_are_those_of_minpack(shape: Shape) -> None:
+@pytest.mark.parametrize("shape", IdealFeature)
+def test_least_squares_are_those_of_minpack(shape: IdealFeature) -> None:
     """Another parametrisation, another program, starts that are off: the same sum of squares and deviations."""
-    rng = np.random.default_rng(list(Shape).index(shape) + 50)
+    rng = np.random.default_rng(list(IdealFeature).index(shape) + 50)
     points = cloud(shape, 30, 0.05, rng)
     fit = least_squares(shape, points)
     start = parameters(fit) + np.array([0.3, -0.2, 0.25, 0.01, -0.01, 0.2, 0.01])
@@ -82,19 +82,19 @@ def test_least_squares_are_those_of_minpack(shape: Shape) -> None:
     assert fit.deviations == pytest.approx(distances(shape, found.x, points)[:30], abs=1e-5)
 
 
-@pytest.mark.parametrize("shape", Shape)
-def test_points_of_an_ideal_feature_give_it_back(shape: Shape) -> None:
+@pytest.mark.parametrize("shape", IdealFeature)
+def test_points_of_an_ideal_feature_give_it_back(shape: IdealFeature) -> None:
     """Whatever its direction: also along the axes of the frame."""
     for axis in AXES[1:]:
         rng = np.random.default_rng(7)
         points = cloud(shape, 24, 0.0, rng, axis, radius=30.0, half_angle=0.3)
         for fit in (least_squares(shape, points), minimum_zone(shape, points)):
             assert fit.form < 1e-10
-            if shape in (Shape.SPHERE, Shape.CIRCLE, Shape.CYLINDER):
+            if shape in (IdealFeature.SPHERE, IdealFeature.CIRCLE, IdealFeature.CYLINDER):
                 assert fit.ideal.radius == pytest.approx(30.0, abs=1e-10)
-            if shape is Shape.CONE:
+            if shape is IdealFeature.CONE:
                 assert fit.ideal.half_angle == pytest.approx(0.3, abs=1e-11)
-            if shape is not Shape.SPHERE:
+            if shape is not IdealFeature.SPHERE:
                 assert abs(fit.ideal.axis @ axis) == pytest.approx(1.0, abs=1e-12)
 
 
@@ -111,20 +111,20 @@ def pairs(points: Array) -> tuple[Array, Array]:
 @pytest.mark.parametrize("seed", range(4))
 def test_the_zone_of_a_plane_is_the_least_of_all_candidates(seed: int) -> None:
     """Its normal is square to two pairs of points: three points on one side and one, or two and two."""
-    points = cloud(Shape.PLANE, 14, 0.05, np.random.default_rng(seed))
+    points = cloud(IdealFeature.PLANE, 14, 0.05, np.random.default_rng(seed))
     lines, _ = pairs(points)
     i, j = np.triu_indices(len(lines), 1)
     normals = np.cross(lines[i], lines[j])
     normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
     normals = normals[np.linalg.norm(normals, axis=1) > 0.5]
-    assert minimum_zone(Shape.PLANE, points).form == pytest.approx(width(normals @ points.T).min(), abs=1e-11)
+    assert minimum_zone(IdealFeature.PLANE, points).form == pytest.approx(width(normals @ points.T).min(), abs=1e-11)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_zone_of_a_circle_is_the_least_of_all_candidates(seed: int) -> None:
     """Its centre has the same distance from the points of two pairs."""
     rng = np.random.default_rng(seed)
-    points = cloud(Shape.CIRCLE, 14, 0.05, rng, np.array([0.0, 0, 1]), flat=True)
+    points = cloud(IdealFeature.CIRCLE, 14, 0.05, rng, np.array([0.0, 0, 1]), flat=True)
     lines, middles = pairs(points[:, :2])
     i, j = np.triu_indices(len(lines), 1)
     matrix, wanted = np.stack([lines[i], lines[j]], axis=1), (lines * middles).sum(axis=1)
@@ -132,29 +132,29 @@ def test_the_zone_of_a_circle_is_the_least_of_all_candidates(seed: int) -> None:
     wanted = np.stack([wanted[i], wanted[j]], axis=1)
     centres = np.linalg.solve(matrix[good], wanted[good][:, :, None])[:, :, 0]
     zones = width(np.linalg.norm(points[None, :, :2] - centres[:, None], axis=2))
-    assert minimum_zone(Shape.CIRCLE, points).form == pytest.approx(zones.min(), abs=1e-10)
+    assert minimum_zone(IdealFeature.CIRCLE, points).form == pytest.approx(zones.min(), abs=1e-10)
 
 
 def test_the_zone_of_a_sphere_is_the_least_of_all_candidates() -> None:
     """Its centre has the same distance from the points of three pairs."""
-    points = cloud(Shape.SPHERE, 10, 0.05, np.random.default_rng(3))
+    points = cloud(IdealFeature.SPHERE, 10, 0.05, np.random.default_rng(3))
     lines, middles = pairs(points)
     chosen = np.array(list(itertools.combinations(range(len(lines)), 3)))
     good = np.abs(np.linalg.det(lines[chosen])) > 1e-6
     wanted = (lines * middles).sum(axis=1)[chosen[good]]
     centres = np.linalg.solve(lines[chosen[good]], wanted[:, :, None])[:, :, 0]
     zones = width(np.linalg.norm(points[None] - centres[:, None], axis=2))
-    assert minimum_zone(Shape.SPHERE, points).form == pytest.approx(zones.min(), abs=1e-10)
+    assert minimum_zone(IdealFeature.SPHERE, points).form == pytest.approx(zones.min(), abs=1e-10)
 
 
-@pytest.mark.parametrize("shape", [Shape.LINE, Shape.CYLINDER, Shape.CONE])
+@pytest.mark.parametrize("shape", [IdealFeature.LINE, IdealFeature.CYLINDER, IdealFeature.CONE])
 @pytest.mark.parametrize("seed", range(1))
-def test_no_other_program_finds_a_smaller_zone(shape: Shape, seed: int) -> None:
+def test_no_other_program_finds_a_smaller_zone(shape: IdealFeature, seed: int) -> None:
     """SLSQP on the textbook distances, from two starts around the least squares."""
     rng = np.random.default_rng(seed)
     points = cloud(shape, 20, 0.05, rng)
     fit, plain = minimum_zone(shape, points), least_squares(shape, points)
-    sides = (1,) if shape is Shape.LINE else (1, -1)
+    sides = (1,) if shape is IdealFeature.LINE else (1, -1)
 
     def left(p: Array) -> Array:
         return np.concatenate([p[7] - side * 20 * distances(shape, p[:7], points) for side in sides])
@@ -163,8 +163,8 @@ def test_no_other_program_finds_a_smaller_zone(shape: Shape, seed: int) -> None:
     for _ in range(2):
         off = 0.02 * rng.normal(size=7) * [1, 1, 1, 0.02, 0.02, 1, 0.02]
         start = np.append(parameters(plain) + off, 20 * plain.form)
-        bounds = [(None, None)] * 5 + ([(None, None)] * 2 if shape is Shape.CONE else [(None, None), (0.0, 0.0)])
-        if shape is not Shape.CONE:
+        bounds = [(None, None)] * 5 + ([(None, None)] * 2 if shape is IdealFeature.CONE else [(None, None), (0.0, 0.0)])
+        if shape is not IdealFeature.CONE:
             start[6] = 0.0
         options = {"ftol": 1e-14, "maxiter": 600}
         solved = minimize(
@@ -176,8 +176,8 @@ def test_no_other_program_finds_a_smaller_zone(shape: Shape, seed: int) -> None:
     assert fit.form == pytest.approx(min(found), rel=2e-3)
 
 
-@pytest.mark.parametrize("shape", Shape)
-def test_the_points_in_contact_prove_the_zone(shape: Shape) -> None:
+@pytest.mark.parametrize("shape", IdealFeature)
+def test_the_points_in_contact_prove_the_zone(shape: IdealFeature) -> None:
     """Weighted by the contact, the gradients by differences of the textbook distances add up to zero."""
     points = cloud(shape, 25, 0.02, np.random.default_rng(11))
     fit = minimum_zone(shape, points)
@@ -188,8 +188,8 @@ def test_the_points_in_contact_prove_the_zone(shape: Shape) -> None:
     assert np.sign(fit.deviations[fit.contact.rows]) == pytest.approx(fit.contact.sides)
     assert fit.form < least_squares(shape, points).form
     values, at = parameters(fit), points[fit.contact.rows]
-    free = [0, 1, 2, 3, 4, 5, 6] if shape is Shape.CONE else [0, 1, 2, 3, 4, 5]
-    if shape is Shape.CIRCLE:
+    free = [0, 1, 2, 3, 4, 5, 6] if shape is IdealFeature.CONE else [0, 1, 2, 3, 4, 5]
+    if shape is IdealFeature.CIRCLE:
         free = [5]
     for one in np.eye(7)[free]:
         change = distances(shape, values + 1e-5 * one, at) - distances(shape, values - 1e-5 * one, at)
@@ -199,18 +199,18 @@ def test_the_points_in_contact_prove_the_zone(shape: Shape) -> None:
 @pytest.mark.parametrize(("number", "seed"), [(5, 84), (6, 166), (6, 230), (6, 321), (6, 478), (6, 783)])
 def test_a_line_that_two_points_nearly_hold_has_its_least_zone(number: int, seed: int) -> None:
     """Two points at almost one height share nearly all of the weight: no line nearby has a smaller zone."""
-    points = cloud(Shape.LINE, number, 0.005, np.random.default_rng(seed))
-    fit, rng = minimum_zone(Shape.LINE, points), np.random.default_rng(1)
+    points = cloud(IdealFeature.LINE, number, 0.005, np.random.default_rng(seed))
+    fit, rng = minimum_zone(IdealFeature.LINE, points), np.random.default_rng(1)
     values = parameters(fit)
-    assert fit.form == pytest.approx(2 * distances(Shape.LINE, values, points).max(), abs=1e-10)
+    assert fit.form == pytest.approx(2 * distances(IdealFeature.LINE, values, points).max(), abs=1e-10)
     for size in (1e-5, 1e-4, 1e-3, 1e-2):
         for off in size * rng.normal(size=(500, 7)) * [1, 1, 1, 0.03, 0.03, 0, 0]:
-            assert 2 * distances(Shape.LINE, values + off, points).max() > fit.form - 1e-10
+            assert 2 * distances(IdealFeature.LINE, values + off, points).max() > fit.form - 1e-10
 
 
 @pytest.mark.parametrize("fitted", [least_squares, minimum_zone])
-@pytest.mark.parametrize("shape", Shape)
-def test_a_feature_follows_its_points_as_stated(fitted, shape: Shape) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.parametrize("shape", IdealFeature)
+def test_a_feature_follows_its_points_as_stated(fitted, shape: IdealFeature) -> None:  # type: ignore[no-untyped-def]
     """The derivative of place, direction, radius, angle and form, against fits of points that are moved."""
     points = cloud(shape, 15, 0.005, np.random.default_rng(21))
     fit = fitted(shape, points)
@@ -230,8 +230,8 @@ def test_points_that_leave_a_feature_open_are_refused() -> None:
     turn = np.linspace(0, 6, 9)
     ring = np.column_stack([20 * np.cos(turn), 20 * np.sin(turn), np.zeros(9)])
     with pytest.raises(UndeterminedError, match="the 9 points do not determine a cylinder"):
-        least_squares(Shape.CYLINDER, ring)
+        least_squares(IdealFeature.CYLINDER, ring)
     with pytest.raises(UndeterminedError, match="do not determine a plane"):
-        least_squares(Shape.PLANE, np.outer(np.arange(5.0), [1, 2, 3]))
+        least_squares(IdealFeature.PLANE, np.outer(np.arange(5.0), [1, 2, 3]))
     with pytest.raises(UndeterminedError, match="a sphere needs 4 points, and there are 3"):
-        least_squares(Shape.SPHERE, ring[:3])
+        least_squares(IdealFeature.SPHERE, ring[:3])

@@ -140,7 +140,7 @@ def test_an_image_that_is_noisier_along_its_motion_is_reported_as_noisier() -> N
     along = np.array([np.cos(0.6), np.sin(0.6)])
     images.uv[scene.view == 5] += np.outer(rng.normal(0, 4 * scene.noise, (scene.view == 5).sum()), along)
     diagnosis = diagnose(images.adjusted())
-    assert [one.name for one in diagnosis.noisier_units] == ["I005"]
+    assert [one.name for one in diagnosis.variance_groups] == ["I005"]
     assert not diagnosis.findings
 
 

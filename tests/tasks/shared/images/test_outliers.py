@@ -11,26 +11,26 @@ from simulated.camera import LENS, SIZE, Seen, board, look
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.model.observations import Observations
-from metrocli.adjust.robust import Fit, Suspects, apart, suspects
+from metrocli.adjust.robust import FitQuality, Suspects, apart, suspects
 from metrocli.adjust.solution import Residuals, residuals_of
 from metrocli.tasks.calibrate_camera.build import build
-from metrocli.tasks.calibrate_camera.problem import Problem
-from metrocli.tasks.calibrate_camera.settings import Camera
-from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images
+from metrocli.tasks.calibrate_camera.problem import CameraProblem
+from metrocli.tasks.calibrate_camera.settings import CameraSettings
+from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images
 from metrocli.tasks.shared.images.sightings import Sighted
-from metrocli.tasks.shared.images.target_list import Targets
+from metrocli.tasks.shared.images.target_list import TargetCoordinates
 
 NOISE = 0.1
 
 
-def problem(seen: Seen) -> Problem:
+def problem(seen: Seen) -> CameraProblem:
     images, targets = (tuple(f"{a}{i:03d}" for i in range(n)) for a, n in (("I", seen.views), ("T", len(seen.points))))
     keys = {"image": tuple(images[i] for i in seen.view), "target": tuple(targets[i] for i in seen.target)}
     index = {"view": seen.view, "target": seen.target}
     readings = Observations(seen.uv, np.array(NOISE), index, keys=keys, components=("u", "v"), unit="px")
     m = len(seen.points)
-    known = Targets(targets, seen.points, np.zeros((m, 3)), np.full(m, np.nan))
-    return build("board", Camera(image_size=SIZE, estimate=tuple(LENS)), Sighted(images, known, readings))
+    known = TargetCoordinates(targets, seen.points, np.zeros((m, 3)), np.full(m, np.nan))
+    return build("board", CameraSettings(image_size=SIZE, estimate=tuple(LENS)), Sighted(images, known, readings))
 
 
 def spoilt(seed: int, share: float, views: int = 30) -> tuple[Seen, npt.NDArray[np.intp]]:
@@ -44,12 +44,12 @@ def spoilt(seed: int, share: float, views: int = 30) -> tuple[Seen, npt.NDArray[
     return replace(seen, uv=uv), wrong
 
 
-def cleaned(made: Problem, estimate_noise: bool, started: bool = True) -> Adjusted:
+def cleaned(made: CameraProblem, estimate_noise: bool, started: bool = True) -> AdjustedImages:
     options = Options(True, estimate_noise, SIZE, started)
     return adjust_images(made.blocks, made.images, made.others, None, options)
 
 
-def left_out(made: Problem, found: Adjusted) -> set[int]:
+def left_out(made: CameraProblem, found: AdjustedImages) -> set[int]:
     keys = made.images.observations.keys
     numbers = {key: i for i, key in enumerate(zip(keys["image"], keys["target"], strict=True))}
     return {numbers[key] for key in zip(found.rejected.texts("image"), found.rejected.texts("target"), strict=True)}
@@ -81,7 +81,7 @@ def test_the_same_are_left_out_as_one_at_a_time() -> None:
     while True:
         group = made.images.selected(rows)
         solution = adjust(blocks.values(), [group])
-        found = suspects(residuals_of(solution, group), Fit(solution.cost, solution.dof, False))
+        found = suspects(residuals_of(solution, group), FitQuality(solution.cost, solution.dof, False))
         if not found.rows.size:
             break
         rows, blocks = np.delete(rows, found.rows[found.tests.argmax()]), solution.blocks

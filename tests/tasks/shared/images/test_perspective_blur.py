@@ -83,4 +83,4 @@ def test_a_flat_board_cannot_show_it_and_the_change_that_it_can_hide_is_stated()
     (one,) = (one for one in candidates if one.alternative.effect.name == "perspective-blur")
     assert status(one, ()) == Status.CANNOT_SEE
     assert one.detectable > 10 * one.plausible
-    assert one.hides is not None and one.hides.size > 0
+    assert one.undetected is not None and one.undetected.size > 0

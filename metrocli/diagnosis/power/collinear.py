@@ -1,4 +1,4 @@
-"""Candidates whose visible signatures are alike, and what to measure to distinguish two of them.
+"""Candidates whose visible signatures are collinear, and what to measure to distinguish two of them.
 
 Method: docs/algorithms/evidence.md.
 """
@@ -14,15 +14,15 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.evidence.state import State
-from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.candidates import Candidate
 from metrocli.diagnosis.linear.linearised import linearised
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import Linearised
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.power.average_power import size_separated
 from metrocli.frozen import dataclass
 
-_ALIKE = 0.9
-"""Correlation above which two candidates are reported as alike"""
+_COLLINEAR = 0.9
+"""Correlation above which two candidates are reported as collinear"""
 _SAME = 0.999
 """Correlation above which two candidates cannot be distinguished at all"""
 _DEPENDENT = 1e-8
@@ -37,11 +37,11 @@ _SEPARATED = 0.95
 """Probability with which the right one of two names is chosen, over all directions of its parameters"""
 
 
-class Candidate(Protocol):
+class ComparedCandidate(Protocol):
     """One form of a cause at one place."""
 
     @property
-    def alternative(self) -> Alternative: ...
+    def alternative(self) -> Candidate: ...
     @property
     def family(self) -> int: ...
     @property
@@ -74,33 +74,33 @@ class Pair:
         return self.correlation > _SAME
 
 
-def pairs_of(state: State, candidates: Sequence[Candidate], noise: float) -> Iterable[Pair]:
+def pairs_of(state: State, candidates: Sequence[ComparedCandidate], noise: float) -> Iterable[Pair]:
     """Yield the pairs of testable candidates of different causes or places that correlate by more than 0.9."""
-    testable = [one for one in candidates if one.testable]
-    ends = np.cumsum([0, *(state.measurement.families[one.family].columns.parameters for one in testable)])
+    testable = [candidate for candidate in candidates if candidate.testable]
+    ends = np.cumsum([0, *(state.measurement.families[candidate.family].columns.parameters for candidate in testable)])
     own = [slice(int(first), int(last)) for first, last in itertools.pairwise(ends)]
     gram = _visible_products(state, testable, own)
     turns = [_unit(gram[its, its]) for its in own]
-    for i, one in enumerate(testable):
+    for i, other in enumerate(testable):
         for j in range(i):
-            imitated = turns[j].T @ gram[own[j], own[i]]
-            product = imitated @ turns[i]
+            confounded = turns[j].T @ gram[own[j], own[i]]
+            product = confounded @ turns[i]
             # the largest singular value cannot exceed the root of the sum of squares, so most pairs need no SVD
-            apart = one.alternative.spot != testable[j].alternative.spot and (product**2).sum() > _ALIKE**2
+            apart = other.alternative.spot != testable[j].alternative.spot and (product**2).sum() > _COLLINEAR**2
             rho = float(np.linalg.norm(product, 2)) if apart else 0.0
-            if rho > _ALIKE:
-                size = noise * size_separated(gram[own[i], own[i]], imitated, _SEPARATED)
-                yield Pair(one.name, testable[j].name, min(rho, 1.0), size, one.unit, one.dimension)
+            if rho > _COLLINEAR:
+                size = noise * size_separated(gram[own[i], own[i]], confounded, _SEPARATED)
+                yield Pair(other.name, testable[j].name, min(rho, 1.0), size, other.unit, other.dimension)
 
 
-def _visible_products(state: State, candidates: Sequence[Candidate], own: Sequence[slice]) -> Array:
+def _visible_products(state: State, candidates: Sequence[ComparedCandidate], own: Sequence[slice]) -> Array:
     """Return the products of the visible columns of candidates, each at its own place, some of them at once."""
     gram = np.empty((own[-1].stop,) * 2) if own else np.empty((0, 0))
     m = state.measurement
     together = max(_MOST_NUMBERS // m.system.rows, 1)
     by_family: dict[int, list[int]] = {}
-    for at, one in enumerate(candidates):
-        by_family.setdefault(one.family, []).append(at)
+    for at, candidate in enumerate(candidates):
+        by_family.setdefault(candidate.family, []).append(at)
     for _, some in itertools.groupby(range(len(candidates)), lambda at: own[at].start // together):
         chosen = list(some)
         its = slice(own[chosen[0]].start, own[chosen[-1]].stop)
@@ -123,38 +123,38 @@ def _unit(gram: Array) -> Array:
     return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) / norms[:, None])
 
 
-def separations(job: AdjustedJob, pairs: Sequence[tuple[Alternative, Alternative]]) -> list[list[str]]:
+def separations(job: AdjustedJob, pairs: Sequence[tuple[Candidate, Candidate]]) -> list[list[str]]:
     """Return, in words, what to measure to distinguish the names of each pair.
 
     These are the first offers that bring their cosine below 0.9, or else the offer with the lowest cosine; if the job
     has no offers, the advice of the effects themselves.
     """
-    found: list[list[tuple[float, str]]] = [[] for _ in pairs]
+    advice: list[list[tuple[float, str]]] = [[] for _ in pairs]
     for words, model in job.offers(job.model):
-        unsettled = [at for at, its in enumerate(found) if sum(rho < _ALIKE for rho, _ in its) < _OFFERED]
+        unsettled = [at for at, its in enumerate(advice) if sum(rho < _COLLINEAR for rho, _ in its) < _OFFERED]
         if not unsettled:
             break
         system = linearised(model)
         for at in unsettled:
-            found[at].append((_cosine(system, *pairs[at]), words))
-    return [_advice(its, pair) for its, pair in zip(found, pairs, strict=True)]
+            advice[at].append((_cosine(system, *pairs[at]), words))
+    return [_advice(its, pair) for its, pair in zip(advice, pairs, strict=True)]
 
 
-def _cosine(system: System, one: Alternative, other: Alternative) -> float:
+def _cosine(system: Linearised, candidate: Candidate, other: Candidate) -> float:
     """Return the largest cosine between the visible columns of two candidates."""
     columns = [
-        system.seen(signature(system.model, system, a.effect, a.instance, dict(a.scanned))) for a in (one, other)
+        system.seen(signature(system.model, system, a.effect, a.instance, dict(a.scanned))) for a in (candidate, other)
     ]
     turns = [_unit(its.T @ its) for its in columns]
     return float(np.linalg.norm(turns[0].T @ (columns[0].T @ columns[1]) @ turns[1], 2))
 
 
-def _advice(found: Sequence[tuple[float, str]], pair: tuple[Alternative, Alternative]) -> list[str]:
+def _advice(rows: Sequence[tuple[float, str]], pair: tuple[Candidate, Candidate]) -> list[str]:
     """Return the offers that help to distinguish a pair, of those with the cosine that each leaves."""
-    enough = [f"{words} (their correlation falls to {rho:.2f})" for rho, words in found if rho < _ALIKE]
+    enough = [f"{words} (their correlation falls to {rho:.2f})" for rho, words in rows if rho < _COLLINEAR]
     if enough:
         return enough
     helping = [
-        f"{words} (their correlation falls to {rho:.2f} only)" for rho, words in sorted(found)[:1] if rho < _HELPS
+        f"{words} (their correlation falls to {rho:.2f} only)" for rho, words in sorted(rows)[:1] if rho < _HELPS
     ]
-    return helping + [words for words in dict.fromkeys(one.effect.reveal for one in pair) if words]
+    return helping + [words for words in dict.fromkeys(candidate.effect.reveal for candidate in pair) if words]

@@ -1,0 +1,170 @@
+"""Files of cameras in the other forms that their programs write: messages, lists with an entry a line, several cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+Metrocli = Callable[..., Any]
+MESSAGE = """height: 480
+width: 640
+distortion_model: plumb_bob
+D: [-0.1, 0.02, 1.0e-3, -2.0e-3, 0.0]
+K: [500.0, 0.0, 321.0, 0.0, 501.0, 242.0, 0.0, 0.0, 1.0]
+roi:
+  height: 0
+  width: 0
+"""
+ONE_A_LINE = """image_width: 640
+image_height: 480
+camera_matrix:
+  cols: 3
+  data:
+  - 500.0
+  - 0.0
+  - 321.0
+  - 0.0
+  - 501.0
+  - 242.0
+  - 0.0
+  - 0.0
+  - 1.0
+  rows: 3
+distortion_model: plumb_bob
+distortion_coefficients:
+  cols: 5
+  data:
+  - -0.1
+  - 0.02
+  - 0.001
+  - -0.002
+  - 0.0
+  rows: 1
+"""
+CHAIN = """%YAML:1.0
+cam0:
+  camera_model: pinhole
+  distortion_coeffs: [-0.1, 0.02, 0.001, -0.002]
+  distortion_model: radtan
+  intrinsics: [500.0, 501.0, 321.0, 242.0]
+  resolution: [640, 480]
+cam1:
+  camera_model: pinhole
+  distortion_coeffs: [-0.03, 0.05, -0.05, 0.01]
+  distortion_model: equidistant
+  intrinsics: [280.0, 281.0, 322.0, 243.0]
+  resolution: [640, 480]
+"""
+COLMAP = "1 OPENCV 640 480 500 501 321.5 242.5 -0.1 0.02 0.001 -0.002\n2 PINHOLE 640 480 280 281 322.5 243.5\n"
+FILESTORAGE = """%YAML:1.0
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 500., 0., 321., 0., 501., 242., 0., 0., 1. ]
+dist_coeff: !!opencv-matrix
+   rows: 4
+   cols: 1
+   dt: d
+   data: [ -0.1, 0.02, 1.0e-03, -2.0e-03 ]
+"""
+OST = """# oST version 5.0 parameters
+
+[image]
+
+width
+640
+
+height
+480
+
+[narrow]
+
+camera matrix
+500.0 0.0 321.0
+0.0 501.0 242.0
+0.0 0.0 1.0
+
+distortion
+-0.1 0.02 0.001 -0.002 0.0
+
+rectification
+1.0 0.0 0.0
+"""
+CAMODOCAL = """%YAML:1.0
+---
+model_type: PINHOLE
+image_width: 640
+image_height: 480
+distortion_parameters:
+   k1: -0.1
+   k2: 0.02
+   p1: 0.001
+   p2: -0.002
+projection_parameters:
+   fx: 500.0
+   fy: 501.0
+   cx: 321.0
+   cy: 242.0
+"""
+ORB = "Camera.type: \"PinHole\"\n" + "".join(
+    f"Camera.{name}: {value}\n" for name, value in {
+        "fx": 500.0, "fy": 501.0, "cx": 321.0, "cy": 242.0, "k1": -0.1, "k2": 0.02, "p1": 0.001, "p2": -0.002,
+        "width": 640, "height": 480,
+    }.items()
+)  # fmt: skip
+LENS = {"fx": 500.0, "fy": 501.0, "cx": 321.0, "cy": 242.0, "k1": -0.1, "k2": 0.02, "p1": 0.001, "p2": -0.002}
+
+
+def lens(path: Path) -> dict[str, float]:
+    held = yaml.safe_load(path.read_text())
+    return {name: float(str(held[name]).split()[0]) for name in LENS if name in held}
+
+
+def imported(folder: Path, text: str, program: str, metrocli: Metrocli) -> Any:
+    (folder / "their.yaml").write_text(text)
+    return metrocli("import", folder / "their.yaml", "--from", program, "--out", folder / "out")
+
+
+FORMS = {"message": MESSAGE, "an entry a line": ONE_A_LINE, "oST": OST, "camodocal": CAMODOCAL, "ORB-SLAM": ORB}
+
+
+@pytest.mark.parametrize("text", FORMS.values(), ids=FORMS)
+def test_other_forms_are_read(text: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    assert imported(tmp_path, text, "ros", metrocli).code == 0
+    assert lens(tmp_path / "out" / "camera.yaml") == LENS
+
+
+@pytest.mark.parametrize(
+    ("text", "program", "names"), [(CHAIN, "kalibr", ("cam0", "cam1")), (COLMAP, "colmap", ("camera-1", "camera-2"))]
+)
+def test_several_cameras_have_a_file_each(
+    text: str, program: str, names: tuple[str, str], tmp_path: Path, metrocli: Metrocli
+) -> None:
+    assert imported(tmp_path, text, program, metrocli).code == 0
+    assert lens(tmp_path / "out" / f"{names[0]}.yaml") == LENS
+    assert lens(tmp_path / "out" / f"{names[1]}.yaml")["fx"] == 280.0
+
+
+def test_a_file_without_the_size_of_the_images_is_complete_with_it(tmp_path: Path, metrocli: Metrocli) -> None:
+    ran = imported(tmp_path, FILESTORAGE, "opencv", metrocli)
+    assert ran.code == 3 and "add `image_width: 640` and `image_height: 480`" in ran.err
+    assert imported(tmp_path, f"{FILESTORAGE}image_width: 640\nimage_height: 480\n", "opencv", metrocli).code == 0
+    assert lens(tmp_path / "out" / "camera.yaml") == LENS
+
+
+def test_coefficients_of_a_fisheye_under_another_name_are_refused(tmp_path: Path, metrocli: Metrocli) -> None:
+    wrong = MESSAGE.replace("1.0e-3, -2.0e-3, 0.0", "2.4, 3.3")
+    ran = imported(tmp_path, wrong, "ros", metrocli)
+    assert ran.code == 3 and "p1 = 2.4, p2 = 3.3: no lens is decentred so much" in ran.err
+    right = imported(tmp_path, wrong.replace("plumb_bob", "equidistant"), "ros", metrocli)
+    assert right.code == 0 and "model: fisheye" in (tmp_path / "out" / "camera.yaml").read_text()
+
+
+def test_another_model_with_the_same_keys_is_refused(tmp_path: Path, metrocli: Metrocli) -> None:
+    ran = imported(tmp_path, CAMODOCAL.replace("PINHOLE", "KANNALA_BRANDT"), "opencv", metrocli)
+    assert ran.code == 3 and "the model KANNALA_BRANDT is not known here" in ran.err
