@@ -15,8 +15,9 @@ from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_euler, rotation_from_vector
 from metrocli.instruments import camera
 from metrocli.table import Table
+from metrocli.tasks.calibrate_camera.multi_camera.truth import CameraSimulation
 from metrocli.tasks.calibrate_camera.readings import ends_of
-from metrocli.tasks.calibrate_camera.settings import CameraSimulation, Files, Settings
+from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.simulation import ExactImagePoints, SimulatedCamera, image_group, true_targets
 from metrocli.tasks.shared.images.target_list import TargetCoordinates, known_targets

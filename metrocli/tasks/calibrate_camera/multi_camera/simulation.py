@@ -12,7 +12,8 @@ from metrocli.errors import InputError, UsageError
 from metrocli.geometry import poses
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
-from metrocli.tasks.calibrate_camera.settings import CameraSimulation, Files, OneOfSeveral, Settings, TrueCamera
+from metrocli.tasks.calibrate_camera.multi_camera.truth import CameraSimulation, TrueCamera
+from metrocli.tasks.calibrate_camera.settings import Files, OneOfSeveral, Settings
 from metrocli.tasks.calibrate_camera.simulation import Views, conditions, simulated_targets, simulated_views
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.sightings import START_NOISE
