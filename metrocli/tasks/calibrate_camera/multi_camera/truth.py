@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from metrocli.frozen import dataclass
-from metrocli.settings import MapOf, Section, Whole, setting
+from metrocli.settings import MapOf, Section, Whole, WithUnit, setting
 from metrocli.tasks.shared.images.settings import Extrinsics, LensValues
 
 
