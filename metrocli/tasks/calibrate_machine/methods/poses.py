@@ -16,7 +16,7 @@ from metrocli.instruments.machine_path import last_sides
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, error_blocks, machine_of
 from metrocli.tasks.calibrate_machine.files import Files
-from metrocli.tasks.calibrate_machine.known_axes import with_known_axes
+from metrocli.tasks.calibrate_machine.methods.known_axes import with_known_axes
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.methods.probing import probing
 from metrocli.tasks.calibrate_machine.methods.standstill import CARTESIAN, standstill

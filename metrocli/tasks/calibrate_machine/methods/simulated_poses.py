@@ -30,7 +30,7 @@ from metrocli.simulation import Simulation
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.described import commanded, machine_of
 from metrocli.tasks.calibrate_machine.files import Files
-from metrocli.tasks.calibrate_machine.known_axes import known_axes
+from metrocli.tasks.calibrate_machine.methods.known_axes import known_axes
 from metrocli.tasks.calibrate_machine.methods.poses import (
     clock,
     in_degrees,
