@@ -25,7 +25,8 @@ from metrocli.tasks.align_part import settings as part_job
 from metrocli.tasks.align_part import task as align_part
 from metrocli.tasks.calibrate_camera import settings as camera_job
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
-from metrocli.tasks.calibrate_camera.settings import CameraSettings, CameraSimulation
+from metrocli.tasks.calibrate_camera.multi_camera.truth import CameraSimulation
+from metrocli.tasks.calibrate_camera.settings import CameraSettings
 from metrocli.tasks.shared.images.settings import CameraFile, Extrinsics, LensValues
 
 Array = npt.NDArray[np.float64]

@@ -37,8 +37,8 @@ Array = npt.NDArray[np.float64]
 Project = Callable[[Array], Array]
 """Takes points in the camera (n, 3) to pixels (n, 2)"""
 SIZE, KINDS = (1280, 960), ("bump", "tilt", "fisheye")
-CAUSES = {"bump": ("lens-shape",), "tilt": ("lens-shape", "thin-prism"), "fisheye": ("the lens is a fisheye",)}
-"""Names that are right; with p1 and p2 free, a tilt is a thin prism to first order"""
+CAUSES = {"bump": ("lens-shape",), "tilt": ("sensor-tilt",), "fisheye": ("the lens is a fisheye",)}
+"""Names that are right"""
 NOISE, COUNT = 0.08, 20
 _MIDDLE = (np.array(SIZE) - 1) / 2
 

@@ -20,6 +20,8 @@ from metrocli.errors import UndeterminedError
 _ROUNDS = 4
 _DOMINANT, _MANY = 4.0, 50
 """Effects are dominant if they lower the mean square by this factor, with at least so many degrees of freedom"""
+_CURVED = 1.2
+"""Factor of effects that are columns of the job's own blocks, such as terms of a lens, which bend beside the others"""
 _MOST_OF_IT = 0.01
 """Share of all that was gained by which a move must raise the score in a quick search"""
 
@@ -35,7 +37,8 @@ def is_dominated(state: State) -> bool:
     if not new or m.dof < _MANY:
         return False
     old = [part for part in state.named if part not in new]
-    return State.of(m, old).variance > _DOMINANT * State.of(m, state.named).variance
+    curved = any(m.alternative(part.key).effect.link is None for part in new)
+    return State.of(m, old).variance > (_CURVED if curved else _DOMINANT) * State.of(m, state.named).variance
 
 
 def searched(job: AdjustedJob, quick: bool = False) -> tuple[State, State]:

@@ -13,6 +13,7 @@ from hypothesis.extra.numpy import arrays
 
 from metrocli.errors import InputError
 from metrocli.formats import csv, csv_text
+from metrocli.formats.csv_header import later_header
 from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 from metrocli.units import Range
 from metrocli.words import composed
@@ -223,3 +224,9 @@ def test_a_table_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be written"):
         csv.write(tmp_path / "file" / "t.csv", Table({"x": np.array([1.0])}))
     assert (tmp_path / "file").read_text() == "x"
+
+
+@pytest.mark.parametrize("before", [["report of Monday"], ["report", "by Anna"]])
+def test_a_header_stands_below_the_lines_of_an_instrument(before: list[str]) -> None:
+    lines = [*before, "point,x_mm,y_mm", "a,1,2", "b,3,4"]
+    assert later_header(list(enumerate(lines, start=1))) == len(before) + 1

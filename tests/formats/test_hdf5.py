@@ -208,3 +208,10 @@ def test_a_text_column_is_as_wide_as_its_longest_text(tmp_path: Path, texts: lis
     with h5py.File(tmp_path / "r.h5") as file:
         assert file["names"].dtype["name"].itemsize == size
     assert hdf5.read(tmp_path / "r.h5")[0].tables["names"].texts("name") == texts[1:]
+
+
+def test_others_find_numbers_as_numbers_and_empty_lists_as_text(tmp_path: Path) -> None:
+    hdf5.write(tmp_path / "r.h5", RESULT, dataclasses.replace(RECORD, verdicts=()))
+    with h5py.File(tmp_path / "r.h5") as file:
+        assert file["parameters"].dtype["value"].kind == "f"
+        assert file["requirements"].dtype["name"].kind in "SO"

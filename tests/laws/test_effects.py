@@ -156,7 +156,7 @@ def test_derivatives_are_differences(entry: tuple[str, Effect], share: float) ->
             step[-1, block.column(name)] = h
             return predicted(model.with_blocks({**model.blocks, block.name: block.with_values(values).moved(step)}))
 
-        h = 0.2 * parameter.plausible
+        h = 0.1 * parameter.plausible
         near, far = moved(h) - moved(-h), moved(2 * h) - moved(-2 * h)
         expected = (8 * near - far) / (12 * h)
         bound = 1e-6 * np.abs(expected).max() + 1e-12 * np.abs(predicted(model)).max() / h

@@ -132,18 +132,20 @@ def undistort(
     """Return the points whose distorted images are (x, y), by Newton's method; nan if the model has no inverse."""
     first = distort(x, y, k, (), fisheye)
     px, py = x / _plain(first.x, x), y / _plain(first.y, y)
-    for _ in range(steps):
-        d = distort(px, py, k, (), fisheye)
-        ex, ey = x - d.x, y - d.y
-        (a, c), (b, e) = d.by_x, d.by_y
-        determinant = a * e - b * c
-        px, py = px + (e * ex - b * ey) / determinant, py + (a * ey - c * ex) / determinant
-        if np.nanmax(np.abs(ex) + np.abs(ey), initial=0.0) < 1e-15:
-            break
-    left = distort(px, py, k, (), fisheye)
-    good = (np.abs(left.x - x) + np.abs(left.y - y) < 1e-9) & (
-        left.by_x[0] * left.by_y[1] - left.by_x[1] * left.by_y[0] > 0
-    )
+    # a point that is the image of none runs away until its numbers overflow
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        for _ in range(steps):
+            d = distort(px, py, k, (), fisheye)
+            ex, ey = x - d.x, y - d.y
+            (a, c), (b, e) = d.by_x, d.by_y
+            determinant = a * e - b * c
+            px, py = px + (e * ex - b * ey) / determinant, py + (a * ey - c * ex) / determinant
+            if np.nanmax(np.abs(ex) + np.abs(ey), initial=0.0) < 1e-15:
+                break
+        left = distort(px, py, k, (), fisheye)
+        good = (np.abs(left.x - x) + np.abs(left.y - y) < 1e-9) & (
+            left.by_x[0] * left.by_y[1] - left.by_x[1] * left.by_y[0] > 0
+        )
     return np.where(good, px, np.nan), np.where(good, py, np.nan)
 
 

@@ -122,16 +122,33 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "thin-prism",
-        "an element of the lens or the sensor is tilted",
+        "an element of the lens is tilted",
         (Parameter("s1", plausible=0.01), Parameter("s3", plausible=0.01)),
         columns_of=_LENS,
-        confused_with=("decentring-distortion", "principal-point"),
+        confused_with=("sensor-tilt", "decentring-distortion", "principal-point"),
         formula="x' += s1 r²\ny' += s3 r²",
         note="Where p1, p2, cx and cy are free it is nearly undetermined: it moves the principal point by many "
         "pixels and leaves the residuals as they are.",
         usual="1e-5 to 1e-3",
         reveal="targets up to the corners (p1, p2, cx and cy absorb most of it)",
         source="Weng, Cohen and Herniou 1992, Camera calibration with distortion models",
+    ),
+    Effect(
+        "sensor-tilt",
+        "the sensor is not square to the axis of the lens: the lens or the sensor is mounted askew",
+        sizes("tau_x tau_y", "angle", "10 deg"),
+        columns_of=_LENS,
+        confused_with=("thin-prism", "decentring-distortion", "aspect-ratio", "axis-skew"),
+        formula="x' <- cos(tau_x) x' / w\n"
+        "y' <- (cos(tau_y) y' - sin(tau_x) sin(tau_y) x') / w\n"
+        "w = sin(tau_y) x' - cos(tau_y) sin(tau_x) y' + cos(tau_y) cos(tau_x)    # after the distortion",
+        note="To first order it is p1 = tau_x/2, p2 = -tau_y/2, s1 = tau_y/2, s3 = -tau_x/2. Without distortion the "
+        "poses, the principal point, aspect-ratio and axis-skew absorb it.",
+        usual="0.1 to 5 deg",
+        reveal="targets up to the corners (only the distortion shows where the axis of the lens is), and views tilted "
+        "about both axes",
+        source="OpenCV's tilted model; Steger 2017, A comprehensive and versatile camera model for cameras with tilt "
+        "lenses; IDS, manual of the uEye XS (up to 5 deg)",
     ),
     Effect(
         "stretched-targets",

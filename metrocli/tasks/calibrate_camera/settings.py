@@ -27,13 +27,12 @@ from metrocli.settings.sections import content, inputs_of
 from metrocli.table import Columns, Table, columns
 from metrocli.targets.board_in_words import board_in_words
 from metrocli.targets.pattern import Pattern
+from metrocli.tasks.calibrate_camera.multi_camera.truth import CameraSimulation
 from metrocli.tasks.shared.figures import POSE, adjusted
 from metrocli.tasks.shared.images.settings import (
     ESTIMATE,
     SPLINE,
-    Extrinsics,
     LensModel,
-    LensValues,
     eccentricity_setting,
     image_faults,
     shutter_setting,
@@ -74,6 +73,8 @@ class LengthLimit:
             yield "constant", "the limit is zero for every length: give constant or proportional"
 
 
+FEWEST = {"board": 4, "cmm": 1, "network": 4}
+"""Fewest targets of an image, for each rig"""
 _USUAL = {"fisheye": ("k1", "k2", "k3", "k4"), "division": ("k4",)}
 """Distortion that is estimated unless the job names others"""
 
@@ -149,35 +150,6 @@ class OneOfSeveral(CameraSettings):
             yield "model", "the model spline is for a single camera: calibrate that alone, or give another model"
 
 
-@dataclass(frozen=True, kw_only=True)
-class CameraSimulation:
-    """The truth that `metrocli simulate` starts from."""
-
-    lens: LensValues = setting(Section(LensValues), "true lens parameters")
-    extrinsics: Extrinsics | None = setting(
-        Section(Extrinsics), "rig cmm: the camera in the reference frame", default=None
-    )
-    images: int = setting(Whole(minimum=1, maximum=100_000), "rigs board and network: number of images", default=15)
-    distance: float = setting(
-        WithUnit("length", positive=True), "rigs board and network: mean distance of the camera", default=600.0
-    )
-    tilt: float = setting(
-        WithUnit("angle", positive=True), "rigs board and network: largest tilt of a view", default=0.6
-    )
-    interval: float | None = setting(
-        WithUnit("time", positive=True), "time from image to image; without it no times are written", default=None
-    )
-    warming: float = setting(
-        WithUnit("temperature difference"), "how much the camera warms up from first to last image", default=0.0
-    )
-
-    def faults(self) -> Iterable[tuple[str, str]]:
-        """Yield (key, message) if the focal length is missing."""
-        given = set(self.lens.given())
-        if not ("f" in given or {"fx", "fy"} <= given):
-            yield "lens", "the focal length is missing: give f, or fx and fy"
-
-
 @dataclass(frozen=True)
 class Files:
     """Image points and targets, or images and a pattern."""
@@ -238,6 +210,7 @@ class Settings:
         """Yield (key, message) for inputs that are missing or contradict each other."""
         yield from image_faults(self.inputs.observations, self.inputs.images, self.pattern, self.inputs.targets)
         yield from self._of_cameras()
+        yield from self._of_simulation()
         if self.cameras is None and self.inputs.observations is not None and self.camera.image_size is None:
             yield (
                 "camera",
@@ -270,6 +243,23 @@ class Settings:
         for name, several in self.cameras.items():
             if self.inputs.observations is not None and several.image_size is None:
                 yield f"cameras.{name}", "image_size is missing: a table of observations does not contain it"
+
+    def _of_simulation(self) -> Iterable[tuple[str, str]]:
+        """Yield (key, message) for a truth that is not that of the cameras."""
+        if self.simulation is None:
+            return
+        truth, names = self.simulation.cameras, list(self.cameras or {})
+        if list(truth or {}) != names:
+            yield "simulation.cameras", f"the truth is that of {', '.join(names) or 'a single camera: write lens'}"
+            return
+        for number, (name, one) in enumerate((truth or {}).items()):
+            if (one.extrinsics is None) is (number > 0):
+                where = (
+                    "needs extrinsics, its place in the frame of the first"
+                    if number
+                    else "is the frame: leave extrinsics out"
+                )
+                yield f"simulation.cameras.{name}", f"{name} {where}"
 
 
 def job_of(images: str, board: str, output: str) -> str:

@@ -15,11 +15,12 @@ from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_euler, rotation_from_vector
 from metrocli.instruments import camera
 from metrocli.table import Table
+from metrocli.tasks.calibrate_camera.multi_camera.truth import CameraSimulation
 from metrocli.tasks.calibrate_camera.readings import ends_of
-from metrocli.tasks.calibrate_camera.settings import CameraSimulation
+from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.shared.images.adjustment import IMAGES
-from metrocli.tasks.shared.images.simulation import ExactImagePoints, SimulatedCamera, image_group
-from metrocli.tasks.shared.images.target_list import TargetCoordinates
+from metrocli.tasks.shared.images.simulation import ExactImagePoints, SimulatedCamera, image_group, true_targets
+from metrocli.tasks.shared.images.target_list import TargetCoordinates, known_targets
 
 _FIRST_TEMPERATURE = 20.0
 """At the first image [degC] (ISO 1)"""
@@ -39,6 +40,13 @@ def conditions(truth: CameraSimulation, images: int) -> dict[str, Array]:
     if truth.warming:
         found["temp"] = _FIRST_TEMPERATURE + truth.warming * turn / max(images - 1, 1)
     return found
+
+
+def simulated_targets(settings: Settings, files: Files, rng: np.random.Generator) -> TargetCoordinates:
+    """Return the true targets of a job; raises InputError as `with_lengths`."""
+    unknown = np.nan if settings.rig == "network" else 0.0
+    places = true_targets(known_targets(settings.pattern, files.targets, unknown), rng)
+    return with_lengths(places, (("scale bar", files.scale_bars), ("test length", files.test_lengths)), rng)
 
 
 def with_lengths(

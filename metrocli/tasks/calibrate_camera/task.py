@@ -25,13 +25,14 @@ from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
 from metrocli.tasks.calibrate_camera.multi_camera import task as multi_camera
+from metrocli.tasks.calibrate_camera.multi_camera.simulation import simulate as several_simulated
 from metrocli.tasks.calibrate_camera.other_lenses import fisheye_instead, other_models
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
 from metrocli.tasks.calibrate_camera.report import report
-from metrocli.tasks.calibrate_camera.settings import Files, Settings
+from metrocli.tasks.calibrate_camera.settings import FEWEST, Files, Settings
 from metrocli.tasks.calibrate_camera.shape.effect import beside_base
 from metrocli.tasks.calibrate_camera.shape.spline import with_shape
-from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_views, true_model, with_lengths
+from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_targets, simulated_views, true_model
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.camera_parameters import delivered
@@ -46,14 +47,9 @@ from metrocli.tasks.shared.images.simulation import (
     refuse_pictures,
     sightings_table,
     sights,
-    true_targets,
 )
 from metrocli.tasks.shared.images.tables import root_mean_square
-from metrocli.tasks.shared.images.target_list import known_targets
 from metrocli.tasks.shared.lists import listed_places
-
-_FEWEST = {"board": 4, "cmm": 1, "network": 4}
-"""Fewest targets of an image, for each rig"""
 
 
 def run(job: Job[Settings, Files]) -> Result:
@@ -106,7 +102,7 @@ def prepared(job: Job[Settings, Files]) -> tuple[Settings, CameraProblem]:
         _must_have_size(images, settings)
         settings = replace(settings, camera=replace(settings.camera, image_size=images.size))
     sigma = float("nan") if settings.targets == ESTIMATE else 0.0
-    needs = Needs(_FEWEST[settings.rig], float("nan") if settings.rig == "network" else sigma, sigma)
+    needs = Needs(FEWEST[settings.rig], float("nan") if settings.rig == "network" else sigma, sigma)
     sighted = sightings(settings, files.observations, files.targets, images, needs)
     must_not_be_used(files.test_lengths, files.scale_bars)
     problem = build(settings.rig, settings.camera, sighted, files.scale_bars)
@@ -157,17 +153,15 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     """
     settings, effects = job.settings, job.effects
     if settings.cameras is not None:
-        raise UsageError("simulate is for a single camera: write `camera:` in place of `cameras:`")
+        return several_simulated(job, settings.cameras, options)
     truth, size = settings.simulation, settings.camera.image_size
-    if truth is None or size is None:
+    if truth is None or truth.lens is None or size is None:
         raise InputError(
             "simulate needs the truth: give `simulation: {lens: {f: 2800 px, ...}}` and camera: image_size"
         )
     rng = np.random.default_rng(options.seed)
     network = settings.rig == "network"
-    known = true_targets(known_targets(settings.pattern, job.files.targets, np.nan if network else 0.0), rng)
-    calibrated = (("scale bar", job.files.scale_bars), ("test length", job.files.test_lengths))
-    known = with_lengths(known, calibrated, rng)
+    known = simulated_targets(settings, job.files, rng)
     views = simulated_views(settings.rig, truth, known, rng)
     lens = {"cx": (size[0] - 1) / 2, "cy": (size[1] - 1) / 2, **truth.lens.given()}
     times = conditions(truth, len(views.images))

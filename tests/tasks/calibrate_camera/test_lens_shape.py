@@ -20,6 +20,7 @@ from metrocli.diagnosis.evidence.parts import SCATTER
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.noise import DECLARED_SIGMA, variance_groups
 from metrocli.diagnosis.rounds import searched
+from metrocli.instruments.lenses.distortion import undistort
 from metrocli.project.diagnosed import adjusted_job_of, carry_out, write_extended
 from metrocli.project.job import load
 from metrocli.tasks.calibrate_camera.shape.size import Evidence, likely
@@ -46,12 +47,12 @@ def bump(uv: Array) -> Array:
     return wave + hill * (uv - [300, 450]) / 110
 
 
-def job(folder: Path, shaped: bool) -> Path:
+def job(folder: Path, shaped: bool, tilt: tuple[float, float] = (0.0, 0.0)) -> Path:
     rng, rows, number = np.random.default_rng(6), ["image,target,u_px,v_px"], 0
     while number < 10:
         place = np.array([rng.uniform(-110, 110), rng.uniform(-80, 80), rng.uniform(240, 380)])
         points = (BOARD - BOARD.mean(axis=0)) @ cv2.Rodrigues(rng.normal(size=3) * 0.4)[0].T + place
-        uv = cv2.projectPoints(points, NONE, NONE, MATRIX, DISTORTION)[0][:, 0]
+        uv = cv2.projectPoints(points, NONE, NONE, MATRIX, np.array([*DISTORTION, *np.zeros(8), *tilt]))[0][:, 0]
         uv = uv + shaped * bump(uv) + rng.normal(size=uv.shape) * 0.1
         inside = np.flatnonzero(((uv > 0) & (uv < np.array(SIZE) - 1)).all(axis=1))
         if len(inside) > 45:
@@ -115,6 +116,23 @@ def test_diagnose_names_a_shape(tmp_path: Path) -> None:
     _, state = searched(adjusted_job_of(load(path)))
     names = [state.measurement.scatters[one.key[0]][0].name for one in state.random if one.kind == SCATTER]
     assert names == ["lens-shape"] and state.variance == pytest.approx(1.0, rel=0.2)
+
+
+def test_diagnose_names_a_tilted_sensor(tmp_path: Path) -> None:
+    tilt = (np.radians(2.5), np.radians(-3.0))
+    path = job(tmp_path, shaped=False, tilt=tilt)
+    path.write_text(JOB.replace(", model: spline", "").replace("estimated", "0.1 px"))
+    found = carry_out(load(path), quick=True)
+    (finding,) = found.findings
+    assert finding.effect.alternative.effect.name == "sensor-tilt"
+    for size, true in zip(finding.sizes, tilt, strict=True):
+        assert abs(size.value - true) < 4 * size.std < abs(true)
+
+
+def test_a_place_that_is_the_image_of_nothing_has_no_direction() -> None:
+    y, x = np.mgrid[-2:2.05:0.1, -2:2.05:0.1].reshape(2, -1)
+    seen = np.stack(undistort(x, y, {"k1": -0.2, "k2": 0.08, "k3": 0.3, "tau_x": 0.06, "tau_y": 0.05}))
+    assert 0 < np.isnan(seen[0]).sum() < 0.5 * len(x)
 
 
 def test_a_job_with_a_shape_of_stated_size_has_it(tmp_path: Path, metrocli: Metrocli) -> None:

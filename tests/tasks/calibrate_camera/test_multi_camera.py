@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -140,3 +141,67 @@ def test_faults_are_all_listed(tmp_path: Path, metrocli: Metrocli) -> None:
     assert ran.code == 3 and all(one in ran.err for one in told), ran.err
     (tmp_path / "rig.yaml").write_text(text.replace("right*", "right"))
     assert "images has not one *" in metrocli("check", tmp_path / "rig.yaml").err
+
+
+SIMULATED = """metrocli: 1
+job: calibrate-camera
+rig: board
+inputs: {observations: new/observations.csv, targets: targets.csv}
+noise: 0.1 px
+cameras:
+  left: {images: "left*.png", image_size: [1280, 960]}
+  right: {images: "right*.png", image_size: [1280, 960]}
+simulation:
+  cameras:
+    left: {lens: {f: 1100 px, k1: -0.2}}
+    right: {lens: {f: 1150 px, k1: -0.15}, extrinsics: {x: 60 mm, y: -4 mm, z: 9 mm, alpha: 1 deg, beta: -7 deg, gamma: 2 deg}}
+  images: 12
+  distance: 400 mm
+output: rig.h5
+"""
+
+
+def test_what_is_simulated_is_found_again(tmp_path: Path, metrocli: Metrocli) -> None:
+    path = job(tmp_path, {})
+    path.write_text(SIMULATED)
+    assert metrocli("simulate", path, "--out", tmp_path / "new", "--seed", "4").code == 0
+    assert metrocli("calibrate-camera", path).code == 0
+    found, truth = estimates(tmp_path / "rig.h5"), json.loads((tmp_path / "new" / "truth.json").read_text())
+    assert set(found) - set(truth) == {f"{name}.{term}" for name in LENSES for term in ("k2", "p1", "p2")}
+    assert np.sqrt(np.mean([((v - truth.get(name, 0.0)) / std) ** 2 for name, (v, std) in found.items()])) < 1.5
+
+
+def test_cameras_that_see_one_target_an_image_are_placed_in_the_frame_of_the_machine(
+    tmp_path: Path, metrocli: Metrocli
+) -> None:
+    path = job(tmp_path, {})
+    place = "  extrinsics: {x: 1 mm, y: 2 mm, z: -3 mm, alpha: 1 deg, beta: 2 deg, gamma: 3 deg}\n"
+    text = SIMULATED.replace("  images: 12\n  distance: 400 mm\n", place).replace("rig: board", "rig: cmm")
+    path.write_text(text.replace("960]}", "960], estimate: [f, k1]}"))
+    rng = np.random.default_rng(2)
+    points = rng.uniform([-60, -90, 350], [130, 90, 600], (40, 3)).tolist()
+    listed = [f"T{i},{x},{y},{z}" for i, (x, y, z) in enumerate(points)]
+    (tmp_path / "targets.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm", *listed]))
+    assert metrocli("simulate", path, "--out", tmp_path / "new", "--seed", "4").code == 0
+    assert metrocli("calibrate-camera", path).code == 0
+    found, truth = estimates(tmp_path / "rig.h5"), json.loads((tmp_path / "new" / "truth.json").read_text())
+    assert {"left.alpha", "right.alpha"} < set(found)
+    assert np.sqrt(np.mean([((v - truth[name]) / std) ** 2 for name, (v, std) in found.items()])) < 1.5
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (", extrinsics: {x: 60 mm, y: -4 mm, z: 9 mm, alpha: 1 deg, beta: -7 deg, gamma: 2 deg}", "", "right needs"),
+        ("    left: {lens", "    links: {lens", "the truth is that of left, right"),
+        ("lens: {f: 1100 px,", "lens: {", "the focal length is missing"),
+        ("z: 9 mm", "z: 9000 mm", "camera right: simulation: no target is inside any image"),
+    ],
+)
+def test_a_truth_that_is_not_that_of_the_cameras_is_refused(
+    old: str, new: str, words: str, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    path = job(tmp_path, {})
+    path.write_text(SIMULATED.replace(old, new))
+    ran = metrocli("simulate", path, "--out", tmp_path / "new")
+    assert ran.code == 3 and words in ran.err, ran.err

@@ -14,7 +14,7 @@ from metrocli.tasks.calibrate_camera.advice import in_words
 from metrocli.tasks.calibrate_camera.multi_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.multi_camera.report import delivered, report
 from metrocli.tasks.calibrate_camera.multi_camera.system import CameraSystem, system_of
-from metrocli.tasks.calibrate_camera.settings import Files, OneOfSeveral, Settings
+from metrocli.tasks.calibrate_camera.settings import FEWEST, Files, OneOfSeveral, Settings
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.adjustment import AdjustedImages, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.settings import ESTIMATE
@@ -42,7 +42,9 @@ def prepared(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral]) -> 
     if files.images is not None:
         cameras = {name: _sized(name, several, files.images.size) for name, several in cameras.items()}
     sigma = float("nan") if settings.targets == ESTIMATE else 0.0
-    sighted = sightings(settings, files.observations, files.targets, files.images, Needs(4, sigma, sigma))
+    sighted = sightings(
+        settings, files.observations, files.targets, files.images, Needs(FEWEST[settings.rig], sigma, sigma)
+    )
     return system_of(settings, cameras, sighted).with_effects(job.effects)
 
 

@@ -27,10 +27,10 @@ _BUMP = np.eye(_ANY.size)[:, [_ANY.size // 4 + _ANY.counts[0] // 2]]
 
 LENS_SHAPE = Effect(
     SHAPE,
-    "the lens images in a way that its polynomial does not have: a wide angle, a tilted sensor, a cover glass",
+    "the lens images in a way that its polynomial does not have: a wide angle, a cover glass",
     sizes("z", "pixel", "3 px"),
     lambda block, where: LensShape(_ANY, _BUMP, block),
-    confused_with=("radial-distortion", "thin-prism"),
+    confused_with=("radial-distortion", "thin-prism", "sensor-tilt"),
     formula="(u, v) += sum_k B_k(u, v) (N R z)_k    # cubic B-splines on knots over the image",
     note="It has no part that the estimated lens or a turn of the camera could take. `std` is the size of the shift; "
     "`camera: {model: spline}` estimates that, too.",

@@ -1,0 +1,98 @@
+"""A simulated measurement of several cameras that are fixed to each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from itertools import chain
+
+import numpy as np
+
+from metrocli.arrays import Array
+from metrocli.errors import InputError, UsageError
+from metrocli.geometry import poses
+from metrocli.simulation import Simulation, SimulationOptions
+from metrocli.table import Table
+from metrocli.tasks.calibrate_camera.multi_camera.truth import CameraSimulation, TrueCamera
+from metrocli.tasks.calibrate_camera.settings import Files, OneOfSeveral, Settings
+from metrocli.tasks.calibrate_camera.simulation import Views, conditions, simulated_targets, simulated_views
+from metrocli.tasks.job import Job
+from metrocli.tasks.shared.images.sightings import START_NOISE
+from metrocli.tasks.shared.images.simulation import Draw, SimulatedCamera, pictures, sightings_table, sights
+from metrocli.tasks.shared.lists import listed_places
+
+
+def simulate(job: Job[Settings, Files], cameras: Mapping[str, OneOfSeveral], options: SimulationOptions) -> Simulation:
+    """Return the image points that all cameras of `simulation:` would measure, with noise.
+
+    Raises InputError if the truth or a size of images is missing, or if a camera sees no target, and UsageError for
+    effects.
+    """
+    settings, truth = job.settings, job.settings.simulation
+    if truth is None or truth.cameras is None or any(given.image_size is None for given in cameras.values()):
+        raise InputError(
+            "simulate needs the truth: give `simulation: {cameras: {NAME: {lens: {f: 2800 px, ...}}, ...}}` and the "
+            "image_size of each camera"
+        )
+    if job.effects:
+        raise UsageError("effects are planted in the images of a single camera: leave them out, or write `camera:`")
+    rng = np.random.default_rng(options.seed)
+    known = simulated_targets(settings, job.files, rng)
+    views = simulated_views(settings.rig, truth, known, rng)
+    times = conditions(truth, len(views.images))
+    shown = {
+        name: SimulatedCamera(
+            _true_lens(given, truth.cameras[name]),
+            given.image_size or (0, 0),
+            tuple(given.images.replace("*", image.removesuffix(".png")) for image in views.images),
+            poses.compose(_into(truth.cameras[name], len(views.images)), views.to_camera),
+            known,
+            given.convention,
+            times,
+        )
+        for name, given in cameras.items()
+    }
+    files = {"observations.csv": _observations(settings, shown, views, rng)}
+    if job.files.targets is None:
+        files["targets.csv"] = listed_places("target", known.names, known.points)
+    drawn: Iterable[tuple[str, Draw]] = ()
+    if options.images and settings.pattern is not None:
+        drawn = chain.from_iterable([pictures(camera, settings.pattern, rng, views.only) for camera in shown.values()])
+    return Simulation(files, _true_values(shown, truth), drawn)
+
+
+def _true_lens(given: OneOfSeveral, truth: TrueCamera) -> dict[str, float]:
+    width, height = given.image_size or (0, 0)
+    return {"cx": (width - 1) / 2, "cy": (height - 1) / 2, **truth.lens.given()}
+
+
+def _into(truth: TrueCamera, count: int) -> Array:
+    """Return the pose that takes points of the first camera's frame into a camera's, at each exposure (count, 6)."""
+    at = truth.extrinsics
+    if at is None:
+        return np.zeros((count, 6))
+    held = poses.pose_from_euler(np.array([at.x, at.y, at.z]), np.array([at.alpha, at.beta, at.gamma]))
+    return np.broadcast_to(poses.inverse(held), (count, 6))
+
+
+def _observations(
+    settings: Settings, shown: Mapping[str, SimulatedCamera], views: Views, rng: np.random.Generator
+) -> Table:
+    """Return the image points of all cameras, those of one below those of the other."""
+    sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
+    tables = []
+    for name, camera in shown.items():
+        try:
+            tables.append(sightings_table(camera, sights(camera, views.only), sigma, rng))
+        except InputError as error:
+            raise InputError(f"camera {name}: {error.faults[0].message}") from error
+    columns = {name: np.concatenate([table.columns[name] for table in tables]) for name in tables[0].columns}
+    return Table(columns, tables[0].units)
+
+
+def _true_values(shown: Mapping[str, SimulatedCamera], truth: CameraSimulation) -> dict[str, float]:
+    """Return lens and pose of each camera by the names of the estimates; the pose of the first is that of the rig."""
+    values = {f"{name}.{key}": value for name, camera in shown.items() for key, value in camera.lens.items()}
+    places = [camera.extrinsics for camera in (truth.cameras or {}).values()]
+    for name, at in zip(shown, [truth.extrinsics, *places[1:]], strict=True):
+        values |= {f"{name}.{key}": getattr(at, key) for key in poses.EULER if at is not None}
+    return values
