@@ -40,6 +40,8 @@ from metrocli.progress import SILENT, Progress
 
 Attended = Callable[[Callable[[], None]], AbstractContextManager[object]]
 """Takes what interrupts a search, and calls it if the user wants that within the context"""
+_ODDS = float(np.log(20.0))
+"""Odds that the evidence of an effect and its held-out log score have to exceed together"""
 _CORRELATED = 0.005
 """Level below which a correlated error is reported as structure"""
 _LEVEL = -float(np.log(LEVEL))
@@ -122,9 +124,9 @@ def _confirmed(
     """Return the state without what held-out readings speak against, its effects with their gains, and what it lost.
 
     The log score of held-out readings and the net evidence of all are both logarithms of odds: an effect stays while
-    their sum is positive. Folds that lie between others show little of a jump, whose evidence is large. In a quick
-    diagnosis the log score alone has to be: its evidence is that in white noise. A smooth effect, which fits whatever
-    readings share, stays where its gain is shown.
+    their sum exceeds 20 to 1. Folds that lie between others show little of a jump, whose evidence is large. In a quick
+    diagnosis the log score alone has to be positive: its evidence is that in white noise. A smooth effect, which fits
+    whatever readings share, stays where its gain is shown.
     """
     state, lost = with_shown(state)
     while True:
@@ -134,7 +136,7 @@ def _confirmed(
         against = [
             (part, name, gain)
             for part, name, gain in zip(state.named, names, gained, strict=False)
-            if gain.log_score + (0.0 if quick else nets[part.key]) <= 0
+            if gain.log_score + (_ODDS if quick else nets[part.key]) <= _ODDS
         ]
         if not against:
             return state, names, gained, tuple(lost)
