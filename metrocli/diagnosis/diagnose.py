@@ -123,10 +123,8 @@ def _confirmed(
 ) -> tuple[State, tuple[IdentifiedEffect, ...], list[Gain], tuple[Unconfirmed, ...]]:
     """Return the state without what held-out readings speak against, its effects with their gains, and what it lost.
 
-    The log score of held-out readings and the net evidence of all are both logarithms of odds: an effect stays while
-    their sum exceeds 20 to 1. Folds that lie between others show little of a jump, whose evidence is large. In a quick
-    diagnosis the log score alone has to be positive: its evidence is that in white noise. A smooth effect, which fits
-    whatever readings share, stays where its gain is shown.
+    In a quick diagnosis the log score of held-out readings has to be positive: its evidence is that in white noise. A
+    smooth effect, which fits whatever readings share, stays where its gain is shown.
     """
     state, lost = with_shown(state)
     while True:
@@ -136,12 +134,21 @@ def _confirmed(
         against = [
             (part, name, gain)
             for part, name, gain in zip(state.named, names, gained, strict=False)
-            if gain.log_score + (_ODDS if quick else nets[part.key]) <= _ODDS
+            if not (gain.log_score > 0 if quick else _stays(nets[part.key], gain.log_score))
         ]
         if not against:
             return state, names, gained, tuple(lost)
         lost += [Unconfirmed(str(name.alternative), gain.log_score) for _, name, gain in against]
         state = state.minus([part for part, _, _ in against])
+
+
+def _stays(net: float, log_score: float) -> bool:
+    """Return whether an effect stays by its net evidence and the log score of held-out readings, both ln of odds.
+
+    Together they have to exceed 20 to 1, or the evidence alone if held-out readings do not outweigh it: folds that lie
+    between others show little of a jump, whose evidence is large.
+    """
+    return net + log_score > 0 and net + max(log_score, 0.0) > _ODDS
 
 
 def _in_white_noise(state: State) -> State:
