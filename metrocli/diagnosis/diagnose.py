@@ -40,7 +40,7 @@ from metrocli.progress import SILENT, Progress
 
 Attended = Callable[[Callable[[], None]], AbstractContextManager[object]]
 """Takes what interrupts a search, and calls it if the user wants that within the context"""
-_ODDS = float(np.log(20.0))
+_ODDS = float(np.log(5.0))
 """Odds that the evidence of an effect and its held-out log score have to exceed together"""
 _CORRELATED = 0.005
 """Level below which a correlated error is reported as structure"""
@@ -145,7 +145,7 @@ def _confirmed(
 def _stays(net: float, log_score: float) -> bool:
     """Return whether an effect stays by its net evidence and the log score of held-out readings, both ln of odds.
 
-    Together they have to exceed 20 to 1, or the evidence alone if held-out readings do not outweigh it: folds that lie
+    Together they have to exceed 5 to 1, or the evidence alone if held-out readings do not outweigh it: folds that lie
     between others show little of a jump, whose evidence is large.
     """
     return net + log_score > 0 and net + max(log_score, 0.0) > _ODDS
