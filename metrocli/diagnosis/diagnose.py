@@ -40,8 +40,6 @@ from metrocli.progress import SILENT, Progress
 
 Attended = Callable[[Callable[[], None]], AbstractContextManager[object]]
 """Takes what interrupts a search, and calls it if the user wants that within the context"""
-_ODDS = float(np.log(5.0))
-"""Odds that the evidence of an effect and its held-out log score have to exceed together"""
 _CORRELATED = 0.005
 """Level below which a correlated error is reported as structure"""
 _LEVEL = -float(np.log(LEVEL))
@@ -123,8 +121,10 @@ def _confirmed(
 ) -> tuple[State, tuple[IdentifiedEffect, ...], list[Gain], tuple[Unconfirmed, ...]]:
     """Return the state without what held-out readings speak against, its effects with their gains, and what it lost.
 
-    In a quick diagnosis the log score of held-out readings has to be positive: its evidence is that in white noise. A
-    smooth effect, which fits whatever readings share, stays where its gain is shown.
+    The log score of held-out readings and the net evidence of all are both logarithms of odds: an effect stays while
+    their sum is positive. Folds that lie between others show little of a jump, whose evidence is large. In a quick
+    diagnosis the log score alone has to be: its evidence is that in white noise. A smooth effect, which fits whatever
+    readings share, stays where its gain is shown.
     """
     state, lost = with_shown(state)
     while True:
@@ -134,21 +134,12 @@ def _confirmed(
         against = [
             (part, name, gain)
             for part, name, gain in zip(state.named, names, gained, strict=False)
-            if not (gain.log_score > 0 if quick else _stays(nets[part.key], gain.log_score))
+            if gain.log_score + (0.0 if quick else nets[part.key]) <= 0
         ]
         if not against:
             return state, names, gained, tuple(lost)
         lost += [Unconfirmed(str(name.alternative), gain.log_score) for _, name, gain in against]
         state = state.minus([part for part, _, _ in against])
-
-
-def _stays(net: float, log_score: float) -> bool:
-    """Return whether an effect stays by its net evidence and the log score of held-out readings, both ln of odds.
-
-    Together they have to exceed 5 to 1, or the evidence alone if held-out readings do not outweigh it: folds that lie
-    between others show little of a jump, whose evidence is large.
-    """
-    return net + log_score > 0 and net + max(log_score, 0.0) > _ODDS
 
 
 def _in_white_noise(state: State) -> State:
