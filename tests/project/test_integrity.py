@@ -311,10 +311,10 @@ def test_leftovers_of_the_dead_are_swept_and_the_living_keep_theirs(tmp_path: Pa
 HANGING = """
 import sys, time
 from metrocli.cli.shell.signals import ending
-from metrocli.formats.file_bytes import written_aside
+from metrocli.formats.file_bytes import atomic_write
 from pathlib import Path
 import ctypes
-with ending(), written_aside(Path(sys.argv[1])) as aside:
+with ending(), atomic_write(Path(sys.argv[1])) as aside:
     aside.write_text("begun")
     print("ready", flush=True)
     while True:
