@@ -47,7 +47,7 @@ def measured(cases: Sequence[Case], size: Size) -> list[rates.Rate]:
         (*one.diagnosis.findings, *one.diagnosis.scatters) for one in found
     ]
     shown = [names for names in named if any(name.gain.shown for name in names)]
-    structure = [one for one in found if one.diagnosis.left is not None or one.diagnosis.processes]
+    structure = [one for one in found if one.diagnosis.left is not None or one.diagnosis.correlated_errors]
     if not size.times:
         return [
             rates.Rate("false name", sum(map(bool, named)), count, most=MOST_FALSE),
