@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.decompositions import thin_svd
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.groups import Group, rows_of
 from metrocli.adjust.solution import Solution
 from metrocli.arrays import Array, Index
 from metrocli.frozen import dataclass
@@ -67,14 +67,9 @@ def unknowns_of(blocks: Mapping[str, Block], names: Sequence[str]) -> Unknowns:
 
 def rows(group: Group, blocks: Mapping[str, Block], unknowns: Unknowns) -> Array:
     """Return the derivatives of the whitened predictions by the unknowns, (d, n, size)."""
+    touches = group.linear(blocks, frozenset(unknowns.columns)).touches
     d, n = group.observations.readings.shape
-    design = np.zeros((d, n, unknowns.size + 1))
-    for touch in group.linear(blocks, frozenset(unknowns.columns)).touches:
-        places = unknowns.columns[touch.block][touch.index]
-        for column in range(touch.jacobian.shape[1]):
-            # fixed entries have place -1: they fall into a last column that is dropped
-            design[:, np.arange(n), places[:, column]] += touch.jacobian[:, column]
-    return design[:, :, :-1]
+    return rows_of(touches, (d, n), unknowns.columns, unknowns.size)
 
 
 def normal_matrix(groups: Sequence[Group], blocks: Mapping[str, Block], unknowns: Unknowns) -> Array:

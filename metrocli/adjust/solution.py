@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.groups import Group, Touch
+from metrocli.adjust.model.groups import Group, Touch, rows_of
 from metrocli.adjust.outcome import Combination, Outcome
 from metrocli.adjust.probabilities import chi_square_tail
 from metrocli.adjust.schur.covariance import Covariance
@@ -16,7 +16,7 @@ from metrocli.arrays import Array
 from metrocli.frozen import dataclass
 
 _DENSE = 6
-"""Unknowns for each entry that a reading touches, up to which its row is multiplied in full: the product is fast"""
+"""Unknowns for each entry that a reading touches, up to which whole rows are faster than pairs of blocks"""
 
 
 @dataclass(frozen=True)
@@ -153,8 +153,11 @@ def _explained(touches: Sequence[Touch], covariance: Covariance) -> Array | floa
     """Return diag(J Q J') of readings, (d, n), block by block of what each touches; 0 if nothing is free."""
     entries = sum(touch.jacobian.shape[1] for touch in touches)
     eliminated = any(touch.block == covariance.layout.eliminated for touch in touches)
-    if not eliminated and 0 < len(covariance.reduced) <= _DENSE * entries:
-        return _of_dense_rows(touches, covariance)
+    width = len(covariance.reduced)
+    if not eliminated and 0 < width <= _DENSE * entries:
+        d, _, n = touches[0].jacobian.shape
+        rows = rows_of(touches, (d, n), covariance.layout.columns, width)
+        return np.asarray(covariance.factor * np.einsum("dnw,dnw->dn", rows @ covariance.reduced, rows))
     total: Array | float = 0.0
     for i, first in enumerate(touches):
         for j, second in enumerate(touches[: i + 1]):
@@ -163,18 +166,3 @@ def _explained(touches: Sequence[Touch], covariance: Covariance) -> Array | floa
             along = np.einsum("dan,abn->dbn", first.jacobian, pair)
             total = total + (1.0 if i == j else 2.0) * np.einsum("dbn,dbn->dn", along, second.jacobian)
     return total
-
-
-def _of_dense_rows(touches: Sequence[Touch], covariance: Covariance) -> Array:
-    """Return diag(J Q J') of readings by the rows of J in full, (d, n)."""
-    d, _, n = touches[0].jacobian.shape
-    rows, reading = np.zeros((d, n, len(covariance.reduced) + 1)), np.arange(n)
-    for touch in touches:
-        columns = covariance.layout.columns.get(touch.block)
-        if columns is not None:
-            places = np.broadcast_to(columns[touch.index], (n, columns.shape[1]))
-            for column in range(columns.shape[1]):
-                # fixed entries have place -1: they fall into a last column that is dropped
-                rows[:, reading, places[:, column]] += touch.jacobian[:, column]
-    rows = rows[:, :, :-1]
-    return np.asarray(covariance.factor * np.einsum("dnw,dnw->dn", rows @ covariance.reduced, rows))

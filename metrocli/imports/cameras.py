@@ -14,7 +14,7 @@ from metrocli.instruments.lenses.lens import UNITS
 _FIELD_OF_VIEW = 0.05
 """Focal lengths below this share of the longer side of the image are in mm, or in units of the image"""
 _DECENTRED = 0.2
-"""Beyond this p1 and p2 shift an image point by more than a tenth of its distance from the centre"""
+"""Beyond this p1 and p2 shift a point at 0.2 focal lengths from the centre by more than a tenth of that distance"""
 _CENTRE = (0.02, 0.98)
 """Principal points beyond these shares of the image are not plausible, or in other units"""
 
@@ -46,7 +46,8 @@ def as_yaml(lines: TextLines) -> str | None:
 
 def _cameras(lines: TextLines) -> dict[str, str]:
     """Return the cameras of a file as YAML by their names; none if it is no camera of another program."""
-    text = "\n".join(lines.lines)
+    # searching a list would take minutes where thousands of empty lines follow each other
+    text = re.sub(r"\n(?:[ \t]*\n){3,}", "\n\n", "\n".join(line.rstrip() for line in lines.lines))
     for program, sign, reader in READERS:
         if re.search(sign, text, re.MULTILINE):
             read = {name: reader(lines, part) for name, part in _parts(lines, program, text).items()}
@@ -92,9 +93,10 @@ def _must_be_plausible(lines: TextLines, camera: ReadCamera) -> None:
     """Raise InputError if focal lengths or principal point cannot be pixels, or decentring is beyond any lens."""
     beyond = [name for name in ("p1", "p2") if abs(float(camera.values.get(name, 0.0))) > _DECENTRED]
     if beyond:
-        told = ", ".join(f"{name} = {camera.values[name]}" for name in beyond)
-        hint = "of a fisheye, whose four coefficients are k1 to k4, the distortion_model is equidistant"
-        raise InputError([lines.fault(f"{told}: no lens is decentred so much", None, hint)])
+        values = ", ".join(f"{name} = {camera.values[name]}" for name in beyond)
+        four = camera.form.name == "plumb_bob" and camera.values.get("k3") == "0"
+        hint = "four coefficients of a fisheye are k1 to k4: for such a lens write `distortion_model: equidistant`"
+        raise InputError([lines.fault(f"{values}: no lens is decentred so much", None, hint if four else None)])
     faults = []
     for name, value in camera.values.items():
         extent = camera.size[0] if name == "cx" else camera.size[1]

@@ -107,7 +107,7 @@ class Link(Protocol):
 
 
 _MANY = 6
-"""Rows of a derivative from which it is looked for those that are zero"""
+"""Rows of a derivative beyond which those that are zero are left out of a product"""
 
 
 def through(outer: Array, inner: Array) -> Array:

@@ -26,6 +26,21 @@ class Touch:
     """(d, size, n)"""
 
 
+def rows_of(touches: Sequence[Touch], shape: tuple[int, int], columns: Mapping[str, Index], width: int) -> Array:
+    """Return derivatives as whole rows, (d, n, width), of `shape` (d, n).
+
+    `columns` has the number of each entry of a block, (members, size); -1 if it is fixed. Other blocks are left out.
+    """
+    rows, reading = np.zeros((*shape, width + 1)), np.arange(shape[1])
+    for touch in touches:
+        if touch.block in columns:
+            places = columns[touch.block][touch.index]
+            for column in range(touch.jacobian.shape[1]):
+                # fixed entries have place -1: they fall into a last column that is dropped
+                rows[:, reading, places[:, column]] += touch.jacobian[:, column]
+    return rows[:, :, :-1]
+
+
 @dataclass(frozen=True)
 class LinearGroup:
     """A group linearised: residuals `reading - predicted` and derivatives of the prediction, both whitened."""

@@ -108,7 +108,9 @@ class State(Scored):
         """
         from scipy.linalg import solve_triangular
 
-        held, found = self.measurement.held if held is None else held, list[Array]()
+        if held is None:
+            held = self.measurement.held
+        found: list[Array] = []
         for key, x in self._parts:
             at = "within", name, key
             along = held[at] if at in held else columns(x)

@@ -25,7 +25,7 @@ _SAME = 0.01
 _RUNS, _TARGETS, _LONG = 5, 5, 2000.0
 """Runs in each direction, and targets per metre and at least, that ISO 230-2:2014 asks for on axes up to this travel"""
 _PER_METRE = 1000.0
-_OF_TURNS = ((90.0, 3), (180.0, 5), (360.0, 8))
+_TARGETS_OF_RANGE = ((90.0, 3), (180.0, 5), (360.0, 8))
 """Fewest targets of a rotary axis by its range [deg]"""
 _ASKS = "ISO 230-2:2014 asks for"
 
@@ -83,14 +83,20 @@ def positioning(runs: Sequence[Run], known: LineUncertainty) -> tuple[Table | No
             "line": [line.name for line in whole],
             "runs_up": [len(line.up) for line in whole],
             "runs_down": [len(line.down) for line in whole],
-            **{f"{name} [{_unit(whole[0].axis)}]": [figure[name] for figure in evaluated] for name in FIGURES},
-            **{f"U_{name} [{_unit(whole[0].axis)}]": [figure[name] for figure in spread] for name in FIGURES},
+            **{
+                f"{name} [{_unit_of_deviation(whole[0].axis)}]": [figure[name] for figure in evaluated]
+                for name in FIGURES
+            },
+            **{
+                f"U_{name} [{_unit_of_deviation(whole[0].axis)}]": [figure[name] for figure in spread]
+                for name in FIGURES
+            },
         }
     )
     return table, warnings
 
 
-def _unit(axis: str) -> str:
+def _unit_of_deviation(axis: str) -> str:
     """Return the internal unit of the deviation of an axis."""
     return "rad" if axis in ANGLES else "mm"
 
@@ -176,7 +182,7 @@ def at_targets(runs: Sequence[Run]) -> Table | None:
         labels = {name: np.full(len(one.targets), text) for name, text in texts.items()}
         numbers = np.concatenate(at_each_target(one.up, one.down))
         places = {"position [mm]": one.targets} if one.axis in AXES else {"angle [rad]": np.radians(one.targets)}
-        parts.append(Table.of({**labels, **places, f"up down s_up s_down [{_unit(one.axis)}]": numbers.T}))
+        parts.append(Table.of({**labels, **places, f"up down s_up s_down [{_unit_of_deviation(one.axis)}]": numbers.T}))
     return Table.stack(parts) if parts else None
 
 
@@ -219,7 +225,9 @@ def _too_few(lines: Sequence[_LineRuns]) -> list[str]:
 
 def _fewest(targets: Array) -> int:
     """Return the fewest targets [deg] of a rotary axis (ISO 230-2:2014, 4.3.3)."""
-    return next((count for range_, count in _OF_TURNS if np.ptp(targets) <= range_ + _SAME), _OF_TURNS[-1][1])
+    return next(
+        (count for most, count in _TARGETS_OF_RANGE if np.ptp(targets) <= most + _SAME), _TARGETS_OF_RANGE[-1][1]
+    )
 
 
 def _apart(lines: Iterable[tuple[str, str, str]]) -> list[str]:

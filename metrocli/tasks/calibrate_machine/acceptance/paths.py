@@ -24,6 +24,8 @@ from metrocli.tasks.calibrate_machine.volume import predict
 
 _SAME = 1e-4
 """Positions of a path and of a reading are the same within this [mm, rad]"""
+_APART = 1e6
+"""Distance of the readings of two tools, so that none is taken for that of another [mm]"""
 
 
 def paths(tables: Tables, solved: AdjustedMachine, settings: Settings, listed: Table | None) -> dict[str, Table]:
@@ -100,16 +102,17 @@ class _Read:
 
 
 def _left(solved: AdjustedMachine, machine: Machine, position: Array, tool: Index) -> Array:
-    """Return what readings at the positions of paths show beyond the prediction (3, n); nan without a reading."""
-    read, found = _read(solved, machine), np.full((3, position.shape[1]), np.nan)
-    if read is None:
-        return found
-    for i in range(position.shape[1]):
-        off = np.abs(read.position - position[:, [i]]).max(axis=0)
-        off = np.where(read.tool == tool[i], off, np.inf)
-        if off.min() <= _SAME:
-            found[:, i] = read.left[:, off <= _SAME].mean(axis=1)
-    return found
+    """Return what the reading at each position of paths shows beyond the prediction (3, n); nan without a reading."""
+    from scipy.spatial import cKDTree
+
+    read, left = _read(solved, machine), np.full((3, position.shape[1]), np.nan)
+    if read is not None:
+        # other tools are far away
+        places = [np.vstack([own, _APART * number]).T for own, number in ((read.position, read.tool), (position, tool))]
+        distance, nearest = cKDTree(places[0]).query(places[1], p=np.inf)
+        followed = distance <= _SAME
+        left[:, followed] = read.left[:, nearest[followed]]
+    return left
 
 
 def _read(solved: AdjustedMachine, machine: Machine) -> _Read | None:
