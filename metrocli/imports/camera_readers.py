@@ -67,9 +67,10 @@ def _of_opencv(lines: TextLines, text: str) -> ReadCamera:
     # a message of ROS (CameraInfo) has the keys height, width, D, K; those of its region are indented
     extent, anywhere = r"(?:image_?{0}|^{0})\s*:\s*([0-9]+)", re.IGNORECASE | re.MULTILINE
     size = [_after(extent.format(side), text, anywhere) for side in ("width", "height")]
-    matrix = _numbers(rf"(?i:camera_?matrix)\s*:[^\[]{0, 200}?data\s*:\s*{_LIST}|^[Kk]\s*:\s*{_LIST}", text)
+    matrix = _numbers(rf"(?i:camera_?matrix)\s*:[^\[]{{0,200}}?data\s*:\s*{_LIST}|^[Kk]\s*:\s*{_LIST}", text)
     shift = _numbers(
-        rf"(?i:dist(?:ortion)?_?(?:coefficients|coeffs?))\s*:[^\[]{0, 200}?data\s*:\s*{_LIST}|^[Dd]\s*:\s*{_LIST}", text
+        rf"(?i:dist(?:ortion)?_?(?:coefficients|coeffs?))\s*:[^\[]{{0,200}}?data\s*:\s*{_LIST}|^[Dd]\s*:\s*{_LIST}",
+        text,
     )
     fields = {"camera_matrix with 9 numbers": len(matrix) == 9, "distortion_coefficients": shift}
     sizes = {"image_width": size[0], "image_height": size[1]}
