@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import sys
 import tempfile
-import time
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from simulated.network import Array, Network, network
 from tasks.adjust_network.dense import Dense
 
+from benchmarks.hidden.named import print_rates, words
 from metrocli.diagnosis.detectability import design, needed
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.evidence.measured_job import measurement_of
@@ -146,36 +145,14 @@ def case(number: int, folder: Path) -> tuple[str, str]:
             hidden = ""
         else:
             net = net.with_effect(change * rng.uniform(*LEAST_SIZES) * needs / strength)
-    found = diagnose(adjusted_job_of(load(net.write(folder))))
-    said = [one.effect for one in found.findings]
-    named = {(one.alternative.effect.name, tuple(one.alternative.where.values())) for one in said}
-    rivals = {(r.alternative.effect.name, tuple(r.alternative.where.values())) for one in said for r in one.rivals}
-    if not hidden:
-        return "nothing", f"false: {sorted(named)}" if named or found.left is not None else "clean"
-    right = (hidden, tuple(where.values()))
-    false = named - {right}
-    words = "named" if right in named else "alternative" if right in rivals else "missed"
-    return hidden, words + (f" and {sorted(false)}" if false and right in named else f": {sorted(named)}" * bool(false))
+    return words(diagnose(adjusted_job_of(load(net.write(folder)))), hidden, where)
 
 
 def main(arguments: list[str]) -> int:
     """Print the cases that are not plainly right, then the rates; return 1 where a bar is not met."""
     count = int(arguments[0]) if arguments else COUNT
-    found: Counter[tuple[bool, str]] = Counter()
-    begin = time.process_time()
     with tempfile.TemporaryDirectory() as where:
-        for number in range(count):
-            hidden, said = case(number, Path(where))
-            if said not in ("clean", "named"):
-                print(f"case {number} ({MAKES[number % len(MAKES)]}): {hidden}: {said}", flush=True)
-            found[hidden != "nothing", said.split(":")[0].split(" and")[0]] += 1
-    nothing = sum(n for (effect, _), n in found.items() if not effect)
-    effects = sum(n for (effect, _), n in found.items() if effect)
-    false, named, other = found[False, "false"], found[True, "named"], found[True, "alternative"]
-    print(f"nothing hidden: {false} of {nothing} with a false name or structure (at most 5 %)")
-    print(f"one effect: {named} of {effects} named with its place (95 %), {named + other} with the alternatives (98 %)")
-    print(f"{(time.process_time() - begin) / count:.1f} s of CPU a case")
-    return int(not (false <= 0.05 * nothing and named >= 0.95 * effects and named + other >= 0.98 * effects))
+        return print_rates((f"{n} ({MAKES[n % len(MAKES)]})", case(n, Path(where))) for n in range(count))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,46 @@
+"""Whether a diagnosis names what is hidden, with its place, and the rates over many cases."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterable, Mapping
+
+from metrocli.diagnosis.findings import Diagnosis
+
+
+def words(found: Diagnosis, hidden: str, where: Mapping[str, str]) -> tuple[str, str]:
+    """Return what was hidden, or "nothing", and whether it is named, an alternative or missed, with the false names."""
+    identified = [one.effect for one in found.findings]
+    named = {(one.alternative.effect.name, tuple(one.alternative.where.values())) for one in identified}
+    rivals = {
+        (r.alternative.effect.name, tuple(r.alternative.where.values())) for one in identified for r in one.rivals
+    }
+    if not hidden:
+        return "nothing", f"false: {sorted(named)}" if named or found.left is not None else "clean"
+    right = (hidden, tuple(where.values()))
+    false = named - {right}
+    outcome = "named" if right in named else "alternative" if right in rivals else "missed"
+    if not false:
+        return hidden, outcome
+    return hidden, f"{outcome} and {sorted(false)}" if right in named else f"{outcome}: {sorted(named)}"
+
+
+def print_rates(cases: Iterable[tuple[str, tuple[str, str]]]) -> int:
+    """Print the cases that are not plainly right, as they come with their titles, then the rates; 1 for a missed bar.
+
+    Bars: false names at most 5 %; named with its place 95 %, or among the alternatives 98 %.
+    """
+    found: Counter[tuple[bool, str]] = Counter()
+    begin = time.process_time()
+    for title, (hidden, outcome) in cases:
+        if outcome not in ("clean", "named"):
+            print(f"case {title}: {hidden}: {outcome}", flush=True)
+        found[hidden != "nothing", outcome.split(":")[0].split(" and")[0]] += 1
+    nothing = sum(n for (effect, _), n in found.items() if not effect)
+    effects = sum(n for (effect, _), n in found.items() if effect)
+    false, named, other = found[False, "false"], found[True, "named"], found[True, "alternative"]
+    print(f"nothing hidden: {false} of {nothing} with a false name or structure (at most 5 %)")
+    print(f"one effect: {named} of {effects} named with its place (95 %), {named + other} with the alternatives (98 %)")
+    print(f"{(time.process_time() - begin) / max(nothing + effects, 1):.1f} s of CPU a case")
+    return int(not (false <= 0.05 * nothing and named >= 0.95 * effects and named + other >= 0.98 * effects))
