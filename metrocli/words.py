@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 _MOST_ALLOWED = 40
 """Words of a list of what is allowed: more than any key has, fewer than the points of a file"""
+_SHORT = 2
+"""Letters and digits of a name up to which each letter counts"""
 
 
 def composed(text: str) -> str:
@@ -34,15 +37,33 @@ def shortened(text: str, letters: int) -> str:
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """Return the known word that is most similar, or None if none is similar enough."""
-    known = list(known)
-    folded = {name.lower().replace("-", "_"): name for name in known}
-    meant = get_close_matches(word.lower().replace("-", "_"), folded, 1, 0.6)
+    """Return the known word that is most similar, or None if none is similar enough.
+
+    Names with other numbers, and short ones with other letters, name other things: P9 is no slip of P8, nor az of z.
+    """
+    own, numbers = _folded(word), _numbers(word)
+    folded = {_folded(name): name for name in known if not numbers or _numbers(name) == numbers}
+    if len(own) <= _SHORT:
+        return folded.get(own)
+    meant = get_close_matches(own, [name for name in folded if len(name) > _SHORT], 1, 0.6)
     return folded[meant[0]] if meant else None
+
+
+def _folded(word: str) -> str:
+    return re.sub("[-_ ]|(?<![0-9.])0+(?=[0-9])", "", word.lower())
+
+
+def _numbers(word: str) -> list[int]:
+    return [int(number) for number in re.findall("[0-9]+", word)]
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return "did you mean 'x'?", or nothing if no known word is similar."""
+    meant = nearest(word, known)
+    return f"did you mean '{meant}'?" if meant else ""
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
     """Return "did you mean 'x'?", or the list of allowed words if none is similar."""
     known = list(known)
-    meant = nearest(word, known)
-    return f"did you mean '{meant}'?" if meant else f"allowed: {listed(known, _MOST_ALLOWED)}"
+    return did_you_mean(word, known) or f"allowed: {listed(known, _MOST_ALLOWED)}"

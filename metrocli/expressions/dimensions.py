@@ -77,10 +77,7 @@ def _atom(symbol: str, whole: str) -> tuple[float, Powers]:
     if units.is_inch(plain):
         hint = f"write the length in mm: 1 inch is {units.INCH} mm"
         raise units.QuantityError(f"'{symbol}' is the inch, which files cannot use", hint)
-    near = units.nearest(plain, known)
-    raise units.QuantityError(
-        f"unknown unit '{symbol}'", f"did you mean '{near}'?" if near else "see docs/conventions.md"
-    )
+    raise units.QuantityError(f"unknown unit '{symbol}'", units.unit_meant(plain, known) or "see docs/conventions.md")
 
 
 def _powers(text: str) -> Powers:

@@ -17,11 +17,11 @@ import numpy as np
 from metrocli import copies, units
 from metrocli.arrays import Array, Values
 from metrocli.errors import Fault, InputError
+from metrocli.formats.csv_columns import found, has_unit, unused
 from metrocli.formats.csv_plain import PlainCells, plain_cells
 from metrocli.formats.csv_text import Raw, read_text, repeated, shortened, taken_apart
 from metrocli.formats.file_bytes import FileBytes, atomic_write
 from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
-from metrocli.words import nearest
 
 LONGEST_TEXT = 200
 _WHOLE_LIMIT = 1 << 62
@@ -39,7 +39,7 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
     columns = _every(raw, columns) if columns.every else columns
     further = tuple(dict.fromkeys((*(name for name in columns.further if name in raw.header), *_tried(raw, columns))))
     columns = replace(columns, columns=(*columns.columns, *(Column(name) for name in further)))
-    places, faults = _find(raw, columns)
+    places, faults = found(raw, columns)
     complete, without_key = not faults, set[int | None]()
     values: dict[str, Values] = {}
     for column in columns.columns:
@@ -54,9 +54,9 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
         faults += repeated(raw, columns, values, without_key)
     if faults:
         raise InputError(shortened(faults))
-    internal = {c.name: units.internal_unit(c.dimension) for c in columns.columns if _has_unit(c) and c.name in values}
+    internal = {c.name: units.internal_unit(c.dimension) for c in columns.columns if has_unit(c) and c.name in values}
     headings = {name: raw.header[index] for name, (index, _) in places.items()}
-    table = Table(values, internal, raw.file, raw.numbers, headings, _unused(raw, columns, places), further)
+    table = Table(values, internal, raw.file, raw.numbers, headings, unused(raw, columns, places), further)
     copied = copies.faults(table, columns)
     if copied:
         raise InputError(shortened(copied))
@@ -94,82 +94,6 @@ def _is_number(cell: str) -> bool:
 def _is_plain(text: str) -> bool:
     """Return whether text has neither digits of other scripts nor underscores, which Python reads in numbers."""
     return text.isascii() and "_" not in text
-
-
-def _has_unit(column: Column) -> bool:
-    return column.dimension not in (TEXT, WHOLE, NUMBER)
-
-
-def _find(raw: Raw, columns: Columns) -> tuple[dict[str, tuple[int, units.Unit | None]], list[Fault]]:
-    """Return for each wanted column its index in the file and its unit, and the faults of the header."""
-    faults = [
-        raw.fault(f"the column '{name}' is there twice" if name else "a column has no name", raw.header_line, index)
-        for index, name in enumerate(raw.header)
-        if not name or name in raw.header[:index]
-    ]
-    places: dict[str, tuple[int, units.Unit | None]] = {}
-    for column in columns.columns:
-        forms = _forms(column)
-        present = [name for name in forms if name in raw.header]
-        if len(present) == 1:
-            places[column.name] = (raw.header.index(present[0]), forms[present[0]])
-        elif present:
-            at = raw.header.index(present[1])
-            message = f"two columns hold the same quantity: {' and '.join(present)}"
-            faults.append(raw.fault(message, raw.header_line, at, "keep one of them"))
-        else:
-            faults.extend(_absent(raw, column, tuple(forms), columns))
-    return places, faults
-
-
-def _forms(column: Column) -> dict[str, units.Unit | None]:
-    """Return the names that a column may have in a file, each with the unit it stands for."""
-    if not _has_unit(column):
-        return {column.name: None}
-    return {f"{column.name}_{suffix}": unit for suffix, unit in units.suffixes(column.dimension).items()}
-
-
-def _absent(raw: Raw, column: Column, forms: tuple[str, ...], columns: Columns) -> list[Fault]:
-    """Return the fault of a column that was not found: no unit, a wrong unit, misspelt, or missing."""
-    accepted = f"accepted: {', '.join(forms)}"
-    others = {c.name for c in columns.columns}
-    for index, name in enumerate(raw.header):
-        if _has_unit(column) and name == column.name:
-            return [raw.fault(f"the column '{name}' has no unit", raw.header_line, index, accepted)]
-        spelt = re.fullmatch(rf"{re.escape(column.name)}\s*[_\[(/ ]\s*(.+?)[\])]?", name)
-        if spelt and _has_unit(column) and spelt[1] not in others and name not in others and _is_unit(spelt[1]):
-            if units.is_inch(spelt[1]):
-                hint = f"write {column.name}_mm, with the numbers times {units.INCH}; {accepted}"
-                message = f"the column '{name}' is in inches, which files cannot use"
-                return [raw.fault(message, raw.header_line, index, hint)]
-            phrase = units.DIMENSIONS[column.dimension].phrase
-            message = f"the column '{name}' does not name {phrase} with an accepted unit"
-            return [raw.fault(message, raw.header_line, index, accepted)]
-    if not column.required:
-        return []
-    near = nearest(forms[0], raw.header)
-    hint = f"is it the column '{near}'? {accepted}" if near and near not in others else accepted
-    return [raw.fault(f"the column '{forms[0]}' is missing", raw.header_line, None, hint)]
-
-
-def _is_unit(text: str) -> bool:
-    known = (suffix for dimension in units.DIMENSIONS for suffix in units.suffixes(dimension))
-    plain = units.plain_symbol(text)
-    return (
-        plain in known
-        or units.is_inch(plain)
-        or any(plain in dimension.symbols for dimension in units.DIMENSIONS.values())
-    )
-
-
-def _unused(raw: Raw, columns: Columns, places: dict[str, tuple[int, units.Unit | None]]) -> tuple[str, ...]:
-    used = {index for index, _ in places.values()}
-    wanted = [form for column in columns.columns if column.name not in places for form in _forms(column)]
-    names = [name for index, name in enumerate(raw.header) if index not in used]
-    near = {name: nearest(name, wanted) for name in names}
-    ask = {name: f"; did you mean '{near[name]}'?" if near[name] else "" for name in names}
-    # without the line and sorted: comments and the order of columns are no change of a table
-    return tuple(f"{raw.file}: the column '{name}' is not used{ask[name]}" for name in sorted(names))
 
 
 def _convert(raw: Raw, index: int, column: Column, unit: units.Unit | None, faults: list[Fault]) -> Values:
@@ -221,7 +145,7 @@ def _refuse_beyond(
         message = f"column '{raw.header[index]}': {cell} is beyond what it can hold, {limits}"
         if abs(values[row]) > units.OVERLOAD:
             hint = "is it an overload marker of the instrument? leave the row out"
-        elif _has_unit(column):
+        elif has_unit(column):
             hint = (
                 f"if it is right, allow it in the job: ranges: {{{column.name}: {cell} {unit.symbol if unit else ''}}}"
             )

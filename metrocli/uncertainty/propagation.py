@@ -151,6 +151,21 @@ def effective_dof(inputs: Inputs, slopes: Array) -> tuple[float, tuple[str, ...]
     return (total**2 / weighted if weighted > 0 else math.inf), tuple(notes)
 
 
+def t_std(inputs: Inputs, slopes: Array) -> float:
+    """Return the standard deviation of a linear model whose contributions with few dof have t distributions.
+
+    The variance of a t distribution is `dof/(dof - 2)` times that of its scale, and infinite up to 2.
+    """
+    total = 0.0
+    for group in inputs.groups:
+        part = slopes[list(group)]
+        variance = float(part @ inputs.covariance[np.ix_(group, group)] @ part)
+        dof = min((inputs.quantities[i].dof for i in group), default=math.inf)
+        wider = 1.0 if math.isinf(dof) else dof / (dof - 2) if dof > 2 else math.inf
+        total += variance * wider if variance > 0 else 0.0
+    return math.sqrt(total)
+
+
 def whole_dof(dof: float) -> float:
     """Return degrees of freedom truncated to a whole number, at least 1; inf stays inf."""
     return math.inf if not math.isfinite(dof) else float(max(math.floor(dof + GUARD), 1))

@@ -29,8 +29,8 @@ class Judged:
     """Symmetric coverage interval of Monte Carlo"""
     normal_factor: float
     """Coverage factor of the probability for a normal distribution"""
-    dof: float
-    """Effective degrees of freedom"""
+    t_std: float
+    """Standard deviation of the trials if the model is linear: t distributions are wider than u"""
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,7 @@ def _reasons(judged: Judged) -> Sequence[str]:
         lines.append(f"the mean is shifted by {shift / judged.std:+.2f} u against the value at the best estimates")
     if judged.mc_std > judged.second_std * (1 + _NOTABLE):
         more = judged.mc_std / judged.second_std
-        few = (
-            "few degrees of freedom" if math.isfinite(judged.dof) else "higher orders act, as of a pole near the value"
-        )
-        lines.append(f"the std of the trials is {more:.2f} times the second-order u: {few}")
+        lines.append(f"the std of the trials is {more:.2f} times the second-order u: {_wider(judged)}")
     if judged.mc_std > 0:
         half = (judged.interval[1] - judged.interval[0]) / 2
         factor = half / judged.mc_std
@@ -85,3 +82,12 @@ def _reasons(judged: Judged) -> Sequence[str]:
         if not lines and not math.isclose(judged.U, half, rel_tol=_NOTABLE / 2):
             lines.append(f"U is {judged.U / half:.3f} times the half-width of the coverage interval")
     return lines or ["the intervals differ by slightly more than the significant digits allow"]
+
+
+def _wider(judged: Judged) -> str:
+    """Return why trials scatter more than the second order: t distributions, what is beyond it, or both."""
+    few, poles = "few degrees of freedom", "higher orders act, as of a pole near the value"
+    of_t = math.sqrt(judged.second_std**2 + max(judged.t_std**2 - judged.std**2, 0.0))
+    if judged.mc_std <= of_t * (1 + _NOTABLE):
+        return few
+    return f"{few}, and {poles}" if of_t > judged.second_std * (1 + _NOTABLE) else poles

@@ -10,18 +10,22 @@ from metrocli.units.table import DIMENSIONS, INCH, Dimension, QuantityError, Uni
 _INTERNAL = {"slope": "1", "ratio": "1"}
 _SPELLINGS = {"\u00b5": "u", "\u03bc": "u", "°C": "degC", "°": "deg", "%": "percent", "\u03a9": "ohm", "\u2126": "ohm"}
 """Other spellings of units, including both micro signs and both ohm signs of Unicode."""
-_NAMES = {"foot": "ft", "feet": "ft", "grad": "gon"}
+_NAMES = {"foot": "ft", "feet": "ft", "grad": "gon", "grads": "gon", "gradian": "gon", "gradians": "gon"}
 _WORDS = {
     "micron": "um", "microns": "um", "micrometer": "um", "micrometre": "um", "millimeter": "mm", "millimetre": "mm",
     "meter": "m", "metre": "m", "degree": "deg", "degrees": "deg", "pixel": "px", "pixels": "px", "sec": "s",
     "second": "s", "seconds": "s", "minute": "min", "minutes": "min", "hour": "h", "as": "arcsec", "Mm": "mm",
-    "MM": "mm", "C": "degC", "celsius": "degC", "'": "arcmin", "''": "arcsec", '"': "arcsec",
+    "MM": "mm", "C": "degC", "celsius": "degC", "'": "arcmin", "''": "arcsec", '"': "arcsec", "degs": "deg",
+    "rads": "rad", "radian": "rad", "radians": "rad", "meters": "m", "metres": "m", "millimeters": "mm",
+    "millimetres": "mm",
 }  # fmt: skip
 _INCHES = ("in", "inch", "inches")
 _SYMBOL, _RESEMBLES = 2, 0.7
 """Longest symbol that is not compared with others, and similarity of words that are taken for each other"""
 _OTHERS = ("mil", "thou", "mile", "yard")
 """Units of people that resemble known ones"""
+_PREFIXES = "YZEPTGMkhdcmunpfaz"
+"""Of the SI: with one of them a known unit is another unit, and no slip"""
 _NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _QUANTITY = re.compile(rf"({_NUMBER})\s*(.*)", re.DOTALL)
 _COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+)(.*)", re.DOTALL)
@@ -76,8 +80,8 @@ def find_unit(symbol: str, dimension: str, number: str = "1") -> Unit:
         raise QuantityError(f"'{symbol}' is the unit of {others[0]}, not of {wanted.phrase}", accepted)
     if not re.fullmatch(r"[^\W\d_]+(/[^\W\d_]+)*|1/[^\W\d_]+", plain):
         raise QuantityError(f"'{symbol}' after {number} is not one unit", f"write e.g. '{wanted.example}'")
-    near = nearest(plain, wanted.symbols)
-    raise QuantityError(f"unknown unit '{symbol}'", f"did you mean '{near}'? {accepted}" if near else accepted)
+    near = unit_meant(plain, wanted.symbols)
+    raise QuantityError(f"unknown unit '{symbol}'", f"{near} {accepted}" if near else accepted)
 
 
 def is_inch(symbol: str) -> bool:
@@ -93,19 +97,26 @@ def plain_symbol(symbol: str) -> str:
     return _NAMES.get(symbol, symbol)
 
 
-def nearest(word: str, known: tuple[str, ...]) -> str | None:
-    """Return the known unit that was probably meant, or None.
+def unit_meant(word: str, known: tuple[str, ...]) -> str:
+    """Return the question whether a known unit is meant, or nothing.
 
-    Short symbols resemble each other and mean another quantity or size (`cl` and `ml`), so only words are compared.
+    Short symbols resemble each other and mean another quantity or size (`cl` and `ml`), so only words are compared. A
+    known unit with a prefix or beside another one (`nrad`, `mPas`) is not that unit.
     """
     from difflib import get_close_matches
 
-    meant = _WORDS.get(word)
-    if meant in known:
-        return meant
-    if len(word) <= _SYMBOL or word in _OTHERS:
-        return None
-    return next(iter(get_close_matches(word, known, 1, _RESEMBLES)), None)
+    parts = [_WORDS.get(part, part) for part in word.split("/")]
+    meant = "/".join(parts)
+    if meant not in known:
+        symbols = {*known, *(symbol for dimension in DIMENSIONS.values() for symbol in dimension.symbols)}
+        others = len(word) <= _SYMBOL or word in _OTHERS or len(parts) > 1 or _joined(word, symbols)
+        meant = "" if others else next(iter(get_close_matches(word, known, 1, _RESEMBLES)), "")
+    return f"did you mean '{meant}'?" if meant else ""
+
+
+def _joined(word: str, symbols: set[str]) -> bool:
+    """Return whether a word is a known symbol behind a prefix or another symbol."""
+    return any(word[i:] in symbols and (word[:i] in symbols or word[:i] in _PREFIXES) for i in range(1, len(word)))
 
 
 def quantity_pattern(dimension: str) -> str:

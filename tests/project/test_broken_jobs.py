@@ -76,7 +76,7 @@ BROKEN = {
     "table that is none": (GOOD.replace("readings.csv", "line.h5"), "3:20", "is not a CSV file", ""),
     "unknown effect": (GOOD + "effects: [{name: bend}]\n", "5:18", "unknown effect 'bend'", "no effect"),
     "effect without name": (GOOD + "effects: [bend]\n", "5:11", "needs a name", ""),
-    "range of no column": (GOOD + "ranges: {yy: 3 mm}\n", "5:14", "no file of this job has a column 'yy'", "did you mean 'y'?"),
+    "range of no column": (GOOD + "ranges: {yy: 3 mm}\n", "5:14", "no file of this job has a column 'yy'", "allowed: x, y"),
     "range without unit": (GOOD + "ranges: {y: 3}\n", "5:13", "3 has no unit", "write e.g. '3 mm'"),
     "range below zero": (GOOD + "ranges: {y: -3 mm}\n", "5:13", "not the size of a number", "above zero"),
     "ranges as a list": (GOOD + "ranges: [y]\n", "5:9", "this is not a mapping", "{phi1: 3600 deg}"),

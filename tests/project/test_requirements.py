@@ -88,7 +88,7 @@ def test_names_of_the_files_are_checked_before_anything_is_computed(
         found = metrocli(command, ".")
         assert found.code == 3
         assert f"jobs/tip3.yaml:{line}:22: error: require: the result has no value 'LT9.x.std'" in found.err
-        assert "did you mean 'LT4.x.std'?" in found.err
+        assert "did you mean" not in found.err
 
 
 def test_estimates_of_effects_are_known(started: Callable[[str], None], metrocli: Callable[..., Any]) -> None:

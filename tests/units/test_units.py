@@ -30,7 +30,7 @@ REFUSED = [
     ("0,1 mm", "length", "decimal comma", "write '0.1 mm'"), ("5 Mm", "length", "unknown unit", "did you mean 'mm'"),
     ("0.5 kg", "length", "of a mass, not of a length", "allowed"), ("20", "length", "has no unit", "write e.g. '20 mm'"),
     ("1e-6", "length", "has no unit", "1e-6 mm"), ("nan mm", "length", "not a number", "0.1 mm"), ("inf mm", "length", "not a number", ""),
-    ("1e400 mm", "length", "too large", ""), ("umm", "length", "not a number", ""), ("1 umm", "length", "unknown unit", "'um'"),
+    ("1e400 mm", "length", "too large", ""), ("umm", "length", "not a number", ""), ("1 umm", "length", "unknown unit", "allowed: mm"),
     ("3 mm + 2 um", "length", "is not one unit", ""), ("25 +/- 0.1 mm", "length", "is not one unit", ""),
     ("(1.5+L/350) um", "length", "not a number", ""), ("0.5 px", "length", "distance in the image", "allowed"),
     ("1 MM", "length", "unknown unit", "'mm'"), ("1 000 mm", "length", "is not one unit", ""), ("", "length", "not a number", ""),
@@ -54,6 +54,17 @@ def test_other_texts_are_refused_with_a_hint(text: str, dimension: str, message:
     assert message in caught.value.message
     assert caught.value.hint
     assert hint in caught.value.hint
+
+
+def test_a_unit_with_another_prefix_is_no_slip() -> None:
+    """An offered unit would change the number by a power of ten: a nanoradian is no milliradian, a mPa s no mPa."""
+    for dimension in units.DIMENSIONS.values():
+        for word in (prefix + symbol for symbol in dimension.symbols for prefix in "YZEPTGMkhdcmunpfaz"):
+            # Mm is so often typed for mm that the question is asked
+            assert word in dimension.symbols or word == "Mm" or not units.unit_meant(word, dimension.symbols), word
+    everything = tuple({symbol for dimension in units.DIMENSIONS.values() for symbol in dimension.symbols})
+    for word in ("mPas", "Nmm", "km/h", "in/min", "grads", "mile"):
+        assert not units.unit_meant(word, everything), word
 
 
 @pytest.mark.parametrize("dimension", units.DIMENSIONS)

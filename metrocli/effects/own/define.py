@@ -19,7 +19,6 @@ from metrocli.effects.own.definition import (
     components,
     constants_of_data,
     lacking,
-    near_name,
     not_free,
     of_unit,
     shape,
@@ -33,7 +32,7 @@ from metrocli.expressions.dimensions import Compound, base_unit, compound, descr
 from metrocli.expressions.expression import NAME, ExpressionError
 from metrocli.nodes import Node
 from metrocli.settings import BAD, Section
-from metrocli.words import suggestion
+from metrocli.words import did_you_mean, suggestion
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _SAMPLE = {"axis": "x", "pair": "xy"}
@@ -218,7 +217,7 @@ class _Reader:
                 if part.name in known:
                     used[part.name] = known[part.name]
                 elif part.name not in own and not self.required:
-                    self.unknown[part.name] = refused.get(part.name) or near_name(part.name, known)
+                    self.unknown[part.name] = refused.get(part.name) or did_you_mean(part.name, known)
                 elif part.name not in own:
                     hint = refused.get(part.name) or suggestion(part.name, [*own, *known])
                     self.faults.append(

@@ -20,7 +20,7 @@ from metrocli.expressions.written import AnyQuantity, Measure, ModelText, Writte
 from metrocli.frozen import dataclass
 from metrocli.nodes import Node
 from metrocli.settings import BAD, At, ListOf, LocatedValue, MapOf, Schema, Section, Text, Whole, setting
-from metrocli.words import in_a_row, nearest
+from metrocli.words import in_a_row
 
 WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _KEYS = ("name", "by", "std")
@@ -53,12 +53,6 @@ def constants_of_data(expression: str, refused: Mapping[str, str]) -> Iterator[E
         if match is not None and name in refused:
             said = f"'{name}' is {value:.6g}, and a column of the data has this name"
             yield ExpressionError(said, match.start(), refused[name])
-
-
-def near_name(name: str, known: Iterable[str]) -> str:
-    """Return the question whether the nearest known name is meant; empty if none is near."""
-    near = nearest(name, known)
-    return f"did you mean '{near}'?" if near else ""
 
 
 def lacking(unknown: Mapping[str, str], unclear: Iterable[ExpressionError]) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
@@ -15,7 +16,7 @@ from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import plane_frame
 from metrocli.instruments.lenses.conventions import projection_range
-from metrocli.instruments.lenses.distortion import RATIONAL
+from metrocli.instruments.lenses.distortion import RADIAL, RATIONAL
 from metrocli.table import Table
 from metrocli.targets.lattice import GATE, determines_homography, homography, projected
 from metrocli.tasks.calibrate_camera.problem import CameraProblem
@@ -252,6 +253,15 @@ def not_found(problem: CameraProblem, images: Group, residuals: Array) -> list[s
     ]
 
 
+def unfolded(lens: Block, member: int = 0) -> str:
+    """Return what helps against a lens model that folds over, by its free radial terms: one alone must fold."""
+    free = [
+        name for name, of in zip(lens.columns, lens.free[member], strict=True) if of and name in (*RADIAL, *RATIONAL)
+    ]
+    several = "use fewer distortion parameters"
+    return several if len(free) > 1 else "estimate further radial terms (k1, k2, k3), or correct those that are held"
+
+
 def folds(problem: CameraProblem, adjusted: AdjustedImages) -> Iterator[tuple[str, bool]]:
     """Yield where the lens model folds over inside the image, and whether there are readings so far out."""
     lens, fisheye = adjusted.solution.blocks[camera.LENS].named(), problem.convention == "fisheye"
@@ -260,7 +270,7 @@ def folds(problem: CameraProblem, adjusted: AdjustedImages) -> Iterator[tuple[st
         u, v = adjusted.group.observations.readings
         yield (
             f"the lens model folds over at {fold:.0f} px from the principal point, inside the image; "
-            "use fewer distortion parameters",
+            f"{unfolded(adjusted.solution.blocks[camera.LENS])}",
             bool(np.hypot(u - lens["cx"], v - lens["cy"]).max() >= fold),
         )
 

@@ -116,9 +116,7 @@ def commanded(machine: Machine, table: Table) -> Array:
             int(row),
             f"{axis.letter.lower()} = {placed(axis, position[number, row])} is outside the range of the axis, "
             f"{placed(axis, axis.knots[0], '')} to {placed(axis, axis.knots[-1])}",
-            "the columns x, y, z hold the commanded positions"
-            if not isinstance(axis, RotaryAxis)
-            else f"is it in degrees? or give {axis.letter.lower()} a wider range",
+            _outside(axis, float(position[number, row])),
         )
         for number, row in zip(*np.nonzero(outside), strict=True)
         for axis in [machine.axes[number]]
@@ -127,6 +125,15 @@ def commanded(machine: Machine, table: Table) -> Array:
         more = [table.fault(f"and {len(faults) - 5} more such rows")] if len(faults) > 5 else []
         raise InputError(faults[:5] + more)
     return position
+
+
+def _outside(axis: Axis, position: float) -> str:
+    """Return what to do about a position outside the range; degrees are in a column of radians if they then fit."""
+    letter = axis.letter.lower()
+    if not isinstance(axis, RotaryAxis):
+        return "the columns x, y, z hold the commanded positions"
+    as_degrees = axis.knots[0] <= np.radians(position) <= axis.knots[-1]
+    return f"is it in degrees? then write `{letter}_deg`" if as_degrees else f"or give {letter} a wider range"
 
 
 def must_have_axes(machine: Machine, table: Table) -> None:

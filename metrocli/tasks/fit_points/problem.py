@@ -6,6 +6,8 @@ is one reading. Chi-square is then that of the errors of both lists.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from metrocli.adjust.model.blocks import Block, Space
@@ -20,12 +22,13 @@ from metrocli.geometry import poses
 from metrocli.instruments.frames import OutOf, PointOf
 from metrocli.tasks.fit_points.settings import ESTIMATED, Files, Settings
 from metrocli.tasks.shared.lists import refuse, sigmas
-from metrocli.words import listed
+from metrocli.words import listed, nearest
 
 POINT, POSE, SCALE = "point", "pose", "scale"
 _EXACT = 1e-5
 """Standard uncertainty of an exact coordinate, relative to that of the points laid onto it"""
-_FEWEST = 3
+_FEWEST, _ASKED = 3, 20
+"""Points of a best fit, and names that are compared with those of the other list"""
 _REACH = 10.0
 """Reach of the transformation, in extents and rad: points may deviate by as much as their distances"""
 
@@ -148,10 +151,11 @@ def problem_of(settings: Settings, files: Files) -> PointPairs:
     names = points.texts("point")
     rows = [i for i, name in enumerate(names) if name in places]
     of = [places[names[i]] for i in rows]
+    alone = [name for name in names if name not in places], [name for name in places if name not in set(names)]
     if len(rows) < _FEWEST:
         raise UndeterminedError(
             f"{len(rows)} points are in both lists ({listed([names[i] for i in rows]) or 'no name is'}): a best fit "
-            "needs three that are not on a line; are names spelt alike?",
+            f"needs three that are not on a line{_spelt(*alone)}",
             0.0,
         )
     sigma, of_nominal = sigmas(points), sigmas(nominal)
@@ -161,7 +165,6 @@ def problem_of(settings: Settings, files: Files) -> PointPairs:
         both = np.zeros(len(points), dtype=bool)
         both[np.array(rows)[exact.all(axis=1)]] = True
         refuse(points, {text: both})
-    alone = [name for name in names if name not in places], [name for name in places if name not in set(names)]
     warnings = tuple(
         f"{len(some)} points are in {where} only and are left out: {listed(some)}"
         for some, where in zip(alone, ("the list of measured points", "the nominal list"), strict=True)
@@ -180,3 +183,9 @@ def problem_of(settings: Settings, files: Files) -> PointPairs:
         settings.noise,
         warnings,
     )
+
+
+def _spelt(measured: Sequence[str], nominal: Sequence[str]) -> str:
+    """Return the question whether names of the two lists that are nearly alike are one point's; empty if none are."""
+    pairs = [f"'{name}' and '{meant}'" for name in measured[:_ASKED] if (meant := nearest(name, nominal))]
+    return f"; are these one point each: {listed(pairs, 3)}?" if pairs else ""

@@ -265,11 +265,11 @@ def _elsewhere(solved: AdjustedTracers) -> Iterator[str]:
     away = np.linalg.norm(tracers.values[:, :3] - network.nominal[network.seen > 0].mean(axis=0), axis=1)
     far = np.flatnonzero(gap > _ELSEWHERE * away)
     if far.size:
-        places = [f"{tracers.members[i]} ({gap[i]:.0f} mm)" for i in far]
-        yield (
-            f"tracers are far from their listed places: {listed(places)}; are axes and signs of both lists the same? "
-            "If those of the points are wrong, so is the result"
-        )
+        places = listed([f"{tracers.members[i]} ({gap[i]:.0f} mm)" for i in far])
+        axes = "are axes and signs of both lists the same? If those of the points are wrong, so is the result"
+        # axes and signs would move nearly all tracers
+        why = axes if 2 * far.size > len(gap) else "the others are near theirs, so correct these places"
+        yield f"tracers are far from their listed places: {places}; {why}"
 
 
 def _lost(solved: AdjustedTracers) -> list[str]:

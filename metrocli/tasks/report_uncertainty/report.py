@@ -27,6 +27,7 @@ from metrocli.uncertainty.propagation import (
     coverage_factor,
     covered,
     ellipsoid_factor,
+    t_std,
     whole_dof,
 )
 from metrocli.uncertainty.validation import Judged, Validation, judge
@@ -143,7 +144,8 @@ def _verdict(
     normal = coverage_factor(Coverage(covered(evaluation.coverage, linear.dof)), math.inf)
     value, std, second = linear.value / factor, linear.std / factor, linear.second_std / factor
     ends = (mc["interval"][0], mc["interval"][1])
-    judged = Judged(value, std, k * std, linear.nonlinear, second, mc["mean"], mc["std"], ends, normal, linear.dof)
+    wider = t_std(evaluation.problem.inputs, linear.sensitivities) / factor
+    judged = Judged(value, std, k * std, linear.nonlinear, second, mc["mean"], mc["std"], ends, normal, wider)
     return judge(judged, evaluation.settings.monte_carlo.digits)
 
 

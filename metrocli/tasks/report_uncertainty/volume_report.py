@@ -145,7 +145,8 @@ def _against_trials(axis: _Axis, mc: monte_carlo.MonteCarloResult, U: float, set
     interval = sample.symmetric(probability)
     half = (interval[1] - interval[0]) / 2
     normal = coverage_factor(Coverage(probability), math.inf)
-    judged = Judged(0.0, axis.std, U, 0.0, axis.std, float(mc.means[0]), std, interval, normal, axis.dof)
+    wider = math.inf if math.isfinite(axis.dof) else axis.std  # the sum is linear
+    judged = Judged(0.0, axis.std, U, 0.0, axis.std, float(mc.means[0]), std, interval, normal, wider)
     verdict = judge(judged, settings.monte_carlo.digits)
     covers = sample.below(U) - sample.below(-U)
     trials = {"mean": float(mc.means[0]), "std": std, "interval": list(interval), "trials": mc.trials}

@@ -13,7 +13,7 @@ from metrocli.arrays import Array, Index, Mask
 from metrocli.copies import row_hashes
 from metrocli.errors import InputError
 from metrocli.table import MOST_FAULTS, Table, columns
-from metrocli.words import nearest
+from metrocli.words import did_you_mean
 
 Texts = npt.NDArray[np.str_]
 SIGMAS = columns("sigma?* sigma_x?* sigma_y?* sigma_z?* [length]")
@@ -60,8 +60,7 @@ def matched(table: Table, column: str, names: Sequence[str] | Texts, where: str)
     rows = np.fromiter(map(place.get, values, repeat(-1)), dtype=np.intp, count=len(values))
     unmatched = np.flatnonzero(rows < 0)
     if unmatched.size:
-        meant = {name: nearest(name, names) for name in {values[row] for row in unmatched[:MOST_FAULTS].tolist()}}
-        hints = {name: f"did you mean '{meaning}'?" for name, meaning in meant.items() if meaning}
+        hints = {name: did_you_mean(name, names) for name in {values[row] for row in unmatched[:MOST_FAULTS].tolist()}}
         text = f"{column} '{{}}' is not in {where}".format
         raise InputError(table.faults_at(unmatched, lambda row: text(values[row]), lambda row: hints.get(values[row])))
     return rows

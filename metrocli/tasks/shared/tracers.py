@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from random import Random
 
 import numpy as np
@@ -218,19 +218,28 @@ def _strange(seen: LengthsToTracers, i: int, misfit: float, bad: int) -> Fault:
     tracers = seen.tracers
     name = f"{tracers.noun} {tracers.names[i]}"
     text = f"the lengths of {name} do not belong to these points: they are off by {misfit:.3g} mm"
-    hint = "are its rows in another order?" if bad < len(tracers.names) else "do points and lengths belong together?"
-    for factor, symbol in _factors():
-        take(_AS_LONG)
-        places = np.nan_to_num(start(points, factor * lengths, seen.absolute))
-        spread = min(seen.extent, float(np.ptp(factor * lengths)))  # lengths near zero fit any points
-        if _misfit(points, factor * lengths, places) < _MISFIT * spread / 10:
-            hint = (
-                "they fit with the other sign: lengths grow with the distance"
-                if factor < 0
-                else f"they fit if they are multiplied by {factor:g} ({symbol}): check the units of both files"
-            )
-            break
+    of = "another set-up" if bad < len(tracers.names) else "another list of points"
+    nothing = f"no other unit, sign or order of rows that was tried fits: check that they are not those of {of}"
+    hint = next((words for words, other in _read_otherwise(lengths) if _fits(seen, points, other)), nothing)
     return Fault(text, seen.file, hint=hint)
+
+
+def _fits(seen: LengthsToTracers, points: Array, lengths: Array) -> bool:
+    take(_AS_LONG)
+    places = np.nan_to_num(start(points, lengths, seen.absolute))
+    spread = min(seen.extent, float(np.ptp(lengths)))  # lengths near zero fit any points
+    return _misfit(points, lengths, places) < _MISFIT * spread / 10
+
+
+def _read_otherwise(lengths: Array) -> Iterator[tuple[str, Array]]:
+    """Yield what may be wrong with the lengths of one tracer, and the lengths without it."""
+    for factor, symbol in _factors():
+        unit = f"they fit if they are multiplied by {factor:g} ({symbol}): check the units of both files"
+        sign = "they fit with the other sign: lengths grow with the distance"
+        yield sign if factor < 0 else unit, factor * lengths
+    yield "they fit in the reverse order of its rows", lengths[::-1]
+    for rows, way in ((1, "down"), (-1, "up")):
+        yield f"they fit if they are moved {way} by one of its rows", np.roll(lengths, rows)
 
 
 def _factors() -> list[tuple[float, str]]:

@@ -16,7 +16,7 @@ from metrocli.instruments.lenses.conventions import projection_range
 from metrocli.result import Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
-from metrocli.tasks.calibrate_camera.advice import correlation_warnings
+from metrocli.tasks.calibrate_camera.advice import correlation_warnings, unfolded
 from metrocli.tasks.calibrate_camera.multi_camera.system import IMAGE, CameraSystem
 from metrocli.tasks.shared.images.adjustment import AdjustedImages
 from metrocli.tasks.shared.images.camera_parameters import (
@@ -154,5 +154,5 @@ def _folds(system: CameraSystem, adjusted: AdjustedImages) -> Iterator[str]:
         if fold is not None and np.hypot(u - values["cx"], v - values["cy"]).max(initial=0.0) >= fold:
             yield (
                 f"the lens model of {name} folds over at {fold:.0f} px from the principal point, among its readings; "
-                "use fewer distortion parameters"
+                f"{unfolded(lens, number)}"
             )

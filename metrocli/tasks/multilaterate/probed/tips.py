@@ -13,7 +13,7 @@ from metrocli.frozen import dataclass
 from metrocli.table import Table
 from metrocli.tasks.shared.lists import sigmas
 from metrocli.tasks.shared.part import Part
-from metrocli.words import nearest
+from metrocli.words import did_you_mean
 
 ANY = -1
 """Tip of a replayed point that no file assigns to one"""
@@ -67,7 +67,7 @@ def _rows(table: Table, names: Sequence[str], file: str) -> Index:
     lost, tips = np.flatnonzero(rows < 0).tolist(), table.texts("tip")
     if lost:
         faults = table.faults_at(
-            lost, lambda row: f"{file} has no tip '{tips[row]}'", lambda row: nearest(tips[row], names)
+            lost, lambda row: f"{file} has no tip '{tips[row]}'", lambda row: did_you_mean(tips[row], names)
         )
         raise InputError(faults)
     return rows
