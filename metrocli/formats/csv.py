@@ -25,6 +25,7 @@ from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 
 LONGEST_TEXT = 200
 _WHOLE_LIMIT = 1 << 62
+_DEGREE = units.find_unit("deg", "angle")
 _FORMULA = ("=", "+", "@")
 """Texts that spreadsheets take for formulas, and run; behind a space, which readers of CSV drop, they do not"""
 
@@ -145,6 +146,8 @@ def _refuse_beyond(
         message = f"column '{raw.header[index]}': {cell} is beyond what it can hold, {limits}"
         if abs(values[row]) > units.OVERLOAD:
             hint = "is it an overload marker of the instrument? leave the row out"
+        elif unit is not None and unit.symbol == "rad" and allowed.holds(_DEGREE.inside(float(values[row]))):
+            hint = f"is it in degrees? then write {column.name}_deg"
         elif has_unit(column):
             hint = (
                 f"if it is right, allow it in the job: ranges: {{{column.name}: {cell} {unit.symbol if unit else ''}}}"

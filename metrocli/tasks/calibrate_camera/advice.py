@@ -235,7 +235,9 @@ def not_found(problem: CameraProblem, images: Group, residuals: Array) -> list[s
     """
     off, most = np.hypot(*residuals), max(problem.image_size)
     typical, view = float(np.median(off)), images.observations.index[camera.VIEW]
-    if typical > _LOST * most:
+    astray = typical > _LOST * most
+    strange = strange_images(problem, images, None if astray else residuals)
+    if astray and not strange:
         network = problem.rig == "network"
         closer = "closer places of the targets, or their right names" if network else "the right names of targets"
         return [
@@ -244,7 +246,7 @@ def not_found(problem: CameraProblem, images: Group, residuals: Array) -> list[s
             f"what helps: {closer}, and `camera: f`"
         ]
     each = ((problem.sighted.images[i], float(np.median(off[view == i]))) for i in np.unique(view).tolist())
-    return strange_images(problem, images, residuals) or [
+    return strange or [
         f"half of the points of image {name} are off by more than {size:.0f} px, those of all by {typical:.2g} px: "
         "is it mirrored, are its targets named otherwise, or does the lens model lack distortion that only it shows? "
         "It pulls all other values: correct it, leave it out, or estimate more of the distortion"

@@ -116,7 +116,7 @@ def commanded(machine: Machine, table: Table) -> Array:
             int(row),
             f"{axis.letter.lower()} = {placed(axis, position[number, row])} is outside the range of the axis, "
             f"{placed(axis, axis.knots[0], '')} to {placed(axis, axis.knots[-1])}",
-            _outside(axis, float(position[number, row])),
+            _outside(axis, float(position[number, row]), table),
         )
         for number, row in zip(*np.nonzero(outside), strict=True)
         for axis in [machine.axes[number]]
@@ -127,13 +127,14 @@ def commanded(machine: Machine, table: Table) -> Array:
     return position
 
 
-def _outside(axis: Axis, position: float) -> str:
-    """Return what to do about a position outside the range; degrees are in a column of radians if they then fit."""
+def _outside(axis: Axis, position: float, table: Table) -> str:
+    """Return what to do about a position outside the range; a column of radians holds degrees if they then fit."""
     letter = axis.letter.lower()
     if not isinstance(axis, RotaryAxis):
         return "the columns x, y, z hold the commanded positions"
-    as_degrees = axis.knots[0] <= np.radians(position) <= axis.knots[-1]
-    return f"is it in degrees? then write `{letter}_deg`" if as_degrees else f"or give {letter} a wider range"
+    in_rad = table.headings.get(letter, "").endswith("_rad")
+    as_degrees = in_rad and axis.knots[0] <= np.radians(position) <= axis.knots[-1]
+    return f"is it in degrees? then write `{letter}_deg`" if as_degrees else f"give {letter} a wider range"
 
 
 def must_have_axes(machine: Machine, table: Table) -> None:
@@ -186,18 +187,10 @@ def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block])
             knots = f"{len(axis.members)} knots of {axis.letter} (at {where} {placed(axis, 0.0)[2:]})"
             told.append(
                 f"no reading is near {bare.size} of the {knots}: "
-                f"give {axis.letter.lower()} fewer knots, or measure there{_as_in_rad(axis, own)}"
+                f"give {axis.letter.lower()} fewer knots, or measure there"
             )
     if told:
         raise UndeterminedError("\n".join(told))
-
-
-def _as_in_rad(axis: Axis, position: Array) -> str:
-    """Return a question if positions of a rotary axis reach as far in degrees as its range does in radians."""
-    reach, numbers = np.abs(axis.knots[[0, -1]]).max(), np.degrees(np.abs(position).max())
-    if not isinstance(axis, RotaryAxis) or not reach / 2 < numbers < reach * (1 + _OUTSIDE):
-        return ""
-    return f"; its positions are within {numbers:.2g} deg: is the column `{axis.letter.lower()}_deg` in rad?"
 
 
 def tool_prior(blocks: Mapping[str, Block], settings: Settings) -> tuple[Group, ...]:

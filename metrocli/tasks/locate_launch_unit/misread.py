@@ -49,7 +49,9 @@ def misfit(readings: AlignedPoses, noise: LaunchUnitNoise) -> float:
 def _others(readings: AlignedPoses) -> Iterator[tuple[str, AlignedPoses]]:
     degree = parse_quantity("1 deg", "angle")
     angles, spindle = readings.angles, readings.spindle
-    for text, factor in (("radians, not degrees", 1 / degree), ("degrees, not radians", degree)):
+    gon = parse_quantity("1 gon", "angle") / degree
+    units = (("radians, not degrees", 1 / degree), ("degrees, not radians", degree), ("gon, not degrees", gon))
+    for text, factor in units:
         yield f"the encoder columns hold {text}", replace(readings, angles=angles * factor)
         yield (
             f"the encoder columns and the spindle's hold {text}",

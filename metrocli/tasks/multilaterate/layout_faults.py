@@ -72,7 +72,7 @@ def reasons(network: TracerNetwork, solution: Solution) -> list[str]:
             f"leave it out; what would separate it: {added.effect.reveal}"
             for added in hidden
         ]
-    causes = [*_counts(network, solution), *_shapes(network, solution)]
+    causes = [*_counts(network, solution), *_shapes(network, solution)] or [*_strayed(network, solution)]
     return causes or ["the tracers see the points from too few directions; add tracers or points far from the others"]
 
 
@@ -98,6 +98,18 @@ def _counts(network: TracerNetwork, solution: Solution) -> Iterator[str]:
     poor = [f"{name} ({n})" for name, n in zip(tracers.members, reads, strict=True) if n < _FEW]
     if poor:
         yield f"tracers that read too few points for their place: {listed(poor)}; use six or more, spread in space"
+
+
+def _strayed(network: TracerNetwork, solution: Solution) -> Iterator[str]:
+    """Yield tracers that an adjustment put far from their listed places: a layout that it made is not to blame."""
+    tracers = solution.blocks[t.TRACER]
+    if not len(network.listed_at):
+        return
+    gap = np.linalg.norm(tracers.values[:, :3] - network.listed_at, axis=1)
+    far = np.flatnonzero(gap > _span(network.listed_at))
+    if far.size:
+        places = listed([f"{tracers.members[i]} ({gap[i]:.3g} mm)" for i in far])
+        yield f"the lengths put tracers far from their listed places: {places}; lengths of one tracer are wrong, or a list"
 
 
 def _three(network: TracerNetwork) -> str:

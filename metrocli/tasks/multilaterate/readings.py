@@ -22,7 +22,7 @@ from metrocli.tasks.multilaterate.settings import Files, Settings
 from metrocli.tasks.shared.environment import Air, air_of, unused
 from metrocli.tasks.shared.lengths import PathNoise, stops_of
 from metrocli.tasks.shared.lists import matched, refuse, sigmas
-from metrocli.tasks.shared.tracers import LengthsToTracers, Tracers, few_of_each, observed, tracers_of
+from metrocli.tasks.shared.tracers import EQUAL, LengthsToTracers, Tracers, few_of_each, observed, tracers_of
 from metrocli.words import listed
 
 DISTANCES = "distances"
@@ -118,7 +118,7 @@ def _unused(readings: LengthReadings) -> tuple[str, ...]:
     unseen = [readings.names[row] for row in np.flatnonzero(readings.seen == 0)]
     warnings = (f"{len(unseen)} points have no length: {listed(unseen)}",) if unseen else ()
     idle, values = readings.tracers.idle, readings.observations.readings[0]
-    equal = ("all lengths are equal: is this the right column?",) if len(values) > 1 and np.ptp(values) == 0 else ()
+    equal = (EQUAL,) if len(values) > 1 and np.ptp(values) == 0 else ()
     return warnings + equal + ((f"tracers without a reading are left out: {listed(idle)}",) if idle else ())
 
 

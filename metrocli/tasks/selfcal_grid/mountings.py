@@ -112,6 +112,14 @@ def _nearest(matrix: Array) -> Array:
 
 def _other_pitch(readings: GridReadings, observed: list[Observed | None], pitch: float) -> list[str]:
     """Return the faults of views whose readings do not form a grid of this pitch; one fault if no view does."""
+    several = [
+        f"the readings of view '{view.name}' fit no grid: half of them are more than {_OFF:g} pitches off; "
+        "the view may have readings of two set-ups"
+        for n, (view, seen) in enumerate(zip(readings.views, observed, strict=True))
+        if seen is not None and _half_off(readings, n, seen, pitch) > _OFF
+    ]
+    if several:
+        return several
     known = [(view.name, seen) for view, seen in zip(readings.views, observed, strict=True) if seen is not None]
     reach = [_reach(readings.balls[readings.at(n)]) for n, seen in enumerate(observed) if seen is not None]
     wrong = {
@@ -132,6 +140,12 @@ def _other_pitch(readings: GridReadings, observed: list[Observed | None], pitch:
         if (tilt := float(np.abs(seen.tilt).max())) > _TILT and tilt * far > 2 * _OFF
     ]
     return texts or [f"the readings of view '{name}' do not fit a grid turned by a multiple of 90 deg" for name in skew]
+
+
+def _half_off(readings: GridReadings, n: int, seen: Observed, pitch: float) -> float:
+    """Return how far half of the readings of a view are from the fitted places of their balls, in pitches."""
+    rows = readings.at(n)
+    return float(np.median(np.abs(seen.off(readings.balls[rows], readings.values[rows] / pitch)).max(axis=1)))
 
 
 def _reach(balls: Index) -> float:

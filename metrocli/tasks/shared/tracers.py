@@ -31,6 +31,7 @@ _WORSE = 10.0
 """Lengths of one known tracer do not belong to the points if they fit so many times worse than those of the others"""
 _SPARE = 3
 """Redundant lengths that a tracer needs before its misfit is meaningful"""
+EQUAL = "all lengths are equal: is this the right column?"
 _AS_LONG = 5
 """Steps of an adjustment that take as long as one start"""
 
@@ -218,6 +219,8 @@ def _strange(seen: LengthsToTracers, i: int, misfit: float, bad: int) -> Fault:
     tracers = seen.tracers
     name = f"{tracers.noun} {tracers.names[i]}"
     text = f"the lengths of {name} do not belong to these points: they are off by {misfit:.3g} mm"
+    if np.ptp(seen.length) == 0:
+        return Fault(text, seen.file, hint=EQUAL)
     of = "another set-up" if bad < len(tracers.names) else "another list of points"
     nothing = f"no other unit, sign or order of rows that was tried fits: check that they are not those of {of}"
     hint = next((words for words, other in _read_otherwise(lengths) if _fits(seen, points, other)), nothing)

@@ -275,15 +275,6 @@ def test_balls_of_other_names_are_named(tmp_path: Path) -> None:
         solved(job)
 
 
-def test_angles_in_rad_are_named(tmp_path: Path) -> None:
-    job, rows = probings(tmp_path)
-    at = rows[0].index("c_deg")
-    turned = [[*cells[:at], str(float(cells[at]) * sim.DEG), *cells[at + 1 :]] for cells in rows[1:]]
-    rewritten(tmp_path, [rows[0], *turned])
-    with pytest.raises(UndeterminedError, match="is the column `c_deg` in rad"):
-        solved(job)
-
-
 @pytest.mark.slow
 def test_a_wrong_sense_is_named_by_lengths_too(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
     rng = np.random.default_rng(13)

@@ -1,0 +1,185 @@
+"""The hints of the program: for each an input that provokes it, and a similar one in which it must not appear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from hints.bases import STATIONS, board, budget
+from hints.edits import Edit, by, cells, exchanged, first, more, put, reordered, then, times, whole, without
+
+DONE = "status: done"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One hint, as it stands in the code with {} for what is filled in."""
+
+    hint: str
+    base: str
+    """A sample project, or files of BASES"""
+    command: str
+    provoked: dict[str, Edit]
+    similar: dict[str, Edit]
+    instead: str
+    """What is shown for the similar input"""
+    shows: str = ""
+    """What is filled in"""
+    name: str = field(default="")
+
+
+BASES: dict[str, dict[str, str]] = {"board": board(), "stations": STATIONS, "budget": {"job.yaml": budget("a + b*0")}}
+
+FIT = "fit-points jobs/fit.yaml"
+HALL = "multilaterate jobs/hall.yaml"
+NETWORK = "adjust-network jobs/hall.yaml"
+CUBE = "selfcal-grid jobs/views.yaml"
+TIP = "multilaterate jobs/tip3.yaml"
+AXES = "calibrate-machine jobs/after.yaml"
+MEASURED, POINTS, LENGTHS, VIEWS = "data/measured.csv", "data/points.csv", "data/lengths.csv", "data/views.csv"
+
+NAMES = [
+    Row("did you mean '{}'?", "best-fit", FIT, {"jobs/fit.yaml": put("nominal:", "nominel:")},
+        {"jobs/fit.yaml": put("nominal:", "drawing:")}, "allowed: ", "'nominal'"),
+    Row("did you mean '{}'?", "laboratory-effects", HALL, {LENGTHS: put("P28,LT1", "p28,LT1")},
+        {LENGTHS: put("P28,LT1", "P99,LT1")}, "'P99' is not in", "'P28'"),
+    Row("did you mean '{}'?", "best-fit", FIT, {"jobs/fit.yaml": put("measured.csv", "mesured.csv")},
+        {"jobs/fit.yaml": put("measured.csv", "tracker.csv")}, "no such file", "'measured.csv'"),
+    Row("did you mean '{}'?", "gear-m3d3", TIP, {"jobs/tip3.yaml": put("{sigma0:", "{sigma_0:")},
+        {"jobs/tip3.yaml": put("{sigma0: [\"> 0.8\", \"< 1.2\"]}", "{LT9.x: '< 1 m'}")}, "no value 'LT9.x'", "'sigma0'"),
+    Row("did you mean '{}'?", "gear-m3d3", TIP, {"jobs/tip3.yaml": more("effects: [{name: tracer-scales}]")},
+        {"jobs/tip3.yaml": more("effects: [{name: earthquake}]")}, "unknown effect 'earthquake'", "'tracer-scale'"),
+    Row("did you mean '{}'?", "best-fit", FIT, {"jobs/fit.yaml": more("noise: 5 Mm")},
+        {"jobs/fit.yaml": more("noise: 5 kmm")}, "allowed: mm", "'mm'"),
+    Row("did you mean '{}'?", "gauge-block", "check jobs/gum.yaml", {"jobs/gum.yaml": put("unit: mm}", "unit: millimetre}")},
+        {"jobs/gum.yaml": put("unit: mm}", "unit: Nmm}")}, "see docs/conventions.md", "'mm'"),
+    Row("is it the column '{}'?", "best-fit", FIT, {MEASURED: put("point,", "points,")},
+        {MEASURED: without("point")}, "the column 'point' is missing", "'points'"),
+    Row("is it the column '{}'?", "laboratory-effects", HALL, {POINTS: put("z_mm", "Z")},
+        {POINTS: without("z_mm")}, "the column 'z_mm' is missing", "'Z'"),
+    Row("; did you mean '{}'?", "best-fit", FIT, {MEASURED: put("sigma_mm", "sigmas_um")},
+        {MEASURED: put("sigma_mm", "remark")}, "the column 'remark' is not used", "'sigma_um'"),
+    Row("{}; are these one point each: {}?", "best-fit", FIT, {MEASURED: by("^P", "p0")},
+        {MEASURED: first(2)}, "2 points are in both lists", "'p01' and 'P1'"),
+]
+
+FILES = [
+    Row("is there a decimal comma? write 0.1, not 0,1", "best-fit", FIT, {MEASURED: by(r"(\d)\.(\d)", r"\1,\2")},
+        {MEASURED: put("P1,", "P1,A,")}, "cells in this row: 6"),
+    Row("this is not the header, which is line {}", "best-fit", FIT, {MEASURED: lambda text: "AT960\n" + text.split("\n", 1)[1]},
+        {MEASURED: put("P1,", "P1,A,")}, "cells in this row: 6", "line 2"),
+    Row("keep the columns that a job reads; is it a table with rows and columns exchanged?", "best-fit", FIT,
+        {MEASURED: whole("point," + ",".join(f"P{n}" for n in range(5001)) + "\nx_mm" + ",1.0" * 5001 + "\n")},
+        {MEASURED: put("sigma_mm", "sigma_mm,remark,status,operator")}, "columns in the header: 8"),
+    Row("is it an overload marker of the instrument? leave the row out", "laboratory-effects", HALL,
+        {LENGTHS: put("1118.478923", "9.9e37")}, {LENGTHS: put("1118.478923", "11184789230")}, "if it is right, allow it in the job"),
+]  # fmt: skip
+
+LENGTHS_OF_TRACERS = [
+    Row("they fit with the other sign: lengths grow with the distance", "laboratory-effects", HALL,
+        {LENGTHS: times(-1, "length_mm", only="LT1")}, {LENGTHS: reordered("length_mm", "LT1", sorted)}, "do not belong to these points"),
+    Row("they fit if they are multiplied by {} ({}): check the units of both files", "laboratory-effects", HALL,
+        {LENGTHS: times(1e-3, "length_mm", only="LT1")}, {LENGTHS: times(0.7, "length_mm", only="LT1")}, "the lengths put tracers far from their listed places", "1000 (mm written as um)"),
+    Row("they fit in the reverse order of its rows", "laboratory-effects", HALL,
+        {LENGTHS: reordered("length_mm", "LT1", lambda old: old[::-1])}, {LENGTHS: reordered("length_mm", "LT1", sorted)}, "do not belong to these points"),
+    Row("they fit if they are moved {} by one of its rows", "laboratory-effects", HALL,
+        {LENGTHS: reordered("length_mm", "LT1", lambda old: [*old[1:], old[0]])}, {LENGTHS: reordered("length_mm", "LT1", sorted)},
+        "no other unit, sign or order", "down"),
+    Row("all lengths are equal: is this the right column?", "laboratory-effects", HALL,
+        {LENGTHS: cells("length_mm", lambda _: 1000.0)}, {LENGTHS: reordered("length_mm", "LT1", sorted)}, "do not belong to these points"),
+    Row("all lengths are equal: is this the right column?", "stations", "multilaterate job.yaml",
+        {"lengths.csv": cells("length_mm", lambda _: 1000.0)}, {"lengths.csv": put("999.8", "1000.1")}, DONE),
+    Row("are axes and signs of both lists the same?", "laboratory-effects", HALL,
+        {"data/tracers.csv": times(-1, "x_mm", "y_mm", "z_mm")}, {"data/tracers.csv": put("LT1,-499.5", "LT1,-3499.5")}, "correct these places"),
+]  # fmt: skip
+
+FITS = [
+    Row("the measured points are a mirror image of the nominal ones: mirrored, they fit to {} mm (root mean square), and to {} mm as they are",
+        "best-fit", FIT, {MEASURED: times(-1, "y_mm")}, {MEASURED: then(times(-1, "y_mm"), times(-1, "x_mm"))}, DONE),
+    Row("points {} and {} are exchanged in one of the lists", "best-fit", FIT, {MEASURED: exchanged("point", "P2", "P5")},
+        {MEASURED: put("P2,-931.838", "P2,-831.838")}, "P2", "P5 and P2"),
+]  # fmt: skip
+
+GRID = [
+    Row("the balls{} are read {} mm apart, the pitch is {} mm: is the pitch or a unit of the file wrong?", "ball-cube", CUBE,
+        {"jobs/views.yaml": put("pitch: 65 mm", "pitch: 32.5 mm")}, {"jobs/views.yaml": put("pitch: 65 mm", "pitch: 65.1 mm")}, DONE),
+    Row("{} are exchanged: the readings fit the balls the other way round", "ball-cube", CUBE, {VIEWS: put("view,i,j,k", "view,j,i,k")},
+        {VIEWS: put("1,-2,-2,-1", "1,-2,-1,-2")}, "where ball (-2, -2, -1) stands", "i and j"),
+    Row("{} {}: the readings fit balls of the opposite sign", "ball-cube", CUBE, {VIEWS: times(-1, "z_mm")},
+        {VIEWS: times(1.0001, "z_mm")}, DONE, "z"),
+    Row("views '{}' and '{}' are exchanged", "ball-cube", CUBE, {VIEWS: exchanged("view", "1", "2")},
+        {VIEWS: cells("view", lambda name: "1" if name == "2" else name)}, "may have readings of two set-ups"),
+    Row("; is the sense of its rotation wrong?", "ball-cube", CUBE, {"jobs/views.yaml": put("axis: z, angle: 90", "axis: z, angle: -90")},
+        {"jobs/views.yaml": put("axis: z, angle: 90", "axis: z, angle: 180")}, "stands turned"),
+]  # fmt: skip
+
+ROTARY = [
+    Row("is it in degrees? then write `{}_deg`", "five-axis", AXES, {"data/after.csv": then(times(0.1, "a_deg"), put("a_deg", "a_rad"))},
+        {"data/after.csv": put("-32.546", "-132.546")}, "give a a wider range", "`a_deg`"),
+    Row("{} {} in {}: read so", "five-axis", f"{AXES} --set estimate=rotary", {"data/after.csv": then(times(0.0174532925, "a_deg", "c_deg"))},
+        {"data/after.csv": times(0.3, "c_deg")}, "no reading is near", "a_deg and c_deg are in rad"),
+    Row("{} and {} are exchanged: the probe finds each at the listed place of the other", "five-axis", AXES,
+        {"data/balls.csv": exchanged("ball", "K1", "K3")}, {"data/after.csv": put("K1,47.0733", "K2,47.0733")}, "the probe is at K1, not at K2", "K3 and K1"),
+    Row("is the name of the ball right?", "five-axis", AXES, {"data/after.csv": put("K1,47.0733", "K2,47.0733")},
+        {"data/after.csv": put("K1,47.0733", "K1,47.1733")}, "K1", "the probe is at K1, not at K2"),
+    Row("{} is {} from that of the job: is `at` right?", "five-axis", AXES, {"jobs/after.yaml": put("at: [0 mm, 12 mm", "at: [0 mm, 15 mm")},
+        {"jobs/after.yaml": put("at: [0 mm, 12 mm", "at: [0 mm, 12.2 mm")}, DONE, "y of the place of A"),
+    Row("{} has the wrong sign: it is off by {}; write at: [{}]", "five-axis", AXES, {"jobs/after.yaml": put("at: [0 mm, 12 mm", "at: [0 mm, -12 mm")},
+        {"jobs/after.yaml": put("at: [0 mm, 12 mm", "at: [0 mm, -5 mm")}, "is `at` right?", "[0 mm, 12 mm, -520 mm]"),
+    Row("{} counts the other way", "five-axis", AXES, {"jobs/after.yaml": put("at: [0 mm, 0 mm, -560 mm]}", "at: [0 mm, 0 mm, -560 mm], sense: -1}")},
+        {"jobs/after.yaml": put("at: [0 mm, 0 mm, -560 mm]}", "at: [0 mm, 400 mm, -560 mm]}")}, "error", "C counts"),
+    Row("tables and heads are exchanged", "five-axis", AXES, {"jobs/after.yaml": put("wCAbXYZt", "wbXYZACt")},
+        {"jobs/after.yaml": put("at: [0 mm, 0 mm, -560 mm]}", "at: [0 mm, 400 mm, -560 mm]}")}, "error"),
+]  # fmt: skip
+
+OTF = "calibrate-machine jobs/feed-15000.yaml"
+TRACK = "data/track-15000.csv"
+PLACES = "station,x_mm,y_mm,z_mm\nS1,840,-468,-450\nS2,-240,-416,-100\nS3,-180,468,-500\nS4,840,416,0\n"
+"""Stations of the sample, mirrored in x about the middle of its travel"""
+MACHINE = [
+    Row("is their unit right? a column mx_m or x_m is in metres", "otf-tracker", OTF, {TRACK: times(1e-3, "x_mm", "y_mm", "z_mm")},
+        {TRACK: then(times(1e-3, "x_mm", "y_mm", "z_mm"), by("_mm", "_m"))}, "status: "),
+    Row("the track is a mirror image of the path", "otf-tracker", OTF, {TRACK: times(-1, "z_mm")},
+        {TRACK: then(times(-1, "z_mm"), times(-1, "x_mm"))}, "status: "),
+    Row("two of mx, my, mz are swapped, or one of them has the wrong sign", "otf-tracker", OTF, {TRACK: by("x_mm,y_mm", "y_mm,x_mm")},
+        {TRACK: then(times(-1, "z_mm"), times(-1, "x_mm"))}, "status: "),
+    Row("is this the track of another path, or are vertices missing or in another order?", "otf-tracker", OTF,
+        {"data/path.csv": reordered("y_mm", "", sorted)}, {TRACK: times(-1, "z_mm")}, "mirror image"),
+    Row("the lengths place the stations {} mm from their list, and {} mm from it if {} counts the other way", "machine-lengths", "calibrate-machine jobs/one-tool.yaml",
+        {"jobs/one-tool.yaml": put("lengths-T1.csv}", "lengths-T1.csv, stations: ../stations.csv}"), "stations.csv": whole(PLACES)},
+        {"jobs/one-tool.yaml": put("lengths-T1.csv}", "lengths-T1.csv, stations: ../stations.csv}"), "stations.csv": then(whole(PLACES), times(-1, "x_mm"), cells("x_mm", lambda x: 600 + float(x)))}, DONE, "if X counts"),
+]  # fmt: skip
+
+LAUNCH = "locate-launch-unit jobs/table.yaml"
+TABLE = "data/table.csv"
+PHI = ("phi1_rad", "phi2_rad", "phi3_rad", "phi4_rad")
+UNITS = [
+    Row("they would if {}", "xm60-launch-unit", LAUNCH, {TABLE: by("_rad", "_deg")}, {TABLE: times(1.05, "phi1_rad", "phi3_rad")}, "error", "hold radians, not degrees"),
+    Row("they would if {}", "xm60-launch-unit", LAUNCH, {TABLE: then(times(63.66197724, *PHI), by("phi(.)_rad", r"phi\1_deg"))}, {TABLE: times(1.05, *PHI)}, "error", "gon"),
+    Row("the columns {} are swapped", "xm60-launch-unit", LAUNCH, {TABLE: put("phi1_rad,phi2_rad", "phi2_rad,phi1_rad")}, {TABLE: times(1.05, *PHI)}, "error", "phi1 and phi2"),
+    Row("{} count the other way round", "xm60-launch-unit", LAUNCH, {TABLE: times(-1, "phi2_rad")}, {TABLE: times(1.05, *PHI)}, "error", "phi2"),
+    Row("the spindle's angle counts the other way round", "xm60-launch-unit", LAUNCH, {TABLE: times(-1, "spindle_rad")}, {TABLE: times(1.05, *PHI)}, "error"),
+    Row("the beams meet behind it (the mirror solution)", "xm60-launch-unit", LAUNCH, {TABLE: then(times(-1, "phi3_rad"), cells("phi4_rad", lambda c: float(c) + 3.141592653589793), first(2))},
+        {TABLE: times(1.05, *PHI)}, "error"),
+]  # fmt: skip
+
+CAMERA = "calibrate-camera job.yaml"
+SEEN = "observations.csv"
+FOLDED = board(k1=-1.2)[SEEN]
+CAMERAS = [
+    Row("{} {}: the board is seen from the other side than in the others; mirrored?", "board", CAMERA, {SEEN: cells("u_px", lambda u: 639 - float(u), "view3.png")},
+        {SEEN: then(cells("u_px", lambda u: 639 - float(u), "view3.png"), cells("v_px", lambda v: 479 - float(v), "view3.png"))}, "status: "),
+    Row("{} fits no view of a flat board, by {} px: are its targets in another order?", "board", CAMERA,
+        {SEEN: reordered("target", "view3.png", lambda old: [*old[1:], old[0]])}, {SEEN: put("view3.png,A0,", "view3.png,F8,")}, "view3.png"),
+    Row("use fewer distortion parameters", "board", CAMERA,
+        {"observations.csv": whole(FOLDED)}, {"observations.csv": whole(FOLDED), "job.yaml": put("k1, k2]", "k1]")}, "estimate further radial terms"),
+    Row("{}; with u and v exchanged all would lie inside", "board", CAMERA, {SEEN: then(cells("u_px", lambda u: float(u) + 120), put("u_px,v_px", "v_px,u_px"))}, {SEEN: times(2, "u_px")}, "outside"),
+    Row("are the columns u and v exchanged?", "board", CAMERA, {SEEN: put("u_px,v_px", "v_px,u_px")}, {SEEN: cells("u_px", lambda u: float(u) + 100)}, "check image_size"),
+    Row("{} images are turned by 180 degrees, or the {} others are", "board", CAMERA,
+        {SEEN: then(*(cells(n, lambda c, s=s: s - float(c), f"view{i}.png") for i in (1, 3, 6) for n, s in (("u_px", 639), ("v_px", 479))))}, {}, DONE),
+    Row("{}: with {} free the squared residuals are {} times as large; estimate what is held, or correct it", "board", CAMERA,
+        {"job.yaml": put("cx, cy, k1, k2]", "cx, cy], k1: -0.1")}, {"job.yaml": put("cx, cy, k1, k2]", "cx, cy], k1: -0.2")}, DONE),
+    Row("the readings fit no pose", "raw-part", "calibrate-camera jobs/camera.yaml", {"cmm/targets.csv": reordered("target", "", lambda old: [old[17 * i % len(old)] for i in range(len(old))])},
+        {"cmm/observations.csv": put("238.763", "338.763")}, "P0101"),
+]  # fmt: skip
+
+ROWS = [*NAMES, *FILES, *LENGTHS_OF_TRACERS, *FITS, *GRID, *ROTARY, *MACHINE, *UNITS, *CAMERAS]
