@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -81,3 +82,113 @@ output: y.h5
 
 def budget(model: str, dof: str = "1000", std: str = "1e-6") -> str:
     return BUDGET.replace("MODEL", model).replace("DOF", dof).replace("STD", std)
+
+
+def fisheye() -> dict[str, str]:
+    """The board near to a lens whose image radius is f times the angle from its axis."""
+    files = board(distance=130.0)
+    rng = np.random.default_rng(3)
+    points = np.array([[25.0 * i - 100, 25.0 * j - 62.5, 0.0] for j in range(6) for i in range(9)])
+    lines = ["image,target,u_px,v_px"]
+    for view in range(8):
+        tilt = (0.4 * np.cos(view * 2.3), 0.4 * np.sin(view * 2.3), np.pi / 2 * (view % 2))
+        places = points @ turned(*tilt).T + [*rng.uniform(-25, 25, 2), 130.0 + 10 * view]
+        r = np.hypot(*places[:, :2].T)
+        uv = 220 * places[:, :2] * (np.arctan2(r, places[:, 2]) / r)[:, None] + CENTRE + rng.normal(0, 0.05, (54, 2))
+        lines += [f"view{view}.png,{chr(65 + k // 9)}{k % 9},{u:.3f},{v:.3f}" for k, (u, v) in enumerate(uv.tolist())]
+    return {**files, "observations.csv": "\n".join(lines) + "\n"}
+
+
+def two_cameras() -> dict[str, str]:
+    """The board seen by two cameras at once, the second 100 mm beside the first."""
+    rng = np.random.default_rng(7)
+    points = np.array([[25.0 * i - 100, 25.0 * j - 62.5, 0.0] for j in range(6) for i in range(9)])
+    lines = ["image,target,u_px,v_px"]
+    for view in range(10):
+        tilt = (0.45 * np.cos(view * 2.3), 0.45 * np.sin(view * 2.3), np.pi / 2 * (view % 2))
+        places = points @ turned(*tilt).T + [*rng.uniform(-25, 25, 2), 450.0 + 25 * view]
+        for side, seen in (("left", places), ("right", (places - [100.0, 0, 0]) @ turned(0, 0.2, 0))):
+            uv = image_points(seen, -0.2) + rng.normal(0, 0.05, (54, 2))
+            name = f"{side}{view}.png"
+            lines += [f"{name},{chr(65 + k // 9)}{k % 9},{u:.3f},{v:.3f}" for k, (u, v) in enumerate(uv.tolist())]
+    cameras = "".join(
+        f"  {side}: {{images: {side}*.png, image_size: [640, 480], estimate: [f, cx, cy, k1]}}\n"
+        for side in ("left", "right")
+    )
+    lens = "camera: {image_size: [640, 480], pixel_size: 6 um, estimate: [f, cx, cy, k1, k2]}\n"
+    return {**board(), "observations.csv": "\n".join(lines) + "\n", "job.yaml": _JOB.replace(lens, f"cameras:\n{cameras}")}
+
+
+PART = """surfaces:
+- {name: left, type: plane, point: [0 mm, 40 mm, 30 mm], normal: [-1, 0, 0]}
+- {name: right, type: plane, point: [100 mm, 40 mm, 30 mm], normal: [1, 0, 0]}
+- {name: front, type: plane, point: [50 mm, 0 mm, 30 mm], normal: [0, -1, 0]}
+- {name: back, type: plane, point: [50 mm, 80 mm, 30 mm], normal: [0, 1, 0]}
+- {name: bottom, type: plane, point: [50 mm, 40 mm, 0 mm], normal: [0, 0, -1]}
+- {name: top, type: plane, point: [50 mm, 40 mm, 60 mm], normal: [0, 0, 1]}
+"""
+
+
+def part() -> dict[str, str]:
+    """A block of 100 mm x 80 mm x 60 mm in a raw part that is 2 mm larger on each side."""
+    rng, size = np.random.default_rng(4), np.array([100.0, 80.0, 60.0])
+    lines, number = ["point,x_mm,y_mm,z_mm,surface,sigma_mm"], 0
+    sides = (("left", "right"), ("front", "back"), ("bottom", "top"))
+    for axis, names in enumerate(sides):
+        for name, level in zip(names, (-2.0, size[axis] + 2.0), strict=True):
+            for at in rng.uniform(0.05, 0.95, (12, 3)) * size:
+                at[axis] = level + rng.normal(0, 0.02)
+                number += 1
+                lines.append(f"Q{number},{at[0]:.4f},{at[1]:.4f},{at[2]:.4f},{name},0.02")
+    job = (
+        "metrocli: 1\njob: fit-part\ninputs: {points: points.csv, nominal: part.yaml}\n"
+        "overstock: {minimum: 0.5 mm, aim: even}\noutput: fit.h5\n"
+    )
+    files = {"job.yaml": job, "part.yaml": PART, "points.csv": "\n".join(lines) + "\n"}
+    return {**files, "part.stl": box(size), "inverted.stl": box(size, -1), "cm.stl": box(size / 10)}
+
+
+def box(size: Array, sense: int = 1) -> str:
+    """A closed mesh, its triangles counter-clockwise seen from outside; the other way with sense -1."""
+    low, high = np.zeros(3), size
+    faces = []
+    for axis in range(3):
+        one, other = (axis + 1) % 3, (axis + 2) % 3
+        for level, order in ((high, (0, 1, 2, 3)), (low, (0, 3, 2, 1))):
+            corners = np.zeros((4, 3))
+            corners[:, axis] = level[axis]
+            corners[[1, 2], one], corners[[2, 3], other] = high[one], high[other]
+            quad = corners[list(order)][::sense]
+            faces += [quad[[0, 1, 2]], quad[[0, 2, 3]]]
+    facet = "facet normal 0 0 0\nouter loop\n{}endloop\nendfacet\n"
+    return "solid box\n" + "".join(
+        facet.format("".join(f"vertex {x:g} {y:g} {z:g}\n" for x, y, z in face)) for face in faces
+    ) + "endsolid box\n"
+
+
+def points_at_rest() -> dict[str, str]:
+    """Points of a machine with errors of scale, measured by a tracker at rest."""
+    rng = np.random.default_rng(6)
+    at = np.array(np.meshgrid(*[np.linspace(0, 400, 4)] * 3, indexing="ij")).reshape(3, -1).T
+    seen = (at * [1 + 2e-5, 1 - 3e-5, 1.0]) @ turned(0.1, 0.2, 0.7).T + [900.0, 300, 50] + rng.normal(0, 2e-3, at.shape)
+    rows = (f"P{n},{x:g},{y:g},{z:g},{a:.4f},{b:.4f},{c:.4f}" for n, ((x, y, z), (a, b, c)) in enumerate(zip(at, seen, strict=True)))
+    axes = ", ".join(f"{axis}: {{range: [0 mm, 400 mm], knots: 2}}" for axis in "xyz")
+    job = (
+        f"metrocli: 1\njob: calibrate-machine\nmethod: standstill\nmachine:\n  chain: wXbYZt\n  axes: {{{axes}}}\n"
+        "  tool: [0 mm, 0 mm, 100 mm]\nestimate: [EXX, EYY]\ninputs: {points: points.csv}\n"
+        "noise: {beam: 2 um, lateral: 2 um}\noutput: machine.h5\n"
+    )
+    return {"job.yaml": job, "points.csv": "\n".join(["point,x_mm,y_mm,z_mm,mx_mm,my_mm,mz_mm", *rows]) + "\n"}
+
+
+def charuco(folder: Path) -> None:
+    """Two images of a ChArUco board of 7 x 5 corners, drawn by OpenCV."""
+    import cv2
+
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    drawn = cv2.aruco.CharucoBoard((8, 6), 35.0, 24.0, dictionary).generateImage((480, 360), marginSize=30)
+    for number, sigma in enumerate((0.8, 1.0)):
+        cv2.imwrite(str(folder / f"view{number}.png"), cv2.GaussianBlur(drawn, (0, 0), sigma))
+    pattern = "{type: charuco, columns: 7, rows: 5, pitch: 35 mm, marker_size: 24 mm, dictionary: 4x4_50}"
+    job = f"metrocli: 1\njob: calibrate-camera\nrig: board\ninputs: {{images: view*.png}}\npattern: {pattern}\n"
+    (folder / "job.yaml").write_text(f"{job}camera: {{estimate: [f, cx, cy]}}\nnoise: 0.1 px\noutput: camera.h5\n")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 
-from hints.bases import STATIONS, board, budget
-from hints.edits import Edit, by, cells, exchanged, first, more, put, reordered, then, times, whole, without
+from hints.bases import STATIONS, board, budget, charuco, fisheye, part, points_at_rest, two_cameras
+from hints.edits import Edit, by, cells, exchanged, first, more, put, reordered, rows, then, times, whole, without
+from tasks.shared.images import small_jobs
 
 DONE = "status: done"
 
@@ -24,10 +27,13 @@ class Row:
     """What is shown for the similar input"""
     shows: str = ""
     """What is filled in"""
-    name: str = field(default="")
 
 
-BASES: dict[str, dict[str, str]] = {"board": board(), "stations": STATIONS, "budget": {"job.yaml": budget("a + b*0")}}
+BASES: dict[str, dict[str, str] | Callable[[Path], object]] = {
+    "board": board(), "stations": STATIONS, "budget": {"job.yaml": budget("a + b*0")}, "fisheye": fisheye(),
+    "two-cameras": two_cameras(), "part": part(), "at-rest": points_at_rest(), "charuco": charuco,
+    "align": small_jobs.align, "network": small_jobs.network, "nothing": {},
+}  # fmt: skip
 
 FIT = "fit-points jobs/fit.yaml"
 HALL = "multilaterate jobs/hall.yaml"
@@ -58,7 +64,7 @@ NAMES = [
         {POINTS: without("z_mm")}, "the column 'z_mm' is missing", "'Z'"),
     Row("; did you mean '{}'?", "best-fit", FIT, {MEASURED: put("sigma_mm", "sigmas_um")},
         {MEASURED: put("sigma_mm", "remark")}, "the column 'remark' is not used", "'sigma_um'"),
-    Row("{}; are these one point each: {}?", "best-fit", FIT, {MEASURED: by("^P", "p0")},
+    Row("; are these one point each: {}?", "best-fit", FIT, {MEASURED: by("^P", "p0")},
         {MEASURED: first(2)}, "2 points are in both lists", "'p01' and 'P1'"),
 ]
 
@@ -115,7 +121,7 @@ GRID = [
 ROTARY = [
     Row("is it in degrees? then write `{}_deg`", "five-axis", AXES, {"data/after.csv": then(times(0.1, "a_deg"), put("a_deg", "a_rad"))},
         {"data/after.csv": put("-32.546", "-132.546")}, "give a a wider range", "`a_deg`"),
-    Row("{} {} in {}: read so", "five-axis", f"{AXES} --set estimate=rotary", {"data/after.csv": then(times(0.0174532925, "a_deg", "c_deg"))},
+    Row("{} {} in {}", "five-axis", f"{AXES} --set estimate=rotary", {"data/after.csv": then(times(0.0174532925, "a_deg", "c_deg"))},
         {"data/after.csv": times(0.3, "c_deg")}, "no reading is near", "a_deg and c_deg are in rad"),
     Row("{} and {} are exchanged: the probe finds each at the listed place of the other", "five-axis", AXES,
         {"data/balls.csv": exchanged("ball", "K1", "K3")}, {"data/after.csv": put("K1,47.0733", "K2,47.0733")}, "the probe is at K1, not at K2", "K3 and K1"),
@@ -155,7 +161,7 @@ PHI = ("phi1_rad", "phi2_rad", "phi3_rad", "phi4_rad")
 UNITS = [
     Row("they would if {}", "xm60-launch-unit", LAUNCH, {TABLE: by("_rad", "_deg")}, {TABLE: times(1.05, "phi1_rad", "phi3_rad")}, "error", "hold radians, not degrees"),
     Row("they would if {}", "xm60-launch-unit", LAUNCH, {TABLE: then(times(63.66197724, *PHI), by("phi(.)_rad", r"phi\1_deg"))}, {TABLE: times(1.05, *PHI)}, "error", "gon"),
-    Row("the columns {} are swapped", "xm60-launch-unit", LAUNCH, {TABLE: put("phi1_rad,phi2_rad", "phi2_rad,phi1_rad")}, {TABLE: times(1.05, *PHI)}, "error", "phi1 and phi2"),
+    Row("{} are swapped", "xm60-launch-unit", LAUNCH, {TABLE: put("phi1_rad,phi2_rad", "phi2_rad,phi1_rad")}, {TABLE: times(1.05, *PHI)}, "error", "phi1 and phi2"),
     Row("{} count the other way round", "xm60-launch-unit", LAUNCH, {TABLE: times(-1, "phi2_rad")}, {TABLE: times(1.05, *PHI)}, "error", "phi2"),
     Row("the spindle's angle counts the other way round", "xm60-launch-unit", LAUNCH, {TABLE: times(-1, "spindle_rad")}, {TABLE: times(1.05, *PHI)}, "error"),
     Row("the beams meet behind it (the mirror solution)", "xm60-launch-unit", LAUNCH, {TABLE: then(times(-1, "phi3_rad"), cells("phi4_rad", lambda c: float(c) + 3.141592653589793), first(2))},
@@ -178,8 +184,73 @@ CAMERAS = [
         {SEEN: then(*(cells(n, lambda c, s=s: s - float(c), f"view{i}.png") for i in (1, 3, 6) for n, s in (("u_px", 639), ("v_px", 479))))}, {}, DONE),
     Row("{}: with {} free the squared residuals are {} times as large; estimate what is held, or correct it", "board", CAMERA,
         {"job.yaml": put("cx, cy, k1, k2]", "cx, cy], k1: -0.1")}, {"job.yaml": put("cx, cy, k1, k2]", "cx, cy], k1: -0.2")}, DONE),
-    Row("the readings fit no pose", "raw-part", "calibrate-camera jobs/camera.yaml", {"cmm/targets.csv": reordered("target", "", lambda old: [old[17 * i % len(old)] for i in range(len(old))])},
-        {"cmm/observations.csv": put("238.763", "338.763")}, "P0101"),
+    Row("the readings fit no pose", "align", "align-part job.yaml", {"poses.csv": reordered("x_mm", "", lambda old: [*old[3:], *old[:3]])},
+        {"observations.csv": cells("u_px", lambda u: float(u) + 0.01)}, "status: "),
+    Row("half of the points of image {} are off by more than {} px", "network", CAMERA, {SEEN: cells("u_px", lambda u: 2591 - float(u), "i03")},
+        {SEEN: cells("u_px", lambda u: float(u) + 0.2, "i03")}, "status: "),
+    Row("the lens is a fisheye: that model leaves residuals of {} px (rms), this one {} px", "fisheye", CAMERA, {}, {"job.yaml": put("camera: {", "camera: {model: fisheye, ")}, DONE),
+    Row("Did a camera move?", "two-cameras", CAMERA, {SEEN: then(*(cells("u_px", lambda u, k=k: float(u) + 9 * k, f"right{k}.png") for k in range(10)))},
+        {SEEN: then(by(r"right8\.png", "right.png"), by(r"right9\.png", "right8.png"), by(r"right\.png", "right9.png"))}, "were not taken with"),
+    Row("check the dictionary, or is there no board?", "charuco", CAMERA, {"job.yaml": put("4x4_50", "april_36h11")}, {"job.yaml": put("columns: 7, rows: 5", "columns: 5, rows: 7")}, "with `columns: 7, rows: 5`"),
+    Row("markers of {}: is it type: charuco, dictionary: {}?", "charuco", CAMERA, {"job.yaml": put("{type: charuco, columns: 7, rows: 5, pitch: 35 mm, marker_size: 24 mm, dictionary: 4x4_50}", "{type: circles, columns: 7, rows: 5, pitch: 35 mm}")},
+        {"job.yaml": put("columns: 7, rows: 5", "columns: 5, rows: 7")}, "with `columns: 7, rows: 5`", "4x4_"),
 ]  # fmt: skip
 
-ROWS = [*NAMES, *FILES, *LENGTHS_OF_TRACERS, *FITS, *GRID, *ROTARY, *MACHINE, *UNITS, *CAMERAS]
+MESH = {"job.yaml": put("part.yaml", "part.stl")}
+PARTS = [
+    Row("the points of {} lie on the wrong side of the surface", "part", "fit-part job.yaml", {"part.yaml": put("normal: [0, 0, 1]", "normal: [0, 0, -1]")},
+        {"points.csv": put(",top,", ",top,")}, DONE, "top"),
+    Row("the points of every surface lie on the wrong side", "part", "fit-part job.yaml", {"part.yaml": then(by(r"normal: \[", "normal: [-"), by(r"--", ""), by("(?<=[ ,])1(?=[],])", "-1"))}, {}, DONE),
+    Row("the mesh of the ideal part is inverted", "part", "fit-part job.yaml", {"job.yaml": put("part.yaml", "inverted.stl")}, MESH, DONE),
+    Row("the coordinates of the mesh are in {}, not in {}: write `nominal_unit: {}`", "part", "fit-part job.yaml", {"job.yaml": put("part.yaml", "cm.stl")},
+        {"job.yaml": then(put("part.yaml", "cm.stl"), more("nominal_unit: cm"))}, DONE, "`nominal_unit: cm`"),
+    Row("the coordinates of the points are in {}, though they are read as mm: multiply them by {}", "part", "fit-part job.yaml", {**MESH, "points.csv": times(0.001, "x_mm", "y_mm", "z_mm")},
+        {**MESH, "points.csv": then(times(0.001, "x_mm", "y_mm", "z_mm"), by("([xyz])_mm", r"\1_m"))}, DONE, "in m,"),
+]  # fmt: skip
+
+REST = "calibrate-machine job.yaml"
+AT = "points.csv"
+ONE_AXIS = "metrocli: 1\njob: calibrate-machine\nmethod: six-dof\nmachine:\n  chain: wXbt\n  axes: {x: {range: [-350 mm, 350 mm], knots: 2}}\nestimate: [EXX]\ninputs: {lines: lines.csv}\nnoise: {displacement: 1 um}\noutput: machine.h5\n"
+RUN = "line,axis,position_mm,ex_um\n" + "".join(f"L{k},x,{x},{0.01 * x}\n" for k in range(2) for x in range(-350, 351, 50))
+LISTS = [
+    Row("the measured coordinates are {} times as large as the commanded ones", "at-rest", REST, {AT: times(0.001, "mx_mm", "my_mm", "mz_mm")},
+        {AT: then(times(0.001, "mx_mm", "my_mm", "mz_mm"), by("m([xyz])_mm", r"m\1_m"))}, DONE, "0.001 times"),
+    Row("the measured points are a mirror image of the commanded ones", "at-rest", REST, {AT: times(-1, "mz_mm")}, {AT: times(-1, "mz_mm", "my_mm")}, DONE),
+    Row("is this the measurement of another path or list, or are rows missing or reordered?", "at-rest", REST, {AT: reordered("mx_mm", "", sorted)}, {AT: times(-1, "mz_mm", "my_mm")}, DONE),
+    Row("is it that of this machine?", "five-axis", "calibrate-machine one.yaml;calibrate-machine jobs/after.yaml",
+        {"one.yaml": whole(ONE_AXIS), "lines.csv": whole(RUN), "jobs/after.yaml": put("balls.csv}", "balls.csv, machine: ../machine.h5}")}, {"one.yaml": whole(ONE_AXIS), "lines.csv": whole(RUN)}, DONE),
+    Row("{}, use fewer knots, give the axes different knots, or leave errors out of `estimate`", "machine-lengths", "calibrate-machine jobs/one-tool.yaml",
+        {"data/lengths-T1.csv": rows(lambda head, body: [row for row in body if row[head.index("station")] in ("S1", "S2")])}, {}, DONE),
+    Row("give `plan: {time: ...}` more, or use fewer knots", "machine-lengths", "plan jobs/lengths.yaml --out plan", {"jobs/lengths.yaml": put("plan: {time: 6 h}", "plan: {time: 3 min}")},
+        {"jobs/lengths.yaml": put("plan: {time: 6 h}", "plan: {time: 6 h, uncertainty: 1 mm}")}, "proposed"),
+    Row("{} of {} has the wrong sign", "machine-lengths", "calibrate-machine jobs/lengths.yaml", {"jobs/lengths.yaml": put("T2: [110 mm", "T2: [-110 mm")}, {"jobs/lengths.yaml": put("T2: [110 mm", "T2: [110.0 mm")}, DONE, "x of T2"),
+    Row("the adjustment ended in a wrong place, such as the mirror image; give approximate places of the tracers", "laboratory-effects", HALL, {"jobs/hall.yaml": put("  tracers: ../data/tracers.csv\n", ""), POINTS: reordered("z_mm", "", sorted)},
+        {POINTS: reordered("z_mm", "", sorted)}, "do not belong together"),
+]  # fmt: skip
+
+ROS = """image_width: 640
+image_height: 480
+camera_matrix: {rows: 3, cols: 3, data: [300, 0, 320, 0, 300, 240, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 4, data: [-0.1, 0.2, 0.5, -0.6]}
+"""
+CORRECTED = [
+    Row("{} and {} are swapped", "laboratory-effects", HALL, {POINTS: put("x_mm,y_mm", "y_mm,x_mm")}, {POINTS: put("507.9466", "508.9466")}, "status: ", "x and y"),
+    Row("{} has the wrong sign", "laboratory-effects", HALL, {POINTS: times(-1, "x_mm")}, {POINTS: put("507.9466", "-507.9466")}, "status: ", "x has"),
+    Row("{} are in the order {}", "laboratory-effects", HALL, {POINTS: put("x_mm,y_mm,z_mm", "y_mm,z_mm,x_mm")}, {POINTS: put("507.9466", "508.9466")}, "status: ", "x, y, z"),
+    Row("turned by 180 degrees about", "laboratory-effects", HALL, {POINTS: times(-1, "x_mm", "y_mm")}, {POINTS: put("507.9466", "508.9466")}, "status: ", "about z"),
+    Row("{} and {} with the other sign", "laboratory-effects", HALL, {POINTS: times(-1, "x_mm", "y_mm")}, {POINTS: times(-1, "x_mm")}, "x with the other sign", "x and y"),
+    Row("{} for {} and {} for {} in the headings, {} with the other sign", "laboratory-effects", HALL, {POINTS: then(put("x_mm,y_mm", "y_mm,x_mm"), times(-1, "x_mm"))}, {POINTS: put("x_mm,y_mm", "y_mm,x_mm")}, "are swapped"),
+    Row("read so, the readings fit {} times better (ratio of squared misfits)", "laboratory-effects", HALL, {POINTS: times(-1, "x_mm")}, {POINTS: put("507.9466", "508.9466")}, "status: "),
+    Row("read so, the job has a solution that fits, which it has not as it stands ({})", "five-axis", AXES, {"data/after.csv": then(times(0.0174532925, "a_deg", "c_deg"))},
+        {"data/after.csv": times(0.3, "c_deg")}, "error"),
+    Row("{} are in {}", "hall-trackers", NETWORK, {"data/readings.csv": times(1 / 0.9, "az_deg", "el_deg")}, {"data/readings.csv": times(1.00001, "d_mm")}, "status: ", "az and el are in gon"),
+    Row("{} and {} are exchanged at station {}", "hall-trackers", NETWORK, {"data/readings.csv": exchanged("point", "P01", "P02", only="S1")}, {"data/readings.csv": put("193.94093747", "193.95093747")}, "P01", "P01 and P02"),
+    Row("is it in degrees? then write {}_deg", "five-axis", AXES, {"data/after.csv": put("a_deg", "a_rad")}, {"data/after.csv": put("-32.546", "-32546")}, "if it is right, allow it"),
+    Row("few degrees of freedom", "budget", "report-uncertainty job.yaml", {"job.yaml": whole(budget("a + 0*b", "3"))}, {"job.yaml": whole(budget("a/b", std="0.2"))}, "a pole near the value"),
+    Row("one is too large, or has the wrong sign", "budget", "report-uncertainty job.yaml", {"job.yaml": then(whole(budget("a*b*c")), put("measurands:", "  c: {value: 1, std: 0.1}\ncorrelations: [[a, b, 0.9], [a, c, 0.9], [b, c, -0.9]]\nmeasurands:"))},
+        {"job.yaml": then(whole(budget("a*b*c")), put("measurands:", "  c: {value: 1, std: 0.1}\ncorrelations: [[a, b, 0.9], [a, c, 0.9], [b, c, 0.9]]\nmeasurands:"))}, "status: "),
+    Row("four coefficients of a fisheye are k1 to k4: for such a lens write `distortion_model: equidistant`", "nothing", "import cam.yaml --from ros --out x", {"cam.yaml": whole(ROS)}, {"cam.yaml": then(whole(ROS), put("0.5, -0.6]", "0.002, -0.001]"))}, "cam.yaml"),
+]  # fmt: skip
+
+ROWS = [*NAMES, *FILES, *LENGTHS_OF_TRACERS, *FITS, *GRID, *ROTARY, *MACHINE, *UNITS, *CAMERAS, *PARTS, *LISTS, *CORRECTED]

@@ -18,8 +18,11 @@ Metrocli = Callable[..., Any]
 
 def entered(row: Row, folder: Path) -> None:
     """Write the files of a row's base into a folder; they are links until they are changed."""
-    if row.base in BASES:
-        for name, text in BASES[row.base].items():
+    base = BASES.get(row.base)
+    if callable(base):
+        base(folder)
+    elif base is not None:
+        for name, text in base.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_text(text, encoding="utf-8")
     else:
@@ -39,9 +42,12 @@ def shown(row: Row, edits: dict[str, Callable[[str], str]], folder: Path, metroc
     entered(row, folder)
     changed(edits, folder)
     os.chdir(folder)
-    ran = metrocli(*row.command.split())
-    assert ran.code in (0, 3, 4, 5, 6), ran.err
-    return " ".join(f"{ran.err}\n{ran.out}".split())
+    said = ""
+    for command in row.command.split(";"):
+        ran = metrocli(*command.split())
+        assert ran.code in (0, 3, 4, 5, 6), ran.err
+        said += f"{ran.err}\n{ran.out}"
+    return " ".join(said.split())
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: re.sub("[^a-z]+", "-", row.hint.lower())[:40])

@@ -1,0 +1,58 @@
+"""Each message that offers a correction or a guess has a row in the table of hints, with an input where it is wrong."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+from hints.table import ROWS
+
+import metrocli
+
+ROOT = Path(metrocli.__file__).parent
+GUESS = re.compile(
+    r"\byou mean\b|\b(is|are|was|were|do|does|did) [^?;:,]*\?(?= |$)|\bmirrored\?"  # a question
+    r"|\b(would|they) (fit|lie|if)\b|\bfits? if\b|\bread so\b|\bexchanged\b|\bswapped\b|\bother way( round)?\b"
+    r"|\b(other|wrong|opposite) (sign|side)\b|\bmirror (image|solution)\b|\bwrong sign\b|\btimes as large as\b"
+    r"|\bturned by (180|\{)|\bin the order \{|\bare in \{|\bnot the header\b|\bis inverted\b|\bwrite `nominal_unit: \{"
+    r"|\buse fewer\b|\bfew degrees\b|\bperhaps\b|\bprobably\b|\bmaybe\b|\bfor such a lens\b|\bthe lens is a\b",
+    re.IGNORECASE,
+)
+"""Forms of sentences that offer a correction, or say what may be wrong"""
+DESCRIBED = ("plots/", "report/", "exports/", "effects.py", "effects/links/", "tasks/calibrate_machine/effects/")
+"""What describes results, files and effects, and offers nothing"""
+
+
+def messages(path: Path) -> Iterator[str]:
+    """Texts of a module but for docstrings, with {} for what is filled in."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    nodes = list(ast.walk(tree))
+    silent = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+    silent |= {id(part) for node in nodes if isinstance(node, ast.JoinedStr) for part in ast.walk(node) if part != node}
+    for node in nodes:
+        if id(node) in silent:
+            continue
+        if isinstance(node, ast.JoinedStr):
+            yield "".join(str(part.value) if isinstance(part, ast.Constant) else "{}" for part in node.values)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+@cache
+def guesses() -> dict[str, str]:
+    paths = (path for path in ROOT.rglob("*.py") if not any(part in str(path) for part in DESCRIBED))
+    texts = ((str(path.relative_to(ROOT)), text) for path in paths for text in messages(path))
+    return {text: name for name, text in texts if " " in text and GUESS.search(text)}
+
+
+def test_each_guess_has_a_row_in_the_table() -> None:
+    hints = {row.hint for row in ROWS}
+    assert not {text: name for text, name in guesses().items() if not any(hint in text or text in hint for hint in hints)}
+
+
+def test_each_row_is_of_a_message() -> None:
+    texts = {text for path in ROOT.rglob("*.py") for text in messages(path)}
+    assert not {row.hint for row in ROWS if not any(row.hint in text for text in texts)}
